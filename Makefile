@@ -1,0 +1,57 @@
+# The five commands of the project. Each makes the virtual environment it needs, from the
+# pinned and hashed lock files; only python3 (3.11 or newer) and make are assumed.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
+PORT ?= 8000
+
+.PHONY: demo serve test lint bench lock format clean
+
+demo: $(VENV)/installed ## replay five minutes of recorded flights and find events in them
+	@$(BIN)/dyknow demo
+
+serve: $(VENV)/installed ## leave the service running with the same flights replaying
+	@$(BIN)/dyknow serve --port $(PORT) --flights
+
+test: lint ## everything that CI runs
+	$(BIN)/pytest
+
+lint: $(VENV)/installed-dev
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy -p dyknow
+	$(BIN)/lint-imports
+
+bench: $(VENV)/installed-dev ## the performance tables of docs/performance.md
+	$(BIN)/python bench/run.py
+
+format: $(VENV)/installed-dev
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+lock: ## renew the lock files from the ranges in pyproject.toml
+	$(PYTHON) -m venv $(VENV) && $(PIP) install uv
+	$(BIN)/uv pip compile pyproject.toml --group build $(LOCK) -o requirements.lock
+	$(BIN)/uv pip compile pyproject.toml --group build --group dev --extra arrow $(LOCK) -o requirements-dev.lock
+LOCK := --quiet --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-emit-find-links --no-header
+
+$(VENV)/installed: requirements.lock pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
+	  || { echo "DyKnow needs Python 3.11 or newer; name one with: make $(MAKECMDGOALS) PYTHON=python3.12"; exit 1; }
+	@echo "installing DyKnow into $(VENV) (once) ..."
+	@$(PYTHON) -m venv $(VENV)
+	@$(PIP) install --require-hashes -r requirements.lock
+	@$(PIP) install --no-deps --no-build-isolation --editable .
+	@$(BIN)/python -m dyknow.continuous.kernels
+	@touch $@
+
+$(VENV)/installed-dev: requirements-dev.lock $(VENV)/installed
+	@echo "installing the development tools into $(VENV) (once) ..."
+	@$(PIP) install --require-hashes -r requirements-dev.lock
+	@touch $@
+
+clean:
+	rm -rf $(VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

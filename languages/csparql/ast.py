@@ -1,0 +1,105 @@
+"""The AST of continuous queries and event templates ([Events14 §III-IV], SPEC §5).
+
+The header (REGISTER, streams, windows, AGGREGATE) is ours; the SPARQL in it is held as SPARQL:
+`sparql` is the text with our clauses blanked out, character for character, so that offsets in it
+are offsets in the source.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+from pyoxigraph import Variable
+
+from ...rdf.dictionary import Term
+from ..errors import Span
+
+
+class Form(StrEnum):
+    """The query form of the body."""
+
+    SELECT = "SELECT"
+    CONSTRUCT = "CONSTRUCT"
+    ASK = "ASK"
+    DESCRIBE = "DESCRIBE"
+
+
+@dataclass(frozen=True, slots=True)
+class TimeWindow:
+    """``[RANGE 5s STEP 1s]``: content ``(t - range, t]`` at each multiple of ``step``. In ns."""
+
+    range: int
+    step: int
+
+
+@dataclass(frozen=True, slots=True)
+class StreamClause:
+    """``FROM STREAM <iri> [RANGE … STEP …]``."""
+
+    iri: str
+    window: TimeWindow
+    span: Span
+
+
+@dataclass(frozen=True, slots=True)
+class Aggregation:
+    """``(?alias, FUNCTION, {?argument})`` of an AGGREGATE clause: grouped by the other head variables.
+
+    ``function`` is upper case: AVG, SUM, COUNT, MIN, MAX.
+    """
+
+    alias: Variable
+    function: str
+    argument: Variable
+    span: Span
+
+
+@dataclass(frozen=True, slots=True)
+class ContinuousQuery:
+    """A continuous query, or the body of a template (then with `Template.parameters` free).
+
+    ``name`` is as registered (a plain name or an IRI), ``every`` the COMPUTE EVERY period in ns
+    (None where absent), ``static`` the FROM graphs, ``streams`` the FROM STREAM clauses (empty
+    where they are to be inferred), ``window`` the WINDOW clause (templates) which holds for every
+    stream that is inferred. ``aggregations`` and ``aggregate_filters`` (texts of the FILTER
+    expressions, with spans) are the paper's AGGREGATE clause; SPARQL 1.1 aggregates stand in
+    ``sparql``. ``bindings`` are the template arguments that were given as terms.
+    """
+
+    name: str
+    produces_stream: bool
+    every: int | None
+    form: Form
+    prefixes: Mapping[str, str]
+    static: tuple[str, ...]
+    streams: tuple[StreamClause, ...]
+    window: TimeWindow | None
+    aggregations: tuple[Aggregation, ...]
+    aggregate_filters: tuple[tuple[str, Span], ...]
+    sparql: str
+    source: str
+    bindings: Mapping[Variable, Term] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Template:
+    """``REGISTER TEMPLATE name(?parameters) …``: an abstract event ([Events14 §IV.B]).
+
+    ``name`` is the IRI of the event concept.
+    """
+
+    name: str
+    parameters: tuple[Variable, ...]
+    query: ContinuousQuery
+    source: str
+
+
+@dataclass(frozen=True, slots=True)
+class EventRequest:
+    """``dyknow:HighSpeedEvent(?o, dyknow:UAV, 100)``: an argument is a term or stays a variable."""
+
+    event: str
+    arguments: tuple[Term | Variable, ...]
+    source: str

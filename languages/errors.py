@@ -1,0 +1,56 @@
+"""One error for all languages: message, place, caret, hint."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """A stretch of a source text: half-open character offsets ``[start, end)``."""
+
+    start: int
+    end: int
+
+
+class LanguageError(ValueError):
+    """A text that a language refuses. Nothing of the text took effect.
+
+    ``message`` says what is wrong, ``hint`` what to do next (may be empty). ``line`` and
+    ``column`` count from 1, in characters. `render` draws the line with a caret under the place.
+    """
+
+    def __init__(self, message: str, source: str, span: Span, hint: str = "") -> None:
+        super().__init__(message)
+        self.message = message
+        self.source = source
+        self.span = span
+        self.hint = hint
+
+    @property
+    def line(self) -> int:
+        return self.source.count("\n", 0, self.span.start) + 1
+
+    @property
+    def column(self) -> int:
+        return self.span.start - (self.source.rfind("\n", 0, self.span.start) + 1) + 1
+
+    def render(self) -> str:
+        """Message, place, the source line, a caret under the span, and the hint."""
+        begin = self.source.rfind("\n", 0, self.span.start) + 1
+        end = self.source.find("\n", begin)
+        text = self.source[begin:] if end < 0 else self.source[begin:end]
+        width = max(1, min(self.span.end, begin + len(text)) - self.span.start)
+        # Tabs are kept in the margin so that the caret stands under its character.
+        margin = "".join("\t" if c == "\t" else " " for c in text[: self.column - 1])
+        lines = [
+            f"line {self.line}, column {self.column}: {self.message}",
+            f"  {text}",
+            f"  {margin}{'^' * width}",
+        ]
+        if self.hint:
+            lines.append(f"hint: {self.hint}")
+        return "\n".join(lines)
+
+    def __str__(self) -> str:
+        return self.render()

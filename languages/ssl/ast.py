@@ -1,0 +1,103 @@
+"""The AST of SSL, the Stream Semantics Language ([Events14 Listing 1], SPEC §3).
+
+Names are as written; `check` resolves them against the ontology.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+from ..errors import Span
+
+
+@dataclass(frozen=True, slots=True)
+class UnitPower:
+    """One factor of a unit: ``mi`` is power 1, ``h-1`` is power -1."""
+
+    name: str
+    power: int = 1
+
+
+Unit: TypeAlias = tuple[UnitPower, ...]
+"""A product of powers; the empty product is ``no_unit``."""
+
+
+@dataclass(frozen=True, slots=True)
+class Argument:
+    """A sort or object that a feature speaks of: ``UAV``, ``uav1``, ``UAV as arg1``."""
+
+    name: str
+    alias: str | None
+    span: Span
+
+
+@dataclass(frozen=True, slots=True)
+class FeatureTerm:
+    """``speed(UAV) = spd [mi.h-1]``: the feature, what it speaks of, and the field that holds it.
+
+    ``unit`` None means that none was written (the feature's own unit is meant).
+    """
+
+    feature: str
+    arguments: tuple[Argument, ...]
+    field: str
+    unit: Unit | None
+    span: Span
+    field_span: Span
+
+
+@dataclass(frozen=True, slots=True)
+class Entity:
+    """``UAV = id``: the field ``id`` names the object of this sort, alias or object."""
+
+    name: str
+    field: str
+    span: Span
+
+
+@dataclass(frozen=True, slots=True)
+class StreamDeclaration:
+    """``stream NAME contains features [for [every] entities]``.
+
+    ``every`` governs the whole entity list. Without it the list is a condition: only samples
+    whose id field names that object carry the features. No entities: every sample does.
+    """
+
+    name: str
+    features: tuple[FeatureTerm, ...]
+    every: bool
+    entities: tuple[Entity, ...]
+    span: Span
+
+
+@dataclass(frozen=True, slots=True)
+class FieldFeature:
+    """``field:feature [unit]`` of a source or computational unit."""
+
+    field: str
+    feature: str
+    unit: Unit | None
+    span: Span
+
+
+@dataclass(frozen=True, slots=True)
+class SourceDeclaration:
+    """``source NAME provides field:feature``."""
+
+    name: str
+    output: FieldFeature
+    span: Span
+
+
+@dataclass(frozen=True, slots=True)
+class CompunitDeclaration:
+    """``compunit NAME transforms inputs to output``."""
+
+    name: str
+    inputs: tuple[FieldFeature, ...]
+    output: FieldFeature
+    span: Span
+
+
+Declaration: TypeAlias = StreamDeclaration | SourceDeclaration | CompunitDeclaration

@@ -1,0 +1,245 @@
+"""Timed triples in columns ([Events14 §III-V]: ⟨subj, pred, obj⟩ at τ, and the valid time beside).
+
+The form on the way of a sample is the *wide row*: one subject at one time with an object for
+each of several predicates. A row with k objects present stands for k triples. A plain list of
+triples is the special case of one predicate a table.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pyoxigraph import Literal, NamedNode
+
+from ..streams.sample import Mask, Times
+from .dictionary import Ids, Term, TermDictionary
+from .namespaces import XSD
+
+
+class Kind(IntEnum):
+    """How a column holds its objects.
+
+    Numbers stay numbers: ``INTEGER`` int64, ``DOUBLE``, ``FLOAT`` and ``DECIMAL`` float64 (a
+    decimal's text is the shortest that gives its float64 back), ``BOOLEAN`` bool. Everything else
+    is ``TERM``: int32 ids of the dictionary. A column of mixed kinds is a ``TERM`` column.
+    """
+
+    TERM = 0
+    INTEGER = 1
+    DECIMAL = 2
+    FLOAT = 3
+    DOUBLE = 4
+    BOOLEAN = 5
+
+    @property
+    def is_number(self) -> bool:
+        return self in (Kind.INTEGER, Kind.DECIMAL, Kind.FLOAT, Kind.DOUBLE)
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """The numpy type of the column's values."""
+        return _DTYPES[self]
+
+
+_DTYPES: dict[Kind, np.dtype[Any]] = {
+    Kind.TERM: np.dtype(np.int32),
+    Kind.INTEGER: np.dtype(np.int64),
+    Kind.DECIMAL: np.dtype(np.float64),
+    Kind.FLOAT: np.dtype(np.float64),
+    Kind.DOUBLE: np.dtype(np.float64),
+    Kind.BOOLEAN: np.dtype(np.bool_),
+}
+
+DATATYPES: dict[Kind, NamedNode] = {
+    Kind.INTEGER: NamedNode(XSD + "integer"),
+    Kind.DECIMAL: NamedNode(XSD + "decimal"),
+    Kind.FLOAT: NamedNode(XSD + "float"),
+    Kind.DOUBLE: NamedNode(XSD + "double"),
+    Kind.BOOLEAN: NamedNode(XSD + "boolean"),
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ObjectColumn:
+    """Objects of one predicate: values of ``kind.dtype``, shape ``(n,)``.
+
+    ``null`` marks rows without such a triple (None = every row has one).
+    """
+
+    kind: Kind
+    values: NDArray[Any]
+    null: Mask | None = None
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+    @property
+    def present(self) -> Mask:
+        """True where the triple is there, shape ``(n,)``."""
+        return np.ones(len(self.values), np.bool_) if self.null is None else ~self.null
+
+    def take(self, rows: NDArray[Any] | slice) -> ObjectColumn:
+        """The column at ``rows`` (a mask, indices or a slice)."""
+        null = None if self.null is None else self.null[rows]
+        return ObjectColumn(self.kind, self.values[rows], null)
+
+    def term_at(self, row: int, dictionary: TermDictionary) -> Term:
+        """The object at ``row`` (which must be present) as an RDF term."""
+        return make_term(self.kind, self.values[row], dictionary)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TripleRows:
+    """Wide rows: ``time`` τ and ``valid`` in ns, ``subject`` ids, objects by predicate id.
+
+    All shape ``(n,)``. ``sort`` is the id of a sort that every subject is of, by the annotation
+    the rows came from (``every UAV``), or None. Slicing makes views.
+    """
+
+    time: Times
+    valid: Times
+    subject: Ids
+    objects: Mapping[int, ObjectColumn]
+    sort: int | None = None
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    @property
+    def triples(self) -> int:
+        """How many triples the rows stand for."""
+        return sum(int(np.count_nonzero(column.present)) for column in self.objects.values())
+
+    def take(self, rows: NDArray[Any] | slice) -> TripleRows:
+        """The rows at ``rows`` (a mask, indices or a slice), in that order."""
+        objects = {predicate: column.take(rows) for predicate, column in self.objects.items()}
+        return TripleRows(self.time[rows], self.valid[rows], self.subject[rows], objects, self.sort)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TimedTriples:
+    """A bag of timed triples: tables of wide rows over one dictionary.
+
+    Within a table rows are in any order of τ unless the maker says otherwise.
+    """
+
+    dictionary: TermDictionary
+    tables: tuple[TripleRows, ...]
+
+    def __len__(self) -> int:
+        """How many triples."""
+        return sum(table.triples for table in self.tables)
+
+    def __iter__(self) -> Iterator[tuple[int, Term, NamedNode, Term]]:
+        """``(τ, subject, predicate, object)`` one by one: for edges and tests."""
+        for time, _, subject, predicate, object in self.with_valid():
+            yield time, subject, predicate, object
+
+    def with_valid(self) -> Iterator[tuple[int, int, Term, NamedNode, Term]]:
+        """``(τ, valid, subject, predicate, object)`` one by one: for edges and tests."""
+        for table in self.tables:
+            for predicate, column in table.objects.items():
+                predicate_term = self.dictionary.term(predicate)
+                assert isinstance(predicate_term, NamedNode)
+                for row in np.flatnonzero(column.present).tolist():
+                    yield (
+                        int(table.time[row]),
+                        int(table.valid[row]),
+                        self.dictionary.term(int(table.subject[row])),
+                        predicate_term,
+                        column.term_at(row, self.dictionary),
+                    )
+
+
+def from_terms(
+    triples: Iterable[tuple[int, Term, NamedNode, Term]],
+    dictionary: TermDictionary,
+    valid: Sequence[int] | None = None,
+) -> TimedTriples:
+    """Columns from ``(τ, subject, predicate, object)``; valid time is τ unless given.
+
+    One table a (predicate, kind of object), each in the order given. Numeric and boolean literals
+    in canonical form become numbers; others stay terms, so that iterating gives back term-equal
+    triples.
+    """
+    groups: dict[tuple[int, Kind], list[tuple[int, int, int, Any]]] = defaultdict(list)
+    for i, (time, subject, predicate, object) in enumerate(triples):
+        kind, value = split_term(object, dictionary)
+        key = (dictionary.id(predicate), kind)
+        groups[key].append(
+            (time, time if valid is None else valid[i], dictionary.id(subject), value)
+        )
+    tables = []
+    for (predicate_id, kind), rows in groups.items():
+        time_column, valid_column, subjects, values = zip(*rows, strict=True)
+        tables.append(
+            TripleRows(
+                np.array(time_column, np.int64),
+                np.array(valid_column, np.int64),
+                np.array(subjects, np.int32),
+                {predicate_id: ObjectColumn(kind, np.array(values, kind.dtype))},
+            )
+        )
+    return TimedTriples(dictionary, tuple(tables))
+
+
+def split_term(term: Term, dictionary: TermDictionary) -> tuple[Kind, Any]:
+    """How a column would hold ``term``: a kind and a value of its dtype.
+
+    A literal is held as a number only if `make_term` gives the equal literal back.
+    """
+    if isinstance(term, Literal):
+        kind = _KIND_OF.get(term.datatype.value)
+        if kind is not None:
+            value = _parse(kind, term.value)
+            if value is not None and make_term(kind, value, dictionary) == term:
+                return kind, value
+    return Kind.TERM, dictionary.id(term)
+
+
+def make_term(kind: Kind, value: Any, dictionary: TermDictionary) -> Term:
+    """The RDF term that a column of ``kind`` holds as ``value``, numbers in canonical form."""
+    if kind is Kind.TERM:
+        return dictionary.term(int(value))
+    if kind is Kind.INTEGER:
+        return Literal(str(int(value)), datatype=DATATYPES[kind])
+    if kind is Kind.BOOLEAN:
+        return Literal("true" if value else "false", datatype=DATATYPES[kind])
+    return Literal(_number_text(kind, float(value)), datatype=DATATYPES[kind])
+
+
+_KIND_OF = {datatype.value: kind for kind, datatype in DATATYPES.items()}
+
+
+def _parse(kind: Kind, text: str) -> Any:
+    if kind is Kind.BOOLEAN:
+        return {"true": True, "false": False}.get(text)
+    try:
+        value = int(text) if kind is Kind.INTEGER else float(text)
+    except ValueError:
+        return None
+    if kind is Kind.INTEGER and not -(2**63) <= value < 2**63:
+        return None
+    return value
+
+
+def _number_text(kind: Kind, value: float) -> str:
+    """XSD text of a float64: the shortest digits that parse back to the same value."""
+    if np.isnan(value):
+        return "NaN"
+    if np.isinf(value):
+        return "INF" if value > 0 else "-INF"
+    if kind is Kind.DECIMAL:
+        text = np.format_float_positional(value, trim="-")
+        return text.removesuffix(".")
+    text = repr(value)
+    if "e" in text:
+        mantissa, exponent = text.split("e")
+        return f"{mantissa}E{int(exponent)}"
+    return text.removesuffix(".0")

@@ -1,0 +1,221 @@
+"""Stream generators: one per process output, serving any number of subscriptions
+([DyKnow10 Def. 4.8], SPEC §1).
+
+A generator turns what a process offers into a fluent stream: it stamps or checks available
+times, holds back what may still be overtaken within the declared lateness, counts every sample
+exactly once, keeps history, and hands the stream on to its subscribers together with a
+*watermark*.
+
+Contract of a watermark ``w``: every sample that comes later has available time ≥ ``w``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from .fluent import FluentStream, Retention
+from .sample import SampleBatch, SampleError, Schema, Times, concatenate
+from .strings import StringPool
+from .time import TIME_MAX, TIME_MIN
+
+
+class Receiver(Protocol):
+    """Whoever subscribes: gets the stream's samples in order of available time."""
+
+    def receive(self, source: StreamGenerator, batch: SampleBatch) -> None:
+        """Samples continue the stream; none of the batch has been seen before."""
+
+    def advance(self, source: StreamGenerator, watermark: int) -> None:
+        """Every later sample of ``source`` has available time ≥ ``watermark``."""
+
+    def ended(self, source: StreamGenerator) -> None:
+        """``source`` has come to its end (it may be taken up again by a later sample)."""
+
+
+@dataclass(slots=True)
+class Counters:
+    """Where accepted samples went. Law: accepted = used + late + duplicate + expired + pending."""
+
+    accepted: int = 0
+    used: int = 0
+    late: int = 0
+    duplicate: int = 0
+    expired: int = 0
+    pending: int = 0
+
+
+class StreamGenerator:
+    """The one owner of a stream: order, counters, history, subscriptions.
+
+    ``lateness`` (ns): how far behind the greatest available time a sample may still arrive.
+    Samples stamped on arrival are never late.
+
+    Law (tests/laws): the stream, its counters and its watermark do not depend on how the offered
+    samples were cut into batches; they equal the sample-by-sample definition.
+
+    Cost: O(n log n) a batch only when it is out of order, else O(n) numpy. Memory: the history's
+    retention plus what is pending within the lateness.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        schema: Schema,
+        *,
+        lateness: int = 0,
+        retention: Retention | None = None,
+        pools: dict[str, StringPool] | None = None,
+    ) -> None:
+        self.name = name
+        self.stream = FluentStream(schema, retention, pools)
+        self.lateness = lateness
+        self.counters = Counters()
+        self.stamped: bool | None = None
+        """Whether the samples are stamped on arrival; None before the first one."""
+        self.watermark: int | None = None
+        """None until the stream has begun: a stream that never spoke holds nobody back."""
+        self.is_ended = False
+        self._greatest: int | None = None
+        self._pending: SampleBatch | None = None
+        self._receivers: list[Receiver] = []
+
+    @property
+    def schema(self) -> Schema:
+        return self.stream.schema
+
+    @property
+    def subscribers(self) -> int:
+        """How many subscriptions the generator serves."""
+        return len(self._receivers)
+
+    def subscribe(self, receiver: Receiver) -> None:
+        """Serve ``receiver`` from now on; it is told the watermark that holds already."""
+        self._receivers.append(receiver)
+        if self.watermark is not None:
+            receiver.advance(self, self.watermark)
+
+    def unsubscribe(self, receiver: Receiver) -> None:
+        """Serve ``receiver`` no longer."""
+        self._receivers.remove(receiver)
+
+    def offer(self, batch: SampleBatch, now: int | None = None) -> int:
+        """Take a process's samples; returns how many were accepted (all of them).
+
+        With ``now`` (ns) the samples are stamped with it on arrival; otherwise they bring their
+        own available times, in any order within the lateness. Raises `SampleError` when a stream
+        that is stamped on arrival is given available times before its last one: nothing is taken.
+        """
+        if not len(batch):
+            return 0
+        self.stamped = now is not None
+        self.is_ended = False
+        self.counters.accepted += len(batch)
+        if now is not None:
+            self._release(batch.with_available(self._stamps(len(batch), now)))
+            return len(batch)
+        kept = self._admit(batch)
+        if len(kept):
+            self._pending = kept if self._pending is None else concatenate([self._pending, kept])
+            self._pending = _in_order(self._pending)
+        self._flush_until(self._due())
+        return len(batch)
+
+    def advance(self, watermark: int) -> None:
+        """Promise that every later sample has available time ≥ ``watermark``.
+
+        The clock does so for an idle stream that is stamped on arrival, a unit for its output.
+        A promise that says less than an earlier one changes nothing.
+        """
+        if self.watermark is not None and watermark <= self.watermark:
+            return
+        self.watermark = watermark
+        for receiver in tuple(self._receivers):
+            receiver.advance(self, watermark)
+
+    def end(self) -> None:
+        """The stream has come to its end: what is pending is released, subscribers are told."""
+        self._flush_until(TIME_MAX)
+        self.is_ended = True
+        for receiver in tuple(self._receivers):
+            receiver.ended(self)
+
+    def close(self) -> None:
+        """The stream is removed: what is still pending is counted as expired."""
+        self.counters.expired += self.counters.pending
+        self.counters.pending = 0
+        self._pending = None
+
+    def _stamps(self, count: int, now: int) -> Times:
+        """``count`` available times from ``now`` on, unique and after every earlier one."""
+        last = self.stream.last_available
+        start = now if last is None else max(now, last + 1)
+        if start > TIME_MAX - count:
+            raise SampleError("the stream's available times have reached the end of 64-bit time")
+        return np.arange(start, start + count, dtype=np.int64)
+
+    def _due(self) -> int:
+        """Pending samples up to this available time can no longer be overtaken."""
+        greatest = TIME_MIN if self._greatest is None else self._greatest
+        return max(TIME_MIN, greatest - self.lateness)
+
+    def _admit(self, batch: SampleBatch) -> SampleBatch:
+        """Drop and count what is late or a duplicate, each judged by all samples before it."""
+        available = batch.available
+        before = TIME_MIN if self._greatest is None else self._greatest
+        greatest = np.maximum.accumulate(np.concatenate(([before], available)))
+        self._greatest = int(greatest[-1])
+        # Compare without subtracting from the smallest int64, which would wrap around.
+        limit = np.where(
+            greatest[:-1] < TIME_MIN + self.lateness, TIME_MIN, greatest[:-1] - self.lateness
+        )
+        late = available < limit
+        if self.watermark is not None:
+            late |= available < self.watermark
+        first_of_its_time = np.zeros(len(batch), np.bool_)
+        on_time = np.flatnonzero(~late)
+        _, first = np.unique(available[on_time], return_index=True)
+        first_of_its_time[on_time[first]] = True
+        known = [] if self._pending is None else [self._pending.available]
+        if self.stream.last_available is not None:
+            known.append(np.array([self.stream.last_available], np.int64))
+        if known:
+            first_of_its_time &= ~np.isin(available, np.concatenate(known))
+        kept = first_of_its_time & ~late
+        self.counters.late += int(late.sum())
+        self.counters.duplicate += int((~late & ~first_of_its_time).sum())
+        return batch if bool(kept.all()) else batch.take(kept)
+
+    def _flush_until(self, due: int) -> None:
+        """Release the pending samples with available time ≤ ``due``, then say so."""
+        pending = self._pending
+        if pending is not None and len(pending):
+            count = int(np.searchsorted(pending.available, due, "right"))
+            self._pending = pending.take(slice(count, None)) if count < len(pending) else None
+            self.counters.pending = 0 if self._pending is None else len(self._pending)
+            if count:
+                self._release(pending.take(slice(0, count)))
+        if due != TIME_MAX:
+            self.advance(due)
+
+    def _release(self, batch: SampleBatch) -> None:
+        self.stream.append(batch)
+        self.counters.used += len(batch)
+        self._greatest = (
+            int(batch.available[-1])
+            if self._greatest is None
+            else max(self._greatest, int(batch.available[-1]))
+        )
+        for receiver in tuple(self._receivers):
+            receiver.receive(self, batch)
+        self.advance(int(batch.available[-1]))
+
+
+def _in_order(batch: SampleBatch) -> SampleBatch:
+    """``batch`` by available time."""
+    available = batch.available
+    if len(available) < 2 or bool(np.all(available[1:] > available[:-1])):
+        return batch
+    return batch.take(np.argsort(available, kind="stable"))
