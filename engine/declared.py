@@ -1,0 +1,277 @@
+"""Streams that people declare and annotate ([Introspection15 §4.2], SPEC §3).
+
+What a stream is to be, what it contains, and what of it is remembered over a restart.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Iterator, Mapping
+
+from ..converters.to_triples import SampleConverter
+from ..languages.ssl import check_ssl, parse_ssl
+from ..languages.ssl.annotation import (
+    CheckedAnnotation,
+    Role,
+    SourceAnnotation,
+    StreamAnnotation,
+    TransformationAnnotation,
+)
+from ..matching.space import StreamSpace
+from ..ontology.ontology import Ontology
+from ..rdf.dictionary import TermDictionary
+from ..rdf.namespaces import DYKNOW, XSD
+from ..streams.fluent import Retention
+from ..streams.generator import StreamGenerator
+from ..streams.sample import Field, FieldType, Schema
+from .configuration import RESERVED, STATUS, Change, ChangeKind, Configuration
+from .errors import Conflict, Refused
+from .transformations import Transformation, described
+from .views import StreamDeclaration
+
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
+
+
+class DeclaredStreams:
+    """The streams and transformations that people described, and their annotations."""
+
+    def __init__(
+        self,
+        ontology: Ontology,
+        dictionary: TermDictionary,
+        configuration: Configuration,
+        transformations: dict[str, Transformation],
+        changed: Callable[[Change], None],
+    ) -> None:
+        self._ontology = ontology
+        self._dictionary = dictionary
+        self._configuration = configuration
+        self._transformations = transformations
+        self._changed = changed
+        self._annotations: dict[str, StreamAnnotation] = {}
+
+    def declare(self, declaration: StreamDeclaration) -> StreamGenerator:
+        """Make a stream, or change one that nobody has used yet.
+
+        The same declaration again changes nothing. Raises `Conflict` when a stream that has
+        samples or subscribers would change, `Refused` for a name that is not the user's to give.
+        """
+        self._check_name(declaration.name)
+        schema = Schema(declaration.fields)
+        if not schema.fields:
+            raise Refused("a stream has at least one field", 'give "fields": [{"name", "type"}]')
+        for name in schema.names:
+            if name in ("valid", "available"):
+                raise Refused(f"a field cannot be called {name!r}: that is a sample's time")
+        existing = self._configuration.streams.get(declaration.name)
+        if existing is not None and self._declaration(existing) == declaration:
+            return existing
+        if existing is not None:
+            self._refuse_if_in_use(existing)
+            annotation = self.annotation_of(declaration.name)
+            if annotation is not None:
+                self._check_fields(annotation, schema)
+            self._configuration.remove_stream(declaration.name)
+        generator = self._add(declaration)
+        self._ontology.set_stream(declaration.name, _declaration_json(declaration))
+        return generator
+
+    def annotate(self, ssl: str) -> tuple[CheckedAnnotation, ...]:
+        """Annotate streams and transformations by an SSL text; all of it or nothing.
+
+        A stream's annotation says all that the stream contains: a new one replaces the old. A
+        stream that does not exist comes into being, its fields typed by the features' ranges.
+        Raises `LanguageError`, `Conflict` (a field that the stream lacks or of another type).
+        """
+        checked = check_ssl(parse_ssl(ssl), ssl, self._ontology.vocabulary)
+        for annotation in checked:
+            self._check_annotation(annotation)
+        for annotation in checked:
+            self._apply(annotation)
+            self._ontology.set_annotation(_annotated(annotation), annotation.source)
+        return checked
+
+    def annotations(self) -> tuple[CheckedAnnotation, ...]:
+        """Every annotation in force: streams first, then transformations."""
+        transformations = [known.annotation for known in self._transformations.values()]
+        return (*self._annotations.values(), *transformations)
+
+    def annotation_of(self, name: str) -> StreamAnnotation | None:
+        """What stream ``name`` contains; None where nobody has said."""
+        return self._annotations.get(name)
+
+    def space(self) -> StreamSpace:
+        """What there is to match against now."""
+        transformations = tuple(known.description for known in self._transformations.values())
+        return StreamSpace(tuple(self._annotations.values()), transformations)
+
+    def compile(
+        self, annotation: StreamAnnotation, schema: Schema, namespace: str
+    ) -> SampleConverter:
+        """The converter of a stream's samples to triples; raises `ConversionError`."""
+        return SampleConverter(
+            annotation, schema, self._ontology.vocabulary, self._dictionary, namespace=namespace
+        )
+
+    def restore(self) -> None:
+        """What an earlier run was told: declared streams, then annotations."""
+        for name, text in self._ontology.streams().items():
+            self._add(_declaration_of(name, text))
+        for source in self._ontology.annotations().values():
+            for annotation in check_ssl(parse_ssl(source), source, self._ontology.vocabulary):
+                self._apply(annotation)
+
+    def _add(self, declaration: StreamDeclaration) -> StreamGenerator:
+        return self._configuration.add_stream(
+            declaration.name,
+            Schema(declaration.fields),
+            lateness=declaration.lateness,
+            retention=declaration.retention,
+            namespace=declaration.namespace,
+        )
+
+    def _check_name(self, name: str) -> None:
+        if not _NAME.match(name):
+            raise Refused(
+                f"{name!r} is no stream name", "letters, digits and _; the first is a letter"
+            )
+        if name == STATUS or name.startswith(RESERVED):
+            raise Refused(f"{name!r} is the system's own name", "choose another name")
+
+    def _refuse_if_in_use(self, generator: StreamGenerator) -> None:
+        if generator.counters.accepted or generator.subscribers:
+            raise Conflict(
+                f"stream {generator.name!r} is declared otherwise and in use "
+                f"({generator.counters.accepted} samples, {generator.subscribers} subscribers)",
+                "declare it as before, or choose another name",
+            )
+
+    def _declaration(self, generator: StreamGenerator) -> StreamDeclaration:
+        return StreamDeclaration(
+            generator.name,
+            generator.schema.fields,
+            generator.lateness,
+            generator.stream.retention,
+            self._configuration.namespaces[generator.name],
+        )
+
+    def _check_annotation(self, annotation: CheckedAnnotation) -> None:
+        match annotation:
+            case StreamAnnotation():
+                self._check_name(annotation.stream)
+                existing = self._configuration.streams.get(annotation.stream)
+                if existing is not None:
+                    self._check_fields(annotation, existing.schema)
+            case TransformationAnnotation():
+                described(annotation)
+            case SourceAnnotation():
+                raise Refused(
+                    f"source {annotation.name!r}: sources speak of `self`, which is not declared",
+                    "annotate the stream that the source makes: stream ... contains ...",
+                )
+
+    def _check_fields(self, annotation: StreamAnnotation, schema: Schema) -> None:
+        """The annotation's fields must exist, its id fields must be text or integers."""
+        for name, role in _fields_of(annotation):
+            field = schema.get(name)
+            if field is None:
+                raise Conflict(
+                    f"stream {annotation.stream!r} has no field {name!r}",
+                    f"its fields are {', '.join(schema.names)}",
+                )
+            if role is not None and field.type not in (FieldType.STRING, FieldType.INTEGER):
+                raise Conflict(
+                    f"field {name!r} of stream {annotation.stream!r} is {field.type}, "
+                    "it cannot name objects",
+                    "an id field is a string or an integer",
+                )
+        self.compile(annotation, schema, DYKNOW)
+
+    def _apply(self, annotation: CheckedAnnotation) -> None:
+        if isinstance(annotation, TransformationAnnotation):
+            self._transformations[annotation.name] = described(annotation)
+            self._changed(
+                Change(
+                    ChangeKind.TRANSFORMATION_ANNOTATED,
+                    transformation=annotation.name,
+                    specification=annotation.source,
+                )
+            )
+        elif isinstance(annotation, StreamAnnotation):
+            self._annotations[annotation.stream] = annotation
+            if annotation.stream not in self._configuration.streams:
+                self._add(StreamDeclaration(annotation.stream, self._inferred(annotation)))
+            self._changed(
+                Change(
+                    ChangeKind.STREAM_ANNOTATED,
+                    annotation.stream,
+                    specification=annotation.source,
+                )
+            )
+
+    def _inferred(self, annotation: StreamAnnotation) -> tuple[Field, ...]:
+        """Fields for a stream that only its annotation describes: id fields are text, the others
+        have the type of their feature's range."""
+        types: dict[str, FieldType] = {}
+        features = {content.field: content.feature for content in annotation.contents}
+        for name, role in _fields_of(annotation):
+            if role is not None:
+                types[name] = FieldType.STRING
+            else:
+                info = self._ontology.vocabulary.feature(features[name])
+                types.setdefault(name, _field_type(None if info is None else info.range))
+        return tuple(Field(name, type) for name, type in types.items())
+
+
+def _fields_of(annotation: StreamAnnotation) -> Iterator[tuple[str, Role | None]]:
+    """The fields an annotation speaks of, with the role of those that name objects."""
+    for content in annotation.contents:
+        for role in content.roles:
+            if role.id_field is not None:
+                yield role.id_field, role
+        yield content.field, None
+
+
+def _annotated(annotation: CheckedAnnotation) -> str:
+    return annotation.stream if isinstance(annotation, StreamAnnotation) else annotation.name
+
+
+def _field_type(range: str | None) -> FieldType:
+    """The field type for values of an RDF range."""
+    match (range or "").removeprefix(XSD):
+        case "double" | "float" | "decimal":
+            return FieldType.FLOAT
+        case "boolean":
+            return FieldType.BOOLEAN
+        case "integer" | "int" | "long" | "short" | "byte":
+            return FieldType.INTEGER
+        case text if text.startswith(("nonNegative", "positive", "unsigned", "negative")):
+            return FieldType.INTEGER
+        case _:
+            return FieldType.STRING
+
+
+def _declaration_json(declaration: StreamDeclaration) -> str:
+    return json.dumps(
+        {
+            "fields": [[field.name, str(field.type)] for field in declaration.fields],
+            "lateness": declaration.lateness,
+            "retention": [declaration.retention.samples, declaration.retention.age],
+            "namespace": declaration.namespace,
+        }
+    )
+
+
+def _declaration_of(name: str, text: str) -> StreamDeclaration:
+    stored: Mapping[str, object] = json.loads(text)
+    fields, retention = stored["fields"], stored["retention"]
+    assert isinstance(fields, list)
+    assert isinstance(retention, list)
+    return StreamDeclaration(
+        name,
+        tuple(Field(field, FieldType(type)) for field, type in fields),
+        int(str(stored["lateness"])),
+        Retention(*retention),
+        str(stored["namespace"]),
+    )

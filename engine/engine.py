@@ -1,0 +1,375 @@
+"""The engine: the one face of the running system for the service, the CLI and tests.
+
+Every method is synchronous and runs to its end; callers see to it that only one runs at a time.
+Time comes in as an argument (`publish`, `tick`); nothing here reads a clock.
+"""
+
+from __future__ import annotations
+
+import re
+import secrets
+from collections import OrderedDict
+from collections.abc import Sequence
+from pathlib import Path
+
+from pyoxigraph import NamedNode, Variable
+
+from ..converters.to_triples import SampleConverter
+from ..converters.wire import Incoming
+from ..languages.csparql import parse_argument, parse_event_request
+from ..languages.csparql.ast import EventRequest, Template
+from ..languages.ssl.annotation import (
+    CheckedAnnotation,
+    StreamAnnotation,
+)
+from ..matching.match import Match, match
+from ..matching.want import Want
+from ..ontology.ontology import Ontology
+from ..rdf.dictionary import Term, TermDictionary
+from ..rdf.namespaces import DYKNOW, PREFIXES, shorten
+from ..streams.fluent import Retention
+from ..streams.generator import StreamGenerator
+from ..streams.sample import Field, FieldType, SampleBatch, Schema, batch_from_rows
+from ..templates.library import NoSuchTemplate, TemplateExists, TemplateLibrary
+from . import explain as explanations
+from .configuration import STATUS, Change, ChangeKind, Configuration
+from .declared import DeclaredStreams
+from .errors import (
+    AlreadyExists,
+    BadArguments,
+    Conflict,
+    Refused,
+    UnknownEvent,
+    UnknownFeature,
+    UnknownTemplate,
+)
+from .requests import EventRequests
+from .semantics_manager import SemanticsManager
+from .stream_view import stream_view
+from .transformations import Transformation, library
+from .views import (
+    EventView,
+    MatchView,
+    StreamDeclaration,
+    StreamView,
+    TemplateView,
+)
+
+_STATUS_FIELDS = ("change", "stream", "unit", "transformation", "inputs", "specification")
+_KEYS_KEPT = 10_000
+
+
+class Engine:
+    """Streams, templates and event requests over one ontology.
+
+    ``data`` is the directory of what outlives the process (None: in memory). ``epoch`` marks
+    this run in event ids. ``first_reserved`` is the first N of ``dyknow_reserved<N>``.
+    """
+
+    def __init__(
+        self, data: Path | None = None, *, epoch: str | None = None, first_reserved: int = 1
+    ) -> None:
+        self.epoch = epoch or secrets.token_hex(4)
+        self.ontology = Ontology.open(None if data is None else data / "ontology")
+        self.dictionary = TermDictionary()
+        self._now = 0
+        self._transformations: dict[str, Transformation] = library(self.ontology.vocabulary)
+        self._configuration = Configuration(
+            self.dictionary, self._transformations, self._changed, first_reserved
+        )
+        self._manager = SemanticsManager(self.ontology, self._annotation_of, self._transformations)
+        self._declared = DeclaredStreams(
+            self.ontology,
+            self.dictionary,
+            self._configuration,
+            self._transformations,
+            self._changed,
+        )
+        self._templates = TemplateLibrary(self.ontology)
+        self._requests = EventRequests(
+            self.ontology, self.dictionary, self._configuration, self._declared.space
+        )
+        self._keys: OrderedDict[tuple[str, str], int] = OrderedDict()
+        self._converters: dict[str, SampleConverter] = {}
+        self._status: StreamGenerator | None = None
+        self._status = self._configuration.add_stream(
+            STATUS,
+            Schema(tuple(Field(name, FieldType.STRING) for name in _STATUS_FIELDS)),
+            retention=Retention(samples=10_000),
+        )
+        self._status.stamped = True
+        for name in self._transformations:
+            self._changed(Change(ChangeKind.TRANSFORMATION_ANNOTATED, transformation=name))
+        self._declared.restore()
+
+    # -- streams -----------------------------------------------------------------------------
+
+    def declare(self, declaration: StreamDeclaration) -> StreamView:
+        """Make a stream, or change one that nobody has used yet; see `DeclaredStreams`."""
+        return self._view(self._declared.declare(declaration))
+
+    def annotate(self, ssl: str) -> tuple[CheckedAnnotation, ...]:
+        """Annotate streams and transformations by an SSL text; see `DeclaredStreams`."""
+        return self._declared.annotate(ssl)
+
+    def annotations(self) -> tuple[CheckedAnnotation, ...]:
+        """Every annotation in force: streams first, then transformations."""
+        return self._declared.annotations()
+
+    def streams(self) -> tuple[StreamView, ...]:
+        """All streams, the status stream among them."""
+        return tuple(self._view(generator) for generator in self._configuration.streams.values())
+
+    def stream(self, name: str) -> StreamView:
+        """One stream; raises `UnknownStream`."""
+        return self._view(self._configuration.stream(name))
+
+    def generator(self, name: str) -> StreamGenerator:
+        """The generator behind a stream, to read and subscribe; raises `UnknownStream`."""
+        return self._configuration.stream(name)
+
+    def publish(
+        self, name: str, incoming: Incoming, now: int, idempotency_key: str | None = None
+    ) -> int:
+        """Take a batch into a stream, whole; returns how many samples were accepted.
+
+        A key that was used for this stream before has no second effect and gives the same answer.
+        """
+        generator = self._configuration.stream(name)
+        if name == STATUS or name in self._configuration.units:
+            raise Refused(
+                f"stream {name!r} is made by the system", "publish to a stream that you declared"
+            )
+        key = (name, idempotency_key or "")
+        if idempotency_key is not None and key in self._keys:
+            return self._keys[key]
+        self._now = max(self._now, now)
+        accepted = generator.offer(incoming.batch, now if incoming.stamped else None)
+        if idempotency_key is not None:
+            self._keys[key] = accepted
+            if len(self._keys) > _KEYS_KEPT:
+                self._keys.popitem(last=False)
+        return accepted
+
+    def end(self, name: str) -> None:
+        """A recording has come to its end: what waits for more samples is decided now."""
+        generator = self._configuration.stream(name)
+        if name == STATUS or name in self._configuration.units:
+            raise Refused(f"stream {name!r} is made by the system; it ends with its inputs")
+        generator.end()
+        self._changed(Change(ChangeKind.STREAM_ENDED, name))
+
+    def tick(self, now: int) -> None:
+        """The time is ``now``: streams that are stamped on arrival have nothing before it."""
+        self._now = max(self._now, now)
+        units = self._configuration.units
+        for generator in list(self._configuration.streams.values()):
+            if generator.stamped and generator.name not in units and not generator.is_ended:
+                generator.advance(now)
+
+    def rdf_of(self, name: str, batch: SampleBatch) -> list[str]:
+        """Each sample of stream ``name`` as N-Triples; empty text where it says nothing."""
+        converter = self._converter(name)
+        if converter is None or not len(batch):
+            return [""] * len(batch)
+        lines: list[list[str]] = [[] for _ in range(len(batch))]
+        row_of = {time: row for row, time in enumerate(batch.available.tolist())}
+        for time, subject, predicate, object in converter.convert(batch):
+            lines[row_of[time]].append(f"{subject} {predicate} {object} .")
+        return ["\n".join(triples) for triples in lines]
+
+    # -- templates ---------------------------------------------------------------------------
+
+    def register_template(self, text: str, *, replace: bool = False) -> TemplateView:
+        """Register an event template; its event concept is known from now on.
+
+        Raises `LanguageError`, and `AlreadyExists` unless ``replace``.
+        """
+        try:
+            return self._template_view(self._templates.register(text, replace=replace))
+        except TemplateExists as error:
+            raise AlreadyExists(
+                f"there is a template {shorten(error.name)}", "replace it with PUT, or remove it"
+            ) from error
+
+    def templates(self) -> tuple[TemplateView, ...]:
+        """All templates, by name."""
+        return tuple(self.template(name) for name in self._templates.names())
+
+    def template(self, name: str) -> TemplateView:
+        """One template by local name, prefixed name or IRI; raises `UnknownTemplate`."""
+        return self._template_view(self._template(name))
+
+    def remove_template(self, name: str) -> None:
+        """Forget a template; raises `UnknownTemplate`, and `Conflict` while a request uses it."""
+        template = self._template(name)
+        users = [view.id for view in self._requests.views() if view.event == template.name]
+        if users:
+            raise Conflict(
+                f"template {shorten(template.name)} is used by request {', '.join(users)}",
+                "cancel the requests first",
+            )
+        self._templates.remove(name)
+
+    # -- events ------------------------------------------------------------------------------
+
+    def parse_request(self, text: str) -> EventRequest:
+        """``dyknow:HighSpeedEvent(?o, dyknow:UAV, 100)``; raises `LanguageError`."""
+        return parse_event_request(text, PREFIXES)
+
+    def make_request(self, event: str, arguments: Sequence[str]) -> EventRequest:
+        """The same from parts, each argument as text; raises `LanguageError`."""
+        parsed = tuple(parse_argument(argument, PREFIXES) for argument in arguments)
+        return EventRequest(self._iri(event), parsed, f"{event}({', '.join(arguments)})")
+
+    def request_event(self, request: EventRequest, strategy: str = "fast") -> EventView:
+        """Find or build the streams that answer the request, and start what is needed.
+
+        The same request again shares stream and units. Raises `UnknownEvent`, `BadArguments`,
+        `NoPlan`; then nothing runs that did not run before.
+        """
+        return self._requests.start(self._event_template(request), request, strategy)
+
+    def events(self) -> tuple[EventView, ...]:
+        """The running requests, oldest first."""
+        return self._requests.views()
+
+    def event(self, id: str) -> EventView:
+        """One running request; raises `UnknownRequest`."""
+        return self._requests.view(id)
+
+    def cancel_event(self, id: str) -> None:
+        """End a request; units without users stop."""
+        self._requests.cancel(id)
+
+    # -- knowing -----------------------------------------------------------------------------
+
+    def match(
+        self,
+        feature: str,
+        *,
+        sort: str | None = None,
+        objects: Sequence[str] = (),
+        strategy: str = "fast",
+    ) -> MatchView:
+        """Semantic matching without executing: what would give ``feature``, and why."""
+        vocabulary = self.ontology.vocabulary
+        iri = self._iri(feature)
+        if not vocabulary.is_feature(iri):
+            raise UnknownFeature(
+                f"the ontology knows no feature {shorten(iri)}",
+                _did_you_mean(vocabulary.suggest(feature, "feature")),
+            )
+        sort_iri = None if sort is None else self._iri(sort)
+        if sort_iri is not None and not vocabulary.is_sort(sort_iri):
+            raise UnknownFeature(
+                f"the ontology knows no sort {shorten(sort_iri)}",
+                _did_you_mean(vocabulary.suggest(sort or "", "sort")),
+            )
+        if len(objects) > 1:
+            raise Refused("features of one object are matched so far", "name one object, or a sort")
+        want = Want(iri, sort_iri, self._iri(objects[0]) if objects else None)
+        found: Match = match(want, self._declared.space(), vocabulary, strategy)
+        return explanations.match_view(want, found, strategy)
+
+    def explain(
+        self, *, event: str | None = None, template: str | None = None, query: str | None = None
+    ) -> str:
+        """Every stage of a request, a template or a query, as text for people."""
+        if event is not None:
+            request = self.parse_request(event)
+            return self._requests.explain(self._event_template(request), request)
+        if template is not None:
+            return explanations.template(self._template(template))
+        if query is not None:
+            return explanations.query(query, self.ontology, self.dictionary)
+        raise BadArguments("explain needs an event, a template or a query")
+
+    # -- within ------------------------------------------------------------------------------
+
+    def _changed(self, change: Change) -> None:
+        """A change of the stream space: mirrored into the ontology, told on the status stream."""
+        self._manager.changed(change)
+        self._converters.pop(change.stream, None)
+        status = self._status
+        if status is None or change.stream == STATUS:
+            return
+        values = {
+            "change": str(change.kind),
+            "stream": change.stream or None,
+            "unit": change.unit or None,
+            "transformation": change.transformation or None,
+            "inputs": " ".join(change.inputs) or None,
+            "specification": change.specification or None,
+        }
+        row = (self._now, self._now, values)
+        status.offer(batch_from_rows(status.schema, [row], status.stream.pools), self._now)
+
+    def _annotation_of(self, name: str) -> StreamAnnotation | None:
+        return self._declared.annotation_of(name) or self._requests.annotation_of(name)
+
+    def _view(self, generator: StreamGenerator) -> StreamView:
+        name = generator.name
+        return stream_view(
+            generator,
+            self._configuration.namespaces[name],
+            self._configuration.units.get(name),
+            self._annotation_of(name),
+        )
+
+    def _converter(self, name: str) -> SampleConverter | None:
+        """Converts the samples of a stream to RDF, by its annotation; None without one."""
+        found = self._converters.get(name)
+        if found is None:
+            generator = self._configuration.stream(name)
+            annotation = self._requests.rdf_of(name) or self._annotation_of(name)
+            if annotation is None:
+                return None
+            namespace = self._configuration.namespaces[name]
+            found = self._declared.compile(annotation, generator.schema, namespace)
+            self._converters[name] = found
+        return found
+
+    def _template(self, name: str) -> Template:
+        try:
+            return self._templates.get(name)
+        except NoSuchTemplate as error:
+            raise UnknownTemplate(
+                f"there is no template {name!r}", _did_you_mean(error.suggestions)
+            ) from error
+
+    def _template_view(self, template: Template) -> TemplateView:
+        return TemplateView(
+            name=template.name,
+            local_name=shorten(template.name).removeprefix("dyknow:"),
+            parameters=tuple(f"?{parameter.value}" for parameter in template.parameters),
+            source=template.source,
+            etag=self._templates.etag(template.name),
+        )
+
+    def _event_template(self, request: EventRequest) -> Template:
+        try:
+            return self._templates.get(request.event)
+        except NoSuchTemplate as error:
+            known = ", ".join(shorten(name) for name in self._templates.names())
+            raise UnknownEvent(
+                f"the ontology knows no event {shorten(request.event)} with a template",
+                _did_you_mean(error.suggestions)
+                or (f"there are {known}" if known else "register one with POST /templates"),
+            ) from error
+
+    def _iri(self, text: str) -> str:
+        """A name as people write it: an IRI, ``<iri>``, a prefixed name, or a local name."""
+        argument: Term | Variable
+        if re.fullmatch(r"[A-Za-z_][\w\-]*", text):
+            return DYKNOW + text
+        if re.match(r"(https?|urn|tag):", text):
+            text = f"<{text}>"
+        argument = parse_argument(text, PREFIXES)
+        if not isinstance(argument, NamedNode):
+            raise UnknownFeature(f"{text!r} is no name of a term", "write dyknow:speed or an IRI")
+        return argument.value
+
+
+def _did_you_mean(names: Sequence[str]) -> str:
+    return f"did you mean {', '.join(shorten(name) for name in names)}?" if names else ""

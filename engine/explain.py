@@ -1,0 +1,153 @@
+"""Explanations: each stage of a request as text for people.
+
+The plan tree shows what runs; `request` shows how it came about, stage by stage.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ..continuous.background import Background
+from ..continuous.evaluator import ContinuousEvaluator
+from ..languages.csparql import format_query, parse_query, with_streams
+from ..languages.csparql.ast import ContinuousQuery, EventRequest, Template
+from ..matching.match import Match
+from ..matching.plan import streams_of
+from ..matching.render import render
+from ..matching.tree import Alternative, Outcome
+from ..matching.want import Want
+from ..ontology.ontology import Ontology
+from ..rdf.dictionary import TermDictionary
+from ..rdf.namespaces import shorten
+from ..streams.time import format_duration
+from ..templates.needs import Needs
+from .configuration import Configuration
+from .unit import ComputationalUnit
+from .views import MatchView, PlanView, UnitView
+
+
+def query_text(query: ContinuousQuery) -> str:
+    """The query as C-SPARQL, as it is given to the computational unit."""
+    return format_query(query)
+
+
+def unit_view(unit: ComputationalUnit) -> UnitView:
+    """A unit as the service shows it."""
+    return UnitView(
+        name=unit.name,
+        transformation=unit.transformation,
+        inputs=tuple(source.name for source in unit.inputs),
+        output=unit.output.name,
+        parameters=dict(unit.parameters),
+        users=unit.users,
+    )
+
+
+def plan_text(configuration: Configuration, unit: ComputationalUnit) -> str:
+    """The units and streams behind ``unit``, as a tree from its output down to the sources."""
+    lines = [_stream_line(configuration, unit.output.name)]
+    _inputs(configuration, unit, "", lines)
+    return "\n".join(lines)
+
+
+def match_view(want: Want, found: Match, strategy: str) -> MatchView:
+    """A match as the service shows it; nothing was started."""
+    plan = None
+    if found.supply is not None:
+        plan = PlanView(render(found), streams_of(found.supply), (), "")
+    return MatchView(
+        feature=shorten(want.feature),
+        target=str(want),
+        strategy=strategy,
+        found=found.supply is not None,
+        plan=plan,
+        alternatives=tuple(_alternative(alternative) for alternative in found.tree),
+        reasons=found.missing
+        or tuple(
+            f"{alternative.text}: {alternative.reason}"
+            for alternative in found.tree
+            if alternative.outcome is Outcome.FAILED and alternative.reason
+        ),
+    )
+
+
+def template(known: Template) -> str:
+    """A template: its parameters, its windows, its text."""
+    window = known.query.window
+    lines = [
+        f"template {shorten(known.name)}",
+        "parameters: " + ", ".join(f"?{parameter.value}" for parameter in known.parameters),
+    ]
+    if window is not None:
+        lines.append(f"window: {_window(window.range, window.step)}")
+    return "\n".join([*lines, "", known.source.strip()])
+
+
+def query(text: str, ontology: Ontology, dictionary: TermDictionary) -> str:
+    """A continuous query: its text as understood, then its plans."""
+    parsed = parse_query(text)
+    names = [clause.iri for clause in parsed.streams] or ["stream"]
+    evaluator = ContinuousEvaluator(parsed, dictionary, Background(ontology.store), names)
+    return f"{format_query(parsed)}\n\n{evaluator.explain()}"
+
+
+def request(
+    known: Template,
+    asked: EventRequest,
+    bound: ContinuousQuery,
+    wanted: Needs,
+    matches: Sequence[Match],
+    ontology: Ontology,
+    dictionary: TermDictionary,
+) -> str:
+    """Request, template, needed features, matching, query, and the plans of its evaluation."""
+    parts = [
+        f"request\n  {asked.source.strip()}",
+        f"template\n{_indent(known.source.strip())}",
+        "features needed\n" + "\n".join(f"  {want}" for want in wanted.wants),
+        "semantic matching\n" + "\n".join(_indent(render(match)) for match in matches),
+    ]
+    streams = [name for m in matches if m.supply is not None for name in streams_of(m.supply)]
+    if all(match.supply is not None for match in matches):
+        names = list(dict.fromkeys(streams))
+        filled = with_streams(bound, names)
+        evaluator = ContinuousEvaluator(filled, dictionary, Background(ontology.store), names)
+        parts.append(f"query\n{_indent(format_query(filled))}")
+        parts.append(f"evaluation\n{_indent(evaluator.explain())}")
+    return "\n\n".join(parts)
+
+
+def _inputs(
+    configuration: Configuration, unit: ComputationalUnit, margin: str, lines: list[str]
+) -> None:
+    for i, source in enumerate(unit.inputs):
+        last = i == len(unit.inputs) - 1
+        lines.append(
+            f"{margin}{'└─ ' if last else '├─ '}{_stream_line(configuration, source.name)}"
+        )
+        producer = configuration.units.get(source.name)
+        if producer is not None:
+            _inputs(configuration, producer, margin + ("   " if last else "│  "), lines)
+
+
+def _stream_line(configuration: Configuration, name: str) -> str:
+    unit = configuration.units.get(name)
+    if unit is None:
+        return f"{name}  (stream)"
+    details = ", ".join(
+        f"{key}={value}" for key, value in unit.parameters.items() if "\n" not in value
+    )
+    return f"{name}  ← {unit.transformation}({details}) as {unit.name}"
+
+
+def _alternative(alternative: Alternative) -> str:
+    reason = f": {alternative.reason}" if alternative.reason else ""
+    return f"{alternative.outcome}: {alternative.text}{reason}"
+
+
+def _window(range: int, step: int) -> str:
+    return f"the last {format_duration(range)}, every {format_duration(step)}"
+
+
+def _indent(text: str) -> str:
+    return "\n".join(f"  {line}" for line in text.splitlines())

@@ -1,0 +1,265 @@
+"""Event requests: from what somebody wants to know to the units that answer it
+([Events14 §V.B-C]).
+
+request → template → query → needed features → semantic matching → streams and units → a C-SPARQL
+unit over them. Requests for the same thing share one stream.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from pyoxigraph import Variable
+
+from ..continuous.background import Background
+from ..continuous.evaluator import ContinuousEvaluator
+from ..converters.to_samples import ResultConverter
+from ..converters.to_triples import SampleConverter
+from ..languages.csparql import with_streams
+from ..languages.csparql.ast import ContinuousQuery, EventRequest, Template
+from ..languages.ssl.annotation import StreamAnnotation
+from ..matching.match import Match, UnknownStrategy, match_all
+from ..matching.plan import wanted_annotation
+from ..matching.space import StreamSpace
+from ..ontology.ontology import Ontology
+from ..ontology.units import Unit
+from ..rdf.dictionary import TermDictionary
+from ..rdf.namespaces import shorten
+from ..streams.generator import StreamGenerator
+from ..templates.instantiate import ArgumentError, instantiate
+from ..templates.needs import Needs, NeedsError, needs
+from . import explain as explanations
+from .configuration import Configuration
+from .errors import BadArguments, NoPlan, UnknownRequest
+from .results import result_form
+from .unit import QueryUnit
+from .views import EventView, PlanView
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Running:
+    """One C-SPARQL unit that answers requests, with what was decided when it started.
+
+    ``annotation`` says what its stream means, ``rdf`` how its samples are written as triples.
+    """
+
+    unit: QueryUnit
+    matches: tuple[Match, ...]
+    annotation: StreamAnnotation | None
+    rdf: StreamAnnotation | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Request:
+    id: str
+    number: int
+    request: EventRequest
+    strategy: str
+    key: tuple[object, ...]
+    running: _Running
+
+
+class EventRequests:
+    """The requests that run, and the query units that answer them."""
+
+    def __init__(
+        self,
+        ontology: Ontology,
+        dictionary: TermDictionary,
+        configuration: Configuration,
+        stream_space: Callable[[], StreamSpace],
+    ) -> None:
+        self._ontology = ontology
+        self._dictionary = dictionary
+        self._configuration = configuration
+        self._stream_space = stream_space
+        self._requests: dict[str, _Request] = {}
+        self._running: dict[tuple[object, ...], _Running] = {}
+        self._number = 0
+
+    def start(self, template: Template, request: EventRequest, strategy: str) -> EventView:
+        """Answer ``request`` by the streams there are; raises `BadArguments` and `NoPlan`."""
+        key = _key(template, request, strategy)
+        running = self._running.get(key)
+        if running is None or running.unit.failure is not None:
+            query, matches = self._plan(template, request, strategy)
+            try:
+                running = self._build(query, matches)
+            except Exception:
+                self._configuration.release_unused()
+                raise
+            self._running[key] = running
+        running.unit.users += 1
+        self._number += 1
+        id = f"event{self._number}"
+        self._requests[id] = _Request(id, self._number, request, strategy, key, running)
+        return self.view(id)
+
+    def cancel(self, id: str) -> None:
+        """One user less; raises `UnknownRequest`."""
+        request = self._request(id)
+        del self._requests[id]
+        running = request.running
+        # A unit that failed may have been replaced under the same key since.
+        if running.unit.users == 1 and self._running.get(request.key) is running:
+            del self._running[request.key]
+        self._configuration.release(running.unit)
+
+    def views(self) -> tuple[EventView, ...]:
+        """The running requests, oldest first."""
+        return tuple(self.view(id) for id in self._requests)
+
+    def view(self, id: str) -> EventView:
+        """One running request; raises `UnknownRequest`."""
+        request = self._request(id)
+        running = request.running
+        return EventView(
+            id=id,
+            event=request.request.event,
+            arguments=tuple(_argument_text(argument) for argument in request.request.arguments),
+            strategy=request.strategy,
+            stream=running.unit.output.name,
+            plan=self._plan_view(running),
+            created=request.number,
+        )
+
+    def annotation_of(self, stream: str) -> StreamAnnotation | None:
+        """What the stream of a request's answer contains; None for another stream."""
+        running = self._answering(stream)
+        return None if running is None else running.annotation
+
+    def rdf_of(self, stream: str) -> StreamAnnotation | None:
+        """How samples of a request's answer are written as triples; None for another stream."""
+        running = self._answering(stream)
+        return None if running is None else running.rdf
+
+    def _answering(self, stream: str) -> _Running | None:
+        for running in self._running.values():
+            if running.unit.output.name == stream:
+                return running
+        return None
+
+    def explain(self, template: Template, request: EventRequest) -> str:
+        """Each stage of answering ``request``, without starting anything."""
+        query, wanted = self._query(template, request)
+        matches = match_all(wanted.wants, self._stream_space(), self._ontology.vocabulary)
+        return explanations.request(
+            template, request, query, wanted, matches, self._ontology, self._dictionary
+        )
+
+    def _request(self, id: str) -> _Request:
+        found = self._requests.get(id)
+        if found is None:
+            raise UnknownRequest(f"there is no request {id!r}", "GET /events lists those that run")
+        return found
+
+    def _query(self, template: Template, request: EventRequest) -> tuple[ContinuousQuery, Needs]:
+        vocabulary = self._ontology.vocabulary
+        try:
+            query = instantiate(template, request.arguments, vocabulary)
+            return query, needs(query, vocabulary)
+        except ArgumentError as error:
+            raise BadArguments(error.message, error.hint) from error
+        except NeedsError as error:
+            raise NoPlan(error.message, (), error.hint) from error
+
+    def _plan(
+        self, template: Template, request: EventRequest, strategy: str
+    ) -> tuple[ContinuousQuery, tuple[Match, ...]]:
+        query, wanted = self._query(template, request)
+        for graph in query.static:
+            if not self._ontology.static_graph(graph):
+                raise NoPlan(
+                    f"FROM <{graph}> names no loaded ontology",
+                    (graph,),
+                    "static graphs are named, never fetched: load it, or leave FROM out",
+                )
+        try:
+            matches = match_all(
+                wanted.wants, self._stream_space(), self._ontology.vocabulary, strategy
+            )
+        except UnknownStrategy as error:
+            raise BadArguments(str(error)) from error
+        missing = tuple(text for match in matches for text in match.missing)
+        if missing or not matches:
+            raise NoPlan(
+                f"no stream and no transformation answers {shorten(request.event)}: "
+                + ("; ".join(missing) or "the query needs no feature of a stream"),
+                missing,
+                "annotate a stream that contains the feature, or one it can be computed from; "
+                "POST /match shows what was tried",
+            )
+        return query, matches
+
+    def _build(self, query: ContinuousQuery, matches: Sequence[Match]) -> _Running:
+        """Start what the matches ask for, inputs first, then the query unit."""
+        vocabulary = self._ontology.vocabulary
+        inputs: dict[str, StreamGenerator] = {}
+        converters: dict[str, list[SampleConverter]] = defaultdict(list)
+        for match in matches:
+            assert match.supply is not None
+            for source in match.supply.sources:
+                generator = self._configuration.obtain(source.node)
+                inputs[generator.name] = generator
+                annotation = wanted_annotation(match.supply, source, generator.name)
+                units: dict[str, Unit] = {match.want.feature: source.port.target}
+                converters[generator.name].append(
+                    SampleConverter(
+                        annotation,
+                        generator.schema,
+                        vocabulary,
+                        self._dictionary,
+                        namespace=self._configuration.namespaces[generator.name],
+                        units=units,
+                    )
+                )
+        query = with_streams(query, list(inputs))
+        form = result_form(query, vocabulary)
+        roles = [r for m in matches if m.supply for s in m.supply.sources for r in s.roles]
+
+        def make(output: StreamGenerator) -> tuple[ContinuousEvaluator, ResultConverter]:
+            evaluator = ContinuousEvaluator(
+                query, self._dictionary, Background(self._ontology.store), list(inputs)
+            )
+            return evaluator, form.converter(output.stream.pools)
+
+        unit = self._configuration.start_query(
+            list(inputs.values()),
+            form.schema,
+            make,
+            converters,
+            {"query": explanations.query_text(query)},
+        )
+        name = unit.output.name
+        return _Running(
+            unit,
+            tuple(matches),
+            form.event_annotation(name, query.name, roles),
+            form.rdf_annotation(name, roles),
+        )
+
+    def _plan_view(self, running: _Running) -> PlanView:
+        units = self._configuration.units_behind(running.unit)
+        made = {unit.output.name for unit in units}
+        sources = [source.name for unit in units for source in unit.inputs]
+        return PlanView(
+            text=explanations.plan_text(self._configuration, running.unit),
+            streams=tuple(dict.fromkeys(name for name in sources if name not in made)),
+            units=tuple(explanations.unit_view(unit) for unit in units),
+            query=running.unit.parameters["query"],
+        )
+
+
+def _key(template: Template, request: EventRequest, strategy: str) -> tuple[object, ...]:
+    """Requests with equal keys want the same stream: the name of a variable does not matter."""
+    arguments = tuple(
+        None if isinstance(argument, Variable) else argument for argument in request.arguments
+    )
+    return (template.source, arguments, strategy)
+
+
+def _argument_text(argument: object) -> str:
+    text = str(argument)
+    return shorten(text[1:-1]) if text.startswith("<") else text

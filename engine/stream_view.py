@@ -1,0 +1,55 @@
+"""A stream's view: what the engine tells about it now."""
+
+from __future__ import annotations
+
+from ..languages.ssl.annotation import StreamAnnotation
+from ..streams.generator import StreamGenerator
+from ..streams.time import SECOND
+from .unit import ComputationalUnit
+from .views import StreamView
+
+_RECENT = 1_000
+"""Samples over which the rate is taken."""
+
+
+def stream_view(
+    generator: StreamGenerator,
+    namespace: str,
+    unit: ComputationalUnit | None,
+    annotation: StreamAnnotation | None,
+) -> StreamView:
+    """The stream as it is now; ``unit`` is the one that makes it, if the system does.
+
+    Cost: O(1) but for the few last batches, from which rate and lag are read.
+    """
+    stream = generator.stream
+    recent = stream.since(max(stream.first_number, stream.last_number - _RECENT))
+    times = (
+        (int(recent[0].batch.available[0]), int(recent[-1].batch.available[-1]))
+        if recent
+        else (0, 0)
+    )
+    number = sum(len(segment.batch) for segment in recent)
+    span = times[1] - times[0]
+    last_valid = int(recent[-1].batch.valid[-1]) if recent else None
+    return StreamView(
+        name=generator.name,
+        fields=generator.schema.fields,
+        namespace=namespace,
+        lateness=generator.lateness,
+        retention=stream.retention,
+        stamped=generator.stamped,
+        ended=generator.is_ended,
+        counters=generator.counters,
+        samples_kept=len(stream),
+        first_number=stream.first_number,
+        last_number=stream.last_number,
+        watermark=generator.watermark,
+        last_available=stream.last_available,
+        last_valid=last_valid,
+        rate=(number - 1) * SECOND / span if span else 0.0,
+        lag=times[1] - last_valid if last_valid is not None else None,
+        annotation=None if annotation is None else annotation.source,
+        producer=None if unit is None else unit.name,
+        subscribers=generator.subscribers,
+    )

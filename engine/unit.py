@@ -1,0 +1,238 @@
+"""Computational units: instances of transformations, with input streams and one output
+([Introspection15 §3.1], [DyKnow10 Def. 5.10]).
+
+A unit receives batches in order of available time and offers batches to its output's generator.
+What it makes of a batch is the subclass's `process`; order, isolation and ends are decided here.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..continuous.evaluator import ContinuousEvaluator, WindowResult
+from ..converters.objects import ObjectTable
+from ..converters.to_samples import ResultConverter
+from ..converters.to_triples import SampleConverter
+from ..ontology.units import Conversion
+from ..streams.generator import StreamGenerator
+from ..streams.sample import Column, FieldType, Mask, SampleBatch, Times
+
+UnitFunction = Callable[..., tuple[np.ndarray[Any, Any], Mask]]
+"""An implementation: ``f(objects, valid, *inputs) -> (values, present)``, all shape ``(n,)``.
+
+``objects`` are integer keys of the samples' objects, ``valid`` times in ns, one float array per
+input of the transformation. It keeps its own state between calls.
+"""
+
+
+class ComputationalUnit(ABC):
+    """A unit at work. ``users`` counts who needs its output; the engine stops it with the last.
+
+    A unit that raises is cut off from its inputs, with the reason in ``failure``; other units
+    and whoever published go on.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        transformation: str,
+        inputs: Sequence[StreamGenerator],
+        output: StreamGenerator,
+        parameters: Mapping[str, str],
+        on_failure: Callable[[ComputationalUnit], None],
+    ) -> None:
+        self.name = name
+        self.transformation = transformation
+        self.inputs = tuple(inputs)
+        self.output = output
+        self.parameters = dict(parameters)
+        self.users = 0
+        self.failure: str | None = None
+        self._on_failure = on_failure
+        self._watermarks: dict[StreamGenerator, int] = {}
+        self._ended: set[StreamGenerator] = set()
+
+    def start(self) -> None:
+        """Subscribe to the inputs."""
+        for source in self.inputs:
+            source.subscribe(self)
+
+    def stop(self) -> None:
+        """Leave the inputs; the output ends."""
+        if self.failure is None:
+            for source in self.inputs:
+                source.unsubscribe(self)
+        self.output.end()
+        self.output.close()
+
+    def receive(self, source: StreamGenerator, batch: SampleBatch) -> None:
+        """Samples of an input."""
+        self._ended.discard(source)
+        self._guarded(lambda: self.process(source, batch))
+
+    def advance(self, source: StreamGenerator, watermark: int) -> None:
+        """An input promises to send nothing before ``watermark`` any more."""
+        self._watermarks[source] = watermark
+        self._guarded(lambda: self.progress(source, watermark))
+
+    def ended(self, source: StreamGenerator) -> None:
+        """An input has come to its end; with the last one so does the output."""
+        self._ended.add(source)
+        self._guarded(lambda: self.finish(source))
+
+    @property
+    def least_watermark(self) -> int | None:
+        """The watermark that holds for all inputs that have begun and not ended."""
+        running = [w for source, w in self._watermarks.items() if source not in self._ended]
+        return min(running) if running else None
+
+    @property
+    def all_ended(self) -> bool:
+        return len(self._ended) == len(self.inputs)
+
+    @abstractmethod
+    def process(self, source: StreamGenerator, batch: SampleBatch) -> None:
+        """Make of the samples what the unit is for, and offer it to the output."""
+
+    def progress(self, source: StreamGenerator, watermark: int) -> None:
+        """Pass the promise on: a unit that answers at once keeps available times."""
+        least = self.least_watermark
+        if least is not None:
+            self.output.advance(least)
+
+    def finish(self, source: StreamGenerator) -> None:
+        """An input ended; by default the output ends with the last of them."""
+        if self.all_ended:
+            self.output.end()
+
+    def _guarded(self, work: Callable[[], None]) -> None:
+        if self.failure is not None:
+            return
+        try:
+            work()
+        except Exception as error:  # noqa: BLE001  the unit is cut off and says why; others go on
+            self.failure = f"{type(error).__name__}: {error}"
+            for source in self.inputs:
+                source.unsubscribe(self)
+            self._on_failure(self)
+
+
+class SelectionUnit(ComputationalUnit):
+    """Selects one object's samples out of a stream of many ([Events14 §V.C]).
+
+    Cost: a table look-up per sample; the table grows with the distinct ids of the stream.
+    """
+
+    def __init__(self, *args: Any, id_field: str, object_id: int, objects: ObjectTable) -> None:
+        super().__init__(*args)
+        self._id_field = id_field
+        self._object_id = object_id
+        self._objects = objects
+
+    def process(self, source: StreamGenerator, batch: SampleBatch) -> None:
+        ids, present = self._objects.ids(batch.columns[self._id_field])
+        chosen = (ids == self._object_id) & present
+        if bool(chosen.any()):
+            self.output.offer(batch.take(chosen))
+
+
+@dataclass(frozen=True, slots=True)
+class InputPort:
+    """Which field feeds an input of the implementation, with the conversion into its unit."""
+
+    field: str
+    conversion: Conversion
+
+
+class FunctionUnit(ComputationalUnit):
+    """Applies an implementation to the samples of one stream, sample by sample, object by object.
+
+    The output carries the id field of the input (if it has one) and the value; times are kept.
+    A sample that lacks a value or an object gives nothing.
+    """
+
+    def __init__(
+        self,
+        *args: Any,
+        function: UnitFunction,
+        ports: Sequence[InputPort],
+        id_field: str | None,
+        output_field: str,
+    ) -> None:
+        super().__init__(*args)
+        self._function = function
+        self._ports = tuple(ports)
+        self._id_field = id_field
+        self._output_field = output_field
+
+    def process(self, source: StreamGenerator, batch: SampleBatch) -> None:
+        needed = [batch.columns[port.field] for port in self._ports]
+        if self._id_field is not None:
+            needed.append(batch.columns[self._id_field])
+        complete = np.logical_and.reduce([column.present for column in needed])
+        if not bool(complete.all()):
+            batch = batch.take(complete)
+        if not len(batch):
+            return
+        inputs = [
+            port.conversion.apply(batch.columns[port.field].values.astype(np.float64))
+            for port in self._ports
+        ]
+        values, present = self._function(self._objects(batch), batch.valid, *inputs)
+        present = present & np.isfinite(values)
+        columns = {self._output_field: Column(FieldType.FLOAT, values[present])}
+        if self._id_field is not None:
+            columns[self._id_field] = batch.columns[self._id_field].take(present)
+        result = SampleBatch(batch.available[present], batch.valid[present], columns)
+        self.output.offer(result)
+
+    def _objects(self, batch: SampleBatch) -> Times:
+        if self._id_field is None:
+            return np.zeros(len(batch), np.int64)
+        return batch.columns[self._id_field].values.astype(np.int64)
+
+
+class QueryUnit(ComputationalUnit):
+    """The C-SPARQL computational unit ([Events14 §V.B, Fig. 2]): samples in, converted to timed
+    triples, evaluated in windows, results converted back to samples.
+
+    A result becomes available right after its window's end, which is its valid time.
+    """
+
+    def __init__(
+        self,
+        *args: Any,
+        evaluator: ContinuousEvaluator,
+        converters: Mapping[str, Sequence[SampleConverter]],
+        results: ResultConverter,
+    ) -> None:
+        super().__init__(*args)
+        self.evaluator = evaluator
+        self._converters = converters
+        self._results = results
+
+    def process(self, source: StreamGenerator, batch: SampleBatch) -> None:
+        for converter in self._converters[source.name]:
+            self.evaluator.push(source.name, converter.convert(batch))
+
+    def progress(self, source: StreamGenerator, watermark: int) -> None:
+        self._emit(self.evaluator.advance(source.name, watermark))
+        least = self.least_watermark
+        if least is not None:
+            # A window that is still open ends at ``least`` or later; its results come after it.
+            self.output.advance(least + 1)
+
+    def finish(self, source: StreamGenerator) -> None:
+        self._emit(self.evaluator.end(source.name))
+        super().finish(source)
+
+    def _emit(self, windows: Sequence[WindowResult]) -> None:
+        for window in windows:
+            batch = self._results.convert(window, window.end + 1)
+            if len(batch):
+                self.output.offer(batch)

@@ -1,0 +1,108 @@
+"""What the engine tells about itself: frozen values for the service, the CLI and tests."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from ..rdf.namespaces import DYKNOW
+from ..streams.fluent import Retention
+from ..streams.generator import Counters
+from ..streams.sample import Field
+
+
+@dataclass(frozen=True, slots=True)
+class StreamDeclaration:
+    """What a stream is to be: its fields, how late samples may be (ns), how much is kept, and
+    the namespace of the objects that its id fields name."""
+
+    name: str
+    fields: tuple[Field, ...]
+    lateness: int = 0
+    retention: Retention = field(default_factory=Retention)
+    namespace: str = DYKNOW
+
+
+@dataclass(frozen=True, slots=True)
+class StreamView:
+    """A stream as it is now. Times in ns; ``rate`` in samples a second of available time."""
+
+    name: str
+    fields: tuple[Field, ...]
+    namespace: str
+    lateness: int
+    retention: Retention
+    stamped: bool | None
+    ended: bool
+    counters: Counters
+    samples_kept: int
+    first_number: int
+    last_number: int
+    watermark: int | None
+    last_available: int | None
+    last_valid: int | None
+    rate: float
+    lag: int | None
+    annotation: str | None
+    producer: str | None
+    subscribers: int
+
+
+@dataclass(frozen=True, slots=True)
+class TemplateView:
+    """A registered event template; ``name`` is the IRI of its event concept."""
+
+    name: str
+    local_name: str
+    parameters: tuple[str, ...]
+    source: str
+    etag: str
+
+
+@dataclass(frozen=True, slots=True)
+class UnitView:
+    """A computational unit that a plan uses, with the streams it reads and makes."""
+
+    name: str
+    transformation: str
+    inputs: tuple[str, ...]
+    output: str
+    parameters: Mapping[str, str]
+    users: int
+
+
+@dataclass(frozen=True, slots=True)
+class PlanView:
+    """How a request is met: a tree for people, the existing streams used, the units in the order
+    in which samples pass them, and the continuous query as C-SPARQL text (empty for a match)."""
+
+    text: str
+    streams: tuple[str, ...]
+    units: tuple[UnitView, ...]
+    query: str
+
+
+@dataclass(frozen=True, slots=True)
+class EventView:
+    """A running request for an event; ``created`` counts requests, 1 being the first."""
+
+    id: str
+    event: str
+    arguments: tuple[str, ...]
+    strategy: str
+    stream: str
+    plan: PlanView
+    created: int
+
+
+@dataclass(frozen=True, slots=True)
+class MatchView:
+    """What semantic matching found for a feature, and why."""
+
+    feature: str
+    target: str
+    strategy: str
+    found: bool
+    plan: PlanView | None
+    alternatives: tuple[str, ...]
+    reasons: tuple[str, ...]

@@ -1,0 +1,20 @@
+"""An engine in memory and the template that everybody uses."""
+
+from pathlib import Path
+
+import pytest
+
+from dyknow.engine.engine import Engine
+
+LIBRARY = Path(__file__).parent.parent.parent / "templates" / "library"
+
+
+@pytest.fixture
+def engine():
+    return Engine(epoch="test")
+
+
+@pytest.fixture
+def high_speed():
+    """Listing 4 of [Events14]."""
+    return (LIBRARY / "high_speed.rq").read_text()

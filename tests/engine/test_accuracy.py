@@ -1,0 +1,15 @@
+"""Speeds derived from coordinates agree with the speeds that aircraft reported themselves."""
+
+import runpy
+from pathlib import Path
+
+from dyknow.engine.geodesy import SpeedFromCoordinates
+
+BENCH = Path(__file__).parent.parent.parent / "bench" / "accuracy.py"
+
+
+def test_median_difference_over_the_slice_is_within_ten_knots():
+    accuracy = runpy.run_path(str(BENCH))
+    found = accuracy["agreement"](accuracy["SLICE"], SpeedFromCoordinates())
+    assert found.speeds > 5_000
+    assert found.median < 10.0

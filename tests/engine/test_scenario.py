@@ -1,0 +1,213 @@
+"""The scenario of [Events14 §V.C]: events of uav1 out of coordinates of all UAVs, on demand."""
+
+import pytest
+from feeding import feed, flight, samples
+
+from dyknow.engine.engine import Engine
+from dyknow.engine.errors import (
+    AlreadyExists,
+    BadArguments,
+    Conflict,
+    DyknowError,
+    NoPlan,
+    Refused,
+    UnknownEvent,
+    UnknownRequest,
+    UnknownStream,
+)
+
+COORDINATES = (
+    "stream coordinates contains latitude(UAV) = lat [deg], longitude(UAV) = lon [deg] "
+    "for every UAV = id"
+)
+REQUEST = 'dyknow:HighSpeedEvent(dyknow:uav1, dyknow:UAV, "100"^^xsd:integer)'
+
+
+def rows(name, flown):
+    return [(t, {"id": name, "lat": lat, "lon": lon}) for t, lat, lon in flown]
+
+
+def merged(*flights):
+    """Flights of several objects as one recording: available times are unique."""
+    together = sorted((row for flown in flights for row in flown), key=lambda row: row[0])
+    return [(t + i * 1e-6, values) for i, (t, values) in enumerate(together)]
+
+
+@pytest.fixture
+def scenario(high_speed):
+    """The paper's numbers: the next reserved stream is 34."""
+    engine = Engine(epoch="test", first_reserved=34)
+    engine.annotate(COORDINATES)
+    engine.register_template(high_speed)
+    return engine
+
+
+def test_scenario_with_the_names_of_the_paper(scenario):
+    view = scenario.request_event(scenario.parse_request(REQUEST))
+    selection, speed, query = view.plan.units
+    assert (selection.transformation, selection.inputs) == ("selectObject", ("coordinates",))
+    assert selection.output == "dyknow_reserved34"
+    assert (speed.transformation, speed.inputs) == ("coordinatesToSpeed", ("dyknow_reserved34",))
+    assert speed.output == "dyknow_reserved35"
+    assert (query.transformation, query.inputs) == ("cSparql", ("dyknow_reserved35",))
+    assert view.stream == query.output == "dyknow_reserved36"
+    assert "FROM STREAM <http://www.ida.liu.se/dyknow/dyknow_reserved35.trdf>" in view.plan.query
+
+
+def test_scenario_sends_an_event_for_uav1_alone(scenario):
+    view = scenario.request_event(scenario.parse_request(REQUEST))
+    fast, other = flight(1, 20, 150.0), flight(1, 20, 300.0, longitude=16.0)
+    feed(scenario, "coordinates", merged(rows("uav1", fast), rows("uav2", other)))
+    scenario.end("coordinates")
+    events = samples(scenario, view.stream)
+    assert events
+    assert {values["id"] for _, values in events} == {"uav1"}
+    assert all(values["speed"] == pytest.approx(150.0, rel=1e-6) for _, values in events)
+
+
+def test_slow_flight_is_no_event(scenario):
+    view = scenario.request_event(scenario.parse_request(REQUEST))
+    feed(scenario, "coordinates", rows("uav1", flight(1, 20, 99.0)))
+    scenario.end("coordinates")
+    assert samples(scenario, view.stream) == []
+
+
+def test_all_objects_when_the_argument_stays_a_variable(scenario):
+    request = scenario.parse_request("dyknow:HighSpeedEvent(?o, dyknow:Thing, 100)")
+    view = scenario.request_event(request)
+    flights = [rows(f"uav{i}", flight(1, 20, 60.0 * i, longitude=10.0 + i)) for i in (1, 2, 3)]
+    feed(scenario, "coordinates", merged(*flights))
+    scenario.end("coordinates")
+    speeds = {values["id"]: values["speed"] for _, values in samples(scenario, view.stream)}
+    assert speeds == {"uav2": pytest.approx(120.0), "uav3": pytest.approx(180.0)}
+
+
+def test_units_are_converted_on_the_edge(engine, high_speed):
+    """120 mi/h are 193.12128 km/h, the unit of dyknow:speed."""
+    engine.annotate("stream s3 contains speed(UAV) = spd [mi.h-1] for every UAV = id")
+    engine.register_template(high_speed)
+    view = engine.request_event(engine.parse_request("dyknow:HighSpeedEvent(?o, dyknow:UAV, 193)"))
+    assert view.plan.streams == ("s3",)
+    assert [unit.transformation for unit in view.plan.units] == ["cSparql"]
+    feed(engine, "s3", [(i, {"id": "uav1", "spd": 120.0}) for i in range(1, 8)])
+    engine.end("s3")
+    events = samples(engine, view.stream)
+    assert events
+    assert {round(values["speed"], 5) for _, values in events} == {193.12128}
+
+
+def test_windows_close_as_the_stream_goes_on(engine, high_speed):
+    engine.annotate("stream s3 contains speed(UAV) = spd [km.h-1] for every UAV = id")
+    engine.register_template(high_speed)
+    view = engine.request_event(engine.parse_request("dyknow:HighSpeedEvent(?o, dyknow:UAV, 100)"))
+    feed(engine, "s3", [(1.5, {"id": "uav1", "spd": 150.0})])
+    assert samples(engine, view.stream) == []
+    feed(engine, "s3", [(2.0, {"id": "uav1", "spd": 50.0})])
+    assert samples(engine, view.stream) == []  # the window (-3, 2] may still get a sample at 2
+    feed(engine, "s3", [(2.1, {"id": "uav1", "spd": 250.0})])
+    assert samples(engine, view.stream) == []  # its average is 100: not above it
+    feed(engine, "s3", [(3.5, {"id": "uav1", "spd": 0.0})])
+    assert samples(engine, view.stream) == [(3.0, {"id": "uav1", "speed": 150.0})]
+    assert engine.rdf_of(view.stream, engine.generator(view.stream).stream.all()) == [
+        "<http://www.ida.liu.se/dyknow/uav1> <http://www.ida.liu.se/dyknow/speed> "
+        '"150"^^<http://www.w3.org/2001/XMLSchema#double> .'
+    ]
+
+
+def test_a_stamped_stream_is_advanced_by_the_clock(engine, high_speed):
+    second = 1_000_000_000
+    engine.annotate("stream live contains speed(UAV) = spd for every UAV = id")
+    engine.register_template(high_speed)
+    view = engine.request_event(engine.parse_request("dyknow:HighSpeedEvent(?o, dyknow:UAV, 100)"))
+    feed(engine, "live", [(0, {"id": "uav1", "spd": 150.0})], now=10 * second + 1)
+    engine.tick(11 * second)
+    assert samples(engine, view.stream) == []
+    engine.tick(11 * second + 1)
+    assert [end for end, _ in samples(engine, view.stream)] == [11.0]
+
+
+def test_the_same_request_shares_a_stream_and_the_last_user_stops_it(scenario):
+    first = scenario.request_event(scenario.parse_request(REQUEST))
+    second = scenario.request_event(scenario.parse_request(REQUEST))
+    assert first.id != second.id
+    assert first.stream == second.stream
+    scenario.cancel_event(first.id)
+    assert scenario.stream(first.stream).name == first.stream
+    scenario.cancel_event(second.id)
+    names = {view.name for view in scenario.streams()}
+    assert names == {"status", "coordinates"}
+    assert scenario.generator("coordinates").subscribers == 0
+    with pytest.raises(UnknownRequest):
+        scenario.cancel_event(second.id)
+
+
+def test_requests_share_the_units_that_they_have_in_common(scenario):
+    first = scenario.request_event(scenario.parse_request(REQUEST))
+    other = REQUEST.replace("100", "200")
+    second = scenario.request_event(scenario.parse_request(other))
+    assert first.stream != second.stream
+    assert first.plan.units[:2] != ()
+    assert [unit.name for unit in first.plan.units[:2]] == [
+        unit.name for unit in second.plan.units[:2]
+    ]
+    scenario.cancel_event(first.id)
+    feed(scenario, "coordinates", rows("uav1", flight(1, 20, 250.0)))
+    scenario.end("coordinates")
+    assert samples(scenario, second.stream)
+
+
+def test_no_plan_says_what_is_missing_and_starts_nothing(engine, high_speed):
+    engine.register_template(high_speed)
+    before = {view.name for view in engine.streams()}
+    with pytest.raises(NoPlan) as caught:
+        engine.request_event(engine.parse_request(REQUEST))
+    assert caught.value.missing
+    assert {view.name for view in engine.streams()} == before
+
+
+@pytest.mark.parametrize(
+    ("text", "error"),
+    [
+        ("dyknow:NoSuchEvent(?o)", UnknownEvent),
+        ("dyknow:HighSpeedEvent(?o, dyknow:UAV)", BadArguments),
+        ("dyknow:HighSpeedEvent(?o, dyknow:UAV, 100, 5)", BadArguments),
+        ('dyknow:HighSpeedEvent(?o, dyknow:UAV, "fast")', BadArguments),
+        ("dyknow:HighSpeedEvent(?o, dyknow:Balloon, 100)", BadArguments),
+        ("dyknow:HighSpeedEvent(?o, 5, 100)", BadArguments),
+        ('dyknow:HighSpeedEvent("uav1", dyknow:UAV, 100)', BadArguments),
+        ('dyknow:HighSpeedEvent(?o, dyknow:UAV, "NaN"^^xsd:double)', BadArguments),
+    ],
+)
+def test_bad_requests_are_refused(scenario, text, error):
+    with pytest.raises(error):
+        scenario.request_event(scenario.parse_request(text))
+    assert scenario.events() == ()
+    assert {view.name for view in scenario.streams()} == {"status", "coordinates"}
+
+
+def test_templates_are_kept_by_name(scenario, high_speed):
+    with pytest.raises(AlreadyExists):
+        scenario.register_template(high_speed)
+    scenario.register_template(high_speed.replace("RANGE 5s", "RANGE 7s"), replace=True)
+    assert "RANGE 7s" in scenario.template("HighSpeedEvent").source
+    view = scenario.request_event(scenario.parse_request(REQUEST))
+    with pytest.raises(Conflict):
+        scenario.remove_template("HighSpeedEvent")
+    scenario.cancel_event(view.id)
+    scenario.remove_template("HighSpeedEvent")
+    assert scenario.templates() == ()
+
+
+def test_streams_of_the_system_take_no_samples(scenario):
+    view = scenario.request_event(scenario.parse_request(REQUEST))
+    for name in ("status", view.stream):
+        with pytest.raises(Refused):
+            scenario.end(name)
+    with pytest.raises(UnknownStream):
+        feed(scenario, "nothing", [])
+
+
+def test_every_refusal_says_what_to_do(scenario):
+    with pytest.raises(DyknowError) as caught:
+        scenario.stream("nothing")
+    assert caught.value.hint
