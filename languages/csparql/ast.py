@@ -45,8 +45,9 @@ class StreamClause:
 
 @dataclass(frozen=True, slots=True)
 class Aggregation:
-    """``(?alias, FUNCTION, {?argument})`` of an AGGREGATE clause: grouped by the other head variables.
+    """``(?alias, FUNCTION, {?argument})`` of an AGGREGATE clause.
 
+    It is grouped by the other head variables.
     ``function`` is upper case: AVG, SUM, COUNT, MIN, MAX.
     """
 

@@ -1,26 +1,30 @@
 """The AST of SSL, the Stream Semantics Language ([Events14 Listing 1], SPEC §3).
 
-Names are as written; `check` resolves them against the ontology.
+Names are as written; `check` resolves them against the ontology. Spans say where a thing stands
+and are no part of what it is: two declarations that differ in their spans only are equal.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from dataclasses import field as attribute
 from typing import TypeAlias
 
+from ...ontology.units import Unit, UnitPower
 from ..errors import Span
 
-
-@dataclass(frozen=True, slots=True)
-class UnitPower:
-    """One factor of a unit: ``mi`` is power 1, ``h-1`` is power -1."""
-
-    name: str
-    power: int = 1
-
-
-Unit: TypeAlias = tuple[UnitPower, ...]
-"""A product of powers; the empty product is ``no_unit``."""
+__all__ = [
+    "Argument",
+    "CompunitDeclaration",
+    "Declaration",
+    "Entity",
+    "FeatureTerm",
+    "FieldFeature",
+    "SourceDeclaration",
+    "StreamDeclaration",
+    "Unit",
+    "UnitPower",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +33,7 @@ class Argument:
 
     name: str
     alias: str | None
-    span: Span
+    span: Span = attribute(compare=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,8 +47,9 @@ class FeatureTerm:
     arguments: tuple[Argument, ...]
     field: str
     unit: Unit | None
-    span: Span
-    field_span: Span
+    span: Span = attribute(compare=False)
+    field_span: Span = attribute(compare=False)
+    unit_span: Span | None = attribute(default=None, compare=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +58,7 @@ class Entity:
 
     name: str
     field: str
-    span: Span
+    span: Span = attribute(compare=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +73,7 @@ class StreamDeclaration:
     features: tuple[FeatureTerm, ...]
     every: bool
     entities: tuple[Entity, ...]
-    span: Span
+    span: Span = attribute(compare=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +83,9 @@ class FieldFeature:
     field: str
     feature: str
     unit: Unit | None
-    span: Span
+    span: Span = attribute(compare=False)
+    feature_span: Span = attribute(compare=False)
+    unit_span: Span | None = attribute(default=None, compare=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +94,7 @@ class SourceDeclaration:
 
     name: str
     output: FieldFeature
-    span: Span
+    span: Span = attribute(compare=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +104,7 @@ class CompunitDeclaration:
     name: str
     inputs: tuple[FieldFeature, ...]
     output: FieldFeature
-    span: Span
+    span: Span = attribute(compare=False)
 
 
 Declaration: TypeAlias = StreamDeclaration | SourceDeclaration | CompunitDeclaration

@@ -1,0 +1,202 @@
+"""Tokens to RDF terms and back (SPARQL 1.1 §4.1, §19.7).
+
+A term is written so that no text in it can be taken for syntax: this is what makes binding an
+argument safe, whatever the argument holds.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Final
+from urllib.parse import urljoin
+
+from pyoxigraph import BlankNode, Literal, NamedNode, Variable
+
+from ...rdf.dictionary import Term
+from ...rdf.namespaces import PREFIXES, XSD
+from ..errors import LanguageError, Span
+from .tokens import Kind, Token
+
+_STRING_ESCAPES: Final = {
+    "t": "\t",
+    "b": "\b",
+    "n": "\n",
+    "r": "\r",
+    "f": "\f",
+    '"': '"',
+    "'": "'",
+    "\\": "\\",
+}
+_STRING_ESCAPE: Final = re.compile(r"\\(u[0-9A-Fa-f]{4}|U[0-9A-Fa-f]{8}|.)", re.DOTALL)
+_IRI_ESCAPE: Final = re.compile(r"\\(?:u([0-9A-Fa-f]{4})|U([0-9A-Fa-f]{8}))")
+_PLAIN_INTEGER: Final = re.compile(r"0|[1-9][0-9]*")
+_PLAIN_LOCAL: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_\-]*")
+
+
+def suggest_prefix(source: str, token: Token, prefix: str) -> LanguageError:
+    """The error for a prefix that nobody declared."""
+    return LanguageError(
+        f"the prefix `{prefix}:` is not declared",
+        source,
+        Span(token.start, token.start + len(prefix) + 1),
+        f"write `PREFIX {prefix}: <…>` before it is used; known without that are "
+        + ", ".join(f"{name}:" for name in PREFIXES),
+    )
+
+
+def iri_text(token: Token, source: str, prefixes: Mapping[str, str], base: str = "") -> str:
+    """The IRI that an IRI or prefixed-name token means."""
+    if token.kind is Kind.IRI:
+        raw = _IRI_ESCAPE.sub(lambda m: _character(m[1] or m[2], token, source), token.text[1:-1])
+        text = urljoin(base, raw) if base else raw
+    else:
+        prefix, _, local = token.text.partition(":")
+        if prefix not in prefixes:
+            raise suggest_prefix(source, token, prefix)
+        text = prefixes[prefix] + re.sub(r"\\(.)", r"\1", local)
+    try:
+        return NamedNode(text).value
+    except ValueError as error:
+        hint = "an IRI is absolute: `<http://…>`" if ":" not in text else ""
+        raise LanguageError(f"`{text}` is no IRI: {error}", source, token.span, hint) from None
+
+
+def string_text(token: Token, source: str) -> str:
+    """The characters that a string token means, escapes resolved."""
+    quotes = 3 if token.text[:3] in ('"""', "'''") and len(token.text) >= 6 else 1
+
+    def resolve(match: re.Match[str]) -> str:
+        code = match[1]
+        if len(code) > 1:
+            return _character(code[1:], token, source)
+        if code not in _STRING_ESCAPES:
+            start = token.start + quotes + match.start()
+            raise LanguageError(
+                f"`\\{code}` is no escape", source, Span(start, start + 2), r"write `\\` for a \ "
+            )
+        return _STRING_ESCAPES[code]
+
+    return _STRING_ESCAPE.sub(resolve, token.text[quotes:-quotes])
+
+
+def _character(digits: str, token: Token, source: str) -> str:
+    code = int(digits, 16)
+    if code > 0x10FFFF or 0xD800 <= code <= 0xDFFF:
+        raise LanguageError(f"U+{digits} is no character", source, token.span)
+    return chr(code)
+
+
+def read_term(
+    tokens: Sequence[Token], index: int, source: str, prefixes: Mapping[str, str]
+) -> tuple[Term | Variable, int]:
+    """The term or variable that begins at ``index``, and the index after it."""
+    token = tokens[index]
+    match token.kind:
+        case Kind.VARIABLE:
+            return Variable(token.text[1:]), index + 1
+        case Kind.IRI | Kind.PREFIXED:
+            return NamedNode(iri_text(token, source, prefixes)), index + 1
+        case Kind.STRING:
+            return _literal(tokens, index, source, prefixes)
+        case Kind.NUMBER:
+            return _number(token.text), index + 1
+        case Kind.WORD if token.is_word("TRUE", "FALSE"):
+            return Literal(token.text.lower() == "true"), index + 1
+        case Kind.MARK if token.is_mark("+", "-") and index + 1 < len(tokens):
+            number = tokens[index + 1]
+            if number.kind is Kind.NUMBER and number.start == token.end:
+                return _number(token.text + number.text), index + 2
+        case Kind.BLANK:
+            raise LanguageError(
+                "a blank node names nothing outside its own text",
+                source,
+                token.span,
+                "give an IRI, or leave it a variable: `?o`",
+            )
+        case _:
+            pass
+    hint = "write an IRI, a prefixed name, a number, a string, true, false, or a variable"
+    if token.kind is Kind.WORD:
+        hint = f'write `dyknow:{token.text}` for a name, `"{token.text}"` for a text'
+    raise LanguageError(f"`{token.text}` is no term", source, token.span, hint)
+
+
+def _literal(
+    tokens: Sequence[Token], index: int, source: str, prefixes: Mapping[str, str]
+) -> tuple[Literal, int]:
+    text = string_text(tokens[index], source)
+    after = tokens[index + 1] if index + 1 < len(tokens) else None
+    if after is None:
+        return Literal(text), index + 1
+    if after.kind is Kind.LANGUAGE:
+        try:
+            return Literal(text, language=after.text[1:]), index + 2
+        except ValueError as error:
+            raise LanguageError(f"no language tag: {error}", source, after.span) from None
+    if after.is_mark("^"):
+        raise LanguageError(
+            "a datatype is joined with `^^`", source, after.span, 'write `"100"^^xsd:integer`'
+        )
+    if not after.is_mark("^^"):
+        return Literal(text), index + 1
+    name = tokens[index + 2] if index + 2 < len(tokens) else None
+    if name is None or name.kind not in (Kind.IRI, Kind.PREFIXED):
+        raise LanguageError(
+            "a datatype is due after `^^`", source, after.span, 'write `"100"^^xsd:integer`'
+        )
+    datatype = NamedNode(iri_text(name, source, prefixes))
+    try:
+        return Literal(text, datatype=datatype), index + 3
+    except ValueError as error:
+        raise LanguageError(f"no literal: {error}", source, name.span) from None
+
+
+def _number(text: str) -> Literal:
+    """SPARQL's three kinds of number: with an exponent, with a point, or neither."""
+    name = "double" if "e" in text.lower() else "decimal" if "." in text else "integer"
+    return Literal(text, datatype=NamedNode(XSD + name))
+
+
+def term_text(term: Term) -> str:
+    """The term as SPARQL text, in full. Raises `ValueError` for a blank node.
+
+    rdflib and Oxigraph both read it back unchanged. Two traps are avoided: rdflib resolves
+    ``\\uXXXX`` before it looks for strings, even behind an escaped backslash, and takes up to
+    eight digits; so an escaped backslash is never followed by a bare ``u``.
+    """
+    match term:
+        case NamedNode():
+            return f"<{term.value}>"
+        case Literal():
+            quoted = f'"{_escaped(term.value)}"'
+            if term.language is not None:
+                return f"{quoted}@{term.language}"
+            if term.datatype.value == XSD + "string":
+                return quoted
+            return f"{quoted}^^<{term.datatype.value}>"
+        case BlankNode():
+            raise ValueError("a blank node cannot be given as an argument")
+
+
+def _escaped(text: str) -> str:
+    text = text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
+    text = text.replace("\r", "\\r").replace("\t", "\\t").replace("\b", "\\b").replace("\f", "\\f")
+    return re.sub(r"(?<=\\)([uU])", lambda m: f"\\U{ord(m[1]):08X}", text)
+
+
+def short_text(term: Term, prefixes: Mapping[str, str]) -> str:
+    """The term for people: a prefixed name or a bare number where that says the same."""
+    if isinstance(term, NamedNode):
+        for prefix, namespace in prefixes.items():
+            local = term.value.removeprefix(namespace)
+            if namespace and local != term.value and _PLAIN_LOCAL.fullmatch(local):
+                return f"{prefix}:{local}"
+    elif isinstance(term, Literal):
+        is_integer = term.datatype.value == XSD + "integer"
+        if is_integer and _PLAIN_INTEGER.fullmatch(term.value):
+            return term.value
+        # A bare `true` is the literal "true", but "1"^^xsd:boolean is another term.
+        if term.datatype.value == XSD + "boolean" and term.value in ("true", "false"):
+            return term.value
+    return term_text(term)

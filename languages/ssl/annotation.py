@@ -1,0 +1,78 @@
+"""Checked SSL: what a stream, source or transformation means, in IRIs ([Events14 §IV.A], SPEC §3).
+
+`check.check_ssl` makes these; converters and matching read them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+from .ast import Unit
+
+
+@dataclass(frozen=True, slots=True)
+class Role:
+    """One thing a feature speaks of; IRIs.
+
+    ``sort`` set: every object of the sort, and ``id_field`` names the one meant (s3, s4, s5).
+    ``object`` set and ``id_field`` None: always this object (s1, s7); with ``id_field``: only
+    samples whose field names this object carry the feature (s2, s6).
+    """
+
+    sort: str | None
+    object: str | None
+    id_field: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class Content:
+    """A feature (IRI) that a stream carries in ``field``.
+
+    ``unit`` is the one written, else the feature's own; ``()`` where there is none.
+    """
+
+    feature: str
+    field: str
+    unit: Unit
+    roles: tuple[Role, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class StreamAnnotation:
+    """What stream ``stream`` contains. ``source`` is the SSL text of this declaration."""
+
+    stream: str
+    contents: tuple[Content, ...]
+    source: str
+
+
+@dataclass(frozen=True, slots=True)
+class PortAnnotation:
+    """An input or output: the field, the feature (IRI) in it, and its unit."""
+
+    field: str
+    feature: str
+    unit: Unit
+
+
+@dataclass(frozen=True, slots=True)
+class SourceAnnotation:
+    """``source NAME provides field:feature``."""
+
+    name: str
+    output: PortAnnotation
+    source: str
+
+
+@dataclass(frozen=True, slots=True)
+class TransformationAnnotation:
+    """``compunit NAME transforms inputs to output``."""
+
+    name: str
+    inputs: tuple[PortAnnotation, ...]
+    output: PortAnnotation
+    source: str
+
+
+CheckedAnnotation: TypeAlias = StreamAnnotation | SourceAnnotation | TransformationAnnotation

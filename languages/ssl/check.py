@@ -1,0 +1,262 @@
+"""SSL declarations against the ontology: names become IRIs, units are compared ([Events14 §IV.A]).
+
+What the papers leave open is settled here. A name that the ontology knows as a sort is a sort;
+any other name is an object, known or new, unless `every` asks for a sort. A name is looked up in
+the stream's object namespace first and then among the domain terms (`dyknow:`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import assert_never
+
+from ...ontology.units import DIMENSIONLESS, Unit, UnitError, dimension, format_unit
+from ...ontology.vocabulary import Vocabulary
+from ...rdf.namespaces import DYKNOW
+from ..errors import LanguageError, Span
+from .annotation import (
+    CheckedAnnotation,
+    Content,
+    PortAnnotation,
+    Role,
+    SourceAnnotation,
+    StreamAnnotation,
+    TransformationAnnotation,
+)
+from .ast import (
+    Argument,
+    CompunitDeclaration,
+    Declaration,
+    Entity,
+    FeatureTerm,
+    FieldFeature,
+    SourceDeclaration,
+    StreamDeclaration,
+)
+
+
+def check_ssl(
+    declarations: Sequence[Declaration],
+    source: str,
+    vocabulary: Vocabulary,
+    namespace: str = DYKNOW,
+) -> tuple[CheckedAnnotation, ...]:
+    """What the declarations of `parse_ssl(source)` mean, one annotation each, in order.
+
+    ``namespace`` is where new objects live. Raises `LanguageError` at the first name, unit or
+    for-part that makes no sense; nothing is then declared.
+    """
+    checker = _Checker(source, vocabulary, namespace)
+    seen: set[tuple[type[Declaration], str]] = set()
+    for declaration in declarations:
+        key = (type(declaration), declaration.name)
+        if key in seen:
+            raise checker.error(
+                f"`{declaration.name}` is declared twice in this text",
+                declaration.span,
+                "one declaration says all that a stream contains",
+            )
+        seen.add(key)
+    return tuple(checker.declaration(declaration) for declaration in declarations)
+
+
+@dataclass(frozen=True, slots=True)
+class _Checker:
+    source: str
+    vocabulary: Vocabulary
+    namespace: str
+
+    def error(self, message: str, span: Span, hint: str = "") -> LanguageError:
+        return LanguageError(message, self.source, span, hint)
+
+    def declaration(self, declaration: Declaration) -> CheckedAnnotation:
+        text = self.source[declaration.span.start : declaration.span.end]
+        match declaration:
+            case StreamDeclaration():
+                return StreamAnnotation(declaration.name, self.contents(declaration), text)
+            case SourceDeclaration():
+                return SourceAnnotation(declaration.name, self.port(declaration.output), text)
+            case CompunitDeclaration():
+                inputs = tuple(self.port(port) for port in declaration.inputs)
+                output = self.port(declaration.output)
+                return TransformationAnnotation(declaration.name, inputs, output, text)
+            case _:
+                assert_never(declaration)
+
+    # -- streams ---------------------------------------------------------------------------
+
+    def contents(self, stream: StreamDeclaration) -> tuple[Content, ...]:
+        self.check_entities(stream)
+        contents: list[Content] = []
+        for term in stream.features:
+            span = Span(term.span.start, term.span.start + len(term.feature))
+            feature = self.feature(term.feature, span)
+            roles = self.roles(term, stream)
+            unit = self.unit(feature, term.feature, term.unit, term.unit_span)
+            if any(c.feature == feature and c.roles == roles for c in contents):
+                raise self.error(
+                    f"`{term.feature}` of the same object is declared twice",
+                    term.span,
+                    "name each feature of an object once; another object needs another argument",
+                )
+            contents.append(Content(feature, term.field, unit, roles))
+        return tuple(contents)
+
+    def check_entities(self, stream: StreamDeclaration) -> None:
+        """Each entity names something in the features, once, and fits with or without `every`."""
+        arguments = [argument for term in stream.features for argument in term.arguments]
+        seen: dict[str, Entity] = {}
+        for entity in stream.entities:
+            if entity.name in seen:
+                raise self.error(
+                    f"`{entity.name}` is named by two fields, "
+                    f"`{seen[entity.name].field}` and `{entity.field}`",
+                    entity.span,
+                    "one field names it; tell two of a sort apart: `(UAV as a, UAV as b)`",
+                )
+            seen[entity.name] = entity
+            named = [argument for argument in arguments if _is_named(argument, entity)]
+            if not named:
+                known = sorted({argument.alias or argument.name for argument in arguments})
+                raise self.error(
+                    f"`{entity.name}` is not in the stream's features",
+                    entity.span,
+                    f"the features speak of {', '.join(known)}"
+                    if known
+                    else "the features speak of nothing: leave the for-part out",
+                )
+            for argument in named:
+                self.check_entity(stream, entity, argument)
+
+    def check_entity(self, stream: StreamDeclaration, entity: Entity, argument: Argument) -> None:
+        sort = self.sort(argument.name)
+        if stream.every and sort is None:
+            known_object = any(
+                self.vocabulary.is_object(space + argument.name) for space in self.spaces()
+            )
+            near = self.vocabulary.suggest(argument.name, "sort")
+            if known_object or not near:
+                hint = f"write `for {entity.name} = {entity.field}` if it is an object"
+            else:
+                hint = f"did you mean {' or '.join(near)}?"
+            what = "an object" if known_object else "no sort of the ontology"
+            raise self.error(
+                f"`every` needs a sort, and `{argument.name}` is {what}", entity.span, hint
+            )
+        if not stream.every and sort is not None:
+            raise self.error(
+                f"`{argument.name}` is a sort, so one field value cannot be it",
+                entity.span,
+                f"write `for every {entity.name} = {entity.field}`",
+            )
+
+    def roles(self, term: FeatureTerm, stream: StreamDeclaration) -> tuple[Role, ...]:
+        roles: list[Role] = []
+        by_name: dict[str, Argument] = {}
+        by_field: dict[str, Argument] = {}
+        for argument in term.arguments:
+            name = argument.alias or argument.name
+            sort = self.sort(argument.name)
+            if name in by_name and (sort is not None or argument.alias is not None):
+                raise self.error(
+                    f"`{name}` occurs twice in `{term.feature}`, so it is not clear which is meant",
+                    argument.span,
+                    f"give each an alias: `({argument.name} as arg1, {argument.name} as arg2)`",
+                )
+            by_name[name] = argument
+            entity = next((e for e in stream.entities if _is_named(argument, e)), None)
+            if entity is not None:
+                if entity.field in by_field and by_field[entity.field].name != name:
+                    raise self.error(
+                        f"field `{entity.field}` names two arguments of `{term.feature}`",
+                        entity.span,
+                        "each argument needs a field of its own",
+                    )
+                by_field[entity.field] = argument
+            field = None if entity is None else entity.field
+            if sort is None:
+                roles.append(Role(None, self.object(argument), field))
+            elif field is None:
+                raise self.error(
+                    f"`{argument.name}` is a sort, and no field names the object",
+                    argument.span,
+                    f"write `for every {name} = id`, where id is the field that names the object",
+                )
+            else:
+                roles.append(Role(sort, None, field))
+        return tuple(roles)
+
+    # -- names -----------------------------------------------------------------------------
+
+    def spaces(self) -> tuple[str, ...]:
+        return (self.namespace,) if self.namespace == DYKNOW else (self.namespace, DYKNOW)
+
+    def sort(self, name: str) -> str | None:
+        iris = (space + name for space in self.spaces())
+        return next((iri for iri in iris if self.vocabulary.is_sort(iri)), None)
+
+    def object(self, argument: Argument) -> str:
+        """The IRI of an object: one that the ontology knows, else a new one."""
+        candidates = [space + argument.name for space in self.spaces()]
+        for iri in candidates:
+            if self.vocabulary.is_feature(iri) or self.vocabulary.is_event(iri):
+                kind = "a feature" if self.vocabulary.is_feature(iri) else "an event"
+                raise self.error(
+                    f"`{argument.name}` is {kind}, no sort or object",
+                    argument.span,
+                    "a feature speaks of objects: `speed(uav1)`, or of a sort: `speed(UAV)`",
+                )
+        known = (iri for iri in candidates if self.vocabulary.is_object(iri))
+        return next(known, candidates[0])
+
+    def feature(self, name: str, span: Span) -> str:
+        """The IRI of a feature, or of an event, whose stream carries the event's value."""
+        for iri in (space + name for space in self.spaces()):
+            if self.vocabulary.is_feature(iri) or self.vocabulary.is_event(iri):
+                return iri
+        near = self.vocabulary.suggest(name, "feature")
+        hint = (
+            f"did you mean {' or '.join(near)}?"
+            if near
+            else "declare it in the ontology as a :Feature first"
+        )
+        raise self.error(f"the ontology knows no feature `{name}`", span, hint)
+
+    # -- units and ports -------------------------------------------------------------------
+
+    def unit(self, feature: str, name: str, unit: Unit | None, span: Span | None) -> Unit:
+        """The unit written if it measures what the feature is; the feature's own if none is."""
+        info = self.vocabulary.feature(feature)
+        own = None if info is None else info.unit
+        if unit is None or span is None:
+            return own or ()
+        try:
+            written_dimension = dimension(unit)
+            own_dimension = DIMENSIONLESS if own is None else dimension(own)
+        except UnitError as error:
+            hint = f"`{name}` is in [{format_unit(own)}]" if own else f"`{name}` has no unit"
+            raise self.error(str(error), span, hint) from None
+        if written_dimension == own_dimension:
+            return unit
+        if not own:
+            raise self.error(
+                f"`{name}` has no unit in the ontology, so {format_unit(unit)} cannot be its unit",
+                span,
+                "leave the unit out, or give the feature a :hasUnit in the ontology",
+            )
+        raise self.error(
+            f"`{name}` measures {own_dimension}, but {format_unit(unit)} is {written_dimension}",
+            span,
+            f"`{name}` is in [{format_unit(own)}]: write it or another unit of {own_dimension}",
+        )
+
+    def port(self, port: FieldFeature) -> PortAnnotation:
+        feature = self.feature(port.feature, port.feature_span)
+        unit = self.unit(feature, port.feature, port.unit, port.unit_span)
+        return PortAnnotation(port.field, feature, unit)
+
+
+def _is_named(argument: Argument, entity: Entity) -> bool:
+    """An alias hides the name it stands for."""
+    return (argument.alias or argument.name) == entity.name

@@ -1,0 +1,132 @@
+"""Golden cases: ``tests/cases/<language>/*.case`` (title, input, ``----``, expected printout).
+
+``DYKNOW_REWRITE=1 pytest tests/languages/test_cases.py`` writes the printouts anew.
+"""
+
+import os
+from pathlib import Path
+
+import pytest
+from pyoxigraph import RdfFormat, parse
+
+from dyknow.languages.csparql import (
+    ContinuousQuery,
+    bind,
+    body_sparql,
+    format_query,
+    parse_event_request,
+    parse_query,
+    parse_template,
+)
+from dyknow.languages.errors import LanguageError
+from dyknow.languages.ssl import (
+    CheckedAnnotation,
+    StreamAnnotation,
+    TransformationAnnotation,
+    check_ssl,
+    format_declaration,
+    parse_ssl,
+)
+from dyknow.ontology.units import format_unit
+from dyknow.ontology.vocabulary import Vocabulary
+from dyknow.rdf.namespaces import PREFIXES, shorten
+
+CASES = Path(__file__).parent.parent / "cases"
+
+ONTOLOGY = """
+dyknow:Thing a owl:Class .
+dyknow:UAV a owl:Class ; rdfs:subClassOf dyknow:Thing .
+dyknow:RMAX a owl:Class ; rdfs:subClassOf dyknow:UAV , dyknow:Thing .
+dyknow:uav1 a dyknow:UAV , dyknow:Thing .
+dyknow:altitude a dyknow-o:Feature ; dyknow-o:hasUnit "ft" .
+dyknow:speed a dyknow-o:Feature ; dyknow-o:hasUnit "km.h-1" .
+dyknow:xydist a dyknow-o:Feature .
+dyknow:course a dyknow-o:Feature ; dyknow-o:hasUnit "deg" .
+dyknow:HighSpeedEvent a dyknow-o:Event .
+"""
+
+
+def vocabulary() -> Vocabulary:
+    prefixes = "".join(f"@prefix {name}: <{iri}> .\n" for name, iri in PREFIXES.items())
+    quads = parse(prefixes + ONTOLOGY, format=RdfFormat.TURTLE)
+    return Vocabulary.from_triples(quad.triple for quad in quads)
+
+
+def print_ssl(text: str) -> str:
+    declarations = parse_ssl(text)
+    annotations = check_ssl(declarations, text, vocabulary())
+    lines = []
+    for declaration, annotation in zip(declarations, annotations, strict=True):
+        lines += [format_declaration(declaration), *print_annotation(annotation)]
+    return "\n".join(lines)
+
+
+def print_annotation(annotation: CheckedAnnotation) -> list[str]:
+    if isinstance(annotation, StreamAnnotation):
+        return [
+            f"  {shorten(c.feature)} in {c.field} [{format_unit(c.unit)}] of "
+            + (", ".join(print_role(r.sort, r.object, r.id_field) for r in c.roles) or "nothing")
+            for c in annotation.contents
+        ]
+    ports = annotation.inputs if isinstance(annotation, TransformationAnnotation) else ()
+    named = [("input", port) for port in ports] + [("output", annotation.output)]
+    return [
+        f"  {kind} {shorten(port.feature)} in {port.field} [{format_unit(port.unit)}]"
+        for kind, port in named
+    ]
+
+
+def print_role(sort: str | None, object: str | None, id_field: str | None) -> str:
+    what = f"every {shorten(sort)}" if sort is not None else shorten(object or "")
+    return what if id_field is None else f"{what} named by {id_field}"
+
+
+def print_csparql(text: str) -> str:
+    """A query or template; after it, from ``==`` on, an event request whose arguments are bound."""
+    text, _, request = text.partition("==\n")
+    if text.lstrip().startswith("dyknow:"):
+        parsed = parse_event_request(text)
+        return "\n".join([shorten(parsed.event), *map(str, parsed.arguments)])
+    if "TEMPLATE" not in text:
+        return print_query(parse_query(text))
+    template = parse_template(text)
+    names = ", ".join(map(str, template.parameters))
+    query = template.query
+    if request:
+        arguments = zip(template.parameters, parse_event_request(request).arguments, strict=True)
+        query = bind(query, {p: a for p, a in arguments if str(a)[0] != "?"})
+    return f"{shorten(template.name)}({names})\n{print_query(query)}"
+
+
+def print_query(query: ContinuousQuery) -> str:
+    printed = format_query(query)
+    # What is printed can be read, and is printed the same again.
+    assert format_query(parse_query(printed)) == printed
+    return f"{printed}-> SPARQL\n{body_sparql(query)}".rstrip()
+
+
+PRINTERS = {"ssl": print_ssl, "csparql": print_csparql}
+
+
+@pytest.mark.parametrize(
+    "path",
+    sorted(CASES.glob("ssl/*.case")) + sorted(CASES.glob("csparql/*.case")),
+    ids=lambda path: f"{path.parent.name}-{path.stem}",
+)
+def test_case(path: Path) -> None:
+    title, _, rest = path.read_text(encoding="utf-8").partition("\n")
+    text, _, expected = rest.partition("----\n")
+    try:
+        printed = PRINTERS[path.parent.name](text.rstrip("\n"))
+    except LanguageError as error:
+        printed = f"error: {error.render()}"
+    printed = "\n".join(line.rstrip() for line in printed.splitlines())
+    if os.environ.get("DYKNOW_REWRITE") == "1":
+        path.write_text(f"{title}\n{text}----\n{printed}\n", encoding="utf-8")
+        return
+    assert printed == expected.rstrip("\n"), title
+
+
+def test_every_case_file_is_of_a_known_language() -> None:
+    assert list(CASES.glob("ssl/*.case"))
+    assert list(CASES.glob("csparql/*.case"))
