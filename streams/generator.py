@@ -105,16 +105,18 @@ class StreamGenerator:
         """Take a process's samples; returns how many were accepted (all of them).
 
         With ``now`` (ns) the samples are stamped with it on arrival; otherwise they bring their
-        own available times, in any order within the lateness. Raises `SampleError` when a stream
-        that is stamped on arrival is given available times before its last one: nothing is taken.
+        own available times, in any order within the lateness; what comes later than that, or
+        before a watermark, is counted as late and not used. Raises `SampleError`, taking nothing,
+        when stamping would pass the end of 64-bit time.
         """
         if not len(batch):
             return 0
-        self.stamped = now is not None
+        stamps = None if now is None else self._stamps(len(batch), now)
+        self.stamped = stamps is not None
         self.is_ended = False
         self.counters.accepted += len(batch)
-        if now is not None:
-            self._release(batch.with_available(self._stamps(len(batch), now)))
+        if stamps is not None:
+            self._release(batch.with_available(stamps))
             return len(batch)
         kept = self._admit(batch)
         if len(kept):
@@ -127,13 +129,14 @@ class StreamGenerator:
         """Promise that every later sample has available time ≥ ``watermark``.
 
         The clock does so for an idle stream that is stamped on arrival, a unit for its output.
-        A promise that says less than an earlier one changes nothing.
+        A promise that says less than an earlier one changes nothing. What is pending below the
+        watermark is released first: nothing can overtake it any more.
         """
         if self.watermark is not None and watermark <= self.watermark:
             return
-        self.watermark = watermark
-        for receiver in tuple(self._receivers):
-            receiver.advance(self, watermark)
+        if self._pending is not None:
+            self._release_first(int(np.searchsorted(self._pending.available, watermark, "left")))
+        self._announce(watermark)
 
     def end(self) -> None:
         """The stream has come to its end: what is pending is released, subscribers are told."""
@@ -152,6 +155,10 @@ class StreamGenerator:
         """``count`` available times from ``now`` on, unique and after every earlier one."""
         last = self.stream.last_available
         start = now if last is None else max(now, last + 1)
+        if self._pending is not None:
+            start = max(start, int(self._pending.available[-1]) + 1)
+        if self.watermark is not None:  # a clock that is set back breaks no promise
+            start = max(start, self.watermark)
         if start > TIME_MAX - count:
             raise SampleError("the stream's available times have reached the end of 64-bit time")
         return np.arange(start, start + count, dtype=np.int64)
@@ -190,15 +197,19 @@ class StreamGenerator:
 
     def _flush_until(self, due: int) -> None:
         """Release the pending samples with available time ≤ ``due``, then say so."""
-        pending = self._pending
-        if pending is not None and len(pending):
-            count = int(np.searchsorted(pending.available, due, "right"))
-            self._pending = pending.take(slice(count, None)) if count < len(pending) else None
-            self.counters.pending = 0 if self._pending is None else len(self._pending)
-            if count:
-                self._release(pending.take(slice(0, count)))
+        if self._pending is not None:
+            self._release_first(int(np.searchsorted(self._pending.available, due, "right")))
         if due != TIME_MAX:
-            self.advance(due)
+            self._announce(due)
+
+    def _release_first(self, count: int) -> None:
+        """Release the first ``count`` pending samples."""
+        pending = self._pending
+        assert pending is not None
+        self._pending = pending.take(slice(count, None)) if count < len(pending) else None
+        self.counters.pending = len(pending) - count
+        if count:
+            self._release(pending.take(slice(0, count)))
 
     def _release(self, batch: SampleBatch) -> None:
         self.stream.append(batch)
@@ -210,7 +221,14 @@ class StreamGenerator:
         )
         for receiver in tuple(self._receivers):
             receiver.receive(self, batch)
-        self.advance(int(batch.available[-1]))
+        self._announce(int(batch.available[-1]))
+
+    def _announce(self, watermark: int) -> None:
+        """Tell the subscribers of a watermark that says more than the last one."""
+        if self.watermark is None or watermark > self.watermark:
+            self.watermark = watermark
+            for receiver in tuple(self._receivers):
+                receiver.advance(self, watermark)
 
 
 def _in_order(batch: SampleBatch) -> SampleBatch:

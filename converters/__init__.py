@@ -1,0 +1,20 @@
+"""Converters: samples <-> timed triples by annotation ([Events14 §V.A]), samples <-> bytes.
+
+Conversion is renaming and masking of columns; a Python object per sample appears only where a
+wire format makes one. docs/conversion.md shows every form by example.
+"""
+
+from .errors import ConversionError, WireError
+from .to_samples import ResultConverter, TripleConverter, result_schema
+from .to_triples import SampleConverter
+from .wire import Incoming
+
+__all__ = [
+    "ConversionError",
+    "Incoming",
+    "ResultConverter",
+    "SampleConverter",
+    "TripleConverter",
+    "WireError",
+    "result_schema",
+]

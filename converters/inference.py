@@ -1,0 +1,159 @@
+"""What the columns of a table hold, when nobody declared it: types of fields, units of time.
+
+Used for recordings only; what is published to a stream is checked against its schema instead.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from decimal import Decimal, InvalidOperation
+from typing import Final
+
+from ..streams.sample import FieldType
+from ..streams.time import MICROSECOND, MILLISECOND, NANOSECOND, SECOND, TIME_MAX, TIME_MIN
+from .errors import WireError
+from .wire import time_of
+
+TIME_NAMES: Final = ("valid", "timestamp", "time", "t")
+TIME_UNITS: Final = {"s": SECOND, "ms": MILLISECOND, "us": MICROSECOND, "ns": NANOSECOND}
+
+_INTEGER = re.compile(r"[+-]?(?:0|[1-9]\d{0,17})", re.ASCII).fullmatch
+# A bare exponent (4841e3) is no number here: hexadecimal addresses look like that.
+_FLOAT = re.compile(
+    r"[+-]?(?:(?:(?:0|[1-9]\d*)\.\d*|\.\d+)(?:[eE][+-]?\d+)?|(?:0|[1-9]\d{0,17})(?:[eE][+-]\d+)?)",
+    re.ASCII,
+).fullmatch
+_NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII).fullmatch
+TRUTH: Final = {
+    "true": True,
+    "True": True,
+    "TRUE": True,
+    "false": False,
+    "False": False,
+    "FALSE": False,
+}
+_NAMES_OBJECTS = re.compile(
+    r"(?:.*[_\-. ])?(?:id|uid|uuid|icao|icao24|hex|mmsi|imo|callsign|registration|squawk)"
+    r"|.*[a-z]I[dD]"
+).fullmatch
+
+
+class TextColumnType:
+    """The narrowest type that holds every non-empty cell seen: integer, float, boolean, else text.
+
+    A column named like an identifier is text whatever its cells look like, and so are numbers with
+    leading zeros or more digits than 64 bits hold.
+    """
+
+    def __init__(self, name: str) -> None:
+        text = _NAMES_OBJECTS(name.lower()) or _NAMES_OBJECTS(name)
+        self._may_be = set() if text else {FieldType.INTEGER, FieldType.FLOAT, FieldType.BOOLEAN}
+        self._seen = False
+
+    def observe(self, cells: Iterable[str]) -> None:
+        """Narrow by more cells of the column."""
+        if not self._may_be:
+            return
+        distinct = set(cells)
+        distinct.discard("")
+        if not distinct:
+            return
+        self._seen = True
+        tests = (
+            (FieldType.INTEGER, _INTEGER),
+            (FieldType.FLOAT, _FLOAT),
+            (FieldType.BOOLEAN, TRUTH.get),
+        )
+        for type, test in tests:
+            if type in self._may_be and not all(test(cell) is not None for cell in distinct):
+                self._may_be.discard(type)
+
+    @property
+    def type(self) -> FieldType:
+        if self._seen:
+            for type in (FieldType.INTEGER, FieldType.FLOAT, FieldType.BOOLEAN):
+                if type in self._may_be:
+                    return type
+        return FieldType.STRING
+
+
+def time_column(names: Sequence[str], wanted: str | None) -> str:
+    """The column that holds the valid time: the one named by the caller, else by custom."""
+    if wanted is not None:
+        if wanted not in names:
+            raise WireError(
+                None, f"there is no column {wanted!r}", f"the columns are {', '.join(names)}"
+            )
+        return wanted
+    lowered = {name.lower(): name for name in reversed(names)}
+    for name in TIME_NAMES:
+        if name in lowered:
+            return lowered[name]
+    raise WireError(
+        None,
+        f"no column is called {', '.join(TIME_NAMES[:-1])} or {TIME_NAMES[-1]}",
+        f"name the time column; the columns are {', '.join(names)}",
+    )
+
+
+class TimeReader:
+    """Reads a table's times: numbers in one unit since 1970, or ISO-8601 texts.
+
+    `observe` every time first: the unit, if it is not given, is the one that the greatest number
+    makes sense in (years 1973 to 5138 as s; larger as ms, us, ns).
+    """
+
+    def __init__(self, unit: str | None) -> None:
+        if unit is not None and unit not in TIME_UNITS:
+            raise WireError(None, f"unknown time unit {unit!r}", f"use {', '.join(TIME_UNITS)}")
+        self._unit = unit
+        self._greatest = 0.0
+
+    def observe(self, times: Iterable[object]) -> None:
+        for time in times:
+            if isinstance(time, str):
+                if not _NUMBER(time):
+                    continue
+            elif isinstance(time, bool) or not isinstance(time, int | float):
+                continue
+            self._greatest = max(self._greatest, abs(float(time)))
+
+    @property
+    def unit(self) -> str:
+        """``s``, ``ms``, ``us`` or ``ns``."""
+        if self._unit is not None:
+            return self._unit
+        for unit, limit in (("s", 1e11), ("ms", 1e14), ("us", 1e17)):
+            if self._greatest < limit:
+                return unit
+        return "ns"
+
+    def read(self, times: Sequence[object], lines: Sequence[int], key: str) -> list[int]:
+        """Times in ns; raises `WireError` with the line for what is none."""
+        scale = TIME_UNITS[self.unit]
+        return [self._one(time, scale, line, key) for time, line in zip(times, lines, strict=True)]
+
+    def _one(self, time: object, scale: int, line: int, key: str) -> int:
+        if isinstance(time, str) and not _NUMBER(time):
+            return time_of(time, key, line)
+        if time is None or isinstance(time, bool) or not isinstance(time, str | int | float):
+            raise WireError(line, f"{key!r} is a time, got {time!r}")
+        try:
+            found = int(time) * scale
+        except ValueError:
+            found = _decimal_time(str(time), scale, line, key)
+        else:
+            if isinstance(time, float):
+                found = _decimal_time(repr(time), scale, line, key)
+        if not TIME_MIN <= found <= TIME_MAX:
+            raise WireError(line, f"{key!r}: {time} is outside signed 64-bit nanoseconds")
+        return found
+
+
+def _decimal_time(text: str, scale: int, line: int, key: str) -> int:
+    """A fraction of the unit, rounded to the nanosecond."""
+    try:
+        return round(Decimal(text) * scale)
+    except (InvalidOperation, OverflowError, ValueError):
+        raise WireError(line, f"{key!r} is a time, got {text}") from None

@@ -1,0 +1,122 @@
+"""Names of objects: a value of an id field <-> an IRI ([Events14 §V.A], SPEC §4).
+
+Laws: ``object_iri(object_name(iri)) == iri`` for every IRI; ``object_name(object_iri(name))``
+names the same object as ``name``, in its shortest spelling.
+"""
+
+from __future__ import annotations
+
+import re
+from urllib.parse import unquote
+
+import numpy as np
+from numpy.typing import NDArray
+from pyoxigraph import NamedNode
+
+from ..rdf.dictionary import NO_TERM, Ids, TermDictionary
+from ..rdf.namespaces import PREFIXES
+from ..streams.sample import Column, Mask
+from ..streams.strings import StringPool
+
+_SCHEME = re.compile(r"[A-Za-z][A-Za-z0-9+.\-]*:")
+# RFC 3987: what a path may hold beside letters and digits of any script. "%" is encoded so that
+# decoding is its inverse; "#" and "?" so that a name stays within its namespace.
+_KEPT = frozenset("-._~!$&'()*+,;=:@/")
+
+
+def object_iri(name: str, namespace: str) -> str:
+    """The IRI of the object called ``name``.
+
+    A name with a shared prefix (``dyknow:uav1``) is expanded, an absolute IRI is itself, any other
+    text becomes an IRI in ``namespace``, percent-encoded where an IRI may not hold a character.
+    """
+    if _SCHEME.match(name):
+        prefix, _, local = name.partition(":")
+        iri = PREFIXES[prefix] + local if prefix in PREFIXES else name
+        if _is_iri(iri):
+            return iri
+    return namespace + "".join(c if _may_stand(c) else _encoded(c) for c in name)
+
+
+def object_name(iri: str, namespace: str) -> str:
+    """The shortest name that `object_iri` takes to ``iri``: local in ``namespace``, else full."""
+    if iri.startswith(namespace):
+        try:
+            name = unquote(iri.removeprefix(namespace), errors="strict")
+        except UnicodeDecodeError:
+            return iri
+        if object_iri(name, namespace) == iri:
+            return name
+    return iri
+
+
+def local_name(iri: str) -> str:
+    """What follows the last ``#``, ``/`` or ``:``: the field that a predicate's objects go to."""
+    return re.split(r"[#/:]", iri.rstrip("#/:"))[-1] or iri
+
+
+class ObjectTable:
+    """Term ids of the objects that a field names; for text a table that follows the field's pool.
+
+    Cost: one gather a batch, and once per distinct name an IRI. Memory: 4 bytes a distinct name.
+    """
+
+    def __init__(self, dictionary: TermDictionary, namespace: str) -> None:
+        self._dictionary = dictionary
+        self._namespace = namespace
+        self._pool: StringPool | None = None
+        self._ids: Ids = np.empty(0, np.int32)
+
+    def ids(self, column: Column) -> tuple[Ids, Mask]:
+        """The term ids that a text or integer field names, and where it names one; ``(n,)``."""
+        values = column.values
+        if column.null is not None:  # what stands under a null bit means nothing
+            values = np.where(column.null, values.dtype.type(0), values)
+        if column.pool is None:
+            return self.of_integers(values), column.present
+        return self.of_codes(values, column.pool), column.present
+
+    def of_codes(self, codes: NDArray[np.int32], pool: StringPool) -> Ids:
+        """The term ids of the names with these codes, shape ``(n,)``."""
+        if pool is not self._pool:
+            self._pool, self._ids = pool, np.empty(0, np.int32)
+        if len(pool) > len(self._ids):
+            new = [self.of_name(name) for name in pool.strings(len(self._ids))]
+            self._ids = np.concatenate((self._ids, np.array(new, np.int32)))
+        if not len(pool):  # no text has been seen: every row is null
+            return np.full(len(codes), NO_TERM, np.int32)
+        return self._ids[codes]
+
+    def of_integers(self, values: NDArray[np.int64]) -> Ids:
+        """The term ids of objects that are called by integers, shape ``(n,)``."""
+        distinct, inverse = np.unique(values, return_inverse=True)
+        ids = np.array([self.of_name(str(value)) for value in distinct.tolist()], np.int32)
+        return ids[inverse]
+
+    def of_name(self, name: str) -> int:
+        """The term id of the object called ``name``."""
+        return self._dictionary.id(NamedNode(object_iri(name, self._namespace)))
+
+
+def _is_iri(text: str) -> bool:
+    try:
+        NamedNode(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _may_stand(character: str) -> bool:
+    if character.isascii():
+        return character.isalnum() or character in _KEPT
+    code = ord(character)
+    return (
+        0xA0 <= code <= 0xD7FF
+        or 0xF900 <= code <= 0xFDCF
+        or 0xFDF0 <= code <= 0xFFEF
+        or (0x10000 <= code <= 0xDFFFD and code & 0xFFFF <= 0xFFFD)
+    )
+
+
+def _encoded(character: str) -> str:
+    return "".join(f"%{byte:02X}" for byte in character.encode())

@@ -1,0 +1,508 @@
+"""Timed triples and results of queries -> samples ([Events14 §V.A], SPEC §4).
+
+`TripleConverter` is the way back for an annotated stream; `ResultConverter` makes the output stream
+of a continuous query: subject -> field ``id``, object -> a field named after the predicate, and a
+SELECT table column by column.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Final, Protocol
+
+import numpy as np
+from pyoxigraph import NamedNode
+
+from ..languages.ssl.annotation import Content, StreamAnnotation
+from ..ontology.units import Conversion, Unit
+from ..ontology.vocabulary import Vocabulary
+from ..rdf.dictionary import NO_TERM, Ids, TermDictionary
+from ..rdf.namespaces import DYKNOW, RDF
+from ..rdf.timed import Kind, ObjectColumn, TimedTriples, TripleRows
+from ..streams.sample import (
+    Column,
+    Field,
+    FieldType,
+    Mask,
+    SampleBatch,
+    Schema,
+    Times,
+    concatenate,
+    empty_batch,
+)
+from ..streams.strings import StringPool
+from .errors import ConversionError
+from .objects import local_name
+from .to_triples import VALUE, edge_conversion, field_of, stream_iri
+from .values import field_column, field_type
+
+ID: Final = "id"
+ANSWER: Final = "answer"
+
+
+class TripleConverter:
+    """The inverse of `SampleConverter` for the same annotation: triples of one τ are one sample.
+
+    Subject -> id field, object -> field, in names as `objects.object_name` writes them; τ becomes
+    the available time, the valid time is kept. What comes back, exactly: every sample that gave a
+    triple, with the fields that gave one and the id fields of these; other fields are no_value. A
+    sample that gave no triple does not come back. ``units`` as given to `SampleConverter` converts
+    back (to float64's rounding).
+
+    Triples that the annotation does not speak of are left out. Raises `ConversionError` at once for
+    an annotation whose triples cannot be told apart (one feature twice of objects that may be the
+    same), and in `convert` when triples of one τ contradict each other.
+
+    Cost: numpy per column, a name per distinct new object.
+    """
+
+    def __init__(
+        self,
+        annotation: StreamAnnotation,
+        schema: Schema,
+        pools: dict[str, StringPool],
+        *,
+        namespace: str = DYKNOW,
+        units: Mapping[str, Unit] | None = None,
+    ) -> None:
+        self._schema = schema
+        self._pools = pools
+        self._namespace = namespace
+        self._contents = annotation.contents
+        self._stream = stream_iri(annotation, namespace)
+        self._conversions: list[Conversion | None] = []
+        for position, content in enumerate(annotation.contents):
+            field_of(schema, content.field, annotation)
+            for role in content.roles:
+                if role.id_field is not None:
+                    field_of(schema, role.id_field, annotation)
+            for other in annotation.contents[:position]:
+                _check_apart(content, other)
+            forth = edge_conversion(content, units)
+            self._conversions.append(None if forth.is_identity else _inverse(forth))
+        for field in schema.fields:
+            if field.type is FieldType.STRING:
+                pools.setdefault(field.name, StringPool())
+
+    def convert(self, triples: TimedTriples) -> SampleBatch:
+        """The samples that the triples stand for, by available time."""
+        parts: list[_Part] = []
+        for content, back in zip(self._contents, self._conversions, strict=True):
+            if len(content.roles) > 1:
+                parts.extend(self._nary(content, back, triples))
+            else:
+                parts.extend(self._unary(content, back, triples))
+        if not parts:
+            return empty_batch(self._schema, self._pools)
+        available = np.unique(np.concatenate([part.time for part in parts]))
+        building = _Building(self._schema, available)
+        for part in parts:
+            building.put(part, self._pools, triples.dictionary, self._namespace)
+        return building.batch(self._pools)
+
+    def _unary(
+        self, content: Content, back: Conversion | None, triples: TimedTriples
+    ) -> Iterable[_Part]:
+        role = content.roles[0] if content.roles else None
+        constant = self._stream if role is None else role.object
+        for table, objects in _tables_of(triples, content.feature):
+            chosen = objects.present
+            if constant is not None:
+                chosen = chosen & (table.subject == _find(triples, constant))
+            rows = np.flatnonzero(chosen)
+            if len(rows):
+                yield _Part(table, rows, content.field, objects.take(rows), back)
+                if role is not None and role.id_field is not None:
+                    yield _Part(table, rows, role.id_field, _terms(table.subject[rows]))
+
+    def _nary(
+        self, content: Content, back: Conversion | None, triples: TimedTriples
+    ) -> Iterable[_Part]:
+        links = [column.take(column.present) for _, column in _tables_of(triples, content.feature)]
+        nodes = [column.values for column in links if column.kind is Kind.TERM]
+        if not nodes:
+            return
+        known = np.unique(np.concatenate(nodes))
+        fields = [(VALUE, content.field, back)]
+        fields.extend(
+            (f"{RDF}_{number}", role.id_field, None)
+            for number, role in enumerate(content.roles, 1)
+            if role.id_field is not None
+        )
+        for predicate, field, change in fields:
+            for table, objects in _tables_of(triples, predicate):
+                rows = np.flatnonzero(objects.present & np.isin(table.subject, known))
+                if len(rows):
+                    yield _Part(table, rows, field, objects.take(rows), change)
+
+
+class Solved(Protocol):
+    """A SELECT table, as `continuous` makes it."""
+
+    @property
+    def variables(self) -> tuple[str, ...]: ...
+    @property
+    def columns(self) -> Mapping[str, ObjectColumn]: ...
+    @property
+    def dictionary(self) -> TermDictionary: ...
+    def __len__(self) -> int: ...
+
+
+class Result(Protocol):
+    """What a window gave: one of a table, triples, or an answer to ASK."""
+
+    @property
+    def end(self) -> int: ...
+    @property
+    def solutions(self) -> Solved | None: ...
+    @property
+    def triples(self) -> TimedTriples | None: ...
+    @property
+    def answer(self) -> bool | None: ...
+
+
+def result_schema(
+    *,
+    predicates: Sequence[str] = (),
+    variables: Sequence[str] = (),
+    ranges: Mapping[str, str | None] | None = None,
+    kinds: Mapping[str, Kind] | None = None,
+    vocabulary: Vocabulary | None = None,
+    ask: bool = False,
+) -> Schema:
+    """The fields of a query's output stream, which must be known before its first result.
+
+    CONSTRUCT: ``id`` and a field for each of ``predicates`` (IRIs of the head). SELECT: a field for
+    each of ``variables``. ASK: ``answer``. A field's type comes from ``kinds`` (predicate or
+    variable -> kind of its column, where the query's plan knows it), else from the range: that of
+    the predicate in the vocabulary, or ``ranges``; else it is text.
+    """
+    if ask:
+        return Schema((Field(ANSWER, FieldType.BOOLEAN),))
+    ranges, kinds = ranges or {}, kinds or {}
+    if not predicates:
+        return Schema(tuple(Field(v, field_type(ranges.get(v), kinds.get(v))) for v in variables))
+    fields = [Field(ID, FieldType.STRING)]
+    for predicate, name in field_names(predicates).items():
+        info = None if vocabulary is None else vocabulary.feature(predicate)
+        range = ranges.get(predicate, None if info is None else info.range)
+        fields.append(Field(name, field_type(range, kinds.get(predicate))))
+    return Schema(tuple(fields))
+
+
+def field_names(predicates: Iterable[str]) -> dict[str, str]:
+    """The field of each predicate: its local name, numbered from the second of the same name."""
+    names: dict[str, str] = {}
+    taken = {ID, "available", "valid"}
+    for predicate in dict.fromkeys(predicates):
+        name = base = local_name(predicate)
+        number = 1
+        while name in taken:
+            number += 1
+            name = f"{base}_{number}"
+        taken.add(name)
+        names[predicate] = name
+    return names
+
+
+class ResultConverter:
+    """Results of a continuous query -> samples of its output stream.
+
+    Valid time is the window's end; available times count up from the one that the caller gives.
+    CONSTRUCT: a wide row is a solution and becomes a sample (``id``, then a field a predicate);
+    triples that come in several tables are joined by subject where no field would get two values.
+    SELECT: a row is a sample. IRIs in ``namespace`` are written as their local name.
+
+    Samples are ordered by the schema's fields, first to last (no_value first, text by code point),
+    so that the output does not depend on the evaluator; ``keep_order`` keeps ORDER BY's.
+
+    Raises `ConversionError` for an object that its field cannot hold and for a predicate that
+    ``predicates`` did not name. Cost: numpy per column; new texts are sorted when they appear.
+    """
+
+    def __init__(
+        self,
+        schema: Schema,
+        pools: dict[str, StringPool],
+        namespace: str = DYKNOW,
+        *,
+        predicates: Sequence[str] = (),
+        keep_order: bool = False,
+    ) -> None:
+        self.schema = schema
+        self._pools = pools
+        self._namespace = namespace
+        self._fields = field_names(predicates)
+        self._keep_order = keep_order
+        self._ranks: dict[str, Ids] = {}
+        for field in schema.fields:
+            if field.type is FieldType.STRING:
+                pools.setdefault(field.name, StringPool())
+
+    def convert(self, result: Result, available_from: int) -> SampleBatch:
+        """The samples of a window's result."""
+        if result.triples is not None:
+            return self.triples(result.triples, result.end, available_from)
+        solved = result.solutions
+        if solved is not None:
+            return self.table(
+                solved.variables,
+                solved.columns,
+                solved.dictionary,
+                result.end,
+                available_from,
+                len(solved),
+            )
+        answer = np.array([bool(result.answer)], np.bool_)
+        return self._stamped(
+            {ANSWER: Column(FieldType.BOOLEAN, answer)}, 1, result.end, available_from
+        )
+
+    def table(
+        self,
+        variables: Sequence[str],
+        columns: Mapping[str, ObjectColumn],
+        dictionary: TermDictionary,
+        valid: int,
+        available_from: int,
+        length: int | None = None,
+    ) -> SampleBatch:
+        """Samples from the columns of a SELECT table; unbound is no_value."""
+        if length is None:
+            length = len(next(iter(columns.values()))) if columns else 0
+        unknown = [name for name in variables if self.schema.get(name) is None]
+        if unknown:
+            raise ConversionError(f"the output stream has no field {unknown[0]!r}")
+        found = {
+            field.name: self._field(field, columns[field.name], dictionary)
+            if field.name in columns
+            else _nothing(field, length, self._pools)
+            for field in self.schema.fields
+        }
+        return self._stamped(found, length, valid, available_from)
+
+    def triples(self, triples: TimedTriples, valid: int, available_from: int) -> SampleBatch:
+        """Samples from the triples of a CONSTRUCT head."""
+        tables = [table for table in triples.tables if len(table) and table.objects]
+        batches = [self._rows(table, triples.dictionary) for table in tables]
+        if not batches:
+            return empty_batch(self.schema, self._pools)
+        batch = concatenate(batches)
+        if len(batches) > 1:
+            batch = _join_subjects(batch)
+        return self._stamped(batch.columns, len(batch), valid, available_from)
+
+    def _rows(self, table: TripleRows, dictionary: TermDictionary) -> SampleBatch:
+        found: dict[str, ObjectColumn] = {ID: _terms(table.subject)}
+        for predicate, objects in table.objects.items():
+            term = dictionary.term(predicate)
+            assert isinstance(term, NamedNode)
+            name = self._fields.get(term.value)
+            if name is None:
+                raise ConversionError(
+                    f"the output stream has no field for <{term.value}>",
+                    hint="name the predicate in the query's head",
+                )
+            found[name] = objects
+        columns = {
+            field.name: self._field(field, found[field.name], dictionary)
+            if field.name in found
+            else _nothing(field, len(table), self._pools)
+            for field in self.schema.fields
+        }
+        return SampleBatch(table.time, table.valid, columns)
+
+    def _field(self, field: Field, objects: ObjectColumn, dictionary: TermDictionary) -> Column:
+        pool = self._pools.get(field.name)
+        return field_column(field, objects, dictionary, pool, self._namespace)
+
+    def _stamped(
+        self, columns: Mapping[str, Column], length: int, valid: int, available_from: int
+    ) -> SampleBatch:
+        available = np.arange(available_from, available_from + length, dtype=np.int64)
+        batch = SampleBatch(available, np.full(length, valid, np.int64), columns)
+        if self._keep_order or length < 2:
+            return batch
+        keys = [key for field in self.schema.fields for key in self._keys(field, columns)]
+        order = np.lexsort(keys[::-1])
+        return batch.take(order).with_available(available)
+
+    def _keys(self, field: Field, columns: Mapping[str, Column]) -> list[np.ndarray]:
+        """What to order a field by: presence, then value."""
+        column = columns[field.name]
+        values = column.values
+        if column.pool is not None and len(column.pool):
+            values = self._rank(field.name, column.pool)[values]
+        if column.null is None:
+            return [values]
+        return [column.present, np.where(column.null, values.dtype.type(0), values)]
+
+    def _rank(self, name: str, pool: StringPool) -> Ids:
+        """The place of each code in the order of texts; made anew when texts were added."""
+        ranks = self._ranks.get(name)
+        if ranks is None or len(ranks) != len(pool):
+            texts = pool.strings()
+            order = np.array(sorted(range(len(texts)), key=texts.__getitem__), np.int64)
+            ranks = np.empty(len(texts), np.int32)
+            ranks[order] = np.arange(len(texts), dtype=np.int32)
+            self._ranks[name] = ranks
+        return ranks
+
+
+class _Part:
+    """Values of one field at some rows of a table."""
+
+    __slots__ = ("back", "field", "objects", "time", "valid")
+
+    def __init__(
+        self,
+        table: TripleRows,
+        rows: np.ndarray,
+        field: str,
+        objects: ObjectColumn,
+        back: Conversion | None = None,
+    ) -> None:
+        self.time: Times = table.time[rows]
+        self.valid: Times = table.valid[rows]
+        self.field = field
+        self.objects = objects
+        self.back = back
+
+
+class _Building:
+    """Samples being put together, one row an available time."""
+
+    def __init__(self, schema: Schema, available: Times) -> None:
+        count = len(available)
+        self._schema = schema
+        self._available = available
+        self._valid = np.zeros(count, np.int64)
+        self._begun = np.zeros(count, np.bool_)
+        self._values = {f.name: np.zeros(count, f.type.dtype) for f in schema.fields}
+        self._there = {f.name: np.zeros(count, np.bool_) for f in schema.fields}
+
+    def put(
+        self,
+        part: _Part,
+        pools: Mapping[str, StringPool],
+        dictionary: TermDictionary,
+        namespace: str,
+    ) -> None:
+        """Add a part; raises `ConversionError` if it contradicts what is there."""
+        field = self._schema.get(part.field)
+        assert field is not None
+        objects = part.objects
+        if part.back is not None:
+            # Numbers that stayed terms (such as "1.0") are read before they are converted.
+            numbers = Field(field.name, FieldType.FLOAT)
+            read = field_column(numbers, objects, dictionary, None, namespace)
+            values = part.back.apply(read.values)
+            if field.type is FieldType.INTEGER:
+                # What was an integer before its unit changed is one again but for rounding.
+                whole = np.rint(values)
+                values = np.where(np.isclose(values, whole, rtol=1e-12, atol=1e-9), whole, values)
+            objects = ObjectColumn(Kind.DOUBLE, values, read.null)
+        column = field_column(field, objects, dictionary, pools.get(field.name), namespace)
+        rows = np.searchsorted(self._available, part.time)
+        self._set(self._valid, self._begun, rows, part.valid, "valid", np.ones(len(rows), np.bool_))
+        self._set(
+            self._values[field.name],
+            self._there[field.name],
+            rows,
+            column.values,
+            field.name,
+            column.present,
+        )
+
+    def _set(
+        self,
+        into: np.ndarray,
+        there: Mask,
+        rows: np.ndarray,
+        values: np.ndarray,
+        name: str,
+        present: Mask,
+    ) -> None:
+        rows, values = rows[present], values[present]
+        before = there[rows] & (into[rows] != values)
+        into[rows] = values
+        there[rows] = True
+        # Of two values for one row the later stands there now: the earlier no longer agrees.
+        differs = before | (into[rows] != values)
+        if differs.any():
+            time = int(self._available[rows[int(np.argmax(differs))]])
+            raise ConversionError(
+                f"triples at τ = {time} give {name!r} two values",
+                field=name,
+                hint="available times are unique within a stream: these are triples of several",
+            )
+
+    def batch(self, pools: Mapping[str, StringPool]) -> SampleBatch:
+        columns = {}
+        for field in self._schema.fields:
+            there = self._there[field.name]
+            null = None if there.all() else ~there
+            pool = pools[field.name] if field.type is FieldType.STRING else None
+            columns[field.name] = Column(field.type, self._values[field.name], null, pool)
+        return SampleBatch(self._available, self._valid, columns)
+
+
+def _join_subjects(batch: SampleBatch) -> SampleBatch:
+    """Rows of the same subject made one, for the subjects where no field has two values."""
+    subjects = batch.columns[ID]
+    _, first, group = np.unique(subjects.values, return_index=True, return_inverse=True)
+    joined = np.ones(len(first), np.bool_)
+    fields = {name: column for name, column in batch.columns.items() if name != ID}
+    for column in fields.values():
+        joined &= np.bincount(group[column.present], minlength=len(first)) <= 1
+    target = np.where(joined[group], first[group], np.arange(len(batch)))
+    columns: dict[str, Column] = {ID: subjects}
+    for name, column in fields.items():
+        present = column.present
+        values, there = np.zeros_like(column.values), np.zeros(len(batch), np.bool_)
+        values[target[present]] = column.values[present]
+        there[target[present]] = True
+        columns[name] = Column(column.type, values, None if there.all() else ~there, column.pool)
+    return SampleBatch(batch.available, batch.valid, columns).take(np.unique(target))
+
+
+def _check_apart(one: Content, other: Content) -> None:
+    """Refuse two contents whose triples could be of either."""
+    if one.feature != other.feature or (one.field, one.roles) == (other.field, other.roles):
+        return
+    several = len(one.roles) > 1 or len(other.roles) > 1
+    objects = [c.roles[0].object if c.roles else None for c in (one, other)]
+    if several or None in objects or (objects[0] == objects[1] and one.field != other.field):
+        raise ConversionError(
+            f"fields {other.field!r} and {one.field!r} are the same feature of objects that may be "
+            "the same: their triples cannot be told apart",
+            field=one.field,
+        )
+
+
+def _inverse(forth: Conversion) -> Conversion:
+    return Conversion(1.0 / forth.factor, -forth.offset / forth.factor)
+
+
+def _tables_of(triples: TimedTriples, predicate: str) -> Iterable[tuple[TripleRows, ObjectColumn]]:
+    id = _find(triples, predicate)
+    if id == NO_TERM:
+        return
+    for table in triples.tables:
+        objects = table.objects.get(id)
+        if objects is not None:
+            yield table, objects
+
+
+def _find(triples: TimedTriples, iri: str) -> int:
+    return triples.dictionary.find(NamedNode(iri))
+
+
+def _terms(ids: Ids) -> ObjectColumn:
+    return ObjectColumn(Kind.TERM, ids)
+
+
+def _nothing(field: Field, length: int, pools: Mapping[str, StringPool]) -> Column:
+    """A column without any value."""
+    pool = pools[field.name] if field.type is FieldType.STRING else None
+    return Column(field.type, np.zeros(length, field.type.dtype), np.ones(length, np.bool_), pool)

@@ -1,0 +1,288 @@
+"""Samples -> timed triples by a stream's SSL annotation ([Events14 §V.A], SPEC §4).
+
+The annotation is compiled once to a plan of columns; converting a batch renames, masks and looks
+up columns. docs/conversion.md shows the triples of s1-s7.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from pyoxigraph import NamedNode
+
+from ..languages.ssl.annotation import Content, Role, StreamAnnotation
+from ..ontology.units import Conversion, Unit, UnitError, conversion
+from ..ontology.vocabulary import Vocabulary
+from ..rdf.dictionary import Ids, TermDictionary
+from ..rdf.namespaces import DYKNOW, RDF
+from ..rdf.timed import Kind, ObjectColumn, TimedTriples, TripleRows
+from ..streams.sample import Field, FieldType, Mask, SampleBatch, Schema
+from ..streams.time import format_time
+from .errors import ConversionError
+from .objects import ObjectTable, local_name, object_iri
+from .values import ToObjects, object_column
+
+VALUE: Final = RDF + "value"
+IDENTITY: Final = Conversion(1.0, 0.0)
+
+
+class SampleConverter:
+    """Compiled from an annotation: `convert` maps batches of the stream to timed triples.
+
+    Meaning: per feature whose condition holds ``(object, feature, value)`` at τ = available time,
+    the valid time beside it. No object or no value: no triple. Features that share subject and
+    condition share one table of wide rows, in the samples' order; rows without any triple are left
+    out. ``features`` (IRIs) keeps only these, ``units`` gives a feature (IRI) another unit than the
+    stream's. Objects named by an id field lie in ``namespace`` unless they are IRIs.
+
+    Law (tests/laws): `TripleConverter` of the same annotation gives the samples back.
+
+    Raises `ConversionError` at once when the annotation does not fit the schema or the ontology's
+    ranges, and in `convert`, naming the row, when a value is no object of its feature.
+
+    Cost: numpy per column, a dict look-up per distinct new name or text; n-ary features make one
+    IRI per sample. Memory: 4 bytes a distinct name of each id field.
+    """
+
+    def __init__(
+        self,
+        annotation: StreamAnnotation,
+        schema: Schema,
+        vocabulary: Vocabulary,
+        dictionary: TermDictionary,
+        *,
+        namespace: str = DYKNOW,
+        features: Collection[str] | None = None,
+        units: Mapping[str, Unit] | None = None,
+    ) -> None:
+        self.annotation = annotation
+        self.dictionary = dictionary
+        self._tables: list[_Table] = []
+        self._nodes: list[_Node] = []
+        for position, content in enumerate(annotation.contents):
+            if features is not None and content.feature not in features:
+                continue
+            info = vocabulary.feature(content.feature)
+            names = ObjectTable(dictionary, namespace)
+            objects = object_column(
+                field_of(schema, content.field, annotation),
+                None if info is None else info.range,
+                edge_conversion(content, units),
+                names,
+                dictionary,
+            )
+            roles = tuple(
+                _Subject.compile(role, schema, annotation, dictionary, namespace)
+                for role in content.roles
+            )
+            predicate = dictionary.id(NamedNode(content.feature))
+            column = _Column(content.field, predicate, objects)
+            if len(roles) > 1:
+                stem = node_stem(annotation, position, namespace)
+                self._nodes.append(_Node(column, roles, stem, dictionary))
+            else:
+                subject = roles[0] if roles else _stream(annotation, dictionary, namespace)
+                self._add(subject, content.roles, column)
+
+    def convert(self, batch: SampleBatch) -> TimedTriples:
+        """The timed triples that the samples stand for."""
+        tables: list[TripleRows] = []
+        for table in self._tables:
+            rows = table.rows(batch)
+            if len(rows):
+                tables.append(rows)
+        for node in self._nodes:
+            tables.extend(node.tables(batch))
+        return TimedTriples(self.dictionary, tuple(tables))
+
+    def _add(self, subject: _Subject, roles: tuple[Role, ...], column: _Column) -> None:
+        for table in self._tables:
+            taken = {other.predicate for other in table.columns}
+            if table.roles == roles and column.predicate not in taken:
+                table.columns.append(column)
+                return
+        self._tables.append(_Table(subject, roles, [column]))
+
+
+def field_of(schema: Schema, name: str, annotation: StreamAnnotation) -> Field:
+    """The declared field that an annotation names; raises `ConversionError` if there is none."""
+    field = schema.get(name)
+    if field is None:
+        raise ConversionError(
+            f"the annotation of {annotation.stream} names a field {name!r} that it does not have",
+            field=name,
+            hint=f"its fields are {', '.join(schema.names)}",
+        )
+    return field
+
+
+def edge_conversion(content: Content, units: Mapping[str, Unit] | None) -> Conversion:
+    """From the stream's unit to the one wanted: the factor of this edge, found once."""
+    target = None if units is None else units.get(content.feature)
+    if target is None:
+        return IDENTITY
+    try:
+        return conversion(content.unit, target)
+    except UnitError as error:
+        raise ConversionError(f"field {content.field!r}: {error}", field=content.field) from error
+
+
+def stream_iri(annotation: StreamAnnotation, namespace: str) -> str:
+    """The subject of a feature that speaks of nothing, ``temperature() = t``: the stream itself."""
+    return object_iri(annotation.stream, namespace)
+
+
+def node_stem(annotation: StreamAnnotation, position: int, namespace: str) -> str:
+    """What the nodes of an n-ary feature's samples are called, up to the available time.
+
+    ``position`` is the feature's in the annotation, which may have it twice with other arguments.
+    """
+    feature = local_name(annotation.contents[position].feature)
+    return object_iri(f"{annotation.stream}/{feature}.{position}/", namespace)
+
+
+@dataclass(frozen=True, slots=True)
+class _Subject:
+    """What a role names in each sample: a constant, or by a field, perhaps only if it is one."""
+
+    constant: int | None
+    field: str | None
+    names: ObjectTable
+    sort: int | None
+
+    @classmethod
+    def compile(
+        cls,
+        role: Role,
+        schema: Schema,
+        annotation: StreamAnnotation,
+        dictionary: TermDictionary,
+        namespace: str,
+    ) -> _Subject:
+        if role.id_field is not None:
+            field = field_of(schema, role.id_field, annotation)
+            if field.type not in (FieldType.STRING, FieldType.INTEGER):
+                raise ConversionError(
+                    f"field {field.name!r} names objects but holds {field.type} values",
+                    field=field.name,
+                    hint="declare it as string or integer",
+                )
+        elif role.object is None:
+            raise ConversionError(
+                f"the annotation of {annotation.stream} does not say which object it speaks of",
+                hint=f"add: for every {local_name(role.sort or 'SORT')} = <id field>",
+            )
+        return cls(
+            None if role.object is None else dictionary.id(NamedNode(role.object)),
+            role.id_field,
+            ObjectTable(dictionary, namespace),
+            None if role.sort is None else dictionary.id(NamedNode(role.sort)),
+        )
+
+    def ids(self, batch: SampleBatch) -> tuple[Ids, Mask | None]:
+        """Term ids, shape ``(n,)``, and where the role names its object (None: everywhere)."""
+        if self.field is None:
+            assert self.constant is not None
+            return np.full(len(batch), self.constant, np.int32), None
+        ids, named = self.names.ids(batch.columns[self.field])
+        if self.constant is not None:
+            named = named & (ids == self.constant)
+        return ids, named
+
+
+@dataclass(frozen=True, slots=True)
+class _Column:
+    field: str
+    predicate: int
+    convert: ToObjects
+
+    def objects(self, chosen: SampleBatch, kept: Mask | None) -> ObjectColumn:
+        """The objects of the chosen samples; errors count rows in the whole batch."""
+        try:
+            return self.convert(chosen.columns[self.field])
+        except ConversionError as error:
+            if kept is not None and error.row is not None:
+                row = int(np.flatnonzero(kept)[error.row])
+                raise ConversionError(error.message, row=row, field=error.field) from None
+            raise
+
+
+@dataclass(frozen=True, slots=True)
+class _Table:
+    """Features with the same subject and condition: one table of wide rows."""
+
+    subject: _Subject
+    roles: tuple[Role, ...]
+    columns: list[_Column]
+
+    def rows(self, batch: SampleBatch) -> TripleRows:
+        subjects, kept = self.subject.ids(batch)
+        # Samples that the condition leaves out are not read: their values may be of other things.
+        chosen = _selected(batch, kept)
+        objects = {column.predicate: column.objects(chosen, kept) for column in self.columns}
+        if kept is not None and len(chosen) < len(batch):
+            subjects = subjects[kept]
+        rows = TripleRows(chosen.available, chosen.valid, subjects, objects, self.subject.sort)
+        if all(column.null is not None for column in objects.values()):
+            some = np.logical_or.reduce([column.present for column in objects.values()])
+            if not some.all():
+                return rows.take(some)
+        return rows
+
+
+@dataclass(frozen=True, slots=True)
+class _Node:
+    """An n-ary feature: a node per sample with ``rdf:value`` and ``rdf:_1``, ``rdf:_2`` …"""
+
+    column: _Column
+    roles: tuple[_Subject, ...]
+    stem: str
+    dictionary: TermDictionary
+
+    def tables(self, batch: SampleBatch) -> list[TripleRows]:
+        kept = batch.columns[self.column.field].present
+        arguments = []
+        for role in self.roles:
+            ids, there = role.ids(batch)
+            arguments.append(ids)
+            if there is not None:
+                kept = kept & there
+        chosen = _selected(batch, kept)
+        if not len(chosen):
+            return []
+        arguments = [ids[kept] for ids in arguments]
+        # The stem's slashes stand for themselves; only the time is added.
+        nodes = self.dictionary.ids(
+            NamedNode(f"{self.stem}{format_time(time)}") for time in chosen.available.tolist()
+        )
+        time, valid = chosen.available, chosen.valid
+        objects = {self._predicate(VALUE): self.column.objects(chosen, kept)}
+        for number, ids in enumerate(arguments, 1):
+            objects[self._predicate(f"{RDF}_{number}")] = ObjectColumn(Kind.TERM, ids)
+        link = {self.column.predicate: ObjectColumn(Kind.TERM, nodes)}
+        found = [
+            TripleRows(time, valid, arguments[0], link, self.roles[0].sort),
+            TripleRows(time, valid, nodes, objects),
+        ]
+        # The other arguments are subjects of no triple; rows without objects say their sort.
+        found.extend(
+            TripleRows(time, valid, ids, {}, role.sort)
+            for role, ids in zip(self.roles[1:], arguments[1:], strict=True)
+            if role.sort is not None
+        )
+        return found
+
+    def _predicate(self, iri: str) -> int:
+        return self.dictionary.id(NamedNode(iri))
+
+
+def _stream(annotation: StreamAnnotation, dictionary: TermDictionary, namespace: str) -> _Subject:
+    subject = dictionary.id(NamedNode(stream_iri(annotation, namespace)))
+    return _Subject(subject, None, ObjectTable(dictionary, namespace), None)
+
+
+def _selected(batch: SampleBatch, kept: Mask | None) -> SampleBatch:
+    return batch if kept is None or bool(kept.all()) else batch.take(kept)

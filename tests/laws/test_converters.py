@@ -1,0 +1,215 @@
+"""Laws of the converters: round trips lose nothing, whatever the annotation's shape."""
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pyoxigraph import NamedNode, Triple
+
+from dyknow.converters import SampleConverter, TripleConverter
+from dyknow.converters.arrow import decode_arrow, encode_arrow
+from dyknow.converters.ndjson import decode_ndjson, encode_ndjson
+from dyknow.converters.objects import object_iri, object_name
+from dyknow.languages.ssl.annotation import Content, Role, StreamAnnotation
+from dyknow.ontology.vocabulary import Vocabulary
+from dyknow.rdf.dictionary import TermDictionary
+from dyknow.rdf.namespaces import DYKNOW, OWL, RDF, RDFS, STREAM_SPACE, XSD
+from dyknow.rdf.timed import from_terms
+from dyknow.streams.sample import Field, FieldType, Schema, batch_from_rows
+
+LIMITS = settings(deadline=None, max_examples=100)
+TIMES = st.integers(-(2**63), 2**63 - 1)
+TEXTS = st.text(st.characters(exclude_categories=["Cs"]), max_size=6)
+INTEGERS = st.integers(-(2**63), 2**63 - 1)
+FLOATS = st.floats(allow_nan=False, allow_infinity=False)
+VALUES = {
+    FieldType.FLOAT: FLOATS,
+    FieldType.INTEGER: INTEGERS,
+    FieldType.BOOLEAN: st.booleans(),
+    FieldType.STRING: TEXTS,
+}
+EXACT = st.integers(-(2**53), 2**53)
+# What a field of a type may be the feature of, and values that fit.
+RANGES = {
+    FieldType.FLOAT: [
+        (None, FLOATS),
+        (XSD + "double", FLOATS),
+        (XSD + "float", FLOATS),
+        (XSD + "decimal", FLOATS),
+        (XSD + "integer", EXACT.map(float)),
+        (XSD + "long", EXACT.map(float)),
+    ],
+    FieldType.INTEGER: [
+        (None, INTEGERS),
+        (XSD + "integer", INTEGERS),
+        (XSD + "long", INTEGERS),
+        (XSD + "short", st.integers(-(2**15), 2**15 - 1)),
+        (XSD + "double", EXACT),
+        (XSD + "dateTime", INTEGERS),
+        (XSD + "string", INTEGERS),
+        (DYKNOW + "Road", INTEGERS),
+    ],
+    FieldType.BOOLEAN: [(None, st.booleans()), (XSD + "boolean", st.booleans())],
+    FieldType.STRING: [
+        (None, TEXTS),
+        (XSD + "string", TEXTS),
+        (XSD + "anyURI", TEXTS),
+        (DYKNOW + "Road", TEXTS.map(lambda t: object_name(object_iri(t, DYKNOW), DYKNOW))),
+    ],
+}
+NAMES = TEXTS.map(lambda text: object_name(object_iri(text, DYKNOW), DYKNOW))
+
+
+@given(st.one_of(TEXTS, st.sampled_from(["dyknow:a", "urn:x:y", "http://x.org/a#b", "a%20b"])))
+@LIMITS
+def test_a_name_and_its_iri_are_inverse(name):
+    iri = object_iri(name, DYKNOW)
+    NamedNode(iri)  # is one
+    shortest = object_name(iri, DYKNOW)
+    assert object_iri(shortest, DYKNOW) == iri
+    assert object_name(object_iri(shortest, DYKNOW), DYKNOW) == shortest
+
+
+def features(ranges):
+    triples = []
+    for name, iri in ranges.items():
+        feature = NamedNode(DYKNOW + name)
+        kinds = (OWL + "DatatypeProperty", STREAM_SPACE + "Feature")
+        triples += [Triple(feature, NamedNode(RDF + "type"), NamedNode(kind)) for kind in kinds]
+        if iri is not None:
+            triples.append(Triple(feature, NamedNode(RDFS + "range"), NamedNode(iri)))
+    return Vocabulary.from_triples(triples)
+
+
+@st.composite
+def annotated_streams(draw):
+    """An annotation shaped like one of s1-s7, its schema, ranges, and samples that fit."""
+    shape = draw(st.sampled_from(["s1", "s2", "s3", "s4", "s5", "s6", "s7"]))
+    count = 1 if shape in ("s1", "s2", "s3") else draw(st.integers(1, 3))
+    object = DYKNOW + "uav1"
+    roles = {
+        "s1": (Role(None, object, None),),
+        "s2": (Role(None, object, "id"),),
+        "s3": (Role(DYKNOW + "UAV", None, "id"),),
+        "s4": (Role(DYKNOW + "UAV", None, "id"), Role(DYKNOW + "UAV", None, "id2")),
+    }
+    roles |= {"s7": roles["s1"], "s6": roles["s2"], "s5": roles["s3"]}
+    fields, values, ranges, contents = [], {}, {}, []
+    for role in roles[shape]:
+        if role.id_field is not None:
+            type = draw(st.sampled_from([FieldType.STRING, FieldType.INTEGER]))
+            if role.object is not None:
+                type = FieldType.STRING
+            fields.append(Field(role.id_field, type))
+            named = NAMES if type is FieldType.STRING else INTEGERS
+            if role.object is not None:
+                named = st.one_of(st.just("uav1"), NAMES)
+            values[role.id_field] = named
+    for i in range(count):
+        type = draw(st.sampled_from(list(FieldType)))
+        ranges[f"f{i}"], fitting = draw(st.sampled_from(RANGES[type]))
+        fields.append(Field(f"v{i}", type))
+        values[f"v{i}"] = fitting
+        contents.append(Content(DYKNOW + f"f{i}", f"v{i}", (), roles[shape]))
+    times = sorted(draw(st.sets(TIMES, max_size=8)))
+    rows = []
+    for time in times:
+        row = {name: draw(st.none() | each) for name, each in values.items()}
+        rows.append((time, draw(TIMES), row))
+    annotation = StreamAnnotation("s", tuple(contents), "")
+    return annotation, Schema(tuple(fields)), features(ranges), rows
+
+
+def what_comes_back(annotation, rows):
+    """The definition: per sample the fields that gave a triple, and their id fields."""
+    for available, valid, values in rows:
+        kept = dict.fromkeys(values)
+        for content in annotation.contents:
+            ids = [role for role in content.roles if role.id_field is not None]
+            named = all(
+                values[role.id_field] is not None
+                and (role.object is None or values[role.id_field] == "uav1")
+                for role in ids
+            )
+            if named and values[content.field] is not None:
+                kept[content.field] = values[content.field]
+                kept |= {role.id_field: values[role.id_field] for role in ids}
+        if any(value is not None for value in kept.values()):
+            yield available, valid, kept
+
+
+@given(annotated_streams(), st.booleans(), st.integers(0, 8))
+@LIMITS
+def test_samples_to_triples_and_back_lose_nothing(stream, plain, cut):
+    annotation, schema, vocabulary, rows = stream
+    dictionary, pools = TermDictionary(), {}
+    forth = SampleConverter(annotation, schema, vocabulary, dictionary)
+    back = TripleConverter(annotation, schema, pools)
+    found = []
+    for part in (rows[:cut], rows[cut:]):
+        triples = forth.convert(batch_from_rows(schema, part, pools))
+        if plain:  # as a list of single triples: the wide rows are not needed
+            listed = list(triples.with_valid())
+            triples = from_terms(
+                [(t, s, p, o) for t, _, s, p, o in listed], dictionary, [v for _, v, *_ in listed]
+            )
+        again = back.convert(triples)
+        found.extend(again.rows())
+        # Triples -> samples -> triples: the same bag.
+        twice = forth.convert(again)
+        assert sorted(map(str, twice.with_valid())) == sorted(map(str, triples.with_valid()))
+    assert found == list(what_comes_back(annotation, rows))
+
+
+@st.composite
+def batches(draw):
+    types = draw(st.lists(st.sampled_from(list(FieldType)), max_size=4))
+    schema = Schema(tuple(Field(f"{type} {i}", type) for i, type in enumerate(types)))
+    samples = st.tuples(
+        TIMES,
+        TIMES,
+        st.fixed_dictionaries({f.name: st.none() | VALUES[f.type] for f in schema.fields}),
+    )
+    return schema, draw(st.lists(samples, min_size=1, max_size=6))
+
+
+@given(batches())
+@LIMITS
+def test_wire_formats_are_lossless(drawn):
+    schema, rows = drawn
+    batch = batch_from_rows(schema, rows)
+    for encode, decode in ((encode_ndjson, decode_ndjson), (encode_arrow, decode_arrow)):
+        incoming = decode(encode(batch), schema, {})
+        assert not incoming.stamped
+        assert list(incoming.batch.rows()) == list(batch.rows())
+
+
+@given(st.binary(max_size=60) | st.text(max_size=60).map(str.encode))
+@LIMITS
+def test_any_bytes_are_samples_or_a_wire_error(data):
+    from dyknow.converters import WireError
+
+    schema = Schema((Field("x", FieldType.FLOAT),))
+    for decode in (decode_ndjson, decode_arrow):
+        try:
+            assert len(decode(data, schema, {}).batch)
+        except WireError:
+            continue
+
+
+@given(st.lists(TIMES, max_size=30), st.integers(1, 8))
+@LIMITS
+def test_available_times_of_a_recording_are_the_least_increasing_ones(times, cut):
+    import numpy as np
+
+    from dyknow.converters.recording import _increasing
+
+    times = [max(min(t, 2**63 - 200), -(2**63) + 200) for t in times]
+    last, expected = None, []
+    for time in times:
+        last = time if last is None else max(time, last + 1)
+        expected.append(last)
+    found, before = [], -(2**63)
+    for start in range(0, len(times), cut):
+        part = _increasing(np.array(times[start : start + cut], np.int64), before)
+        before = int(part[-1])
+        found.extend(part.tolist())
+    assert found == expected

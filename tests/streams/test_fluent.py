@@ -1,0 +1,110 @@
+"""The numbers of [DyKnow10 Examples 5.2 and 5.3], and what a stream refuses."""
+
+import pytest
+
+from dyknow.streams.fluent import FluentStream, Retention, join_availtimes
+from dyknow.streams.sample import Field, FieldType, SampleError, Schema, batch_from_rows
+from dyknow.streams.strings import StringPool
+
+SCHEMA = Schema((Field("v", FieldType.STRING),))
+
+
+def stream(*samples, retention=None):
+    made = FluentStream(SCHEMA, retention, {"v": StringPool()})
+    rows = [(a, v, {"v": value}) for a, v, value in samples]
+    made.append(batch_from_rows(SCHEMA, rows, made.pools))
+    return made
+
+
+def samples(batch):
+    return [(a, v, values["v"]) for a, v, values in batch.rows()]
+
+
+def test_example_5_2_valid_time_stays_while_available_time_moves():
+    received = stream((474, 471, "p"))
+    same_computer, other_computer = stream((482, 471, "b")), stream((499, 471, "b"))
+    assert samples(received.last_avail(474)) == [(474, 471, "p")]
+    assert samples(received.last_avail(473)) == []
+    assert samples(same_computer.most_recent_at(471, 482)) == [(482, 471, "b")]
+    assert samples(other_computer.most_recent_at(471, 482)) == []
+
+
+F1 = ((1, 1, "v1"), (3, 2, "v2"), (4, 5, "v3"))
+F2 = ((2, 1, "v4"), (4, 1, "v5"), (5, 1, "v6"))
+
+
+def test_example_5_3_fluent_streams():
+    f1, f2 = stream(*F1), stream(*F2)
+    assert samples(f1.avail(3)) == list(F1[:2])
+    assert samples(f1.last_avail(3)) == [F1[1]]
+    assert samples(f1.last_avail(0)) == []
+    assert samples(f1.before(4, 4)) == list(F1[:2])
+    assert samples(f1.most_recent_at(4, 4)) == [F1[1]]
+    assert samples(f1.most_recent_at(5, 4)) == [F1[2]]
+    assert samples(f1.most_recent_at(5, 3)) == [F1[1]]
+    # Three samples for one valid time: the better estimate came last.
+    assert [samples(f2.most_recent_at(1, t)) for t in (1, 2, 4, 5)] == [
+        [],
+        [F2[0]],
+        [F2[1]],
+        [F2[2]],
+    ]
+    assert [samples(f1.prev(s[0])) for s in F1] == [[], [F1[0]], [F1[1]]]
+    assert f1.availtimes().tolist() == [1, 3, 4]
+    assert join_availtimes(f1, f2).tolist() == [1, 2, 3, 4, 5]
+    assert join_availtimes().tolist() == []
+
+
+@pytest.mark.parametrize("times", [(4,), (3,), (6, 6), (7, 6)])
+def test_available_times_are_unique_and_increasing(times):
+    made = stream(*F1)
+    batch = batch_from_rows(SCHEMA, [(t, 0, {"v": "x"}) for t in times], made.pools)
+    with pytest.raises(ValueError, match="unique and increasing"):
+        made.append(batch)
+    assert samples(made.all()) == list(F1)
+
+
+def test_numbers_go_on_when_history_is_dropped():
+    pools = {"v": StringPool()}
+    made = FluentStream(SCHEMA, Retention(samples=2), pools)
+    for time in range(5):
+        made.append(batch_from_rows(SCHEMA, [(time, time, {"v": None})], pools))
+    assert (len(made), made.first_number, made.last_number) == (2, 4, 5)
+    assert [part.first for part in made.since(1)] == [4, 5]
+    assert made.since(6) == []
+    assert made.append(made.all().take(slice(0, 0))) is None
+
+
+def test_a_stream_that_never_spoke():
+    made = FluentStream(SCHEMA)
+    assert (len(made), made.first_number, made.last_number) == (0, 1, 0)
+    assert made.last_available is None
+    assert len(made.all()) == len(made.most_recent_at(0, 0)) == len(made.prev(0)) == 0
+
+
+@pytest.mark.parametrize(
+    ("type", "value", "message"),
+    [
+        ("float", float("nan"), "must be finite"),
+        ("float", float("inf"), "must be finite"),
+        ("float", 10**400, "must be finite"),
+        ("float", True, "is a float"),
+        ("integer", 1.0, "is an integer"),
+        ("integer", 2**63, "outside 64 bits"),
+        ("boolean", 1, "is a boolean"),
+        ("string", 1, "is a string"),
+    ],
+)
+def test_an_ill_typed_value_names_row_and_field(type, value, message):
+    schema = Schema((Field("x", FieldType(type)),))
+    with pytest.raises(SampleError, match=message) as caught:
+        batch_from_rows(schema, [(1, 1, {"x": None}), (2, 2, {"x": value})])
+    assert (caught.value.row, caught.value.field) == (1, "x")
+
+
+@pytest.mark.parametrize(
+    ("values", "message"), [({}, "is missing"), ({"v": "a", "w": 1}, "is not declared")]
+)
+def test_missing_and_undeclared_fields_are_errors(values, message):
+    with pytest.raises(SampleError, match=message):
+        batch_from_rows(SCHEMA, [(1, 1, values)])
