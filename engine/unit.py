@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from ..continuous.evaluator import ContinuousEvaluator, WindowResult
+from ..continuous.evaluator import ContinuousEvaluator
+from ..continuous.results import WindowResult
 from ..converters.objects import ObjectTable
 from ..converters.to_samples import ResultConverter
 from ..converters.to_triples import SampleConverter

@@ -1,0 +1,36 @@
+"""What this room refuses, and why."""
+
+from __future__ import annotations
+
+
+class OntologyError(ValueError):
+    """An ontology, a template or the store itself that cannot be taken. Nothing took effect.
+
+    ``line`` and ``column`` count from 1 where the trouble has a place in the text.
+    """
+
+    def __init__(
+        self, message: str, line: int | None = None, column: int | None = None, hint: str = ""
+    ) -> None:
+        super().__init__(_with_place(message, line, column))
+        self.message = message
+        self.line = line
+        self.column = column
+        self.hint = hint
+
+
+class QueryRefused(ValueError):
+    """A SPARQL text that is not evaluated: ill-formed, too large, or asking for too much."""
+
+    def __init__(self, message: str, line: int, column: int, hint: str = "") -> None:
+        super().__init__(_with_place(message, line, column))
+        self.message = message
+        self.line = line
+        self.column = column
+        self.hint = hint
+
+
+def _with_place(message: str, line: int | None, column: int | None) -> str:
+    if line is None:
+        return message
+    return f"line {line}, column {column}: {message}" if column else f"line {line}: {message}"

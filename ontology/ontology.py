@@ -1,0 +1,455 @@
+"""The ontology: Oxigraph store, closure, vocabulary, live stream space (SPEC §2, DESIGN §4).
+
+One `Ontology` owns its store. Changes are made one at a time and whole; queries see the state
+before or after one. The graphs are listed in `graphs` and explained in docs/ontology.md.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TypeAlias
+
+from pyoxigraph import (
+    BlankNode,
+    DefaultGraph,
+    Literal,
+    NamedNode,
+    Quad,
+    QueryBoolean,
+    QueryResultsFormat,
+    QuerySolutions,
+    QueryTriples,
+    RdfFormat,
+    Store,
+    Triple,
+    serialize,
+)
+
+from ..rdf.dictionary import Term
+from ..rdf.namespaces import OWL, RDF_TYPE, STREAM_SPACE
+from . import graphs
+from .closure import closure_key, entailed
+from .entailment import Change, Entailments, Rules
+from .errors import OntologyError, QueryRefused
+from .query_guard import check_user_query
+from .reading import TextFormat, read_triples
+from .shipped import shipped_ontologies, text_hash
+from .turtle import ALL_PREFIXES
+from .units import UnitError
+from .validation import ShaclReport, validate
+from .vocabulary import Vocabulary
+
+QueryResults: TypeAlias = QuerySolutions | QueryBoolean | QueryTriples
+_Changes: TypeAlias = dict[NamedNode, Change]
+
+_HAS_TEMPLATE = NamedNode(STREAM_SPACE + "hasTemplate")
+_HAS_NAME = NamedNode(STREAM_SPACE + "hasName")
+_HAS_TEXT = NamedNode(STREAM_SPACE + "hasText")
+_EVENT = NamedNode(STREAM_SPACE + "Event")
+_EVENT_TEMPLATE = NamedNode(STREAM_SPACE + "EventTemplate")
+_ANNOTATION = NamedNode(STREAM_SPACE + "Annotation")
+_SPECIFICATION = NamedNode(STREAM_SPACE + "Specification")
+_IMPORTS = NamedNode(OWL + "imports")
+
+_TABLES = {
+    "json": QueryResultsFormat.JSON,
+    "xml": QueryResultsFormat.XML,
+    "csv": QueryResultsFormat.CSV,
+    "tsv": QueryResultsFormat.TSV,
+}
+_GRAPHS = {
+    "turtle": RdfFormat.TURTLE,
+    "ntriples": RdfFormat.N_TRIPLES,
+    "jsonld": RdfFormat.JSON_LD,
+    "rdfxml": RdfFormat.RDF_XML,
+}
+
+
+class Ontology:
+    """The loaded ontologies with what they entail, and the live stream space.
+
+    Contract: every change is kept when the call returns (flushed, if the store is on disk), except
+    `mirror`, whose graph is rebuilt by the engine at each start. A change that is refused leaves
+    everything as it was. `version` grows with each change of ontologies, templates, annotations
+    and declarations, not with the stream space. Any thread may call.
+    """
+
+    def __init__(self, store: Store, path: Path | None) -> None:
+        """Use `open`."""
+        self.store = store
+        self.path = path
+        self.version = 0
+        self._lock = threading.RLock()
+        self._closed: tuple[int, Store] | None = None
+        self._start()
+
+    @classmethod
+    def open(cls, path: Path | None = None) -> Ontology:
+        """The ontology kept in the folder ``path``, or a new one in memory.
+
+        Ontologies that come with the program are loaded if they are new or have changed. Raises
+        `OntologyError` if another process has the store open or it cannot be read. Cost: a closure
+        (about 0.3 s) unless the folder holds it already.
+        """
+        if path is None:
+            return cls(Store(), None)
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+            store = Store(path)
+        except OSError as error:
+            reason = "is in use by another process" if "lock" in str(error).lower() else "is broken"
+            raise OntologyError(
+                f"the store {path} {reason}: {error}",
+                hint="stop the other process, or name another data folder",
+            ) from error
+        return cls(store, path)
+
+    # -- ontologies -------------------------------------------------------------------------
+
+    def load(self, text: str, *, name: str, format: TextFormat = "turtle") -> None:
+        """Adds the ontology ``text`` as ``name``, or replaces the one of that name.
+
+        ``name`` is an absolute IRI or a short name; it is what FROM calls the ontology. Imports
+        are not followed (`imports` lists them). Raises `OntologyError` with line and column for a
+        text that cannot be read, contradicts the others, or gives a feature an unknown unit.
+        Cost: a closure of all loaded ontologies.
+        """
+        graph = _ontology_graph(name)
+        triples = read_triples(text, format, graph)
+        with self._lock:
+            hashes = {**self._hashes(), graph.value: text_hash(f"{format}\n{text}")}
+            self._reload({graph: triples}, hashes)
+
+    def ontologies(self) -> tuple[str, ...]:
+        """The IRIs of the loaded ontologies' graphs."""
+        return tuple(sorted(self._hashes()))
+
+    def imports(self) -> tuple[str, ...]:
+        """What the loaded ontologies import; it was not fetched. Load it by `load` if needed."""
+        quads = self.store.quads_for_pattern(None, _IMPORTS, None, DefaultGraph())
+        return tuple(sorted({q.object.value for q in quads if isinstance(q.object, NamedNode)}))
+
+    def static_graph(self, iri: str) -> bool:
+        """True if a loaded ontology has this name: then ``FROM <iri>`` means it."""
+        return iri in self._hashes()
+
+    def closed_store(self) -> Store:
+        """The static side of continuous queries, in the default graph of a store of its own.
+
+        Loaded ontologies, templates and all that is entailed; not the live stream space. The same
+        store is returned until `version` changes. Treat it as read-only.
+        """
+        with self._lock:
+            if self._closed is None or self._closed[0] != self.version:
+                store = Store()
+                static = self._ontology_triples() | self._concepts.held | self._concepts.current
+                store.extend(Quad(t.subject, t.predicate, t.object) for t in static)
+                self._closed = (self.version, store)
+            return self._closed[1]
+
+    # -- templates, annotations, declared streams --------------------------------------------
+
+    def set_template(self, event: str, source: str) -> None:
+        """Makes ``event`` (an IRI) an event concept with this template text, or replaces it."""
+        concept = _iri(event)
+        kept = {
+            Triple(concept, RDF_TYPE, _EVENT),
+            Triple(concept, RDF_TYPE, _EVENT_TEMPLATE),
+            Triple(concept, _HAS_TEMPLATE, Literal(source)),
+        }
+        self._keep(graphs.TEMPLATES, concept, kept)
+
+    def remove_template(self, event: str) -> None:
+        """Removes the event concept's template, and the concept. KeyError if there is none."""
+        if event not in self.templates():
+            raise KeyError(event)
+        self._keep(graphs.TEMPLATES, _iri(event), set())
+
+    def templates(self) -> dict[str, str]:
+        """Event concept IRI -> template text."""
+        quads = self.store.quads_for_pattern(None, _HAS_TEMPLATE, None, graphs.TEMPLATES)
+        return {_subject(q): _text(q) for q in sorted(quads, key=str)}
+
+    def set_annotation(self, subject_name: str, source: str) -> None:
+        """Keeps the SSL text of the stream, source or unit of this name."""
+        node = graphs.annotation_node(subject_name)
+        self._keep(graphs.ANNOTATIONS, node, _named_text(node, _ANNOTATION, subject_name, source))
+
+    def remove_annotation(self, subject_name: str) -> None:
+        """Forgets the SSL text. KeyError if there is none."""
+        if subject_name not in self.annotations():
+            raise KeyError(subject_name)
+        self._keep(graphs.ANNOTATIONS, graphs.annotation_node(subject_name), set())
+
+    def annotations(self) -> dict[str, str]:
+        """Name of the stream, source or unit -> SSL text."""
+        return self._named_texts(graphs.ANNOTATIONS)
+
+    def set_stream(self, name: str, declaration_json: str) -> None:
+        """Keeps the declaration of a stream."""
+        node = graphs.declaration_node(name)
+        kept = _named_text(node, _SPECIFICATION, name, declaration_json)
+        self._keep(graphs.DECLARATIONS, node, kept)
+
+    def remove_stream(self, name: str) -> None:
+        """Forgets the declaration. KeyError if there is none."""
+        if name not in self.streams():
+            raise KeyError(name)
+        self._keep(graphs.DECLARATIONS, graphs.declaration_node(name), set())
+
+    def streams(self) -> dict[str, str]:
+        """Name of a declared stream -> its declaration as JSON text."""
+        return self._named_texts(graphs.DECLARATIONS)
+
+    # -- the live stream space ---------------------------------------------------------------
+
+    def mirror(self, added: Iterable[Triple], removed: Iterable[Triple]) -> None:
+        """Changes the live stream space; what it entails follows (`entailment`).
+
+        A triple in both is there afterwards. Cost: O(changed triples). Not flushed: the graph is
+        emptied when the store is opened.
+        """
+        with self._lock:
+            held, implied = self._live.update(added, removed)
+            self._apply({graphs.STREAM_SPACE: held, graphs.STREAM_SPACE_ENTAILMENTS: implied})
+
+    # -- questions ----------------------------------------------------------------------------
+
+    def query(self, sparql: str) -> QueryResults:
+        """The answer over everything: ontologies, entailments, templates, live stream space.
+
+        Raises `QueryRefused` (`check_user_query`). Solutions must be consumed in the thread that
+        called. There is no deadline: who serves strangers runs this in a process of its own.
+        """
+        check_user_query(sparql)
+        return self.store.query(sparql, prefixes=ALL_PREFIXES)
+
+    def query_rows(self, sparql: str) -> tuple[tuple[str, ...], list[tuple[Term | None, ...]]]:
+        """Variables and rows of a SELECT; None is unbound. `QueryRefused` for another form."""
+        results = self.query(sparql)
+        if not isinstance(results, QuerySolutions):
+            raise QueryRefused("a table is wanted, so the query must be a SELECT", 1, 1)
+        variables = tuple(variable.value for variable in results.variables)
+        return variables, [tuple(_rdf11(term) for term in solution) for solution in results]
+
+    def query_serialized(self, sparql: str, accept_format: str) -> bytes:
+        """The answer as bytes. Formats: json, xml, csv, tsv for SELECT and ASK; turtle, ntriples,
+        jsonld, rdfxml for CONSTRUCT and DESCRIBE. `QueryRefused` if the two do not go together.
+        """
+        results = self.query(sparql)
+        known: Iterable[str]
+        if isinstance(results, QueryTriples):
+            known = _GRAPHS
+            if accept_format in _GRAPHS:
+                return _bytes(serialize(results, format=_GRAPHS[accept_format]))
+        else:
+            known = _TABLES
+            if accept_format in _TABLES:
+                return _bytes(results.serialize(format=_TABLES[accept_format]))
+        raise QueryRefused(
+            f"the answer to this query cannot be given as {accept_format}",
+            1,
+            1,
+            f"ask for {', '.join(known)}",
+        )
+
+    def validate(self) -> ShaclReport:
+        """Whether the stream space is well-formed by shapes.ttl."""
+        with self._lock:
+            quads = list(self.store.quads_for_pattern(None, None, None, DefaultGraph()))
+        return validate(quad.triple for quad in quads)
+
+    # -- inside -------------------------------------------------------------------------------
+
+    def _start(self) -> None:
+        """Loads what comes with the program, reuses the kept closure, empties the live graphs."""
+        hashes = self._hashes()
+        new = {}
+        for ontology in shipped_ontologies():
+            digest = text_hash(ontology.text())
+            if hashes.get(ontology.graph.value) != digest:
+                new[ontology.graph] = ontology.triples()
+                hashes[ontology.graph.value] = digest
+        self._live = Entailments(Rules(()))
+        self._concepts = Entailments(Rules(()))
+        emptied = {
+            graph: Change(frozenset(), self._graph(graph))
+            for graph in (graphs.STREAM_SPACE, graphs.STREAM_SPACE_ENTAILMENTS)
+        }
+        self._apply(emptied)
+        self._reload(new, hashes)
+
+    def _reload(self, new: dict[NamedNode, frozenset[Triple]], hashes: dict[str, str]) -> None:
+        """Replaces the graphs ``new`` and all that follows from the ontologies."""
+        loaded = {NamedNode(iri): self._graph(NamedNode(iri)) for iri in hashes} | new
+        asserted = frozenset().union(*loaded.values())
+        key = closure_key(hashes)
+        kept = self._graph(graphs.CATALOG)
+        is_kept = Triple(graphs.ENTAILMENTS, graphs.CLOSED, Literal(key)) in kept
+        implied = self._graph(graphs.ENTAILMENTS) if is_kept else entailed(asserted)
+        try:
+            vocabulary = Vocabulary.from_triples(asserted | implied)
+        except UnitError as error:
+            raise OntologyError(str(error)) from error
+        rules = Rules(asserted | implied)
+        concepts = Entailments(rules, self._concept_triples())
+        live = Entailments(rules, self._live.held)
+        catalog = {Triple(NamedNode(g), graphs.LOADED, Literal(h)) for g, h in hashes.items()}
+        catalog.add(Triple(graphs.ENTAILMENTS, graphs.CLOSED, Literal(key)))
+        wanted = {
+            **new,
+            graphs.ENTAILMENTS: implied,
+            graphs.CONCEPT_ENTAILMENTS: concepts.current,
+            graphs.STREAM_SPACE_ENTAILMENTS: live.current,
+            graphs.CATALOG: frozenset(catalog),
+        }
+        self._apply({graph: _change(self._graph(graph), then) for graph, then in wanted.items()})
+        self._flush()
+        self._concepts, self._live, self._base = concepts, live, vocabulary
+        self._changed()
+
+    def _keep(self, graph: NamedNode, subject: NamedNode, triples: set[Triple]) -> None:
+        """Makes ``triples`` all that ``graph`` says of ``subject``."""
+        with self._lock:
+            before = {q.triple for q in self.store.quads_for_pattern(subject, None, None, graph)}
+            change = _change(frozenset(before), frozenset(triples))
+            _, implied = self._concepts.update(change.added, change.removed)
+            self._apply({graph: change, graphs.CONCEPT_ENTAILMENTS: implied})
+            self._flush()
+            self._changed()
+
+    def _changed(self) -> None:
+        self.version += 1
+        self.vocabulary = self._base.with_events(self.templates(), self.version)
+
+    def _apply(self, changes: _Changes) -> None:
+        """Writes changes of named graphs and of the default graph, which is their merge.
+
+        A triple leaves the default graph when no named graph holds it any more.
+        """
+        added = {
+            Quad(t.subject, t.predicate, t.object, g) for g, c in changes.items() for t in c.added
+        }
+        removed = {
+            Quad(t.subject, t.predicate, t.object, g) for g, c in changes.items() for t in c.removed
+        }
+        merged = {q.triple for q in added if q.graph_name != graphs.CATALOG}
+        left = {q.triple for q in removed if q.graph_name != graphs.CATALOG} - merged
+        added |= {Quad(t.subject, t.predicate, t.object) for t in merged}
+        removed |= {
+            Quad(t.subject, t.predicate, t.object) for t in left if not self._elsewhere(t, removed)
+        }
+        if not added and not removed:
+            return
+        if any(_has_blank(quad) for quad in removed | added):
+            # SPARQL's DELETE DATA names no blank nodes, so these go one after the other: what
+            # comes first, so that nothing that stays is missing in between.
+            self.store.extend(added)
+            for quad in removed:
+                self.store.remove(quad)
+        else:
+            self.store.update(
+                f"DELETE DATA {{ {_data(removed)} }} ; INSERT DATA {{ {_data(added)} }}"
+            )
+
+    def _elsewhere(self, triple: Triple, removed: set[Quad]) -> bool:
+        holders = self.store.quads_for_pattern(
+            triple.subject, triple.predicate, triple.object, None
+        )
+        return any(
+            quad not in removed and quad.graph_name not in (DefaultGraph(), graphs.CATALOG)
+            for quad in holders
+        )
+
+    def _flush(self) -> None:
+        if self.path is not None:
+            self.store.flush()
+
+    def _hashes(self) -> dict[str, str]:
+        quads = self.store.quads_for_pattern(None, graphs.LOADED, None, graphs.CATALOG)
+        return {_subject(q): _text(q) for q in quads}
+
+    def _graph(self, graph: NamedNode) -> frozenset[Triple]:
+        quads = self.store.quads_for_pattern(None, None, None, graph)
+        return frozenset(quad.triple for quad in quads)
+
+    def _ontology_triples(self) -> frozenset[Triple]:
+        names = [NamedNode(iri) for iri in self._hashes()]
+        return frozenset().union(*map(self._graph, [*names, graphs.ENTAILMENTS]))
+
+    def _concept_triples(self) -> frozenset[Triple]:
+        kept = (graphs.TEMPLATES, graphs.ANNOTATIONS, graphs.DECLARATIONS)
+        return frozenset().union(*map(self._graph, kept))
+
+    def _named_texts(self, graph: NamedNode) -> dict[str, str]:
+        names = self.store.quads_for_pattern(None, _HAS_NAME, None, graph)
+        found = {}
+        for quad in sorted(names, key=str):
+            for text in self.store.quads_for_pattern(quad.subject, _HAS_TEXT, None, graph):
+                found[_text(quad)] = _text(text)
+        return found
+
+
+def _ontology_graph(name: str) -> NamedNode:
+    try:
+        graph = graphs.ontology_graph(name)
+    except ValueError as error:
+        raise OntologyError(f"{name!r} is no name for an ontology: {error}") from error
+    if graph in graphs.SYSTEM:
+        raise OntologyError(f"the name {name} is the system's own")
+    return graph
+
+
+def _iri(text: str) -> NamedNode:
+    try:
+        return NamedNode(text)
+    except ValueError as error:
+        raise OntologyError(f"{text!r} is no IRI: {error}") from error
+
+
+def _named_text(node: NamedNode, kind: NamedNode, name: str, text: str) -> set[Triple]:
+    return {
+        Triple(node, RDF_TYPE, kind),
+        Triple(node, _HAS_NAME, Literal(name)),
+        Triple(node, _HAS_TEXT, Literal(text)),
+    }
+
+
+def _change(before: frozenset[Triple], then: frozenset[Triple]) -> Change:
+    return Change(then - before, before - then)
+
+
+def _has_blank(quad: Quad) -> bool:
+    return isinstance(quad.subject, BlankNode) or isinstance(quad.object, BlankNode)
+
+
+def _data(quads: Iterable[Quad]) -> str:
+    """Quads as SPARQL's QuadData."""
+    parts = []
+    for quad in quads:
+        triple = f"{quad.subject} {quad.predicate} {quad.object} ."
+        is_named = isinstance(quad.graph_name, NamedNode)
+        parts.append(f"GRAPH {quad.graph_name} {{ {triple} }}" if is_named else triple)
+    return "\n".join(parts)
+
+
+def _subject(quad: Quad) -> str:
+    assert isinstance(quad.subject, NamedNode)
+    return quad.subject.value
+
+
+def _text(quad: Quad) -> str:
+    assert isinstance(quad.object, Literal)
+    return quad.object.value
+
+
+def _rdf11(term: object) -> Term | None:
+    assert term is None or isinstance(term, NamedNode | BlankNode | Literal)
+    return term
+
+
+def _bytes(data: bytes | None) -> bytes:
+    assert data is not None  # None only if an output file is given
+    return data

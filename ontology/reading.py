@@ -1,0 +1,67 @@
+"""Ontology texts to triples: Turtle, RDF/XML, JSON-LD, N-Triples. Nothing is ever fetched."""
+
+from __future__ import annotations
+
+import re
+from typing import Final, TypeAlias
+from typing import Literal as OneOf
+
+from pyoxigraph import BlankNode, Literal, NamedNode, RdfFormat, Triple, parse
+
+from .errors import OntologyError
+from .turtle import HEADER_LINES, as_turtle
+
+TextFormat: TypeAlias = OneOf["turtle", "rdfxml", "jsonld", "ntriples"]
+
+LARGEST_TEXT: Final = 16 * 1024 * 1024
+"""Characters of one ontology text."""
+
+_FORMATS: Final[dict[str, RdfFormat]] = {
+    "turtle": RdfFormat.TURTLE,
+    "rdfxml": RdfFormat.RDF_XML,
+    "jsonld": RdfFormat.JSON_LD,
+    "ntriples": RdfFormat.N_TRIPLES,
+}
+# Entities that name further entities can grow without bound; those of real ontologies never do.
+_NESTED_ENTITY: Final = re.compile(r"<!ENTITY\s[^>]*&[^>]*>")
+_PLACE: Final = re.compile(
+    r"^(?:Parser )?error(?: at line \d+(?: between)? columns?(?: \d+(?: and(?: column)? \d+)?)?)?: "
+)
+
+
+def read_triples(text: str, format: TextFormat, base: NamedNode) -> frozenset[Triple]:
+    """The triples of an ontology text; relative IRIs are resolved against ``base``.
+
+    Turtle may be as the papers print it (`turtle.as_turtle`). Blank nodes get fresh names.
+    Raises `OntologyError`, with line and column where the parser knows them, for a text that is
+    ill-formed, too large, or in need of something that would have to be fetched.
+    """
+    if format not in _FORMATS:
+        raise OntologyError(f"unknown format {format!r}; known are {', '.join(_FORMATS)}")
+    if len(text) > LARGEST_TEXT:
+        raise OntologyError(f"the text has more than {LARGEST_TEXT} characters")
+    if format == "rdfxml" and (nested := _NESTED_ENTITY.search(text)):
+        line = text.count("\n", 0, nested.start()) + 1
+        raise OntologyError("an entity is declared by other entities", line)
+    header = HEADER_LINES if format == "turtle" else 0
+    source = as_turtle(text) if format == "turtle" else text
+    try:
+        quads = parse(source, _FORMATS[format], base_iri=base.value, rename_blank_nodes=True)
+        triples = frozenset(quad.triple for quad in quads)
+    except SyntaxError as error:
+        raise _refusal(error, header) from error
+    for triple in triples:
+        if not isinstance(triple.object, NamedNode | BlankNode | Literal):
+            raise OntologyError("triples about triples (RDF 1.2) are not supported")
+    return triples
+
+
+def _refusal(error: SyntaxError, header: int) -> OntologyError:
+    if "LoadDocumentCallback" in str(error):
+        return OntologyError(
+            "the document names a remote JSON-LD context, and contexts are never fetched",
+            hint="put the context into the document itself",
+        )
+    line = None if error.lineno is None else max(1, error.lineno - header)
+    message = _PLACE.sub("", str(error.msg if error.msg else error))
+    return OntologyError(message, line, error.offset)

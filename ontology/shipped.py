@@ -1,0 +1,46 @@
+"""The ontologies and shapes that come with the program."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+
+from pyoxigraph import NamedNode, Triple
+
+from . import graphs
+from .reading import read_triples
+
+_HERE = Path(__file__).parent
+
+
+@dataclass(frozen=True, slots=True)
+class ShippedOntology:
+    """A Turtle file of this folder and the graph that it is loaded into."""
+
+    graph: NamedNode
+    file: Path
+
+    def text(self) -> str:
+        return self.file.read_text(encoding="utf-8")
+
+    def triples(self) -> frozenset[Triple]:
+        return read_triples(self.text(), "turtle", self.graph)
+
+
+def shipped_ontologies() -> tuple[ShippedOntology, ...]:
+    """The stream-space ontology and the domain ontology."""
+    return (
+        ShippedOntology(graphs.STREAM_SPACE_ONTOLOGY, _HERE / "dyknow.ttl"),
+        ShippedOntology(graphs.DOMAIN_ONTOLOGY, _HERE / "domain.ttl"),
+    )
+
+
+def shapes_text() -> str:
+    """The SHACL shapes of a well-formed stream space, as Turtle."""
+    return (_HERE / "shapes.ttl").read_text(encoding="utf-8")
+
+
+def text_hash(text: str) -> str:
+    """What tells one version of an ontology text from another."""
+    return hashlib.sha256(text.encode("utf-8")).hexdigest()

@@ -1,0 +1,293 @@
+"""The vocabulary: a typed, immutable view of the closed ontology (SPEC §2).
+
+Languages check names against it, matching asks it for sub-sorts and sub-features
+([Introspection15 §4.3]). It is made once per change of the ontology; every look-up is a dict
+access. IRIs are strings here.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal as OneOf
+from typing import TypeAlias
+
+from pyoxigraph import Literal, NamedNode, Triple
+
+from ..rdf.namespaces import DYKNOW, OWL, RDF, RDFS, STREAM_SPACE, XSD
+from .units import Unit, UnitError, parse_unit
+
+NameKind: TypeAlias = OneOf["sort", "feature", "event", "any"]
+
+THING = DYKNOW + "Thing"
+_TYPE = RDF + "type"
+_STANDARD = (RDF, RDFS, OWL, XSD)
+_TOPS = frozenset({OWL + "Thing", STREAM_SPACE + "Sort"})
+_CLASSES = (OWL + "Class", RDFS + "Class")
+_SCHEMA = (
+    OWL + "Ontology",
+    RDF + "Property",
+    OWL + "ObjectProperty",
+    OWL + "DatatypeProperty",
+    OWL + "AnnotationProperty",
+    RDFS + "Datatype",
+)
+_SELF = STREAM_SPACE + "self"
+_NO_NAMES: frozenset[str] = frozenset()
+Links: TypeAlias = Mapping[str, frozenset[str]]
+
+
+@dataclass(frozen=True, slots=True)
+class FeatureInfo:
+    """What the ontology says of a feature.
+
+    ``range`` and ``domain`` are the narrowest known (a datatype or class IRI), ``unit`` the one
+    that plain numbers of it are in (None: none is stated). Sub-features inherit all three.
+    """
+
+    iri: str
+    range: str | None
+    unit: Unit | None
+    domain: str | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Vocabulary:
+    """Sorts, features, events and objects of the closed ontology at ``version``.
+
+    A *sort* is a class that is none of the stream space's own terms or RDF's; ``owl:Thing``,
+    ``:Sort`` and ``dyknow:Thing`` (all equivalent) are sorts too. An *object* is an individual of
+    a sort. An *event* is a concept of type ``:Event``; it is no feature.
+    """
+
+    version: int
+    _sorts: Links
+    _subsorts: Links
+    _features: Mapping[str, FeatureInfo]
+    _superfeatures: Links
+    _subfeatures: Links
+    _objects: Links
+    _events: frozenset[str]
+
+    @classmethod
+    def from_triples(cls, triples: Iterable[Triple], version: int = 0) -> Vocabulary:
+        """The vocabulary of these triples, which must be closed (asserted and entailed).
+
+        Raises `UnitError`, naming the feature, if a ``:hasUnit`` cannot be understood.
+        Cost: linear in the triples.
+        """
+        return _read(_Index(triples), version)
+
+    def with_events(self, events: Iterable[str], version: int) -> Vocabulary:
+        """The same vocabulary at a new version with these events added."""
+        return Vocabulary(
+            version,
+            self._sorts,
+            self._subsorts,
+            self._features,
+            self._superfeatures,
+            self._subfeatures,
+            self._objects,
+            self._events | frozenset(events),
+        )
+
+    def is_sort(self, iri: str) -> bool:
+        return iri in self._sorts
+
+    def is_feature(self, iri: str) -> bool:
+        return iri in self._features
+
+    def is_event(self, iri: str) -> bool:
+        return iri in self._events
+
+    def is_object(self, iri: str) -> bool:
+        return iri in self._objects
+
+    def feature(self, iri: str) -> FeatureInfo | None:
+        """Range, unit and domain of a feature; None if ``iri`` is none."""
+        return self._features.get(iri)
+
+    def supersorts(self, iri: str) -> frozenset[str]:
+        """All sorts that contain the sort, with itself (only itself if it is unknown)."""
+        return self._sorts.get(iri) or frozenset({iri})
+
+    def subsorts(self, iri: str) -> frozenset[str]:
+        """All sorts contained in the sort, with itself."""
+        return self._subsorts.get(iri) or frozenset({iri})
+
+    def is_subsort(self, sub: str, super: str) -> bool:
+        """True if every ``sub`` is a ``super``: ``RMAX ⊑ UAV``. Every sort is one of itself."""
+        return super in self.supersorts(sub)
+
+    def superfeatures(self, iri: str) -> frozenset[str]:
+        """All features that the feature is a case of, with itself."""
+        return self._superfeatures.get(iri) or frozenset({iri})
+
+    def subfeatures(self, iri: str) -> frozenset[str]:
+        """All features that are cases of the feature, with itself."""
+        return self._subfeatures.get(iri) or frozenset({iri})
+
+    def sorts_of(self, object_iri: str) -> frozenset[str]:
+        """Every sort of a known object; empty for an object that the ontology does not name."""
+        return self._objects.get(object_iri, _NO_NAMES)
+
+    def sorts(self) -> Sequence[str]:
+        return sorted(self._sorts)
+
+    def features(self) -> Sequence[str]:
+        return sorted(self._features)
+
+    def events(self) -> Sequence[str]:
+        return sorted(self._events)
+
+    def suggest(self, name: str, kind: NameKind = "any") -> tuple[str, ...]:
+        """Up to three known local names near ``name`` (an IRI or a local name), best first."""
+        known: set[str] = set()
+        if kind in ("sort", "any"):
+            known.update(self._sorts)
+        if kind in ("feature", "any"):
+            known.update(self._features)
+        if kind in ("event", "any"):
+            known.update(self._events)
+        locals_by_key = {local_name(iri).lower(): local_name(iri) for iri in sorted(known)}
+        near = difflib.get_close_matches(local_name(name).lower(), locals_by_key, n=3)
+        return tuple(locals_by_key[key] for key in near)
+
+
+def local_name(iri: str) -> str:
+    """The part of an IRI after its last ``#``, ``/`` or ``:``."""
+    return iri[max(iri.rfind(mark) for mark in "#/:") + 1 :]
+
+
+class _Index:
+    """Triples with named subjects, by predicate and subject."""
+
+    def __init__(self, triples: Iterable[Triple]) -> None:
+        self._objects: dict[str, dict[str, list[NamedNode | Literal]]] = defaultdict(
+            lambda: defaultdict(list)
+        )
+        # Objects of describesSort hang on blank nodes in Listing 3, so they are kept apart.
+        self.described_sorts: set[str] = set()
+        for triple in triples:
+            object = triple.object
+            if triple.predicate.value == STREAM_SPACE + "describesSort":
+                if isinstance(object, NamedNode):
+                    self.described_sorts.add(object.value)
+            elif isinstance(triple.subject, NamedNode) and isinstance(object, NamedNode | Literal):
+                self._objects[triple.predicate.value][triple.subject.value].append(object)
+
+    def named(self, predicate: str) -> dict[str, set[str]]:
+        """Subject -> named objects of ``predicate``."""
+        return {
+            subject: {o.value for o in objects if isinstance(o, NamedNode)}
+            for subject, objects in self._objects.get(predicate, {}).items()
+        }
+
+    def texts(self, predicate: str) -> dict[str, list[str]]:
+        """Subject -> literal texts of ``predicate``, sorted."""
+        return {
+            subject: sorted(o.value for o in objects if isinstance(o, Literal))
+            for subject, objects in self._objects.get(predicate, {}).items()
+        }
+
+
+def _read(index: _Index, version: int) -> Vocabulary:
+    types = index.named(_TYPE)
+    # The stream space's own terms are no domain terms, though OWL calls Stream a class too.
+    own = {
+        subject
+        for subject, definers in index.named(RDFS + "isDefinedBy").items()
+        if STREAM_SPACE.rstrip("#") in definers
+    }
+
+    def of_type(classes: Iterable[str]) -> set[str]:
+        return {
+            s for s, kinds in types.items() if not s.startswith(_STANDARD) and kinds & {*classes}
+        }
+
+    features = of_type([STREAM_SPACE + "Feature"]) - own
+    events = of_type([STREAM_SPACE + "Event"]) - own
+    superclasses = index.named(RDFS + "subClassOf")
+    kinds_of_feature = {
+        c for c, supers in superclasses.items() if STREAM_SPACE + "Feature" in supers
+    }
+    classes = of_type(_CLASSES) | (index.described_sorts - {_SELF})
+    sorts = (classes - own - features - events - kinds_of_feature) | _TOPS
+    tops = {sort for sort in sorts if sort in _TOPS or sort == THING}
+    # A sort known only from its use in an annotation is under Thing like any other.
+    supersorts = {
+        sort: frozenset((superclasses.get(sort, set()) & sorts) | {sort} | tops) for sort in sorts
+    }
+    superproperties = index.named(RDFS + "subPropertyOf")
+    superfeatures = {
+        feature: frozenset((superproperties.get(feature, set()) & features) | {feature})
+        for feature in features
+    }
+    # What is typed by the stream space (a Stream, a Transformation) or speaks of RDF is no object.
+    others = sorts | features | events | own | of_type(_SCHEMA) | of_type(own - _TOPS)
+    objects = {
+        subject: frozenset(kinds & sorts)
+        for subject, kinds in types.items()
+        if kinds & sorts and subject not in others and not subject.startswith(_STANDARD)
+    }
+    infos = _Infos(index, superclasses, superfeatures)
+    return Vocabulary(
+        version,
+        supersorts,
+        _inverted(supersorts),
+        {feature: infos.info(feature) for feature in features},
+        superfeatures,
+        _inverted(superfeatures),
+        objects,
+        frozenset(events),
+    )
+
+
+class _Infos:
+    """Ranges, domains and units, the narrowest of each."""
+
+    def __init__(
+        self, index: _Index, superclasses: Mapping[str, set[str]], superfeatures: Links
+    ) -> None:
+        self._superclasses = superclasses
+        self._superfeatures = superfeatures
+        self._ranges = index.named(RDFS + "range")
+        self._domains = index.named(RDFS + "domain")
+        self._units = index.texts(STREAM_SPACE + "hasUnit")
+
+    def info(self, feature: str) -> FeatureInfo:
+        return FeatureInfo(
+            feature,
+            self._narrowest(self._ranges.get(feature, set())),
+            self._unit(feature),
+            self._narrowest(self._domains.get(feature, set())),
+        )
+
+    def _narrowest(self, classes: set[str]) -> str | None:
+        """The class that contains no other of them; the first by name if several do."""
+        wider = {w for c in classes for w in self._superclasses.get(c, set()) if w != c}
+        # Equivalent classes contain each other; then none is narrowest and the name decides.
+        return min(classes - wider or classes, key=lambda c: (c != THING, c), default=None)
+
+    def _unit(self, feature: str) -> Unit | None:
+        # The feature itself has the most super-features, so it comes first.
+        nearest = sorted(
+            self._superfeatures[feature], key=lambda f: (-len(self._superfeatures[f]), f)
+        )
+        for candidate in [feature, *nearest]:
+            for text in self._units.get(candidate, []):
+                try:
+                    return parse_unit(text)
+                except UnitError as error:
+                    raise UnitError(f"the unit of {candidate}: {error}") from error
+        return None
+
+
+def _inverted(links: Links) -> dict[str, frozenset[str]]:
+    inverse: dict[str, set[str]] = defaultdict(set)
+    for source, targets in links.items():
+        for target in targets:
+            inverse[target].add(source)
+    return {target: frozenset(sources) for target, sources in inverse.items()}

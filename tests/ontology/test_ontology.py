@@ -1,0 +1,318 @@
+"""The store: listings, domain ontologies, templates and what survives a restart."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from pyoxigraph import Literal, NamedNode, RdfFormat, Triple, parse
+
+from dyknow.ontology.errors import OntologyError, QueryRefused
+from dyknow.ontology.ontology import Ontology
+from dyknow.ontology.shipped import shipped_ontologies
+from dyknow.rdf.namespaces import DYKNOW, RDF_TYPE, STREAM_SPACE
+
+LISTING_2 = """:dyknow_cul a :ComputationalUnit ;
+  :hasInput :dyknow_stream1 ;
+  :hasInput :dyknow_stream2 ;
+  :hasOutput :dyknow_stream3 ;
+  :instantiationOf :fusionRGBIR .
+"""
+LISTING_3 = """:fusionRGBIR a :Transformation ;
+  :hasAnnotation [
+    :hasOutputAnnotation [
+      :describesFeature :ImagePosition ;
+      :describesSort :Human
+    ] ;
+    :hasInputAnnotation [
+      :describesFeature :RawRGBCam ;
+      :describesSort :self ;
+      :nextSegment [
+        :hasInputAnnotation [
+          :describesFeature
+            :RawIRCam ;
+          :describesSort :self
+        ]
+      ]
+    ] ;
+  ] ;
+  :hasName "fusionRGBIR"^^string .
+"""
+EVENT = DYKNOW + "HighSpeedEvent"
+SPEC_TERMS = """Stream ConstantStream Sample Transformation Implementation Parameter
+    ComputationalUnit Source Sink StreamProcessingEngine Specification Annotation InputAnnotation
+    OutputAnnotation DescriptionSequence Sort Feature UnaryFeature Event EventTemplate Policy Unit
+    hasInput isInput hasOutput isOutput instantiationOf hasInstance hasSpecification hasAnnotation
+    hasInputAnnotation hasOutputAnnotation describesFeature describesSort describesObject
+    nextSegment hasName hasUnit hasCost hasQuality hasTemplate hasSubscriberCount""".split()  # noqa: SIM905
+
+
+def own(name: str) -> NamedNode:
+    return NamedNode(STREAM_SPACE + name)
+
+
+def column(ontology: Ontology, query: str) -> set[str]:
+    _, rows = ontology.query_rows(query)
+    values = set()
+    for (term,) in rows:
+        assert isinstance(term, NamedNode | Literal)
+        values.add(term.value)
+    assert len(rows) == len(values)  # the default graph holds each triple once
+    return values
+
+
+@pytest.fixture(scope="module")
+def plain() -> Ontology:
+    """As shipped; tests that change something open their own."""
+    return Ontology.open()
+
+
+def test_every_term_of_the_papers_is_there(plain: Ontology) -> None:
+    triples = shipped_ontologies()[0].triples()
+    defined = {t.subject.value for t in triples if isinstance(t.subject, NamedNode)}
+    assert {STREAM_SPACE + term for term in SPEC_TERMS} <= defined
+    assert column(plain, "SELECT ?s { :Sort owl:equivalentClass ?s FILTER(?s = owl:Thing) }")
+    assert plain.query("ASK { :hasSpecification a owl:FunctionalProperty }")
+    assert plain.query("ASK { <http://www.dyknow.eu/ontology> owl:versionIRI ?v }")
+
+
+def test_listing_2_loads_as_printed_and_answers() -> None:
+    ontology = Ontology.open()
+    ontology.load(LISTING_2, name="listing2")
+    streams = column(ontology, "SELECT ?s { ?s :isInput :dyknow_cul }")
+    assert streams == {own("dyknow_stream1").value, own("dyknow_stream2").value}
+    assert column(ontology, "SELECT ?s { ?s :isOutput :dyknow_cul }") == {
+        own("dyknow_stream3").value
+    }
+    assert column(ontology, "SELECT ?u { :fusionRGBIR :hasInstance ?u }") == {
+        own("dyknow_cul").value
+    }
+    assert column(ontology, "SELECT ?s { ?s a :Stream }") == {
+        own(f"dyknow_stream{n}").value for n in (1, 2, 3)
+    }
+
+
+def test_listing_3_loads_as_printed_and_answers() -> None:
+    ontology = Ontology.open()
+    ontology.load(LISTING_3, name="listing3")
+    consumed = column(
+        ontology,
+        """SELECT ?f { :fusionRGBIR :hasAnnotation ?a .
+           ?a (:hasInputAnnotation/:nextSegment)*/:hasInputAnnotation ?i .
+           ?i :describesFeature ?f }""",
+    )
+    assert consumed == {own("RawRGBCam").value, own("RawIRCam").value}
+    produced = column(
+        ontology,
+        """SELECT ?f { :fusionRGBIR :hasAnnotation/:hasOutputAnnotation ?o .
+           ?o :describesFeature ?f ; :describesSort :Human }""",
+    )
+    assert produced == {own("ImagePosition").value}
+    assert column(ontology, "SELECT ?n { :fusionRGBIR :hasName ?n }") == {"fusionRGBIR"}
+    assert ontology.vocabulary.is_feature(own("ImagePosition").value)
+    assert ontology.vocabulary.is_sort(own("Human").value)
+    assert not ontology.vocabulary.is_sort(own("self").value)
+
+
+def test_the_vocabulary_of_the_domain(plain: Ontology) -> None:
+    vocabulary = plain.vocabulary
+    assert vocabulary.is_subsort(DYKNOW + "RMAX", DYKNOW + "UAV")
+    assert vocabulary.is_subsort(DYKNOW + "Human", DYKNOW + "Thing")
+    assert not vocabulary.is_subsort(DYKNOW + "Car", DYKNOW + "Aircraft")
+    assert vocabulary.subsorts(DYKNOW + "UAV") == {DYKNOW + "UAV", DYKNOW + "RMAX"}
+    assert vocabulary.superfeatures(DYKNOW + "xydist") == {
+        DYKNOW + "xydist",
+        DYKNOW + "distance",
+    }
+    speed = vocabulary.feature(DYKNOW + "speed")
+    assert speed is not None
+    assert speed.range == "http://www.w3.org/2001/XMLSchema#double"
+    assert speed.domain == DYKNOW + "Thing"
+    assert not vocabulary.is_sort(own("Stream").value)
+    assert not vocabulary.is_feature(own("Stream").value)
+    assert not vocabulary.is_object(DYKNOW + "uav1")
+    assert vocabulary.suggest("sped", "feature") == ("speed",)
+    assert vocabulary.feature("http://e.org/none") is None
+
+
+def test_a_domain_ontology_adds_sorts_features_and_objects() -> None:
+    ontology = Ontology.open()
+    text = """@prefix owl: <http://www.w3.org/2002/07/owl#> .
+    dyknow:Quadrotor a owl:Class ; rdfs:subClassOf dyknow:UAV .
+    dyknow:q1 a dyknow:Quadrotor .
+    dyknow:airSpeed a :UnaryFeature ; rdfs:subPropertyOf dyknow:speed .
+    """
+    before = ontology.version
+    ontology.load(text, name="quads")
+    assert ontology.version > before
+    vocabulary = ontology.vocabulary
+    assert DYKNOW + "Aircraft" in vocabulary.sorts_of(DYKNOW + "q1")
+    assert vocabulary.is_object(DYKNOW + "q1")
+    air_speed = vocabulary.feature(DYKNOW + "airSpeed")
+    assert air_speed is not None
+    assert air_speed.unit == vocabulary.feature(DYKNOW + "speed").unit  # type: ignore[union-attr]
+    assert ontology.static_graph(DYKNOW + "ontology/quads")
+    assert ontology.static_graph(DYKNOW + "ontology.rdf")
+    assert not ontology.static_graph("http://e.org/other")
+    # Replaced: what only the old text said or entailed is gone.
+    ontology.load("dyknow:q2 a dyknow:UAV .", name="quads")
+    assert not ontology.vocabulary.is_sort(DYKNOW + "Quadrotor")
+    assert not ontology.query("ASK { dyknow:q1 ?p ?o }")
+    assert ontology.vocabulary.is_object(DYKNOW + "q2")
+
+
+@pytest.mark.parametrize(
+    ("format", "text"),
+    [
+        ("ntriples", f"<{DYKNOW}n1> <{RDF_TYPE.value}> <{DYKNOW}UAV> .\n"),
+        ("jsonld", f'{{"@id": "{DYKNOW}n1", "@type": "{DYKNOW}UAV"}}'),
+        (
+            "rdfxml",
+            '<rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#" xmlns:d="'
+            f'{DYKNOW}"><d:UAV rdf:about="{DYKNOW}n1"/></rdf:RDF>',
+        ),
+    ],
+)
+def test_other_formats_load(format: str, text: str) -> None:
+    ontology = Ontology.open()
+    ontology.load(text, name="n", format=format)  # type: ignore[arg-type]
+    assert DYKNOW + "Vehicle" in ontology.vocabulary.sorts_of(DYKNOW + "n1")
+
+
+@pytest.mark.parametrize(
+    ("format", "text", "line", "message"),
+    [
+        ("turtle", "dyknow:a a dyknow:UAV .\ndyknow:b a dyknow:UAV ;; , .", 2, "line 2"),
+        ("turtle", 'dyknow:f a :UnaryFeature ; :hasUnit "bananas" .', None, "bananas"),
+        ("turtle", "dyknow:q owl:sameAs dyknow:r ; owl:differentFrom dyknow:r .", None, "contrad"),
+        ("jsonld", '{"@context": "http://e.org/c", "@id": "http://e.org/a"}', None, "never"),
+        (
+            "rdfxml",
+            '<!DOCTYPE r [<!ENTITY a "b">\n<!ENTITY c "&a;&a;">]><r/>',
+            2,
+            "entities",
+        ),
+        ("yaml", "a: b", None, "unknown format"),
+    ],
+)
+def test_a_bad_ontology_is_refused_and_changes_nothing(
+    plain: Ontology, format: str, text: str, line: int | None, message: str
+) -> None:
+    size, version = len(plain.store), plain.version
+    with pytest.raises(OntologyError, match=message) as refusal:
+        plain.load(text, name="bad", format=format)  # type: ignore[arg-type]
+    assert refusal.value.line == line
+    assert (len(plain.store), plain.version) == (size, version)
+    assert not plain.static_graph(DYKNOW + "ontology/bad")
+
+
+def test_a_system_name_is_refused(plain: Ontology) -> None:
+    with pytest.raises(OntologyError, match="system"):
+        plain.load("", name="http://www.dyknow.eu/graphs/templates")
+
+
+def test_imports_are_noted_not_fetched() -> None:
+    ontology = Ontology.open()
+    ontology.load("<> a owl:Ontology ; owl:imports <http://e.org/far> .", name="near")
+    assert ontology.imports() == ("http://e.org/far",)
+
+
+def test_templates_annotations_and_streams_survive_a_restart(tmp_path: Path) -> None:
+    ontology = Ontology.open(tmp_path / "store")
+    ontology.set_template(EVENT, 'REGISTER TEMPLATE "one"')
+    ontology.set_template(EVENT, 'REGISTER TEMPLATE "two"\n')
+    ontology.set_annotation("s5", "stream s5 contains speed(UAV) = spd for every UAV = id")
+    ontology.set_stream("s5", '{"name": "s5"}')
+    ontology.load("dyknow:q1 a dyknow:UAV .", name="mine")
+    ontology.mirror([Triple(own("s5"), RDF_TYPE, own("Stream"))], [])
+    del ontology
+    again = Ontology.open(tmp_path / "store")
+    assert again.templates() == {EVENT: 'REGISTER TEMPLATE "two"\n'}
+    assert again.vocabulary.is_event(EVENT)
+    assert again.vocabulary.is_object(DYKNOW + "q1")
+    assert set(again.annotations()) == {"s5"}
+    assert again.streams() == {"s5": '{"name": "s5"}'}
+    assert not again.query("ASK { :s5 a :Stream }")
+    text = column(again, "SELECT ?t { dyknow:HighSpeedEvent a :Event ; :hasTemplate ?t }")
+    assert text == {'REGISTER TEMPLATE "two"\n'}
+    again.remove_template(EVENT)
+    again.remove_annotation("s5")
+    again.remove_stream("s5")
+    assert (again.templates(), again.annotations(), again.streams()) == ({}, {}, {})
+    assert not again.query("ASK { dyknow:HighSpeedEvent ?p ?o }")
+    assert not again.vocabulary.is_event(EVENT)
+    with pytest.raises(KeyError):
+        again.remove_template(EVENT)
+
+
+def test_a_second_process_is_told_that_the_store_is_in_use(tmp_path: Path) -> None:
+    program = (
+        "import sys\nfrom pyoxigraph import Store\n"
+        "store = Store(sys.argv[1]); print('open', flush=True); sys.stdin.read()"
+    )
+    holder = subprocess.Popen(
+        [sys.executable, "-c", program, str(tmp_path)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+    )
+    with holder:
+        assert holder.stdout is not None
+        assert holder.stdout.readline().strip() == b"open"
+        with pytest.raises(OntologyError, match="in use by another process"):
+            Ontology.open(tmp_path)
+        assert holder.stdin is not None
+        holder.stdin.close()
+
+
+def test_the_stream_space_is_mirrored_with_its_entailments() -> None:
+    ontology = Ontology.open()
+    unit = [
+        Triple(own("u1"), RDF_TYPE, own("ComputationalUnit")),
+        Triple(own("u1"), own("hasInput"), own("s1")),
+        Triple(own("u1"), own("hasOutput"), own("s2")),
+        Triple(own("u1"), own("instantiationOf"), own("t1")),
+        *(Triple(own(s), own("hasName"), Literal(s)) for s in ("s1", "s2")),
+    ]
+    size, version = len(ontology.store), ontology.version
+    ontology.mirror(unit, [])
+    assert column(ontology, "SELECT ?u { :s1 :isInput ?u }") == {own("u1").value}
+    assert column(ontology, "SELECT ?s { ?s a :Stream }") == {own("s1").value, own("s2").value}
+    assert ontology.validate().conforms
+    assert not ontology.closed_store().query("ASK { ?s a <http://www.dyknow.eu/ontology#Stream> }")
+    ontology.mirror([], unit)
+    assert len(ontology.store) == size
+    assert ontology.version == version
+
+
+def test_an_ill_formed_stream_space_is_reported() -> None:
+    ontology = Ontology.open()
+    ontology.mirror([Triple(own("u1"), own("hasOutput"), own(f"s{n}")) for n in (1, 2)], [])
+    report = ontology.validate()
+    assert not report.conforms
+    assert "at most one output" in report.text
+    assert "exactly one transformation" in report.text
+    assert "one name" in report.text
+
+
+def test_the_closed_store_changes_with_the_version() -> None:
+    ontology = Ontology.open()
+    first = ontology.closed_store()
+    assert ontology.closed_store() is first
+    assert first.query(f"ASK {{ <{DYKNOW}RMAX> <{SUBCLASS}> <{DYKNOW}Vehicle> }}")
+    ontology.set_template(EVENT, "text")
+    assert ontology.closed_store() is not first
+
+
+SUBCLASS = "http://www.w3.org/2000/01/rdf-schema#subClassOf"
+
+
+def test_answers_are_serialized(plain: Ontology) -> None:
+    assert plain.query_serialized("ASK { dyknow:UAV a owl:Class }", "json").endswith(b"true}")
+    table = plain.query_serialized("SELECT ?u { dyknow:speed :hasUnit ?u }", "csv")
+    assert table.split() == [b"u", b"km.h-1"]
+    turtle = plain.query_serialized("CONSTRUCT WHERE { dyknow:speed :hasUnit ?u }", "turtle")
+    assert len(list(parse(turtle, RdfFormat.TURTLE))) == 1
+    with pytest.raises(QueryRefused, match="turtle"):
+        plain.query_serialized("ASK {}", "turtle")
+    with pytest.raises(QueryRefused, match="SELECT"):
+        plain.query_rows("ASK {}")

@@ -1,0 +1,69 @@
+"""What users' SPARQL may not do, and what it may."""
+
+import pytest
+
+from dyknow.ontology.errors import QueryRefused
+from dyknow.ontology.query_guard import check_user_query, query_form
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "SELECT * { ?s ?p ?o }",
+        'ASK { ?service ?load \'INSERT\' . # DELETE\n ?s <http://e.org/SERVICE> """LOAD""" }',
+        "PREFIX drop: <http://e.org/> SELECT * { ?s drop:service ?o . ?o rdfs:label 'x'@add }",
+        "SELECT ?o (COUNT(?s) AS ?n) FROM <http://e.org/g> FROM NAMED <http://e.org/h> "
+        "{ ?s a ?o . GRAPH ?g { ?s ?p ?o } } GROUP BY ?o HAVING (COUNT(?s) > 1) ORDER BY ?n",
+        "SELECT * { VALUES (?a ?b) { " + "(1 2) " * 200 + "} ?s ?a ?b }",
+        "SELECT * { " + "?s ?p ?o . FILTER(?o > 1 && ?s != ?p) " * 64 + "}",
+        "SELECT * { ?s ?p " + ", ".join(["?o"] * 64) + " }",
+        "ASK { FILTER(" + "(" * 62 + "1" + ")" * 62 + ") }",
+        "ASK { { SELECT ?s { ?s ?p ?o } LIMIT 1 } ?s ?q ?r }",
+    ],
+)
+def test_queries_pass(text: str) -> None:
+    check_user_query(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("SELECT * { SERVICE <http://e.org/> { ?s ?p ?o } }", "SERVICE"),
+        ("SELECT * { service silent ?x { ?s ?p ?o } }", "SERVICE"),
+        ("LOAD <http://e.org/>", "LOAD"),
+        ("INSERT DATA { dyknow:a a dyknow:UAV }", "INSERT"),
+        ("DELETE WHERE { ?s ?p ?o }", "DELETE"),
+        ("WITH <http://e.org/> DELETE { ?s ?p ?o } WHERE { ?s ?p ?o }", "WITH"),
+        ("CLEAR ALL", "CLEAR"),
+        ("SELECT * { ?s zz:p ?o }", "prefix zz:"),
+        ("SELECT * { " + "?s ?p ?o . " * 65 + "}", "64 triple patterns"),
+        ("SELECT * { ?s ?p " + ", ".join(["?o"] * 65) + " }", "64 triple patterns"),
+        ("SELECT * { ?s a/" + "/".join(["a"] * 3000) + " ?o }", "64 triple patterns"),
+        ("SELECT * { ?s ?p (" + "1 " * 1000 + ") }", "64 triple patterns"),
+        ("SELECT * { ?s ?p " + "[ ?p 1 ; ?p " * 40 + "2" + " ]" * 40 + " }", "64 triple patterns"),
+        ("ASK { FILTER(" + "(" * 65 + "1" + ")" * 65 + ") }", "64 deep"),
+        ("ASK " + "{" * 65 + "}" * 65, "64 deep"),
+        ("ASK {}" + " " * 9000, "8192 bytes"),
+        ("", "SPARQL"),
+        ("SELECT", "SPARQL"),
+    ],
+)
+def test_texts_are_refused(text: str, message: str) -> None:
+    with pytest.raises(QueryRefused, match=message):
+        check_user_query(text)
+
+
+def test_the_place_of_a_refusal() -> None:
+    with pytest.raises(QueryRefused) as refusal:
+        check_user_query("SELECT * {\n  SERVICE <http://e.org/> {}\n}")
+    assert (refusal.value.line, refusal.value.column) == (2, 3)
+    with pytest.raises(QueryRefused) as refusal:
+        check_user_query("SELECT * {\n ?s ?p }")
+    assert refusal.value.line == 2
+
+
+def test_the_form_of_a_query() -> None:
+    assert query_form("PREFIX select: <http://e.org/> ASK { ?s select:x ?o }") == "ask"
+    assert query_form("CONSTRUCT { ?s a ?o } { SELECT * { ?s a ?o } }") == "construct"
+    assert query_form("DESCRIBE dyknow:UAV") == "describe"
+    assert query_form("SELECT (1 AS ?x) {}") == "select"
