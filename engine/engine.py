@@ -30,7 +30,12 @@ from ..rdf.namespaces import DYKNOW, PREFIXES, shorten
 from ..streams.fluent import Retention
 from ..streams.generator import StreamGenerator
 from ..streams.sample import Field, FieldType, SampleBatch, Schema, batch_from_rows
-from ..templates.library import NoSuchTemplate, TemplateExists, TemplateLibrary
+from ..templates.library import (
+    NoSuchTemplate,
+    TemplateExists,
+    TemplateLibrary,
+    TemplateRefused,
+)
 from . import explain as explanations
 from .configuration import STATUS, Change, ChangeKind, Configuration
 from .declared import DeclaredStreams
@@ -87,7 +92,11 @@ class Engine:
         )
         self._templates = TemplateLibrary(self.ontology)
         self._requests = EventRequests(
-            self.ontology, self.dictionary, self._configuration, self._declared.space
+            self.ontology,
+            self.dictionary,
+            self._templates,
+            self._configuration,
+            self._declared.space,
         )
         self._keys: OrderedDict[tuple[str, str], int] = OrderedDict()
         self._converters: dict[str, SampleConverter] = {}
@@ -191,6 +200,8 @@ class Engine:
             raise AlreadyExists(
                 f"there is a template {shorten(error.name)}", "replace it with PUT, or remove it"
             ) from error
+        except TemplateRefused as error:
+            raise Refused(error.message, error.hint) from error
 
     def templates(self) -> tuple[TemplateView, ...]:
         """All templates, by name."""

@@ -29,7 +29,8 @@ from ..rdf.dictionary import TermDictionary
 from ..rdf.namespaces import shorten
 from ..streams.generator import StreamGenerator
 from ..templates.instantiate import ArgumentError, instantiate
-from ..templates.needs import Needs, NeedsError, needs
+from ..templates.library import TemplateLibrary
+from ..templates.needs import Needs, NeedsError
 from . import explain as explanations
 from .configuration import Configuration
 from .errors import BadArguments, NoPlan, UnknownRequest
@@ -68,11 +69,13 @@ class EventRequests:
         self,
         ontology: Ontology,
         dictionary: TermDictionary,
+        templates: TemplateLibrary,
         configuration: Configuration,
         stream_space: Callable[[], StreamSpace],
     ) -> None:
         self._ontology = ontology
         self._dictionary = dictionary
+        self._templates = templates
         self._configuration = configuration
         self._stream_space = stream_space
         self._requests: dict[str, _Request] = {}
@@ -159,7 +162,7 @@ class EventRequests:
         vocabulary = self._ontology.vocabulary
         try:
             query = instantiate(template, request.arguments, vocabulary)
-            return query, needs(query, vocabulary)
+            return query, self._templates.needs(query)
         except ArgumentError as error:
             raise BadArguments(error.message, error.hint) from error
         except NeedsError as error:

@@ -79,7 +79,10 @@ def test_all_objects_when_the_argument_stays_a_variable(scenario):
     feed(scenario, "coordinates", merged(*flights))
     scenario.end("coordinates")
     speeds = {values["id"]: values["speed"] for _, values in samples(scenario, view.stream)}
-    assert speeds == {"uav2": pytest.approx(120.0, rel=1e-4), "uav3": pytest.approx(180.0, rel=1e-4)}
+    assert speeds == {
+        "uav2": pytest.approx(120.0, rel=1e-4),
+        "uav3": pytest.approx(180.0, rel=1e-4),
+    }
 
 
 def test_units_are_converted_on_the_edge(engine, high_speed):

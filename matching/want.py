@@ -1,0 +1,33 @@
+"""A wanted feature: what semantic matching is asked for ([Introspection15 §4.3])."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ..ontology.vocabulary import THING
+from ..rdf.namespaces import shorten
+
+__all__ = ["THING", "Want"]
+
+
+@dataclass(frozen=True, slots=True)
+class Want:
+    """A feature of one object, or of every object of a sort. All are IRIs.
+
+    ``object`` None: of every object of ``sort`` (None: of all). With an object, ``sort`` is what
+    the asker says the object is (None: nothing beyond what the ontology knows).
+    """
+
+    feature: str
+    sort: str | None = None
+    object: str | None = None
+
+    @property
+    def wanted_sort(self) -> str:
+        """The sort asked for; ``dyknow:Thing``, the sort of all objects, where none was named."""
+        return THING if self.sort is None else self.sort
+
+    def __str__(self) -> str:
+        if self.object is not None:
+            return f"{shorten(self.feature)} of {shorten(self.object)}"
+        return f"{shorten(self.feature)} of every {shorten(self.wanted_sort)}"

@@ -1,0 +1,192 @@
+"""Instantiation: a template and its arguments make a continuous query ([Events14 §V.B]).
+
+``HighSpeedEvent(?o, ?type, ?threshold)`` with ``(dyknow:uav1, dyknow:UAV, 100)`` is Listing 4's
+query with these terms bound. Arguments are checked against where their parameter stands in the
+body, so that a request that could never give an event is refused instead.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import assert_never
+
+from pyoxigraph import BlankNode, Literal, NamedNode, Variable
+
+from ..languages.csparql import algebra, bind, required_parameters, term_text
+from ..languages.csparql.ast import ContinuousQuery, Template
+from ..ontology.vocabulary import Vocabulary
+from ..rdf.dictionary import Term
+from ..rdf.namespaces import DYKNOW, shorten
+from .places import Place, is_numeric, places
+
+_INTEGER = re.compile(r"[+-]?[0-9]+")
+_DECIMAL = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)")
+_DOUBLE = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
+
+
+class ArgumentError(ValueError):
+    """An argument that does not fit its parameter. ``index`` counts from 0.
+
+    ``index`` and ``parameter`` are None where the number of arguments is wrong.
+    """
+
+    def __init__(
+        self, message: str, index: int | None = None, parameter: str | None = None, hint: str = ""
+    ) -> None:
+        super().__init__(message)
+        self.message = message
+        self.index = index
+        self.parameter = parameter
+        self.hint = hint
+
+
+def instantiate(
+    template: Template, arguments: Sequence[Term | Variable], vocabulary: Vocabulary
+) -> ContinuousQuery:
+    """The template's query with ``arguments`` bound as terms, in the order of the parameters.
+
+    A variable (under any name) leaves its parameter free: the query is for all that the body
+    finds there. Raises `ArgumentError` for a wrong number of arguments; a class that is no sort, a
+    predicate that is no feature, a subject that is no IRI, a number that is none, is infinite or
+    NaN; a variable where the body itself finds no value (a threshold).
+    """
+    parameters = template.parameters
+    if len(arguments) != len(parameters):
+        raise ArgumentError(
+            f"{shorten(template.name)} takes {_counted(len(parameters))}, not {len(arguments)}",
+            hint=f"write {_signature(template)}",
+        )
+    stand = places(algebra(template.query).algebra, vocabulary)
+    required = required_parameters(template)
+    bindings: dict[Variable, Term] = {}
+    for index, (parameter, argument) in enumerate(zip(parameters, arguments, strict=True)):
+        kinds = stand.get(parameter.value, frozenset())
+        if isinstance(argument, Variable):
+            _check_variable(arguments, index, parameter, kinds, parameter in required)
+            continue
+        for place in Place:
+            if place in kinds:
+                _check_term(argument, place, index, parameter, vocabulary)
+        if isinstance(argument, BlankNode):
+            raise _error("a blank node names nothing outside its own text", index, parameter)
+        bindings[parameter] = argument
+    return bind(template.query, bindings)
+
+
+def _check_variable(
+    arguments: Sequence[Term | Variable],
+    index: int,
+    parameter: Variable,
+    kinds: frozenset[Place],
+    required: bool,
+) -> None:
+    argument = arguments[index]
+    if required:
+        due = Place.NUMBER.value if Place.NUMBER in kinds else "a value"
+        raise _error(
+            f"?{parameter.value} must be given: nothing in the template finds a value for it",
+            index,
+            parameter,
+            f"give {due} instead of {argument}" + (", for example 100" if "num" in due else ""),
+        )
+    if argument in arguments[:index]:
+        raise _error(
+            f"{argument} stands for two arguments",
+            index,
+            parameter,
+            f"leave the second free under a name of its own: ?{parameter.value}",
+        )
+
+
+def _check_term(
+    argument: Term, place: Place, index: int, parameter: Variable, vocabulary: Vocabulary
+) -> None:
+    match place:
+        case Place.SORT:
+            iri = _iri(argument, place, index, parameter, "dyknow:UAV")
+            if not vocabulary.is_sort(iri):
+                hint = suggestion(iri, vocabulary.suggest(iri, "sort"))
+                raise _error(f"{shorten(iri)} is no known sort", index, parameter, hint)
+        case Place.PREDICATE:
+            iri = _iri(argument, place, index, parameter, "dyknow:speed")
+            if not (vocabulary.is_feature(iri) or vocabulary.is_event(iri)):
+                hint = suggestion(iri, vocabulary.suggest(iri, "feature"))
+                raise _error(f"{shorten(iri)} is no known feature", index, parameter, hint)
+        case Place.SUBJECT:
+            _iri(argument, place, index, parameter, "dyknow:uav1")
+        case Place.NUMBER:
+            problem = number_problem(argument)
+            if problem:
+                raise _error(
+                    f"?{parameter.value} is used as a number: {problem}",
+                    index,
+                    parameter,
+                    "give a finite number, for example 100",
+                )
+        case _:
+            assert_never(place)
+
+
+def _iri(argument: Term, place: Place, index: int, parameter: Variable, example: str) -> str:
+    if isinstance(argument, NamedNode):
+        return argument.value
+    given = "a blank node" if isinstance(argument, BlankNode) else f"the literal {_text(argument)}"
+    raise _error(
+        f"?{parameter.value} stands for {place.value}: an IRI is due, not {given}",
+        index,
+        parameter,
+        f"write a name such as {example}",
+    )
+
+
+def number_problem(term: Term) -> str:
+    """Why ``term`` is no finite number; empty if it is one."""
+    if not isinstance(term, Literal):
+        return f"{_text(term)} is no literal"
+    if not is_numeric(term.datatype.value):
+        return f"{_text(term)} is no number"
+    kind = term.datatype.value.rpartition("#")[2]
+    if kind in ("float", "double"):
+        pattern = _DOUBLE
+    else:
+        pattern = _DECIMAL if kind == "decimal" else _INTEGER
+    if not pattern.fullmatch(term.value):
+        if term.value in ("NaN", "INF", "+INF", "-INF"):
+            return f"{term.value} is not finite"
+        return f"{term.value!r} is no xsd:{kind}"
+    # A double overflows to infinity in its text already: 1e999.
+    return f"{term.value} is not finite" if _overflows(term.value) else ""
+
+
+def _overflows(text: str) -> bool:
+    return abs(float(text)) == float("inf")
+
+
+def suggestion(iri: str, near: Sequence[str]) -> str:
+    """A hint from local names that are near."""
+    if not near:
+        return ""
+    namespace = "dyknow:" if iri.startswith(DYKNOW) or ":" not in iri else ""
+    return "did you mean " + " or ".join(f"{namespace}{name}" for name in near) + "?"
+
+
+def _error(message: str, index: int, parameter: Variable, hint: str = "") -> ArgumentError:
+    return ArgumentError(
+        f"argument {index + 1} (?{parameter.value}): {message}", index, parameter.value, hint
+    )
+
+
+def _text(term: Term) -> str:
+    if isinstance(term, NamedNode):
+        return shorten(term.value)
+    return str(term) if isinstance(term, BlankNode) else term_text(term)
+
+
+def _counted(number: int) -> str:
+    return "1 argument" if number == 1 else f"{number} arguments"
+
+
+def _signature(template: Template) -> str:
+    names = ", ".join(f"?{parameter.value}" for parameter in template.parameters)
+    return f"{shorten(template.name)}({names})"

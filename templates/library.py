@@ -1,0 +1,137 @@
+"""The template library: event templates kept in the ontology ([Events14 §IV.B, §V.B]).
+
+A template is a property of its event concept, so the ontology is the only place where its text
+is kept and a restart finds it there; this room holds the parsed values. The engine registers,
+gets and removes. Not for threads: the ontology has one writer.
+"""
+
+from __future__ import annotations
+
+import difflib
+import hashlib
+from importlib.resources import files
+
+from ..languages.csparql import parse_template
+from ..languages.csparql.ast import ContinuousQuery, Template
+from ..ontology.ontology import Ontology
+from ..ontology.vocabulary import local_name
+from ..rdf.namespaces import DYKNOW, PREFIXES, shorten
+from .needs import Needs, NeedsError, in_ontology, needs, open_predicates
+
+
+class TemplateExists(Exception):
+    """A template of this name (an IRI) is registered. Nothing was changed."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(f"there is a template {shorten(name)}")
+        self.name = name
+
+
+class TemplateRefused(ValueError):
+    """A well-formed template about what the ontology does not know. Nothing was changed."""
+
+    def __init__(self, message: str, hint: str = "") -> None:
+        super().__init__(message)
+        self.message = message
+        self.hint = hint
+
+
+class NoSuchTemplate(LookupError):
+    """No template has this name; ``suggestions`` are names that are close."""
+
+    def __init__(self, name: str, suggestions: tuple[str, ...]) -> None:
+        super().__init__(f"there is no template {name}")
+        self.name = name
+        self.suggestions = suggestions
+
+
+class TemplateLibrary:
+    """The event templates of an ontology, parsed.
+
+    Law: a library made anew over the same ontology holds the same templates.
+    """
+
+    def __init__(self, ontology: Ontology) -> None:
+        self._ontology = ontology
+        self._templates: dict[str, Template] = {
+            event: parse_template(source) for event, source in ontology.templates().items()
+        }
+
+    def register(self, text: str, *, replace: bool = False) -> Template:
+        """Parse, check and keep the template; its event concept becomes known by it.
+
+        Raises `LanguageError` for the text, `TemplateRefused` where it speaks of unknown
+        features or sorts or its name is taken by one, `TemplateExists` unless ``replace``.
+        """
+        template = parse_template(text)
+        if template.name in self._templates and not replace:
+            raise TemplateExists(template.name)
+        self._check(template)
+        self._ontology.set_template(template.name, text)
+        self._templates[template.name] = template
+        return template
+
+    def get(self, name: str) -> Template:
+        """By IRI, ``<IRI>``, prefixed name, or local name. Raises `NoSuchTemplate`."""
+        return self._templates[self._resolve(name)]
+
+    def remove(self, name: str) -> Template:
+        """Take the template out and give it back. Raises `NoSuchTemplate`."""
+        iri = self._resolve(name)
+        self._ontology.remove_template(iri)
+        return self._templates.pop(iri)
+
+    def names(self) -> tuple[str, ...]:
+        """The IRIs of all templates, sorted."""
+        return tuple(sorted(self._templates))
+
+    def etag(self, name: str) -> str:
+        """A tag that changes with the text: 32 hexadecimal digits. Raises `NoSuchTemplate`."""
+        source = self._templates[self._resolve(name)].source
+        return hashlib.sha256(source.encode()).hexdigest()[:32]
+
+    def needs(self, query: ContinuousQuery) -> Needs:
+        """`needs` of a query with what this library's ontology knows. Raises `NeedsError`."""
+        return needs(query, self._ontology.vocabulary, in_ontology(self._ontology.store))
+
+    def _check(self, template: Template) -> None:
+        vocabulary = self._ontology.vocabulary
+        name = template.name
+        for is_taken, kind in ((vocabulary.is_feature, "feature"), (vocabulary.is_sort, "sort")):
+            if is_taken(name):
+                raise TemplateRefused(
+                    f"{shorten(name)} is a {kind}, so it cannot be the name of an event",
+                    f"name the event, for example {shorten(name)}Event",
+                )
+        try:
+            # A parameter in a predicate position is known only with its argument.
+            if not open_predicates(template.query):
+                wants = self.needs(template.query).wants
+                if any(want.feature == name for want in wants):
+                    raise TemplateRefused(f"{shorten(name)} needs itself")
+        except NeedsError as error:
+            raise TemplateRefused(error.message, error.hint) from error
+
+    def _resolve(self, name: str) -> str:
+        bare = name[1:-1] if name.startswith("<") and name.endswith(">") else name
+        prefix, colon, local = bare.partition(":")
+        expanded = PREFIXES[prefix] + local if colon and prefix in PREFIXES else bare
+        for iri in (bare, expanded, DYKNOW + bare):
+            if iri in self._templates:
+                return iri
+        same = [iri for iri in self._templates if local_name(iri) == bare]
+        if len(same) == 1:
+            return same[0]
+        locals_ = {local_name(iri): shorten(iri) for iri in self.names()}
+        near = difflib.get_close_matches(local_name(bare), locals_, n=3)
+        raise NoSuchTemplate(name, tuple(locals_[local] for local in near))
+
+
+def shipped() -> tuple[str, ...]:
+    """The texts of the templates that come with the system, by file name."""
+    folder = files(__package__) / "library"
+    found = sorted(
+        (entry for entry in folder.iterdir() if entry.name.endswith(".rq")),
+        key=lambda entry: entry.name,
+    )
+    return tuple(entry.read_text("utf-8") for entry in found)

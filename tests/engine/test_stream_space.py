@@ -1,0 +1,212 @@
+"""The mirror of the running system in the ontology, its status stream, its failures, its memory."""
+
+import gc
+
+import pytest
+from feeding import feed, flight, samples
+
+from dyknow.engine.engine import Engine
+from dyknow.engine.errors import Conflict, Refused
+from dyknow.engine.views import StreamDeclaration
+from dyknow.languages.errors import LanguageError
+from dyknow.streams.sample import Field, FieldType
+
+SPEEDS = "stream speeds contains speed(UAV) = spd [km.h-1] for every UAV = id"
+COORDINATES = (
+    "stream coordinates contains latitude(UAV) = lat, longitude(UAV) = lon for every UAV = id"
+)
+ALL = "dyknow:HighSpeedEvent(?o, dyknow:UAV, 100)"
+
+
+def ask(engine, pattern):
+    variables, rows = engine.ontology.query_rows(f"SELECT * WHERE {{ {pattern} }}")
+    return [
+        {name: term.value.split("#")[-1] for name, term in zip(variables, row, strict=True)}
+        for row in rows
+    ]
+
+
+def request(engine, text=ALL):
+    return engine.request_event(engine.parse_request(text))
+
+
+@pytest.fixture
+def running(engine, high_speed):
+    engine.annotate(COORDINATES)
+    engine.register_template(high_speed)
+    return engine
+
+
+def test_mirror_answers_what_runs(running):
+    view = request(running)
+    found = ask(
+        running,
+        "?unit a dyknow-o:ComputationalUnit ; dyknow-o:instantiationOf ?t ; "
+        "dyknow-o:hasInput ?in ; dyknow-o:hasOutput ?out",
+    )
+    assert {(row["t"], row["in"], row["out"]) for row in found} == {
+        ("coordinatesToSpeed", "coordinates", "dyknow_reserved1"),
+        ("cSparql", "dyknow_reserved1", view.stream),
+    }
+
+
+def test_mirror_entails_inverses(running):
+    request(running)
+    (found,) = ask(running, "dyknow-o:coordinates dyknow-o:isInput ?unit")
+    assert found == {"unit": "dyknow_cu1"}
+    (found,) = ask(running, "dyknow-o:coordinatesToSpeed dyknow-o:hasInstance ?unit")
+    assert found == {"unit": "dyknow_cu1"}
+
+
+def test_mirror_follows_when_units_stop(running):
+    before = ask(running, "?s ?p ?o FILTER(STRSTARTS(STR(?s), STR(dyknow-o:)))")
+    view = request(running)
+    running.cancel_event(view.id)
+    after = ask(running, "?s ?p ?o FILTER(STRSTARTS(STR(?s), STR(dyknow-o:)))")
+    assert {tuple(row.items()) for row in after} == {tuple(row.items()) for row in before}
+
+
+def test_stream_space_is_well_formed(running):
+    request(running)
+    report = running.ontology.validate()
+    assert report.conforms, report.text
+
+
+def test_annotations_of_streams_can_be_queried(running):
+    found = ask(
+        running,
+        "dyknow-o:coordinates dyknow-o:hasAnnotation/dyknow-o:hasOutputAnnotation ?a . "
+        "?a dyknow-o:describesFeature dyknow:latitude ; dyknow-o:describesSort ?sort",
+    )
+    assert [row["sort"].split("/")[-1] for row in found] == ["UAV"]
+
+
+def test_order_of_a_transformations_inputs_is_kept(engine):
+    (found,) = ask(
+        engine,
+        "dyknow-o:coordinatesToSpeed dyknow-o:hasAnnotation ?a . "
+        "?a dyknow-o:hasInputAnnotation ?first . "
+        "?first dyknow-o:describesFeature dyknow:latitude ; dyknow-o:nextSegment ?next . "
+        "?next dyknow-o:hasInputAnnotation/dyknow-o:describesFeature dyknow:longitude",
+    )
+    assert found
+
+
+def test_status_tells_every_change_in_order(running):
+    view = request(running)
+    running.cancel_event(view.id)
+    told = [
+        (values["change"], values["stream"] or values["transformation"])
+        for _, values in samples(running, "status")
+    ]
+    assert told == [
+        ("transformation annotated", "coordinatesToSpeed"),
+        ("stream added", "coordinates"),
+        ("stream annotated", "coordinates"),
+        ("stream added", "dyknow_reserved1"),
+        ("unit started", "dyknow_reserved1"),
+        ("stream added", "dyknow_reserved2"),
+        ("unit started", "dyknow_reserved2"),
+        ("unit stopped", "dyknow_reserved2"),
+        ("stream removed", "dyknow_reserved2"),
+        ("unit stopped", "dyknow_reserved1"),
+        ("stream removed", "dyknow_reserved1"),
+    ]
+
+
+def test_a_unit_that_raises_is_cut_off_and_others_go_on(running):
+    view = request(running)
+    other = request(running, "dyknow:HighSpeedEvent(?o, dyknow:UAV, 120)")
+    unit = running._configuration.units[view.stream]
+
+    def fail(*_):
+        raise RuntimeError("out of order")
+
+    unit.evaluator.push = fail
+    rows = [(t, {"id": "uav1", "lat": lat, "lon": lon}) for t, lat, lon in flight(1, 20, 150.0)]
+    assert feed(running, "coordinates", rows) == 20
+    running.end("coordinates")
+    assert samples(running, view.stream) == []
+    assert samples(running, other.stream)
+    failed = [v for _, v in samples(running, "status") if v["change"] == "unit failed"]
+    assert [v["specification"] for v in failed] == ["RuntimeError: out of order"]
+    again = request(running)
+    assert again.stream != view.stream
+    running.cancel_event(view.id)
+    running.cancel_event(again.id)
+    running.cancel_event(other.id)
+    assert {view.name for view in running.streams()} == {"status", "coordinates"}
+
+
+def test_what_was_told_survives_a_restart(tmp_path, high_speed):
+    engine = Engine(tmp_path)
+    types = {"id": FieldType.STRING, "spd": FieldType.FLOAT, "note": FieldType.STRING}
+    fields = tuple(Field(name, type) for name, type in types.items())
+    engine.declare(StreamDeclaration("speeds", fields))
+    engine.annotate(SPEEDS)
+    engine.register_template(high_speed)
+    # Oxigraph lets its folder go when nothing refers to the store any more.
+    del engine
+    gc.collect()
+    again = Engine(tmp_path)
+    assert [field.name for field in again.stream("speeds").fields] == ["id", "spd", "note"]
+    assert again.stream("speeds").annotation
+    view = request(again)
+    feed(again, "speeds", [(i, {"id": "u", "spd": 150.0, "note": None}) for i in range(1, 4)])
+    again.end("speeds")
+    assert samples(again, view.stream)
+
+
+def test_a_new_annotation_replaces_the_old(engine):
+    engine.annotate("stream s contains speed(UAV) = a for every UAV = id")
+    engine.declare(
+        StreamDeclaration("t", (Field("id", FieldType.STRING), Field("b", FieldType.FLOAT)))
+    )
+    engine.annotate("stream t contains speed(UAV) = b for every UAV = id")
+    engine.annotate("stream t contains altitude(UAV) = b for every UAV = id")
+    assert "altitude" in (engine.stream("t").annotation or "")
+    assert len([a for a in engine.annotations() if "stream t" in a.source]) == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "error"),
+    [
+        ("stream s contains", LanguageError),
+        ("stream s contains speed(UAV) = a [kg] for every UAV = id", LanguageError),
+        ("stream s contains speed(UAV) = a [florps.h-1] for every UAV = id", LanguageError),
+        ("stream s contains weight(UAV) = a for every UAV = id", LanguageError),
+        ("stream status contains speed(UAV) = a for every UAV = id", Refused),
+        ("stream dyknow_reserved7 contains speed(UAV) = a for every UAV = id", Refused),
+        ("stream speeds contains speed(UAV) = nothing for every UAV = id", Conflict),
+        ("stream speeds contains speed(UAV) = spd for every UAV = spd", Conflict),
+    ],
+)
+def test_bad_annotations_change_nothing(engine, text, error):
+    engine.annotate(SPEEDS)
+    before = {view.name for view in engine.streams()}, engine.annotations()
+    good = "stream good contains speed(UAV) = a for every UAV = id\n"
+    with pytest.raises(error):
+        engine.annotate(good + text)
+    assert ({view.name for view in engine.streams()}, engine.annotations()) == before
+
+
+def test_a_declared_stream_in_use_is_not_changed(engine):
+    engine.annotate(SPEEDS)
+    feed(engine, "speeds", [(1, {"id": "u", "spd": 1.0})])
+    fields = (Field("id", FieldType.STRING), Field("spd", FieldType.INTEGER))
+    with pytest.raises(Conflict):
+        engine.declare(StreamDeclaration("speeds", fields))
+
+
+def test_a_key_has_its_effect_once(engine):
+    from dyknow.converters.wire import Incoming
+    from dyknow.streams.sample import batch_from_rows
+
+    engine.annotate(SPEEDS)
+    generator = engine.generator("speeds")
+    batch = batch_from_rows(
+        generator.schema, [(1, 1, {"id": "u", "spd": 1.0})], generator.stream.pools
+    )
+    for _ in range(2):
+        assert engine.publish("speeds", Incoming(batch, False), 0, "key") == 1
+    assert engine.stream("speeds").counters.accepted == 1
