@@ -1,0 +1,259 @@
+"""Columns of terms: relations, the values of terms, keys to join and group by."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pyoxigraph import Literal
+
+from ..rdf.dictionary import NO_TERM, Term, TermDictionary
+from ..rdf.namespaces import RDF, XSD
+from ..rdf.timed import Kind, ObjectColumn, TripleRows, make_term, split_term
+from ..streams.sample import Mask
+
+
+class NeedsOxigraph(Exception):
+    """The columns cannot say this exactly for the data at hand: the window goes to Oxigraph."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Relation:
+    """Solutions in columns by variable name, all of length ``rows``; null = unbound.
+
+    ``key``: variables that no two rows agree on, where that is known.
+    """
+
+    columns: Mapping[str, ObjectColumn]
+    rows: int
+    key: frozenset[str] | None = None
+
+    def take(self, rows: NDArray[Any]) -> Relation:
+        """The rows at ``rows`` (a mask or indices without repetition)."""
+        count = int(np.count_nonzero(rows)) if rows.dtype == np.bool_ else len(rows)
+        columns = {name: column.take(rows) for name, column in self.columns.items()}
+        return Relation(columns, count, self.key)
+
+
+class Sort(IntEnum):
+    """What a term of the dictionary is; up to ``BOOLEAN`` these are the numbers of `Kind`."""
+
+    OTHER = 0
+    INTEGER = 1
+    DECIMAL = 2
+    FLOAT = 3
+    DOUBLE = 4
+    BOOLEAN = 5
+    NODE = 6
+    STRING = 7
+    TEXT = 8
+
+
+_INTEGERS = frozenset(
+    XSD + name
+    for name in [
+        "integer",
+        "byte",
+        "short",
+        "int",
+        "long",
+        "unsignedByte",
+        "unsignedShort",
+        "unsignedInt",
+        "unsignedLong",
+        "positiveInteger",
+        "negativeInteger",
+        "nonPositiveInteger",
+        "nonNegativeInteger",
+    ]
+)
+_NUMBERS = {XSD + "decimal": Kind.DECIMAL, XSD + "float": Kind.FLOAT, XSD + "double": Kind.DOUBLE}
+
+
+class TermValues:
+    """What the terms of a dictionary are and are worth, in arrays by id that follow its growth.
+
+    ``sort`` holds `Sort`, ``number`` the float64 and ``integer`` the int64 value, ``empty`` marks
+    empty strings. Cost: Python once a distinct term.
+    """
+
+    def __init__(self, dictionary: TermDictionary) -> None:
+        self.dictionary = dictionary
+        self._sort: NDArray[np.int8] = np.zeros(0, np.int8)
+        self._number: NDArray[np.float64] = np.zeros(0, np.float64)
+        self._integer: NDArray[np.int64] = np.zeros(0, np.int64)
+        self._size = 0
+
+    def sorts(self, ids: NDArray[np.int32]) -> NDArray[np.int8]:
+        """`Sort` of each id; an absent term (`NO_TERM`) is OTHER."""
+        self._follow()
+        return np.where(ids < 0, np.int8(Sort.OTHER), self._sort[ids])
+
+    def typed(self, column: ObjectColumn, kind: Kind) -> ObjectColumn:
+        """A TERM column whose terms are all of ``kind`` as a column of that kind."""
+        values: NDArray[Any]
+        if kind is Kind.INTEGER:
+            values = self._integer[column.values]
+        elif kind is Kind.BOOLEAN:
+            values = self._integer[column.values] != 0
+        else:
+            values = self._number[column.values]
+        return ObjectColumn(kind, values, column.null)
+
+    def filled(self, ids: NDArray[np.int32]) -> NDArray[np.bool_]:
+        """Which strings are not empty."""
+        self._follow()
+        answer: NDArray[np.bool_] = self._integer[ids] != 0
+        return answer
+
+    def _follow(self) -> None:
+        size = len(self.dictionary)
+        if size == self._size and len(self._sort):
+            return
+        if len(self._sort) <= size:
+            capacity = max(2 * size, 64)
+            self._sort = _enlarged(self._sort, capacity)
+            self._number = _enlarged(self._number, capacity)
+            self._integer = _enlarged(self._integer, capacity)
+        for id, term in enumerate(self.dictionary.terms(self._size), self._size):
+            self._sort[id], self._number[id], self._integer[id] = _worth(term)
+        self._size = size
+
+
+def _enlarged(array: NDArray[Any], capacity: int) -> NDArray[Any]:
+    larger = np.zeros(capacity, array.dtype)
+    larger[: len(array)] = array
+    return larger
+
+
+def _worth(term: Term) -> tuple[Sort, float, int]:
+    if not isinstance(term, Literal):
+        return Sort.NODE, 0.0, 0
+    datatype, text = term.datatype.value, term.value
+    if datatype == XSD + "string":
+        return Sort.STRING, 0.0, int(bool(text))
+    if datatype == RDF + "langString":
+        return Sort.TEXT, 0.0, int(bool(text))
+    if datatype == XSD + "boolean" and text in ("true", "false", "1", "0"):
+        return Sort.BOOLEAN, 0.0, int(text in ("true", "1"))
+    try:
+        if datatype in _INTEGERS:
+            whole = int(text)
+            if -(2**63) <= whole < 2**63:
+                return Sort.INTEGER, float(whole), whole
+        elif datatype in _NUMBERS:
+            return Sort(int(_NUMBERS[datatype])), float(text), 0
+    except ValueError:
+        pass
+    return Sort.OTHER, 0.0, 0
+
+
+def either(left: Mask | None, right: Mask | None) -> Mask | None:
+    """Null where either is null."""
+    if left is None:
+        return right
+    return left if right is None else left | right
+
+
+def term_column(terms: Sequence[Term | None], dictionary: TermDictionary) -> ObjectColumn:
+    """A column of ``terms`` (None = null), in numbers if they are all of one kind."""
+    pairs = [(Kind.TERM, NO_TERM) if t is None else split_term(t, dictionary) for t in terms]
+    null = np.array([t is None for t in terms], np.bool_)
+    kinds = {kind for (kind, _), term in zip(pairs, terms, strict=True) if term is not None}
+    mask = null if null.any() else None
+    if len(kinds) == 1 and (kind := next(iter(kinds))) is not Kind.TERM:
+        values = [
+            0 if term is None else value for (_, value), term in zip(pairs, terms, strict=True)
+        ]
+        return ObjectColumn(kind, np.array(values, kind.dtype), mask)
+    ids = [NO_TERM if term is None else dictionary.id(term) for term in terms]
+    return ObjectColumn(Kind.TERM, np.array(ids, np.int32), mask)
+
+
+def as_terms(column: ObjectColumn, dictionary: TermDictionary) -> ObjectColumn:
+    """The column with every object as an id. Cost: Python once a distinct value."""
+    if column.kind is Kind.TERM:
+        return column
+    distinct, inverse = np.unique(bits(column.values), return_inverse=True)
+    values = distinct.view(column.values.dtype) if column.kind is not Kind.BOOLEAN else distinct
+    ids = [dictionary.id(make_term(column.kind, value, dictionary)) for value in values.tolist()]
+    return ObjectColumn(Kind.TERM, np.array(ids, np.int32)[inverse.reshape(-1)], column.null)
+
+
+def bits(values: NDArray[Any]) -> NDArray[np.int64]:
+    """A number for each value, the same only for the same term: float64 by its bits."""
+    if values.dtype == np.float64:
+        return np.ascontiguousarray(values).view(np.int64)
+    return values.astype(np.int64)
+
+
+def concatenate(columns: Sequence[ObjectColumn], dictionary: TermDictionary) -> ObjectColumn:
+    """One column after the other; of mixed kinds, as terms."""
+    if len(columns) == 1:
+        return columns[0]
+    if len({column.kind for column in columns}) > 1:
+        columns = [as_terms(column, dictionary) for column in columns]
+    null = None
+    if any(column.null is not None for column in columns):
+        null = np.concatenate([~column.present for column in columns])
+    return ObjectColumn(columns[0].kind, np.concatenate([c.values for c in columns]), null)
+
+
+def concatenate_rows(parts: Sequence[TripleRows]) -> TripleRows:
+    """One table of rows of one shape (same predicates, kinds and sort)."""
+    first = parts[0]
+    if len(parts) == 1:
+        return first
+    objects = {}
+    for predicate, column in first.objects.items():
+        columns = [part.objects[predicate] for part in parts]
+        null = None
+        if any(part.null is not None for part in columns):
+            null = np.concatenate([~part.present for part in columns])
+        values = np.concatenate([part.values for part in columns])
+        objects[predicate] = ObjectColumn(column.kind, values, null)
+    return TripleRows(
+        np.concatenate([part.time for part in parts]),
+        np.concatenate([part.valid for part in parts]),
+        np.concatenate([part.subject for part in parts]),
+        objects,
+        first.sort,
+    )
+
+
+def key_codes(
+    columns: Iterable[Sequence[ObjectColumn]], dictionary: TermDictionary
+) -> list[NDArray[np.int64]]:
+    """Codes for rows of several tables: equal codes where all their key columns agree.
+
+    ``columns`` gives for each key column its parts, one a table; the answer is one array a table.
+    A null agrees with a null only.
+    """
+    lengths: list[int] = []
+    combined: NDArray[np.int64] | None = None
+    for parts in columns:
+        lengths = [len(part) for part in parts]
+        if len({part.kind for part in parts}) > 1:
+            parts = [as_terms(part, dictionary) for part in parts]
+        code = np.concatenate([bits(part.values) for part in parts])
+        if any(part.null is not None for part in parts):
+            null = np.concatenate([~part.present for part in parts])
+            code = np.unique(np.where(null, 0, code), return_inverse=True)[1].reshape(-1) + 1
+            code = np.where(null, 0, code)
+        if combined is None:
+            combined = code
+        else:
+            left = np.unique(combined, return_inverse=True)[1].reshape(-1)
+            right = np.unique(code, return_inverse=True)[1].reshape(-1)
+            combined = left * (int(right.max(initial=0)) + 1) + right
+    assert combined is not None
+    return np.split(combined, np.cumsum(lengths)[:-1])
+
+
+def first_rows(codes: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The first row of each distinct code, in order of appearance."""
+    return np.sort(np.unique(codes, return_index=True)[1]).astype(np.int64)

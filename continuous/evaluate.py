@@ -1,0 +1,171 @@
+"""Recorded streams through a continuous query, without a server: `dyknow.evaluate`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Sized
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+from pyoxigraph import NamedNode
+
+from ..languages.csparql import parse_query
+from ..rdf.dictionary import Term, TermDictionary
+from ..rdf.timed import TimedTriples, from_terms
+from .background import Background
+from .evaluator import ContinuousEvaluator
+from .options import Bounds, Options, Semantics
+from .results import WindowResult
+
+TimedTerm: TypeAlias = tuple[int, Term, NamedNode, Term]
+_BATCH = 4096
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """A window's result: ``end`` (ns) and what the query gives for it.
+
+    ``solutions``: for SELECT a list of dicts name -> term (unbound names left out), for CONSTRUCT
+    a list of triples ``(subject, predicate, object)``, for ASK a bool. ``late``: how many elements
+    had been dropped as late by then.
+    """
+
+    start: int
+    end: int
+    solutions: list[dict[str, Term]] | list[tuple[Term, NamedNode, Term]] | bool
+    late: int = 0
+
+
+def evaluate(
+    query_text: str,
+    streams: Mapping[str, Iterable[TimedTerm] | TimedTriples],
+    static: Iterable[str | Path] = (),
+    semantics: Semantics | None = None,
+    bounds: Bounds = "(]",
+    origin: int | None = None,
+    lateness: int | None = None,
+) -> Iterator[Window]:
+    """The windows of a continuous query over recorded streams, one by one, as they close.
+
+    ``streams`` gives the triples by stream IRI. A collection with a length is sorted by time
+    first; an iterator is read lazily, only as far as the next window needs, and an element more
+    than ``lateness`` ns (0 unless given) behind the greatest time seen is dropped and counted.
+    Streams are merged by time. ``static`` are RDF files. ``semantics`` is "bag" for C-SPARQL
+    unless given; ``origin`` is 0. Raises `LanguageError` for the text, ``ValueError`` for
+    streams without a window.
+    """
+    query = parse_query(query_text)
+    options = Options(semantics or "bag", bounds, origin or 0)
+    columns = [given for given in streams.values() if isinstance(given, TimedTriples)]
+    dictionary = columns[0].dictionary if columns else TermDictionary()
+    evaluator = ContinuousEvaluator(
+        query, dictionary, Background.from_files(static), tuple(streams), options
+    )
+    feeds = [_Feed(name, given, lateness) for name, given in streams.items()]
+    return _run(evaluator, feeds, dictionary)
+
+
+def _run(
+    evaluator: ContinuousEvaluator, feeds: Sequence[_Feed], dictionary: TermDictionary
+) -> Iterator[Window]:
+    """Always the feed that is furthest behind goes on."""
+    open_feeds = list(feeds)
+    while open_feeds:
+        feed = min(open_feeds, key=lambda one: one.progress)
+        batch = feed.read(dictionary, evaluator.next_end())
+        if batch is None:
+            open_feeds.remove(feed)
+            results = evaluator.end(feed.name)
+        else:
+            evaluator.push(feed.name, batch)
+            waits = any(one.greatest is None for one in open_feeds)
+            # Nothing closes before every stream has been looked at.
+            results = [] if waits or feed.watermark is None else _advance(evaluator, open_feeds)
+        late = sum(one.late for one in feeds) + evaluator.late
+        for result in results:
+            yield _window(result, late)
+
+
+def _advance(evaluator: ContinuousEvaluator, feeds: Sequence[_Feed]) -> list[WindowResult]:
+    results: list[WindowResult] = []
+    # The least watermark first: it holds the others back even when they are new.
+    for feed in sorted(feeds, key=lambda one: one.progress):
+        if feed.watermark is not None:
+            results.extend(evaluator.advance(feed.name, feed.watermark))
+    return results
+
+
+def _window(result: WindowResult, late: int) -> Window:
+    if result.solutions is not None:
+        return Window(result.start, result.end, result.solutions.rows(), late)
+    if result.triples is not None:
+        triples = [(s, p, o) for _, s, p, o in result.triples]
+        return Window(result.start, result.end, triples, late)
+    return Window(result.start, result.end, bool(result.answer), late)
+
+
+class _Feed:
+    """One stream on its way in: how far it has come, what was late."""
+
+    def __init__(
+        self, name: str, given: Iterable[TimedTerm] | TimedTriples, lateness: int | None
+    ) -> None:
+        self.name = name
+        self.greatest: int | None = None
+        self.late = 0
+        self.lateness = lateness or 0
+        self._columns = given if isinstance(given, TimedTriples) else None
+        self._sorted = isinstance(given, Sized)
+        if self._columns is None and self._sorted:
+            self._items: Iterator[TimedTerm] = iter(sorted(given, key=lambda item: item[0]))
+        else:
+            self._items = iter(()) if self._columns is not None else iter(given)
+
+    @property
+    def watermark(self) -> int | None:
+        if self.greatest is None:
+            return None
+        return self.greatest if self._sorted else self.greatest - self.lateness
+
+    @property
+    def progress(self) -> float:
+        return -np.inf if self.watermark is None else self.watermark
+
+    def read(self, dictionary: TermDictionary, until: int | None) -> TimedTriples | None:
+        """The next elements, up to the first that could close the window at ``until``."""
+        if self._columns is not None:
+            columns, self._columns = self._columns, None
+            times = [int(table.time.max()) for table in columns.tables if len(table)]
+            self.greatest = max(times, default=0)
+            if columns.dictionary is dictionary:
+                return columns
+            return from_terms(list(columns), dictionary)
+        taken: list[TimedTerm] = []
+        for item in islice(self._items, _BATCH):
+            time = item[0]
+            if self.watermark is not None and time < self.watermark:
+                self.late += 1
+                continue
+            taken.append(item)
+            self.greatest = time if self.greatest is None else max(self.greatest, time)
+            if until is None or (self.watermark is not None and self.watermark > until):
+                break
+        if not taken and self._exhausted():
+            return None
+        taken.sort(key=lambda item: item[0])
+        return from_terms(taken, dictionary)
+
+    def _exhausted(self) -> bool:
+        following = next(self._items, None)
+        if following is None:
+            return True
+        rest = self._items
+        self._items = _chain(following, rest)
+        return False
+
+
+def _chain(first: TimedTerm, rest: Iterator[TimedTerm]) -> Iterator[TimedTerm]:
+    yield first
+    yield from rest

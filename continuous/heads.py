@@ -1,0 +1,121 @@
+"""Heads: solutions become a table, triples or an answer, in columns ([Events14 §V.A])."""
+
+from __future__ import annotations
+
+from typing import assert_never
+
+import numpy as np
+from numpy.typing import NDArray
+from pyoxigraph import NamedNode
+
+from ..rdf.dictionary import Ids
+from ..rdf.timed import Kind, ObjectColumn, TimedTriples, TripleRows, split_term
+from .columns import Relation, Sort, TermValues, concatenate, first_rows, key_codes
+from .expressions import Const, Var
+from .logical import Ask, Construct, Head, Position, Select
+from .results import Solutions, WindowResult
+
+
+def finish(head: Head, relation: Relation, start: int, end: int, terms: TermValues) -> WindowResult:
+    """The result of the window ``start`` … ``end`` with these solutions."""
+    match head:
+        case Select(variables):
+            columns = {name: relation.columns[name] for name in variables}
+            solutions = Solutions(variables, columns, terms.dictionary, relation.rows)
+            return WindowResult(start, end, solutions=solutions)
+        case Ask():
+            return WindowResult(start, end, answer=relation.rows > 0)
+        case Construct():
+            return WindowResult(start, end, triples=construct(head, relation, end, terms))
+        case _:
+            assert_never(head)
+
+
+def construct(head: Construct, relation: Relation, time: int, terms: TermValues) -> TimedTriples:
+    """The template's triples for every solution, at τ = ``time``: a graph, so each triple once.
+
+    Ill-formed triples (an unbound variable, a literal as subject, no IRI as predicate) are left
+    out. Templates about one subject, with a solution a subject, give wide rows.
+    """
+    wide = _wide(head, relation, time, terms)
+    if wide is not None:
+        return TimedTriples(terms.dictionary, (wide,) if len(wide) else ())
+    found: dict[int, list[tuple[Ids, ObjectColumn, bool]]] = {}
+    for subject, predicate, object in head.template:
+        subjects = _position(subject, relation, terms)
+        predicates = _position(predicate, relation, terms)
+        objects = _position(object, relation, terms)
+        if subjects is None or predicates is None or objects is None:
+            continue
+        keep = _nodes(subjects, terms) & _iris(predicates, terms) & objects.present
+        subjects, predicates, objects = (c.take(keep) for c in (subjects, predicates, objects))
+        named = {p.name for p in (subject, predicate, object) if isinstance(p, Var)}
+        unique = relation.key is not None and relation.key <= named
+        objects = ObjectColumn(objects.kind, objects.values)
+        for id in np.unique(predicates.values).tolist():
+            at = predicates.values == id
+            found.setdefault(id, []).append((subjects.values[at], objects.take(at), unique))
+    tables = []
+    for id, parts in found.items():
+        subject_ids = np.concatenate([part[0] for part in parts])
+        column = concatenate([part[1] for part in parts], terms.dictionary)
+        if len(subject_ids) > 1 and (len(parts) > 1 or not parts[0][2]):
+            keys = [[ObjectColumn(Kind.TERM, subject_ids)], [column]]
+            rows = first_rows(key_codes(keys, terms.dictionary)[0])
+            subject_ids, column = subject_ids[rows], column.take(rows)
+        tables.append(_table(time, subject_ids, {id: column}))
+    return TimedTriples(terms.dictionary, tuple(table for table in tables if len(table)))
+
+
+def _wide(head: Construct, relation: Relation, time: int, terms: TermValues) -> TripleRows | None:
+    """Rows of all the template's objects, where each solution is about a subject of its own."""
+    subjects = {subject for subject, _, _ in head.template}
+    predicates = {predicate for _, predicate, _ in head.template}
+    if len(subjects) != 1 or len(predicates) != len(head.template):
+        return None
+    subject = next(iter(subjects))
+    if not isinstance(subject, Var) or relation.key != frozenset({subject.name}):
+        return None
+    column = relation.columns.get(subject.name)
+    if column is None or not all(isinstance(p, Const) for p in predicates):
+        return None
+    keep = _nodes(column, terms)
+    some = np.zeros(relation.rows, np.bool_)
+    objects: dict[int, ObjectColumn] = {}
+    for _, predicate, object in head.template:
+        assert isinstance(predicate, Const)
+        values = _position(object, relation, terms)
+        if values is not None and isinstance(predicate.term, NamedNode):
+            objects[terms.dictionary.id(predicate.term)] = values
+            some |= values.present
+    keep &= some
+    if keep.all():
+        return _table(time, column.values, objects)
+    return _table(time, column.values[keep], {id: c.take(keep) for id, c in objects.items()})
+
+
+def _table(time: int, subjects: Ids, objects: dict[int, ObjectColumn]) -> TripleRows:
+    times = np.full(len(subjects), time, np.int64)
+    return TripleRows(times, times, subjects, objects)
+
+
+def _position(position: Position, relation: Relation, terms: TermValues) -> ObjectColumn | None:
+    if isinstance(position, Var):
+        return relation.columns.get(position.name)
+    kind, value = split_term(position.term, terms.dictionary)
+    return ObjectColumn(kind, np.full(relation.rows, value, kind.dtype))
+
+
+def _nodes(column: ObjectColumn, terms: TermValues) -> NDArray[np.bool_]:
+    """Where there is a term that may be a subject: an IRI or a blank node."""
+    if column.kind is not Kind.TERM:
+        return np.zeros(len(column), np.bool_)
+    return np.asarray(column.present & (terms.sorts(column.values) == Sort.NODE))
+
+
+def _iris(column: ObjectColumn, terms: TermValues) -> NDArray[np.bool_]:
+    keep = _nodes(column, terms)
+    for id in np.unique(column.values[keep]).tolist():
+        if not isinstance(terms.dictionary.term(id), NamedNode):
+            keep &= column.values != id
+    return keep

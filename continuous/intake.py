@@ -1,0 +1,158 @@
+"""What has come in and is still in some window: chunks of rows, kept as views."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from ..rdf.timed import TripleRows
+from ..streams.sample import Times
+from .columns import concatenate_rows
+from .kernels import ascending
+
+_SMALL = 4096
+"""Chunks below this many rows are put together before they are worked on."""
+
+Shape = tuple[int, tuple[tuple[int, int], ...]]
+"""Sort (-1: none) and (predicate, kind) of each column: what rows of one chunk have in common."""
+
+
+@dataclass(slots=True)
+class _Chunk:
+    rows: TripleRows
+    first: int
+    last: int
+
+
+class Intake:
+    """The rows of one input, by shape, each chunk ordered by τ.
+
+    Law: `between` depends on the rows and their order of arrival, not on how they were cut into
+    batches. (Two tables of one shape in one batch are merged by τ.)
+
+    Cost: a check of order a row pushed; `between` O(chunks + rows copied), where only chunks
+    under 4,096 rows and out-of-order ones are copied. Memory: rows not yet dropped, by chunk.
+    """
+
+    def __init__(self) -> None:
+        self._chunks: dict[Shape, list[_Chunk]] = {}
+        self._dropped: int | None = None
+
+    def push(self, rows: TripleRows, after: int | None) -> int:
+        """Keep ``rows`` with τ > ``after`` (None: all); returns how many were too late."""
+        if not len(rows):
+            return 0
+        if not ascending(rows.time):
+            rows = rows.take(np.argsort(rows.time, kind="stable"))
+        late = 0
+        if after is not None and int(rows.time[0]) <= after:
+            late = int(np.searchsorted(rows.time, after, "right"))
+            rows = rows.take(slice(late, None))
+        if len(rows):
+            shape = (
+                -1 if rows.sort is None else rows.sort,
+                tuple(sorted((p, int(column.kind)) for p, column in rows.objects.items())),
+            )
+            self._chunks.setdefault(shape, []).append(
+                _Chunk(rows, int(rows.time[0]), int(rows.time[-1]))
+            )
+        return late
+
+    def earliest(self, after: int) -> int | None:
+        """The least τ > ``after``, or None."""
+        found: int | None = None
+        for chunks in self._chunks.values():
+            for chunk in chunks:
+                if chunk.last <= after:
+                    continue
+                time = chunk.first
+                if time <= after:
+                    time = int(chunk.rows.time[_after(chunk.rows.time, after)])
+                found = time if found is None else min(found, time)
+        return found
+
+    def between(self, low: int, high: int) -> Iterator[TripleRows]:
+        """The rows with ``low < τ <= high``: shape by shape, in each by τ, then by arrival."""
+        for shape in sorted(self._chunks):
+            parts = [
+                _cut(chunk, low, high)
+                for chunk in self._chunks[shape]
+                if chunk.first <= high and chunk.last > low
+            ]
+            parts = [part for part in parts if len(part)]
+            yield from _in_order(parts)
+
+    def latest(self, until: int) -> int | None:
+        """The greatest τ ≤ ``until`` ever pushed (dropped rows included), or None."""
+        found = self._dropped
+        for chunks in self._chunks.values():
+            for chunk in chunks:
+                if chunk.first > until:
+                    continue
+                time = chunk.last
+                if time > until:
+                    time = int(chunk.rows.time[_after(chunk.rows.time, until) - 1])
+                found = time if found is None else max(found, time)
+        return found
+
+    def drop(self, until: int, settled: int) -> None:
+        """Forget the rows with τ ≤ ``until``, whole chunks at a time.
+
+        No more rows come with τ ≤ ``settled``: small chunks up to there are put together, so that
+        a stream of single rows does not cost a chunk a row in every window.
+        """
+        self._dropped = self.latest(until)
+        for shape, chunks in list(self._chunks.items()):
+            kept = [chunk for chunk in chunks if chunk.last > until]
+            if kept:
+                self._chunks[shape] = _settle(kept, settled)
+            else:
+                del self._chunks[shape]
+
+
+def _settle(chunks: list[_Chunk], settled: int) -> list[_Chunk]:
+    """Runs of small chunks in order, up to ``settled``, as one chunk each."""
+    made: list[_Chunk] = []
+    run: list[_Chunk] = []
+    for chunk in [*chunks, None]:
+        fits = chunk is not None and chunk.last <= settled and len(chunk.rows) < _SMALL
+        if run and not (fits and chunk is not None and run[-1].last <= chunk.first):
+            rows = concatenate_rows([one.rows for one in run])
+            made.append(_Chunk(rows, run[0].first, run[-1].last))
+            run = []
+        if chunk is not None:
+            (run if fits else made).append(chunk)
+    return made
+
+
+def _after(times: Times, time: int) -> int:
+    return int(np.searchsorted(times, time, "right"))
+
+
+def _cut(chunk: _Chunk, low: int, high: int) -> TripleRows:
+    if chunk.first > low and chunk.last <= high:
+        return chunk.rows
+    times = chunk.rows.time
+    return chunk.rows.take(slice(_after(times, low), _after(times, high)))
+
+
+def _in_order(parts: list[TripleRows]) -> Iterator[TripleRows]:
+    overlapping = any(after.time[0] < before.time[-1] for before, after in pairwise(parts))
+    if overlapping:
+        rows = concatenate_rows(parts)
+        yield rows.take(np.argsort(rows.time, kind="stable"))
+        return
+    waiting: list[TripleRows] = []
+    for part in parts:
+        if len(part) >= _SMALL:
+            if waiting:
+                yield concatenate_rows(waiting)
+                waiting = []
+            yield part
+        else:
+            waiting.append(part)
+    if waiting:
+        yield concatenate_rows(waiting)

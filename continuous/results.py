@@ -1,0 +1,48 @@
+"""What a window gives: solutions, triples or an answer."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from ..rdf.dictionary import Term, TermDictionary
+from ..rdf.timed import ObjectColumn, TimedTriples
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solutions:
+    """A SELECT's solutions, a column a variable, of shape ``(length,)``; null = unbound."""
+
+    variables: tuple[str, ...]
+    columns: Mapping[str, ObjectColumn]
+    dictionary: TermDictionary
+    length: int
+
+    def __len__(self) -> int:
+        return self.length
+
+    def rows(self) -> list[dict[str, Term]]:
+        """Each solution as ``name -> term``, unbound variables left out: for edges and tests."""
+        rows: list[dict[str, Term]] = [{} for _ in range(self.length)]
+        for name in self.variables:
+            column = self.columns[name]
+            present = column.present
+            for row in range(self.length):
+                if present[row]:
+                    rows[row][name] = column.term_at(row, self.dictionary)
+        return rows
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WindowResult:
+    """The result of the window with end ``end`` (ns); ``start`` is the earliest bound of content.
+
+    Exactly one of ``solutions`` (SELECT), ``triples`` (CONSTRUCT, DESCRIBE; τ and valid time are
+    ``end``) and ``answer`` (ASK) is there.
+    """
+
+    start: int
+    end: int
+    solutions: Solutions | None = None
+    triples: TimedTriples | None = None
+    answer: bool | None = None

@@ -1,0 +1,85 @@
+"""Recorded streams through a query: order, lateness, laziness."""
+
+from __future__ import annotations
+
+from itertools import count, islice
+
+from pyoxigraph import Literal, NamedNode
+
+from dyknow.continuous.evaluate import evaluate
+from dyknow.rdf.dictionary import TermDictionary
+from dyknow.rdf.timed import from_terms
+
+D = "http://d.example/"
+X, Y = D + "x", D + "y"
+WHO, P, Q = NamedNode(D + "o"), NamedNode(D + "p"), NamedNode(D + "q")
+
+
+def counting(predicate: str, *streams: str) -> str:
+    clauses = " ".join(f"FROM STREAM <{iri}> [RANGE 10ns STEP 10ns]" for iri in streams)
+    return f"REGISTER QUERY q AS SELECT (COUNT(*) AS ?n) {clauses} WHERE {{ ?s <{predicate}> ?v }}"
+
+
+def shown(windows) -> list[tuple[int, str]]:
+    return [(w.end, w.solutions[0]["n"].value) for w in windows]
+
+
+def test_a_collection_is_sorted_whole() -> None:
+    data = [(t, WHO, P, Literal(t)) for t in (25, 1, 12, 3)]
+    assert shown(evaluate(counting(D + "p", X), {X: data})) == [(10, "2"), (20, "1"), (30, "1")]
+
+
+def test_an_iterator_is_read_only_as_far_as_the_next_window_needs() -> None:
+    seen: list[int] = []
+
+    def forever():
+        for t in count(1):
+            seen.append(t)
+            yield t, WHO, P, Literal(t)
+
+    windows = evaluate(counting(D + "p", X), {X: forever()})
+    assert shown(islice(windows, 2)) == [(10, "10"), (20, "10")]
+    assert len(seen) < 30
+
+
+def test_late_elements_of_an_iterator_are_dropped_and_counted() -> None:
+    times = [5, 30, 26, 24, 40]
+    data = [(t, WHO, P, Literal(t)) for t in times]
+    strict = list(evaluate(counting(D + "p", X), {X: iter(data)}))
+    assert shown(strict) == [(10, "1"), (30, "1"), (40, "1")]
+    assert strict[-1].late == 2
+    lenient = list(evaluate(counting(D + "p", X), {X: iter(data)}, lateness=5))
+    assert shown(lenient) == [(10, "1"), (30, "2"), (40, "1")]
+    assert lenient[-1].late == 1
+
+
+def test_streams_are_merged_by_time() -> None:
+    a = [(t, WHO, P, Literal(t)) for t in (1, 2, 25)]
+    b = [(t, WHO, P, Literal(t)) for t in (9, 11)]
+    for streams in ({X: iter(a), Y: iter(b)}, {X: a, Y: iter(b)}, {X: a, Y: b}):
+        found = shown(evaluate(counting(D + "p", X, Y), streams))
+        assert found == [(10, "3"), (20, "1"), (30, "1")]
+
+
+def test_columns_are_taken_as_they_are() -> None:
+    dictionary = TermDictionary()
+    a = from_terms([(t, WHO, P, Literal(t)) for t in (12, 1)], dictionary)
+    b = from_terms([(3, WHO, P, Literal(1.5))], TermDictionary())
+    found = shown(evaluate(counting(D + "p", X, Y), {X: a, Y: b}))
+    assert found == [(10, "2"), (20, "1")]
+
+
+def test_static_files_origin_and_forms(tmp_path) -> None:
+    path = tmp_path / "kb.ttl"
+    path.write_text(f"<{WHO.value}> a <{D}Thing> .")
+    head = f"FROM STREAM <{X}> [RANGE 10ns STEP 10ns] WHERE {{ ?s a <{D}Thing> ; <{D}p> ?v }}"
+    data = [(1, WHO, P, Literal(7)), (1, Q, P, Literal(8))]
+    (built,) = evaluate(
+        f"REGISTER STREAM q AS CONSTRUCT {{ ?s <{Q.value}> ?v }} {head}",
+        {X: data},
+        static=[path],
+        origin=3,
+    )
+    assert (built.end, built.solutions) == (3, [(WHO, Q, Literal(7))])
+    (asked,) = evaluate(f"REGISTER QUERY q AS ASK {head}", {X: data}, static=[path])
+    assert asked.solutions is True
