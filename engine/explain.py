@@ -137,7 +137,8 @@ def _stream_line(configuration: Configuration, name: str) -> str:
     details = ", ".join(
         f"{key}={value}" for key, value in unit.parameters.items() if "\n" not in value
     )
-    return f"{name}  ← {unit.transformation}({details}) as {unit.name}"
+    label = f"{unit.transformation}({details})" if details else unit.transformation
+    return f"{name}  ← {label} as {unit.name}"
 
 
 def _alternative(alternative: Alternative) -> str:

@@ -1,0 +1,90 @@
+"""The command line, put together: ``dyknow COMMAND``. Status 0, 1 for an error, 2 for usage."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import httpx
+import typer
+from typer.core import TyperGroup
+
+from ... import __version__
+from ...converters.errors import ConversionError, WireError
+from ...languages.errors import LanguageError
+from ...ontology.errors import OntologyError
+from ...streams.sample import SampleError
+from ..client import ServiceError
+from .demo import demo
+from .events import events
+from .knowing import explain, match, sparql
+from .output import fail
+from .replay import replay
+from .run import run
+from .serve import serve
+from .streams import annotate, streams
+from .templates import template
+
+
+class Commands(TyperGroup):
+    """Says errors on standard error, as people read them: what, where, what next."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command; every refusal becomes a message and status 1."""
+        try:
+            return super().invoke(ctx)
+        except ServiceError as error:
+            raise fail(str(error)) from error
+        except httpx.ConnectError as error:
+            raise fail(
+                "there is no service at this address",
+                "start one with dyknow serve, or say where it is with --url",
+            ) from error
+        except httpx.HTTPError as error:
+            raise fail(f"the service does not answer: {error}") from error
+        except (LanguageError, WireError, ConversionError, SampleError, OntologyError) as error:
+            raise fail(str(error)) from error
+        except (httpx.InvalidURL, OSError) as error:
+            raise fail(str(error)) from error
+
+
+app = typer.Typer(
+    cls=Commands,
+    name="dyknow",
+    help="Semantic stream reasoning: say what you want to know.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        print(__version__)
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: bool = typer.Option(
+        False, "--version", callback=_version, is_eager=True, help="Print the version."
+    ),
+) -> None:
+    """Options before the command."""
+
+
+app.command()(serve)
+app.command()(demo)
+app.command()(replay)
+app.add_typer(template, name="template")
+app.command()(events)
+app.command()(streams)
+app.command()(annotate)
+app.command()(sparql)
+app.command()(match)
+app.command()(explain)
+app.command()(run)
+
+
+def main() -> None:
+    """The entry point of the installed command."""
+    app()

@@ -1,0 +1,96 @@
+"""``dyknow sparql``, ``match`` and ``explain``: ask the service what it knows and why."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import typer
+
+from ...rdf.namespaces import shorten
+from .events import Strategy
+from .output import DEFAULT_URL, Json, Url, connect, show_json, show_table, show_text
+from .streams import text_or_file
+
+
+def sparql(
+    query: Annotated[str, typer.Argument(help="A SPARQL query, its file, or - .")],
+    url: Url = DEFAULT_URL,
+    as_json: Json = False,
+) -> None:
+    """Query the ontology and the live stream space."""
+    text = text_or_file(query)
+    with connect(url) as client:
+        found = client.sparql(text)
+    if isinstance(found, str):
+        show_text(found)
+    elif as_json:
+        show_json(found)
+    elif "boolean" in found:
+        show_text("yes" if found["boolean"] else "no")
+    else:
+        names = found["head"]["vars"]
+        rows = found["results"]["bindings"]
+        show_table(names, [[_term(row.get(name)) for name in names] for row in rows])
+        show_text(f"({len(rows)} {'row' if len(rows) == 1 else 'rows'})")
+
+
+def match(
+    feature: Annotated[str, typer.Argument(help="A feature, such as dyknow:speed.")],
+    sort: Annotated[str | None, typer.Option(help="Of every object of this sort.")] = None,
+    object: Annotated[list[str] | None, typer.Option(help="Of this object.")] = None,
+    strategy: Annotated[Strategy, typer.Option(help="How a plan is chosen.")] = Strategy.FAST,
+    url: Url = DEFAULT_URL,
+    as_json: Json = False,
+) -> None:
+    """Show how a feature could be had, without starting anything. Status 1 if it cannot."""
+    with connect(url) as client:
+        found = client.match(feature, sort=sort, objects=object or (), strategy=strategy.value)
+    if as_json:
+        show_json(found)
+    else:
+        show_text(f"{found['target']}: {'found' if found['found'] else 'not found'}")
+        if found["plan"] is not None:
+            show_text(found["plan"]["text"])
+        _section("why", found["reasons"])
+        _section("also possible", found["alternatives"])
+    if not found["found"]:
+        raise typer.Exit(1)
+
+
+def explain(
+    event: Annotated[
+        str | None, typer.Argument(help="A request: 'dyknow:HighSpeedEvent(?o, dyknow:UAV, 100)'.")
+    ] = None,
+    template: Annotated[str | None, typer.Option(help="A template's name.")] = None,
+    query: Annotated[str | None, typer.Option(help="REGISTER text, its file, or - .")] = None,
+    id: Annotated[str | None, typer.Option(help="A running request.")] = None,
+    feature: Annotated[str | None, typer.Option(help="A feature to match.")] = None,
+    url: Url = DEFAULT_URL,
+    as_json: Json = False,
+) -> None:
+    """Show each stage of a request, a template, a query or a match."""
+    with connect(url) as client:
+        text = client.explain(
+            event=event,
+            template=template,
+            query=None if query is None else text_or_file(query),
+            id=id,
+            feature=feature,
+        )
+    if as_json:
+        show_json({"text": text})
+    else:
+        show_text(text)
+
+
+def _section(title: str, lines: list[str]) -> None:
+    if lines:
+        show_text(f"{title}:")
+        for line in lines:
+            show_text(f"  - {line}")
+
+
+def _term(term: dict[str, Any] | None) -> str:
+    if term is None:
+        return "-"
+    return shorten(term["value"]) if term["type"] == "uri" else str(term["value"])

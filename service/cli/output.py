@@ -1,0 +1,133 @@
+"""What all commands share: where the service is, tables for people, JSON for programs, errors."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from datetime import UTC, datetime
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from ...streams.time import DAY, HOUR, MICROSECOND, MILLISECOND, MINUTE, SECOND, parse_duration
+from ..client import URL, Client
+
+Url = Annotated[
+    str, typer.Option("--url", envvar="DYKNOW_URL", help="Where the service is.", metavar="URL")
+]
+Json = Annotated[bool, typer.Option("--json", help="JSON for programs, a value a line.")]
+DEFAULT_URL = URL
+_UNITS = (
+    ("d", DAY),
+    ("h", HOUR),
+    ("min", MINUTE),
+    ("s", SECOND),
+    ("ms", MILLISECOND),
+    ("us", MICROSECOND),
+)
+
+
+def connect(url: str) -> Client:
+    """A client of the service at ``url``."""
+    return Client(url)
+
+
+def out() -> Console:
+    """The console of results. Made anew each time: tests and pipes exchange standard output."""
+    return Console(file=sys.stdout, highlight=False, soft_wrap=True)
+
+
+def err() -> Console:
+    """The console of progress and errors."""
+    return Console(file=sys.stderr, highlight=False, soft_wrap=True)
+
+
+def show_json(value: object) -> None:
+    """One value as one line of JSON."""
+    print(json.dumps(value, ensure_ascii=False), flush=True)
+
+
+def show_lines(values: Iterable[object]) -> None:
+    """A line of JSON a value."""
+    for value in values:
+        show_json(value)
+
+
+def show_text(text: str) -> None:
+    """Text as it is: brackets in it are no markup."""
+    out().print(text.rstrip("\n"), markup=False)
+
+
+def show_table(
+    columns: Sequence[str], rows: Iterable[Sequence[object]], *, title: str = "", empty: str = ""
+) -> None:
+    """A table for people; numbers stand on the right. ``empty`` is said when there is no row."""
+    rows = [list(row) for row in rows]
+    if not rows:
+        out().print(empty or "nothing", markup=False)
+        return
+    table = Table(title=title or None, title_justify="left", header_style="bold", box=None)
+    for i, column in enumerate(columns):
+        numeric = all(isinstance(row[i], int | float) or row[i] is None for row in rows)
+        table.add_column(column, justify="right" if numeric else "left", overflow="fold")
+    for row in rows:
+        table.add_row(*(_cell(value) for value in row))
+    # A pipe has no width of its own; the table then takes what it needs.
+    width = None if sys.stdout.isatty() or "COLUMNS" in os.environ else 10_000
+    Console(file=sys.stdout, highlight=False, width=width).print(table)
+
+
+def show_values(values: Mapping[str, object]) -> str:
+    """``name=value`` for each value there is, as people read it."""
+    return "  ".join(f"{name}={_plain(value)}" for name, value in values.items())
+
+
+def fail(message: str, hint: str = "") -> typer.Exit:
+    """Say on standard error what went wrong; raise what is returned."""
+    console = err()
+    console.print("[bold red]error:[/]", end=" ")
+    console.print(message, markup=False)
+    if hint:
+        console.print(f"hint: {hint}", markup=False)
+    return typer.Exit(1)
+
+
+def clock_of(time: str | None) -> str:
+    """A time as people read it in a table: without the day when it is today's."""
+    if time is None:
+        return ""
+    today = datetime.now(UTC).strftime("%Y-%m-%d")
+    return time.removeprefix(f"{today}T")
+
+
+def brief(duration: str | None) -> str | None:
+    """A duration of the service in three digits, for a table: ``1.87d``, ``40ms``."""
+    if duration is None:
+        return None
+    nanoseconds = parse_duration(duration.removeprefix("-"))
+    sign = "-" if duration.startswith("-") else ""
+    for unit, size in _UNITS:
+        if nanoseconds >= size:
+            return f"{sign}{nanoseconds / size:.3g}{unit}"
+    return f"{sign}{nanoseconds}ns" if nanoseconds else "0"
+
+
+def _cell(value: Any) -> str:
+    return escape(_plain(value))
+
+
+def _plain(value: object) -> str:
+    if value is None:
+        return "-"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, list | tuple):
+        return ", ".join(_plain(item) for item in value)
+    return str(value)

@@ -1,0 +1,172 @@
+"""``dyknow run``: a continuous query over recorded streams, without a server."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from pyoxigraph import Literal, NamedNode
+
+from ...continuous.evaluate import evaluate
+from ...converters.recording import open_recording
+from ...converters.to_triples import SampleConverter
+from ...languages.ssl import check_ssl, parse_ssl
+from ...languages.ssl.annotation import StreamAnnotation
+from ...ontology.ontology import Ontology
+from ...rdf.dictionary import TermDictionary
+from ...rdf.namespaces import shorten
+from ...rdf.timed import TimedTriples
+from ...streams.time import format_time, parse_duration
+from ..triples_file import TimedTriple, read_timed_triples
+from .output import Json, fail, show_json, show_table, show_text
+from .streams import text_or_file
+
+_FORMATS = {".ttl": "turtle", ".rdf": "rdfxml", ".owl": "rdfxml", ".xml": "rdfxml"}
+_FORMATS |= {".jsonld": "jsonld", ".nt": "ntriples"}
+
+
+class Semantics(StrEnum):
+    """Whether a window holds each timed triple, or each triple once."""
+
+    BAG = "bag"
+    SET = "set"
+
+
+def run(
+    query: Annotated[
+        Path, typer.Argument(help="A REGISTER STREAM|QUERY text.", exists=True, dir_okay=False)
+    ],
+    stream: Annotated[
+        list[str], typer.Option(help="A recorded stream: its IRI and file.", metavar="IRI=FILE")
+    ],
+    static: Annotated[
+        list[Path] | None,
+        typer.Option(help="A file of static knowledge.", exists=True, dir_okay=False),
+    ] = None,
+    ssl: Annotated[
+        str | None,
+        typer.Option(help="SSL for the streams whose files are tables of samples."),
+    ] = None,
+    semantics: Annotated[
+        Semantics | None, typer.Option(help="bag or set; else as the language has it.")
+    ] = None,
+    lateness: Annotated[
+        str | None, typer.Option(help="How far out of order the files are, such as 5s.")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Evaluate a continuous query over recorded streams and print each window's result.
+
+    A FILE holds timed triples (.ndjson or .csv of time,s,p,o), or with --ssl a table of samples.
+    """
+    files = _files(stream)
+    inputs = _triples(files) if ssl is None else _samples(files, text_or_file(ssl), static or ())
+    windows = evaluate(
+        query.read_text(encoding="utf-8"),
+        inputs,
+        static=static or (),
+        semantics=None if semantics is None else semantics.value,
+        lateness=None if lateness is None else parse_duration(lateness),
+    )
+    count = 0
+    for window in windows:
+        count += 1
+        if as_json:
+            show_json({"end": format_time(window.end), "solutions": _plain(window.solutions)})
+        else:
+            _show(window.end, window.solutions)
+    if not as_json:
+        show_text(f"({count} {'window' if count == 1 else 'windows'} with a result)")
+
+
+def _files(pairs: Sequence[str]) -> dict[str, Path]:
+    files: dict[str, Path] = {}
+    for pair in pairs:
+        iri, equals, name = pair.rpartition("=")
+        if not equals or not iri:
+            raise typer.BadParameter(f"{pair!r}: write --stream IRI=FILE")
+        files[iri.strip("<>")] = Path(name)
+        if not Path(name).is_file():
+            raise fail(f"there is no file {name}")
+    return files
+
+
+def _triples(files: Mapping[str, Path]) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for iri, path in files.items():
+        triples: list[TimedTriple] = list(read_timed_triples(path))
+        found[iri] = triples
+    return found
+
+
+def _samples(files: Mapping[str, Path], ssl: str, static: Sequence[Path]) -> dict[str, Any]:
+    """Tables of samples as timed triples, by the annotation of the stream's name."""
+    ontology = Ontology.open()
+    for path in static:
+        text = path.read_text(encoding="utf-8")
+        ontology.load(text, name=path.stem, format=_format(path))
+    vocabulary = ontology.vocabulary
+    checked = check_ssl(parse_ssl(ssl), ssl, vocabulary)
+    annotations = [a for a in checked if isinstance(a, StreamAnnotation)]
+    dictionary = TermDictionary()
+    found: dict[str, Any] = {}
+    for iri, path in files.items():
+        annotation = _annotation(iri, annotations)
+        recording = open_recording(path)
+        converter = SampleConverter(annotation, recording.schema, vocabulary, dictionary)
+        tables = [converter.convert(incoming.batch).tables for incoming in recording]
+        found[iri] = TimedTriples(dictionary, tuple(table for part in tables for table in part))
+    return found
+
+
+def _format(path: Path) -> Any:
+    return _FORMATS.get(path.suffix.lower(), "turtle")
+
+
+def _annotation(iri: str, annotations: Sequence[StreamAnnotation]) -> StreamAnnotation:
+    name = iri.replace("#", "/").rpartition("/")[2].removesuffix(".trdf")
+    for annotation in annotations:
+        if annotation.stream == name:
+            return annotation
+    if len(annotations) == 1:
+        return annotations[0]
+    raise fail(f"--ssl says nothing about stream {name!r}", f"annotate it: stream {name} contains")
+
+
+def _show(end: int, solutions: object) -> None:
+    show_text(f"window that ends {format_time(end)}")
+    if isinstance(solutions, bool):
+        show_text("  yes" if solutions else "  no")
+        return
+    assert isinstance(solutions, list)
+    if not solutions:
+        return
+    if isinstance(solutions[0], Mapping):
+        names = list(dict.fromkeys(name for row in solutions for name in row))
+        show_table(names, [[_term(row.get(name)) for name in names] for row in solutions])
+    else:
+        for triple in solutions:
+            show_text("  " + " ".join(_term(term) for term in triple))
+
+
+def _plain(solutions: object) -> object:
+    if isinstance(solutions, bool):
+        return solutions
+    assert isinstance(solutions, list)
+    return [
+        {name: str(term) for name, term in row.items()}
+        if isinstance(row, Mapping)
+        else [str(term) for term in row]
+        for row in solutions
+    ]
+
+
+def _term(term: object) -> str:
+    if isinstance(term, NamedNode):
+        return shorten(term.value)
+    if isinstance(term, Literal):
+        return term.value
+    return "-" if term is None else str(term)

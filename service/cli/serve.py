@@ -1,0 +1,42 @@
+"""``dyknow serve``: the service, until it is stopped."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from ...engine.engine import Engine
+from ..app import create_app
+from ..logs import configure
+from ..server import bind, run, url_of
+from ..settings import Settings
+from .output import err, fail
+
+
+def serve(
+    host: Annotated[str | None, typer.Option(help="Address to listen at.")] = None,
+    port: Annotated[int | None, typer.Option(help="Port; 0 takes a free one.", min=0)] = None,
+    data: Annotated[
+        Path | None, typer.Option(help="Directory of what outlives a restart.", file_okay=False)
+    ] = None,
+    log_level: Annotated[str | None, typer.Option(help="debug, info, warning, error.")] = None,
+) -> None:
+    """Run the service. Every setting can also be given as DYKNOW_<NAME>."""
+    given: dict[str, Any] = {"host": host, "port": port, "data": data, "log_level": log_level}
+    settings = Settings(**{key: value for key, value in given.items() if value is not None})
+    configure(settings.log_level, settings.log_json)
+    if settings.data is not None:
+        settings.data.mkdir(parents=True, exist_ok=True)
+    try:
+        listener = bind(settings)
+    except OSError as error:
+        raise fail(
+            f"cannot listen at {settings.host}:{settings.port}: {error.strerror or error}",
+            "choose another --port",
+        ) from error
+    app = create_app(Engine(settings.data), settings, time.time_ns)
+    err().print(f"DyKnow serves at {url_of(listener)} (documentation: /docs)", markup=False)
+    run(app, listener)

@@ -1,0 +1,91 @@
+"""``dyknow streams`` and ``dyknow annotate``: what streams there are and what they are about."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .output import (
+    DEFAULT_URL,
+    Json,
+    Url,
+    brief,
+    clock_of,
+    connect,
+    show_lines,
+    show_table,
+    show_text,
+    show_values,
+)
+
+
+def streams(
+    name: Annotated[str | None, typer.Argument(help="Only this stream, in full.")] = None,
+    url: Url = DEFAULT_URL,
+    as_json: Json = False,
+) -> None:
+    """List the streams with their rates and counters."""
+    with connect(url) as client:
+        found = client.streams() if name is None else [client.stream(name)]
+    if as_json:
+        show_lines(found)
+        return
+    if name is not None:
+        _show_one(found[0])
+        return
+    show_table(
+        ["stream", "fields", "rate/s", "used", "late", "duplicate", "lag", "last", "made by"],
+        [
+            (
+                stream["name"],
+                ", ".join(field["name"] for field in stream["fields"]),
+                stream["rate"],
+                stream["counters"]["used"],
+                stream["counters"]["late"],
+                stream["counters"]["duplicate"],
+                brief(stream["lag"]),
+                clock_of(stream["last_available"]) + (" (ended)" if stream["ended"] else ""),
+                stream["producer"],
+            )
+            for stream in found
+        ],
+        empty="no streams yet: dyknow replay FILE --stream NAME",
+    )
+
+
+def annotate(
+    source: Annotated[str, typer.Argument(help="SSL text, a file that holds it, or - .")],
+    url: Url = DEFAULT_URL,
+    as_json: Json = False,
+) -> None:
+    """Say in SSL what streams are about."""
+    text = text_or_file(source)
+    with connect(url) as client:
+        found = client.annotate(text)
+    if as_json:
+        show_lines(found)
+        return
+    for annotation in found:
+        show_text(f"{annotation['kind']} {annotation['name']}: {', '.join(annotation['features'])}")
+
+
+def text_or_file(source: str) -> str:
+    """The text itself, the content of the file it names, or standard input for ``-``."""
+    if source == "-":
+        return sys.stdin.read()
+    # A text has blanks or line ends and is no file; a long one is no legal file name either.
+    if "\n" not in source and len(source) < 1024 and Path(source).is_file():
+        return Path(source).read_text(encoding="utf-8")
+    return source
+
+
+def _show_one(stream: dict[str, object]) -> None:
+    for key, value in stream.items():
+        if isinstance(value, dict):
+            value = show_values(value)
+        elif key == "fields" and isinstance(value, list):
+            value = ", ".join(f"{field['name']}: {field['type']}" for field in value)
+        show_text(f"{key:>15}  {'-' if value is None else value}")

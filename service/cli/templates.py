@@ -1,0 +1,71 @@
+"""``dyknow template``: register, list, show and remove event templates."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from .output import DEFAULT_URL, Json, Url, connect, show_json, show_lines, show_table, show_text
+from .streams import text_or_file
+
+template = typer.Typer(help="Event templates: add, list, show, remove.", no_args_is_help=True)
+
+
+@template.command()
+def add(
+    source: Annotated[str, typer.Argument(help="REGISTER TEMPLATE text, its file, or - .")],
+    replace: Annotated[
+        str | None, typer.Option(help="Replace the template of this name.", metavar="NAME")
+    ] = None,
+    url: Url = DEFAULT_URL,
+    as_json: Json = False,
+) -> None:
+    """Register a template."""
+    text = text_or_file(source)
+    with connect(url) as client:
+        found = client.register_template(text, replace=replace)
+    if as_json:
+        show_json(found)
+    else:
+        show_text(f"registered {found['local_name']}({', '.join(found['parameters'])})")
+
+
+@template.command("list")
+def list_templates(url: Url = DEFAULT_URL, as_json: Json = False) -> None:
+    """List the templates."""
+    with connect(url) as client:
+        found = client.templates()
+    if as_json:
+        show_lines(found)
+        return
+    show_table(
+        ["template", "parameters", "event"],
+        [(t["local_name"], ", ".join(t["parameters"]), t["name"]) for t in found],
+        empty="no templates yet: dyknow template add FILE",
+    )
+
+
+@template.command()
+def show(
+    name: Annotated[str, typer.Argument(help="The event's name.")],
+    url: Url = DEFAULT_URL,
+    as_json: Json = False,
+) -> None:
+    """Print a template's text."""
+    with connect(url) as client:
+        found = client.template(name)
+    if as_json:
+        show_json(found)
+    else:
+        show_text(found["source"])
+
+
+@template.command()
+def remove(
+    name: Annotated[str, typer.Argument(help="The event's name.")], url: Url = DEFAULT_URL
+) -> None:
+    """Remove a template."""
+    with connect(url) as client:
+        client.remove_template(name)
+    show_text(f"removed {name}")

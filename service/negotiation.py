@@ -1,0 +1,88 @@
+"""Media types: what a client sends is what it says (415), what it gets is what it accepts (406)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import mimeparse
+from fastapi import Request
+
+from .problems import Problem
+
+JSON = "application/json"
+TEXT = "text/plain"
+NDJSON = "application/x-ndjson"
+CSV = "text/csv"
+ARROW = "application/vnd.apache.arrow.stream"
+NTRIPLES = "application/n-triples"
+TURTLE = "text/turtle"
+JSON_LD = "application/ld+json"
+SPARQL_QUERY = "application/sparql-query"
+SPARQL_JSON = "application/sparql-results+json"
+SPARQL_XML = "application/sparql-results+xml"
+TSV = "text/tab-separated-values"
+FORM = "application/x-www-form-urlencoded"
+EVENT_STREAM = "text/event-stream"
+
+
+def accepted(request: Request, offered: Sequence[str]) -> str:
+    """The offered media type that the client likes best; the first one if it does not mind.
+
+    Raises a 406 `Problem` that lists what there is.
+    """
+    header = ", ".join(request.headers.getlist("accept")).strip()
+    if not header:
+        return offered[0]
+    # mimeparse breaks ties in favour of the last one; ours is the first.
+    backwards = list(reversed(offered))
+    try:
+        best = mimeparse.best_match(backwards, header)
+    except (mimeparse.MimeTypeParseException, ValueError) as error:
+        raise Problem(400, "bad Accept header", f"{header!r} is no list of media types") from error
+    if not best:
+        raise Problem(
+            406,
+            "not acceptable",
+            f"there is no {header} here",
+            hint=f"Accept one of {', '.join(offered)}",
+        )
+    return str(best)
+
+
+def content_type(request: Request, allowed: Sequence[str]) -> str:
+    """The media type of the request's body, which must be one of ``allowed``.
+
+    A body without a Content-Type is taken as the first one. Raises a 415 `Problem`.
+    """
+    header = request.headers.get("content-type", "")
+    given = header.partition(";")[0].strip().lower()
+    if not given:
+        return allowed[0]
+    if given not in allowed:
+        raise Problem(
+            415,
+            "unsupported media type",
+            f"this route does not take {given}",
+            hint=f"send Content-Type: {' or '.join(allowed)}",
+            headers={"Accept-Post": ", ".join(allowed)},
+        )
+    return given
+
+
+async def text_body(request: Request, allowed: Sequence[str]) -> str:
+    """The request's body as text. Raises `Problem` 415, or 400 when it is no UTF-8 or empty."""
+    content_type(request, allowed)
+    return utf8(await request.body())
+
+
+def utf8(body: bytes) -> str:
+    """``body`` as text. Raises a 400 `Problem` when it is no UTF-8 or empty."""
+    try:
+        text = body.decode()
+    except UnicodeDecodeError as error:
+        raise Problem(
+            400, "bad encoding", f"the body is no UTF-8 at byte {error.start}", hint="send UTF-8"
+        ) from error
+    if not text.strip():
+        raise Problem(400, "empty body", "the body is empty", hint="send the text as the body")
+    return text

@@ -1,0 +1,207 @@
+"""Errors as ``application/problem+json`` (RFC 9457): each says what is wrong and what to do next.
+
+Every refusal of a lower room has its status here, once. Called by the application's exception
+handlers; routes raise `Problem` only for what is theirs (conditions, media types, sizes).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from http import HTTPStatus
+from typing import Any
+
+from fastapi import FastAPI, HTTPException, Request
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import JSONResponse, Response
+from pydantic import BaseModel, Field
+from starlette.exceptions import HTTPException as StarletteHTTPException
+
+from ..converters.errors import ConversionError, WireError
+from ..engine import errors as engine_errors
+from ..engine.errors import DyknowError, NoPlan
+from ..languages.errors import LanguageError
+from ..ontology.errors import OntologyError, QueryRefused
+from ..ontology.units import UnitError
+from ..streams.sample import SampleError
+
+MEDIA_TYPE = "application/problem+json"
+_NAMES = "urn:dyknow:problem:"
+
+
+class ProblemModel(BaseModel):
+    """An error. ``line``, ``column`` (from 1) and ``hint`` are there when a text is to blame."""
+
+    type: str = Field(examples=["urn:dyknow:problem:unknown-stream"])
+    title: str
+    status: int
+    detail: str
+    hint: str | None = None
+    line: int | None = None
+    column: int | None = None
+    excerpt: str | None = Field(None, description="the source line with a caret under the place")
+    field: str | None = Field(None, description="the field of a sample that is to blame")
+    missing: list[str] | None = Field(None, description="what semantic matching would need")
+    errors: list[dict[str, Any]] | None = Field(None, description="each value that does not fit")
+
+
+class Problem(HTTPException):
+    """An error on its way out. ``kind`` names the type, ``extra`` are further members."""
+
+    def __init__(
+        self,
+        status: int,
+        title: str,
+        detail: str,
+        *,
+        hint: str = "",
+        headers: Mapping[str, str] | None = None,
+        **extra: object,
+    ) -> None:
+        super().__init__(status, detail, dict(headers) if headers else None)
+        self.title = title
+        self.members = {"hint": hint or None, **extra}
+
+    def model(self) -> ProblemModel:
+        kind = _NAMES + self.title.lower().replace(" ", "-")
+        known: dict[str, Any] = {key: value for key, value in self.members.items() if value}
+        return ProblemModel(
+            type=kind, title=self.title, status=self.status_code, detail=str(self.detail), **known
+        )
+
+    def response(self) -> Response:
+        body = self.model().model_dump(exclude_none=True)
+        return JSONResponse(body, self.status_code, self.headers, media_type=MEDIA_TYPE)
+
+
+_STATUS: tuple[tuple[type[DyknowError], int], ...] = (
+    (engine_errors.UnknownStream, 404),
+    (engine_errors.UnknownTemplate, 404),
+    (engine_errors.UnknownEvent, 404),
+    (engine_errors.UnknownRequest, 404),
+    (engine_errors.UnknownFeature, 404),
+    (engine_errors.AlreadyExists, 409),
+    (engine_errors.Conflict, 409),
+    (engine_errors.BadArguments, 400),
+    (engine_errors.NoPlan, 422),
+    (engine_errors.Refused, 403),
+)
+
+
+def problem_of(error: Exception) -> Problem:
+    """The problem that an error of a lower room, or of the web framework, is."""
+    match error:
+        case Problem():
+            return error
+        case LanguageError():
+            excerpt = "\n".join(error.render().splitlines()[1:3])
+            return Problem(
+                400,
+                "syntax error",
+                error.message,
+                hint=error.hint,
+                line=error.line,
+                column=error.column,
+                excerpt=excerpt,
+            )
+        case DyknowError():
+            status = next((code for kind, code in _STATUS if isinstance(error, kind)), 400)
+            missing = list(error.missing) if isinstance(error, NoPlan) else None
+            return Problem(status, error.title, error.detail, hint=error.hint, missing=missing)
+        case QueryRefused():
+            return Problem(
+                400,
+                "query refused",
+                error.message,
+                hint=error.hint,
+                line=error.line,
+                column=error.column,
+            )
+        case WireError():
+            return Problem(400, "bad samples", error.message, hint=error.hint, line=error.line)
+        case ConversionError():
+            return Problem(
+                400, "conversion failed", error.message, hint=error.hint, field=error.field
+            )
+        case SampleError():
+            line = None if error.row is None else error.row + 1
+            return Problem(400, "bad samples", str(error), line=line, field=error.field)
+        case OntologyError():
+            return Problem(
+                400,
+                "bad ontology",
+                error.message,
+                hint=error.hint,
+                line=error.line,
+                column=error.column,
+            )
+        case UnitError():
+            return Problem(400, "bad unit", str(error))
+        case RequestValidationError():
+            return _validation(error.errors())
+        case StarletteHTTPException():
+            return _plain(error)
+        case _:
+            # What went wrong is in the log; its words may name files and do not help the caller.
+            return Problem(500, "internal error", "the service failed; its log says why")
+
+
+def install(app: FastAPI) -> None:
+    """Answer every error of ``app`` as a problem."""
+
+    async def answer(request: Request, error: Exception) -> Response:
+        return problem_of(error).response()
+
+    for kind in (
+        StarletteHTTPException,
+        RequestValidationError,
+        LanguageError,
+        DyknowError,
+        QueryRefused,
+        WireError,
+        ConversionError,
+        SampleError,
+        OntologyError,
+        UnitError,
+        Exception,
+    ):
+        app.add_exception_handler(kind, answer)
+
+
+def responses(*statuses: int) -> dict[int | str, dict[str, Any]]:
+    """What a route documents about its errors."""
+    return {
+        status: {
+            "description": HTTPStatus(status).phrase,
+            "content": {
+                MEDIA_TYPE: {"schema": {"$ref": "#/components/schemas/ProblemModel"}},
+            },
+        }
+        for status in statuses
+    }
+
+
+def _validation(errors: Sequence[Any]) -> Problem:
+    details = [
+        {"at": ".".join(str(part) for part in error["loc"]), "problem": error["msg"]}
+        for error in errors
+    ]
+    first = errors[0]
+    if first["type"] == "json_invalid":
+        position = first["loc"][-1]
+        return Problem(
+            400, "bad JSON", f"{first['ctx']['error']} at character {position}", errors=details
+        )
+    text = "; ".join(f"{detail['at']}: {detail['problem']}" for detail in details[:5])
+    return Problem(422, "values do not fit", text, errors=details)
+
+
+def _plain(error: StarletteHTTPException) -> Problem:
+    phrase = HTTPStatus(error.status_code).phrase
+    hint = {
+        404: "the routes are listed at /docs and in /openapi.json",
+        405: "see the Allow header for the methods of this route",
+    }.get(error.status_code, "")
+    title = {404: "no such route", 405: "method not allowed"}.get(error.status_code, phrase)
+    return Problem(
+        error.status_code, title.lower(), str(error.detail), hint=hint, headers=error.headers
+    )

@@ -1,0 +1,1 @@
+"""The routes, one module a resource; docs/api.md lists them all."""

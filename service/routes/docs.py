@@ -1,0 +1,54 @@
+"""The documentation page: own files, no outside address."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+
+from fastapi import APIRouter, Response
+from fastapi.responses import RedirectResponse
+
+from ..problems import Problem
+
+router = APIRouter(include_in_schema=False)
+
+STATIC = Path(__file__).resolve().parent.parent / "static"
+FILES = {
+    "docs.html": "text/html; charset=utf-8",
+    "docs.css": "text/css; charset=utf-8",
+    "docs.js": "text/javascript; charset=utf-8",
+}
+POLICY = {
+    "Content-Security-Policy": "default-src 'self'",
+    "Cache-Control": "no-cache",
+    "X-Content-Type-Options": "nosniff",
+}
+
+
+@router.get("/")
+async def home() -> Response:
+    """People who open the service in a browser see what it can do."""
+    return RedirectResponse("/docs")
+
+
+@router.get("/docs")
+async def page() -> Response:
+    """The documentation of all routes, made from /openapi.json in the browser."""
+    return _file("docs.html")
+
+
+@router.get("/static/{name}")
+async def static(name: str) -> Response:
+    """Style and script of the page."""
+    return _file(name)
+
+
+def _file(name: str) -> Response:
+    if name not in FILES:
+        raise Problem(404, "no such route", f"there is no file {name!r}")
+    return Response(_read(name), media_type=FILES[name], headers=POLICY)
+
+
+@lru_cache
+def _read(name: str) -> bytes:
+    return (STATIC / name).read_bytes()

@@ -1,0 +1,94 @@
+"""Events on demand ([Events14 §V.B]): request, list, read, give up."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Query, Request, Response
+from fastapi.exceptions import RequestValidationError
+from pydantic import ValidationError
+
+from ..context import Context
+from ..models import EventIn, EventModel, Strategy, text_schema
+from ..negotiation import JSON, TEXT, content_type, utf8
+from ..problems import responses
+
+router = APIRouter(tags=["events"])
+
+EXAMPLE = "dyknow:HighSpeedEvent(?o, dyknow:UAV, 100)"
+BODY: dict[str, Any] = {
+    "requestBody": {
+        "required": True,
+        "content": {
+            JSON: {
+                "schema": EventIn.model_json_schema(),
+                "example": {
+                    "event": "dyknow:HighSpeedEvent",
+                    "arguments": ["?o", "dyknow:UAV", "100"],
+                    "strategy": "fast",
+                },
+            },
+            TEXT: text_schema("a request as text", EXAMPLE),
+        },
+    }
+}
+
+
+@router.post(
+    "/events",
+    status_code=201,
+    openapi_extra=BODY,
+    responses=responses(404, 413, 415, 422),
+)
+async def request_event(
+    request: Request,
+    response: Response,
+    service: Context,
+    strategy: Annotated[Strategy, Query(description="for a request as text")] = "fast",
+) -> EventModel:
+    """Request an event: the streams it needs are found or built.
+
+    The same request twice shares one stream. 404: no such event; 422: no plan, ``missing`` says
+    what would be needed.
+    """
+    kind = content_type(request, (JSON, TEXT))
+    body = await request.body()
+    engine = service.engine
+    # A body that came without a type may be either; JSON begins with a brace.
+    if kind == TEXT or not ("content-type" in request.headers or body.lstrip().startswith(b"{")):
+        parsed = engine.parse_request(utf8(body))
+    else:
+        wanted = _read(body)
+        parsed, strategy = engine.make_request(wanted.event, wanted.arguments), wanted.strategy
+    view = engine.request_event(parsed, strategy)
+    response.headers["Location"] = f"/events/{view.id}"
+    return EventModel.of(view)
+
+
+@router.get("/events")
+async def list_events(service: Context) -> list[EventModel]:
+    """The requests that run."""
+    return [EventModel.of(view) for view in service.engine.events()]
+
+
+@router.get("/events/{id}", responses=responses(404))
+async def read_event(id: str, service: Context) -> EventModel:
+    """One running request, with its plan."""
+    return EventModel.of(service.engine.event(id))
+
+
+@router.delete("/events/{id}", status_code=204, responses=responses(404))
+async def cancel_event(id: str, service: Context) -> Response:
+    """Give a request up. A unit stops with its last user."""
+    service.engine.cancel_event(id)
+    service.feeds.review()
+    return Response(status_code=204)
+
+
+def _read(body: bytes) -> EventIn:
+    try:
+        return EventIn.model_validate_json(body)
+    except ValidationError as error:
+        raise RequestValidationError(
+            [{**item, "loc": ("body", *item["loc"])} for item in error.errors()]
+        ) from error

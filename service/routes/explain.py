@@ -1,0 +1,68 @@
+"""Every stage of a query, template, request or match, as text."""
+
+from __future__ import annotations
+
+from fastapi import APIRouter, Query, Request
+from fastapi.responses import JSONResponse, PlainTextResponse, Response
+
+from ...engine.views import MatchView
+from ..context import Context, Service
+from ..models import ExplainModel, Strategy
+from ..negotiation import JSON, TEXT, accepted
+from ..problems import Problem, responses
+
+router = APIRouter(tags=["explain"])
+
+LIMIT = 8192
+
+
+@router.get(
+    "/explain",
+    response_model=ExplainModel,
+    responses={200: {"content": {TEXT: {"schema": {"type": "string"}}}}, **responses(404, 406)},
+)
+async def explain(
+    request: Request,
+    service: Context,
+    event: str | None = Query(
+        None, max_length=LIMIT, description="a request: dyknow:HighSpeedEvent(?o, dyknow:UAV, 100)"
+    ),
+    template: str | None = Query(None, max_length=LIMIT, description="a template's name"),
+    query: str | None = Query(None, max_length=LIMIT, description="a REGISTER STREAM|QUERY text"),
+    id: str | None = Query(None, max_length=LIMIT, description="the id of a running request"),
+    feature: str | None = Query(None, max_length=LIMIT, description="a feature to match"),
+    sort: str | None = Query(None, max_length=LIMIT, description="whose feature"),
+    strategy: Strategy = "fast",
+) -> Response:
+    """Explain exactly one of `event`, `template`, `query`, `id` and `feature`."""
+    kind = accepted(request, (TEXT, JSON))
+    given = [name for name in (event, template, query, id, feature) if name is not None]
+    if len(given) != 1:
+        raise Problem(
+            400,
+            "wrong arguments",
+            f"one thing is explained at a time, got {len(given)}",
+            hint="give exactly one of event, template, query, id, feature",
+        )
+    if id is not None:
+        text = _request(service, id)
+    elif feature is not None:
+        text = _match(service.engine.match(feature, sort=sort, strategy=strategy))
+    else:
+        text = service.engine.explain(event=event, template=template, query=query)
+    return JSONResponse({"text": text}) if kind == JSON else PlainTextResponse(text)
+
+
+def _request(service: Service, id: str) -> str:
+    view = service.engine.event(id)
+    return f"{view.plan.text.rstrip()}\n\n{view.plan.query}".rstrip() + "\n"
+
+
+def _match(view: MatchView) -> str:
+    lines = [f"{view.target} by strategy {view.strategy}: {'found' if view.found else 'not found'}"]
+    if view.plan is not None:
+        lines += ["", view.plan.text.rstrip()]
+    lines += ["", "why:", *(f"- {reason}" for reason in view.reasons)]
+    if view.alternatives:
+        lines += ["", "also possible:", *(f"- {other}" for other in view.alternatives)]
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,21 @@
+"""Semantic matching without executing ([Introspection15 §4.3])."""
+
+from __future__ import annotations
+
+from fastapi import APIRouter, Depends
+
+from ..context import Context
+from ..models import MatchIn, MatchModel
+from ..problems import responses
+from .streams import json_only
+
+router = APIRouter(tags=["matching"])
+
+
+@router.post("/match", dependencies=[Depends(json_only)], responses=responses(404, 413, 415, 422))
+async def match_feature(wanted: MatchIn, service: Context) -> MatchModel:
+    """How a feature could be had: the plan, what else was possible, and why. Nothing starts."""
+    view = service.engine.match(
+        wanted.feature, sort=wanted.sort, objects=wanted.objects, strategy=wanted.strategy
+    )
+    return MatchModel.of(view)

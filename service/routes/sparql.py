@@ -1,0 +1,186 @@
+"""SPARQL 1.1 Protocol queries over the ontology and the live stream space.
+
+The dataset is fixed: the merge of all graphs. Queries are checked first (no SERVICE, no updates,
+bounded size) and evaluated beside the event loop, a few at a time, with a deadline.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+from urllib.parse import parse_qsl
+
+import anyio
+import anyio.to_thread
+from fastapi import APIRouter, Query, Request, Response
+from pyoxigraph import (
+    QueryBoolean,
+    QueryResultsFormat,
+    QuerySolutions,
+    QueryTriples,
+    RdfFormat,
+)
+
+from ...ontology.ontology import Ontology
+from ..context import Context, Service
+from ..negotiation import (
+    CSV,
+    FORM,
+    JSON,
+    JSON_LD,
+    NTRIPLES,
+    SPARQL_JSON,
+    SPARQL_QUERY,
+    SPARQL_XML,
+    TSV,
+    TURTLE,
+    accepted,
+    content_type,
+    utf8,
+)
+from ..problems import Problem, responses
+
+router = APIRouter(tags=["sparql"])
+
+RESULTS = {
+    SPARQL_JSON: QueryResultsFormat.JSON,
+    JSON: QueryResultsFormat.JSON,
+    SPARQL_XML: QueryResultsFormat.XML,
+    CSV: QueryResultsFormat.CSV,
+    TSV: QueryResultsFormat.TSV,
+}
+# CSV and TSV stand for tables: SPARQL 1.1 has no boolean in them.
+BOOLEANS = {kind: RESULTS[kind] for kind in (SPARQL_JSON, JSON, SPARQL_XML)}
+GRAPHS = {
+    TURTLE: RdfFormat.TURTLE,
+    NTRIPLES: RdfFormat.N_TRIPLES,
+    JSON_LD: RdfFormat.JSON_LD,
+}
+EXAMPLE = """PREFIX dyknow-o: <http://www.dyknow.eu/ontology#>
+SELECT ?name WHERE { ?stream a dyknow-o:Stream ; dyknow-o:hasName ?name }"""
+TEXT_SCHEMA = {"type": "string", "description": "SELECT, ASK, CONSTRUCT or DESCRIBE"}
+BODY: dict[str, Any] = {
+    "requestBody": {
+        "required": True,
+        "content": {
+            SPARQL_QUERY: {"schema": TEXT_SCHEMA, "example": EXAMPLE},
+            FORM: {
+                "schema": {
+                    "type": "object",
+                    "required": ["query"],
+                    "properties": {"query": TEXT_SCHEMA},
+                }
+            },
+        },
+    }
+}
+CONTENT: dict[int | str, dict[str, Any]] = {
+    200: {
+        "description": "bindings or a boolean for SELECT and ASK, triples for the others",
+        "content": {kind: {"schema": {}} for kind in (*RESULTS, *GRAPHS)},
+    }
+}
+
+
+@router.get(
+    "/sparql", response_class=Response, responses=CONTENT | responses(406, 503), name="sparql_get"
+)
+async def query_by_get(
+    request: Request, service: Context, query: str | None = Query(None, examples=[EXAMPLE])
+) -> Response:
+    """Answer a query. JSON, XML, CSV, TSV for SELECT; JSON, XML for ASK; Turtle, N-Triples or
+    JSON-LD for CONSTRUCT and DESCRIBE."""
+    return await _answer(service, request, _text(list(request.query_params.multi_items())))
+
+
+@router.post(
+    "/sparql",
+    response_class=Response,
+    openapi_extra=BODY,
+    responses=CONTENT | responses(406, 413, 415, 503),
+    name="sparql_post",
+)
+async def query_by_post(request: Request, service: Context) -> Response:
+    """The same, with the query as the body or in a form."""
+    kind = content_type(request, (SPARQL_QUERY, FORM))
+    parameters = list(request.query_params.multi_items())
+    body = utf8(await request.body())
+    if kind == FORM:
+        try:
+            parameters += parse_qsl(body, keep_blank_values=True, max_num_fields=100)
+        except ValueError as error:
+            raise Problem(400, "bad form", str(error)) from error
+    else:
+        parameters.append(("query", body))
+    return await _answer(service, request, _text(parameters))
+
+
+def _text(parameters: list[tuple[str, str]]) -> str:
+    """The query among the protocol's parameters. Raises a `Problem` for what is not served."""
+    for key, _ in parameters:
+        if key in ("default-graph-uri", "named-graph-uri", "using-graph-uri"):
+            raise Problem(
+                400,
+                "query refused",
+                f"{key} is not served: the dataset is the merge of all graphs",
+                hint="write GRAPH <iri> { ... } in the query to look at one graph",
+            )
+        if key == "update":
+            raise Problem(
+                400,
+                "query refused",
+                "updates are not served",
+                hint="ontology, templates and streams are changed by their own routes",
+            )
+    texts = [value for key, value in parameters if key == "query"]
+    if len(texts) != 1:
+        raise Problem(
+            400,
+            "wrong arguments",
+            f"one query is answered at a time, got {len(texts)}",
+            hint="GET /sparql?query=..., or POST it as application/sparql-query",
+        )
+    return texts[0]
+
+
+async def _answer(service: Service, request: Request, text: str) -> Response:
+    ontology = service.engine.ontology
+    with anyio.move_on_after(service.settings.sparql_deadline):
+        return await anyio.to_thread.run_sync(
+            _evaluate,
+            ontology,
+            text,
+            request,
+            limiter=service.sparql_slots,
+            # The evaluation cannot be stopped; its slot stays taken until it ends by itself.
+            abandon_on_cancel=True,
+        )
+    raise Problem(
+        503,
+        "query too slow",
+        f"no answer within {service.settings.sparql_deadline:g} s",
+        hint="ask for less: name the graph patterns that join, add a LIMIT",
+        headers={"Retry-After": "10"},
+    )
+
+
+def _evaluate(ontology: Ontology, text: str, request: Request) -> Response:
+    """Query and write the answer in one thread: a result must not leave the one that made it."""
+    try:
+        found = ontology.query(text)
+        match found:
+            case QuerySolutions():
+                kind = accepted(request, tuple(RESULTS))
+                return _response(found.serialize(format=RESULTS[kind]), kind)
+            case QueryBoolean():
+                kind = accepted(request, tuple(BOOLEANS))
+                return _response(found.serialize(format=BOOLEANS[kind]), kind)
+            case QueryTriples():
+                kind = accepted(request, tuple(GRAPHS))
+                return _response(found.serialize(format=GRAPHS[kind]), kind)
+    except (SyntaxError, RuntimeError, OSError) as error:
+        # What the store finds while it evaluates, after the text has passed the check.
+        raise Problem(400, "query failed", str(error)) from error
+
+
+def _response(body: bytes | None, kind: str) -> Response:
+    return Response(body or b"", media_type=kind)

@@ -1,0 +1,42 @@
+"""The service at a glance, and the status stream ([Introspection15 §3.3])."""
+
+from __future__ import annotations
+
+from fastapi import APIRouter, Query, Request, Response
+
+from ... import __version__
+from ...streams.time import format_time
+from ..context import Context
+from ..models import StatusModel
+from ..problems import responses
+from .streams import EVENTS, follow
+
+router = APIRouter(tags=["status"])
+
+
+@router.get("/status")
+async def read_status(service: Context) -> StatusModel:
+    """What runs."""
+    engine = service.engine
+    streams = engine.streams()
+    return StatusModel(
+        version=__version__,
+        epoch=engine.epoch,
+        started=format_time(service.started),
+        now=format_time(service.clock()),
+        streams=len(streams),
+        templates=len(engine.templates()),
+        requests=len(engine.events()),
+        clients=service.feeds.clients,
+        accepted=sum(stream.counters.accepted for stream in streams),
+    )
+
+
+@router.get("/status/events", responses={**EVENTS, **responses(406)})
+async def follow_status(
+    request: Request,
+    service: Context,
+    since: str | None = Query(None, description="`start` of what is kept, or the id of a sample"),
+) -> Response:
+    """Every change of the stream space as server-sent events: the stream `status`."""
+    return follow(service, request, "status", since)

@@ -1,0 +1,114 @@
+"""Streams: declare, list, read, end, follow."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Depends, Path, Query, Request, Response
+
+from ...engine.errors import UnknownStream
+from ..context import Context, Service
+from ..models import StreamIn, StreamModel
+from ..negotiation import EVENT_STREAM, JSON, content_type
+from ..problems import responses
+from ..sse import event_stream
+
+router = APIRouter(tags=["streams"])
+
+EVENTS: dict[int | str, dict[str, Any]] = {
+    200: {
+        "description": "server-sent events: sample, gap, end",
+        "content": {EVENT_STREAM: {"schema": {"type": "string"}}},
+    }
+}
+
+NewName = Annotated[
+    str,
+    Path(
+        pattern="^[A-Za-z][A-Za-z0-9_]*$",
+        max_length=200,
+        description="letters, digits and _; the first is a letter",
+    ),
+]
+
+
+async def json_only(request: Request) -> None:
+    """Refuse a body that says it is something else than JSON (415)."""
+    content_type(request, (JSON,))
+
+
+@router.get("/streams")
+async def list_streams(service: Context) -> list[StreamModel]:
+    """All streams with rate, counters, lag, annotation, producer and subscribers."""
+    return [StreamModel.of(view) for view in service.engine.streams()]
+
+
+@router.get("/streams/{name}", responses=responses(404))
+async def read_stream(name: str, service: Context) -> StreamModel:
+    """One stream."""
+    return StreamModel.of(service.engine.stream(name))
+
+
+@router.put(
+    "/streams/{name}",
+    dependencies=[Depends(json_only)],
+    responses={201: {"model": StreamModel}, **responses(403, 409, 413, 415, 422)},
+)
+async def declare_stream(
+    name: NewName, declaration: StreamIn, response: Response, service: Context
+) -> StreamModel:
+    """Declare a stream. Saying the same again changes nothing; other fields are a 409."""
+    known = _known(service, name)
+    samples = service.settings.retention_samples
+    view = service.engine.declare(declaration.declaration(name, samples))
+    if not known:
+        response.status_code = 201
+        response.headers["Location"] = f"/streams/{view.name}"
+    return StreamModel.of(view)
+
+
+@router.post("/streams/{name}/end", status_code=204, responses=responses(404))
+async def end_stream(name: str, service: Context) -> Response:
+    """A recording has come to its end: what is held back is released, open windows close.
+
+    A sample that comes later takes the stream up again.
+    """
+    service.engine.end(name)
+    return Response(status_code=204)
+
+
+@router.get("/streams/{name}/events", responses={**EVENTS, **responses(404, 406)})
+async def follow_stream(
+    name: str,
+    request: Request,
+    service: Context,
+    since: str | None = Query(None, description="`start` of what is kept, or the id of a sample"),
+) -> Response:
+    """The stream's samples as server-sent events, from now on.
+
+    After ``Last-Event-ID`` when a client resumes, or from ``since``. Messages: `sample`, `gap`
+    (samples that are no longer kept), `end` (the stream has ended or was removed; the answer
+    ends with it).
+    """
+    return follow(service, request, name, since)
+
+
+def follow(service: Service, request: Request, name: str, since: str | None) -> Response:
+    """The event stream of ``name``, with the service's settings."""
+    settings = service.settings
+    return event_stream(
+        service.feeds,
+        request,
+        name,
+        since,
+        ping=settings.sse_ping,
+        timeout=settings.sse_send_timeout,
+    )
+
+
+def _known(service: Service, name: str) -> bool:
+    try:
+        service.engine.stream(name)
+    except UnknownStream:
+        return False
+    return True

@@ -1,0 +1,156 @@
+"""Event templates ([Events14 §IV]): register, read, replace, remove."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Header, Path, Request, Response
+from fastapi.responses import JSONResponse, PlainTextResponse
+
+from ...engine.errors import UnknownTemplate
+from ...engine.views import TemplateView
+from ...languages.csparql import parse_template
+from ..context import Context, Service
+from ..models import TemplateModel, text_schema
+from ..negotiation import JSON, SPARQL_QUERY, TEXT, accepted, text_body
+from ..problems import Problem, responses
+
+router = APIRouter(tags=["templates"])
+
+TEXTS = (TEXT, SPARQL_QUERY)
+EXAMPLE = """REGISTER TEMPLATE dyknow:HighSpeedEvent(?o, ?type, ?threshold) COMPUTE EVERY 1s AS
+PREFIX dyknow: <http://www.ida.liu.se/dyknow/>
+CONSTRUCT {?o dyknow:speed ?avgSpeed}
+FROM <http://www.ida.liu.se/dyknow/ontology.rdf>
+WHERE { ?o a ?type . ?o dyknow:speed ?spd . }
+AGGREGATE {(?avgSpeed, AVG, {?spd}) FILTER (?avgSpeed > ?threshold)}
+WINDOW [RANGE 5s STEP 1s]"""
+BODY = {
+    "requestBody": {
+        "required": True,
+        "content": {kind: text_schema("a REGISTER TEMPLATE text", EXAMPLE) for kind in TEXTS},
+    }
+}
+BOTH: dict[int | str, dict[str, Any]] = {200: {"content": {TEXT: {"schema": {"type": "string"}}}}}
+Name = Annotated[str, Path(description="the event's local name or IRI")]
+IfMatch = Annotated[str | None, Header(description="act only on this version (412 otherwise)")]
+IfNoneMatch = Annotated[str | None, Header()]
+
+
+@router.post(
+    "/templates",
+    status_code=201,
+    response_model=TemplateModel,
+    openapi_extra=BODY,
+    responses=responses(409, 413, 415),
+)
+async def register_template(request: Request, service: Context) -> Response:
+    """Register a template. It becomes a property of its event concept and survives a restart."""
+    view = service.engine.register_template(await text_body(request, TEXTS))
+    return _answer(view, 201)
+
+
+@router.get("/templates", response_model=list[TemplateModel], responses=BOTH | responses(406))
+async def list_templates(request: Request, service: Context) -> Response:
+    """All templates; their source texts for ``Accept: text/plain``."""
+    kind = accepted(request, (JSON, TEXT))
+    views = service.engine.templates()
+    if kind == TEXT:
+        return PlainTextResponse("\n\n".join(view.source for view in views))
+    return JSONResponse([TemplateModel.of(view).model_dump() for view in views])
+
+
+@router.get(
+    "/templates/{name:path}", response_model=TemplateModel, responses=BOTH | responses(404, 406)
+)
+async def read_template(
+    name: Name, request: Request, service: Context, if_none_match: IfNoneMatch = None
+) -> Response:
+    """One template; its source text for ``Accept: text/plain``."""
+    kind = accepted(request, (JSON, TEXT))
+    view = service.engine.template(name)
+    if if_none_match is not None and _names(if_none_match, view):
+        return Response(status_code=304, headers=_headers(view))
+    if kind == TEXT:
+        return PlainTextResponse(view.source, headers=_headers(view))
+    return _answer(view, 200)
+
+
+@router.put(
+    "/templates/{name:path}",
+    response_model=TemplateModel,
+    openapi_extra=BODY,
+    responses={201: {"model": TemplateModel}, **responses(409, 412, 413, 415)},
+)
+async def put_template(
+    name: Name,
+    request: Request,
+    service: Context,
+    if_match: IfMatch = None,
+    if_none_match: IfNoneMatch = None,
+) -> Response:
+    """Register the template of this name, or replace it. Running requests keep what they have."""
+    text = await text_body(request, TEXTS)
+    registered = parse_template(text).name
+    if name not in (registered, _local(registered)):
+        raise Problem(
+            409,
+            "conflict",
+            f"the text registers <{registered}>, the address names {name}",
+            hint=f"PUT it to /templates/{_local(registered)}",
+        )
+    old = _existing(service, name)
+    _check(old, if_match, if_none_match)
+    view = service.engine.register_template(text, replace=True)
+    return _answer(view, 201 if old is None else 200)
+
+
+@router.delete("/templates/{name:path}", status_code=204, responses=responses(404, 409, 412))
+async def remove_template(name: Name, service: Context, if_match: IfMatch = None) -> Response:
+    """Remove a template; its event concept stays. Running requests keep what they have."""
+    if if_match is not None:
+        _check(service.engine.template(name), if_match, None)
+    service.engine.remove_template(name)
+    return Response(status_code=204)
+
+
+def _answer(view: TemplateView, status: int) -> Response:
+    return JSONResponse(TemplateModel.of(view).model_dump(), status, headers=_headers(view))
+
+
+def _headers(view: TemplateView) -> dict[str, str]:
+    return {"ETag": _quoted(view.etag), "Location": f"/templates/{view.local_name}"}
+
+
+def _existing(service: Service, name: str) -> TemplateView | None:
+    try:
+        return service.engine.template(name)
+    except UnknownTemplate:
+        return None
+
+
+def _check(view: TemplateView | None, if_match: str | None, if_none_match: str | None) -> None:
+    """Raises a 412 `Problem` unless the conditions hold for the template that is there."""
+    if if_match is not None and (view is None or not _names(if_match, view)):
+        now = "it is not there" if view is None else f"it is {_quoted(view.etag)} now"
+        raise Problem(
+            412,
+            "precondition failed",
+            f"the template is not {if_match}: {now}",
+            hint="read it again, then decide",
+        )
+    if if_none_match is not None and view is not None and _names(if_none_match, view):
+        raise Problem(412, "precondition failed", "the template is there already")
+
+
+def _names(condition: str, view: TemplateView) -> bool:
+    tags = [tag.strip().removeprefix("W/") for tag in condition.split(",")]
+    return "*" in tags or _quoted(view.etag) in tags or view.etag in tags
+
+
+def _quoted(etag: str) -> str:
+    return etag if etag.startswith('"') else f'"{etag}"'
+
+
+def _local(iri: str) -> str:
+    return iri.rstrip("/").replace("#", "/").rpartition("/")[2]

@@ -1,0 +1,96 @@
+"""Running the application with uvicorn: in this process for `serve`, in a thread for tests."""
+
+from __future__ import annotations
+
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import uvicorn
+from fastapi import FastAPI
+
+from .context import Service
+from .settings import Settings
+
+GRACE = 5
+"""Seconds that open requests have to end when the service stops."""
+
+
+class Server(uvicorn.Server):
+    """Lets event-stream clients go first when it stops: their answers have no end of their own."""
+
+    def __init__(self, config: uvicorn.Config, leave: Callable[[], None]) -> None:
+        super().__init__(config)
+        self._leave = leave
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        self._leave()
+        await super().shutdown(sockets)
+
+
+def make_server(app: FastAPI) -> Server:
+    """A server for an application of `create_app`, not yet running."""
+    service: Service = app.state.service
+    config = uvicorn.Config(
+        app,
+        log_config=None,
+        access_log=False,
+        lifespan="on",
+        timeout_graceful_shutdown=GRACE,
+        server_header=False,
+    )
+    return Server(config, service.feeds.close)
+
+
+def bind(settings: Settings) -> socket.socket:
+    """A listening socket at the settings' host and port (0: any free one).
+
+    Raises ``OSError`` when the address is taken. Clients may connect from now on; they are
+    answered once the server runs.
+    """
+    family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
+    # The protocol is named, not 0: only then does asyncio switch Nagle's algorithm off, which
+    # costs 40 ms an answer.
+    listener = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind((settings.host, settings.port))
+        listener.listen(2048)
+    except OSError:
+        listener.close()
+        raise
+    return listener
+
+
+def url_of(listener: socket.socket) -> str:
+    """The address of the service behind ``listener``, for clients on this machine."""
+    host, port = listener.getsockname()[:2]
+    if host in ("0.0.0.0", "::"):
+        host = "127.0.0.1"
+    return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
+
+
+def run(app: FastAPI, listener: socket.socket) -> None:
+    """Serve until a signal stops it; event-stream clients are let go first."""
+    try:
+        make_server(app).run(sockets=[listener])
+    finally:
+        listener.close()
+
+
+@contextmanager
+def running(app: FastAPI, settings: Settings) -> Iterator[str]:
+    """Serve in a thread; gives the URL. The engine belongs to that thread meanwhile."""
+    listener = bind(settings)
+    server = make_server(app)
+    thread = threading.Thread(
+        target=server.run, kwargs={"sockets": [listener]}, name="dyknow-service", daemon=True
+    )
+    thread.start()
+    try:
+        yield url_of(listener)
+    finally:
+        server.should_exit = True
+        thread.join()
+        listener.close()

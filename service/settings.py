@@ -1,0 +1,44 @@
+"""Settings of the service: environment variables with the prefix ``DYKNOW_``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pydantic import Field
+from pydantic_settings import BaseSettings, SettingsConfigDict
+
+MEBIBYTE = 1 << 20
+
+
+class Settings(BaseSettings):
+    """What can be set; docs/api.md explains each. Sizes are bytes, durations seconds."""
+
+    model_config = SettingsConfigDict(env_prefix="DYKNOW_", extra="ignore")
+
+    host: str = "127.0.0.1"
+    port: int = Field(default=8000, ge=0, le=65535)
+    data: Path | None = None
+    """Where ontology, templates and annotations are kept; None keeps them in memory."""
+    body_limit: int = Field(default=8 * MEBIBYTE, gt=0)
+    """A larger request body is refused with 413."""
+    bodies_limit: int = Field(default=64 * MEBIBYTE, gt=0)
+    """Bodies under way together; beyond it requests are refused with 429 and Retry-After."""
+    tick: float = Field(default=0.1, gt=0)
+    """How often the engine is told the time."""
+    retention_samples: int = Field(default=100_000, gt=0)
+    """How many samples of history a stream keeps when its declaration does not say."""
+    history_limit: int = Field(default=10_000, gt=0)
+    """How many samples one history answer holds when the request does not say."""
+    sse_cache: int = Field(default=64 * MEBIBYTE, gt=0)
+    """Encoded messages kept for all clients together."""
+    sse_ping: float = Field(default=15.0, ge=0)
+    """A comment is sent to idle clients this often; 0 sends none."""
+    sse_send_timeout: float = Field(default=30.0, gt=0)
+    """A client that takes nothing for so long is let go; it may resume."""
+    sparql_deadline: float = Field(default=10.0, gt=0)
+    """A SPARQL query without an answer after this time is answered with 503."""
+    sparql_workers: int = Field(default=4, gt=0)
+    """How many SPARQL queries are evaluated at once."""
+    log_level: str = Field(default="info", pattern="^(debug|info|warning|error)$")
+    log_json: bool = False
+    """One JSON object a log line instead of text for people."""

@@ -1,0 +1,121 @@
+"""Recorded timed triples as files, for ``dyknow run``: NDJSON or CSV of time, s, p, o.
+
+    {"time": "2021-10-07T19:12:53Z", "s": "dyknow:uav1", "p": "dyknow:speed", "o": 31.5}
+    time,s,p,o
+    1633633973000000000,dyknow:uav1,dyknow:speed,31.5
+
+A time is ISO-8601 or integer nanoseconds. A term is written as in a request: ``dyknow:uav1``,
+``<iri>``, ``31.5``, ``"text"@en``; an absolute IRI may stand without brackets, ``_:b`` is a blank
+node. In NDJSON a number or boolean stands for itself.
+"""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import re
+from collections.abc import Iterator
+from functools import lru_cache
+from pathlib import Path
+from typing import IO
+
+import msgspec
+from pyoxigraph import BlankNode, NamedNode, Variable
+
+from ..converters.errors import WireError
+from ..languages.csparql import parse_argument
+from ..languages.errors import LanguageError
+from ..rdf.dictionary import Term
+from ..rdf.namespaces import PREFIXES
+from ..streams.time import parse_time
+
+TimedTriple = tuple[int, Term, NamedNode, Term]
+_COLUMNS = ("time", "s", "p", "o")
+_IRI = re.compile(r"(?:https?|urn|tag|file):[^\s<>\"{}|^`\\]*\Z")
+_INTEGER = re.compile(r"-?\d+\Z")
+
+
+def read_timed_triples(path: Path) -> Iterator[TimedTriple]:
+    """The file's triples in its own order.
+
+    Raises `WireError` with the line, `OSError` when the file cannot be read.
+    """
+    name = path.name.lower().removesuffix(".gz")
+    if not name.endswith((".ndjson", ".jsonl", ".csv")):
+        raise WireError(
+            None,
+            f"{path.name}: unknown kind of triples",
+            "timed triples end in .ndjson or .csv; for a table of samples give --ssl",
+        )
+    opened = gzip.open if path.suffix == ".gz" else open
+    with opened(path, "rt", encoding="utf-8", newline="") as file:
+        rows = _csv_rows(file) if name.endswith(".csv") else _json_rows(file)
+        for line, values in rows:
+            try:
+                yield _triple(values)
+            except (ValueError, LanguageError) as error:
+                cause = error.message if isinstance(error, LanguageError) else str(error)
+                raise WireError(line, cause) from error
+
+
+def _json_rows(file: IO[str]) -> Iterator[tuple[int, list[object]]]:
+    for number, line in enumerate(file, 1):
+        if not line.strip():
+            continue
+        try:
+            row = msgspec.json.decode(line)
+        except msgspec.MsgspecError as error:
+            raise WireError(number, f"not JSON: {error}") from error
+        if not isinstance(row, dict) or set(row) != set(_COLUMNS):
+            raise WireError(number, 'a timed triple is {"time", "s", "p", "o"}')
+        yield number, [row[name] for name in _COLUMNS]
+
+
+def _csv_rows(file: IO[str]) -> Iterator[tuple[int, list[object]]]:
+    reader = csv.reader(file)
+    names = [name.strip().lower() for name in next(reader, [])]
+    if sorted(names) != sorted(_COLUMNS):
+        raise WireError(1, "the columns of timed triples are time,s,p,o")
+    order = [names.index(name) for name in _COLUMNS]
+    for row in reader:
+        if not row:
+            continue
+        if len(row) != len(names):
+            raise WireError(reader.line_num, f"{len(row)} cells, but the header has 4")
+        yield reader.line_num, [row[i] for i in order]
+
+
+def _triple(values: list[object]) -> TimedTriple:
+    time, subject, predicate, object = values
+    if isinstance(time, str):
+        moment = parse_time(int(time) if _INTEGER.match(time) else time)
+    elif isinstance(time, int):
+        moment = parse_time(time)
+    else:
+        raise ValueError(f"{time!r} is no time")
+    property = _term(predicate)
+    if not isinstance(property, NamedNode):
+        raise ValueError(f"a predicate is an IRI, got {predicate!r}")
+    return moment, _term(subject), property, _term(object)
+
+
+def _term(value: object) -> Term:
+    if isinstance(value, bool):
+        return _parsed("true" if value else "false")
+    if isinstance(value, int | float):
+        return _parsed(repr(value))
+    if isinstance(value, str):
+        return _parsed(value.strip())
+    raise ValueError(f"{value!r} is no term")
+
+
+@lru_cache(maxsize=100_000)
+def _parsed(text: str) -> Term:
+    if _IRI.match(text):
+        return NamedNode(text)
+    if text.startswith("_:"):
+        return BlankNode(text[2:])
+    term = parse_argument(text, PREFIXES)
+    if isinstance(term, Variable):
+        raise ValueError(f"{text} is a variable, not a term")
+    return term

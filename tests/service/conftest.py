@@ -1,0 +1,63 @@
+"""A service over the real engine, with a clock that tests move by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import httpx
+import pytest
+
+from dyknow.engine.engine import Engine
+from dyknow.service.app import create_app
+from dyknow.service.client import Client
+from dyknow.service.server import running
+from dyknow.service.settings import Settings
+from dyknow.streams.time import SECOND
+
+START = 1_633_633_973 * SECOND
+"""2021-10-07T19:12:53Z"""
+
+
+class HandClock:
+    """Time stands still until it is moved."""
+
+    def __init__(self) -> None:
+        self.now = START
+
+    def __call__(self) -> int:
+        return self.now
+
+
+@pytest.fixture
+def clock() -> HandClock:
+    return HandClock()
+
+
+@pytest.fixture
+def settings() -> Settings:
+    return Settings(port=0, tick=0.02, sse_ping=0, body_limit=1 << 20)
+
+
+@pytest.fixture
+def engine() -> Engine:
+    return Engine(epoch="e1")
+
+
+@pytest.fixture
+def url(engine: Engine, settings: Settings, clock: HandClock) -> Iterator[str]:
+    """A live service in a thread, at a free port of this machine."""
+    with running(create_app(engine, settings, clock), settings) as address:
+        yield address
+
+
+@pytest.fixture
+def http(url: str) -> Iterator[httpx.Client]:
+    """Plain HTTP, as a client written from the documentation would speak it."""
+    with httpx.Client(base_url=url, trust_env=False, timeout=20) as client:
+        yield client
+
+
+@pytest.fixture
+def client(url: str) -> Iterator[Client]:
+    with Client(url, timeout=20) as client:
+        yield client

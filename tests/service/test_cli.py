@@ -1,0 +1,262 @@
+"""The command line against a live service, and `run` without one."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner, Result
+
+from dyknow.service.cli import app
+from dyknow.service.client import Client
+
+TEMPLATE = """REGISTER TEMPLATE dyknow:HighSpeedEvent(?o, ?type, ?threshold) COMPUTE EVERY 1s AS
+PREFIX dyknow: <http://www.ida.liu.se/dyknow/>
+CONSTRUCT {?o dyknow:speed ?avgSpeed}
+WHERE { ?o a ?type . ?o dyknow:speed ?spd . }
+AGGREGATE {(?avgSpeed, AVG, {?spd}) FILTER (?avgSpeed > ?threshold)}
+WINDOW [RANGE 5s STEP 1s]
+"""
+SSL = "stream s5 contains speed(UAV) = spd [km.h-1] for every UAV = id"
+REQUEST = "dyknow:HighSpeedEvent(?o, dyknow:UAV, 100)"
+
+
+@pytest.fixture
+def dyknow(url: str) -> Any:
+    """Runs a command against the live service; asserts its status."""
+
+    def run(*arguments: str, status: int = 0) -> Result:
+        result = CliRunner().invoke(app, list(arguments), env={"DYKNOW_URL": url})
+        assert result.exit_code == status, (result.output, result.exception)
+        return result
+
+    return run
+
+
+@pytest.fixture
+def table(tmp_path: Path) -> Path:
+    """Twenty seconds of two aircraft: uav1 at 50, uav2 at 150 km/h."""
+    path = tmp_path / "speeds.csv"
+    rows = [
+        f"{1_633_633_973_000 + i * 500},uav{i % 2 + 1},{50 + 100 * (i % 2)}.0" for i in range(40)
+    ]
+    path.write_text("\n".join(["timestamp,id,spd", *rows]) + "\n")
+    return path
+
+
+@pytest.fixture
+def template(tmp_path: Path) -> str:
+    path = tmp_path / "high_speed.rq"
+    path.write_text(TEMPLATE)
+    return str(path)
+
+
+def lines(result: Result) -> list[Any]:
+    return [json.loads(line) for line in result.stdout.splitlines()]
+
+
+def test_from_a_table_to_events(dyknow: Any, table: Path, template: str, client: Client) -> None:
+    client.put_stream("s5", {"id": "string", "spd": "float"})
+    dyknow("annotate", SSL)
+    dyknow("template", "add", template)
+    dyknow("events", REQUEST, "--no-follow", "--keep")
+    played = dyknow("replay", str(table), "--stream", "s5", "--speed", "max", "--json")
+    counts = lines(played)[0]
+    assert (counts["accepted"], counts["used"], counts["late"]) == (40, 40, 0)
+    found = dyknow("events", REQUEST, "--json", "--keep")
+    samples = [line for line in lines(found) if line["event"] == "sample"]
+    assert samples
+    assert lines(found)[-1]["event"] == "end"
+    assert all("uav2" in sample["rdf"] for sample in samples)
+    one = dyknow("events", REQUEST, "-n", "1")
+    assert "uav2" in one.stdout
+    assert "request" in one.stderr
+    listed = dyknow("events", "--json")
+    assert len(lines(listed)) == 2  # the last one was given up when its following ended
+    assert "HighSpeedEvent" in dyknow("events").stdout
+
+
+def test_replay_for_people_declares_annotates_and_ends(
+    dyknow: Any, table: Path, client: Client
+) -> None:
+    first = dyknow("replay", str(table), "--stream", "s5", "--speed", "max", "--ssl", SSL)
+    assert "40 samples accepted" in first.stdout
+    assert "used 40" in first.stdout
+    view = client.stream("s5")
+    assert view["ended"] is True
+    assert view["annotation"] == SSL
+    assert {f["name"]: f["type"] for f in view["fields"]} == {"id": "string", "spd": "float"}
+    again = dyknow("replay", str(table), "--stream", "s5", "--speed", "max")
+    assert "used 0" in again.stdout
+    assert "--rebase now" in again.stdout
+    rebased = dyknow("replay", str(table), "--stream", "s5", "--speed", "max", "--rebase", "now")
+    assert "used 40" in rebased.stdout
+
+
+def test_replay_at_a_pace(dyknow: Any, table: Path) -> None:
+    played = dyknow("replay", str(table), "--stream", "s5", "--speed", "200", "--json")
+    assert lines(played)[0]["used"] == 40
+    assert lines(played)[0]["seconds"] >= 19.5 / 200
+
+
+def test_replay_of_what_is_no_recording(dyknow: Any, tmp_path: Path) -> None:
+    bad = tmp_path / "bad.csv"
+    bad.write_text("timestamp,id,spd\n1,uav1,2.5\nyesterday,uav1,3\n")
+    result = dyknow("replay", str(bad), "--stream", "s5", status=1)
+    assert "line 3" in result.stderr
+    dyknow("replay", str(tmp_path / "none.csv"), "--stream", "s5", status=2)
+    dyknow("replay", str(bad), "--stream", "s5", "--speed", "0", status=2)
+    dyknow("replay", str(bad), "--stream", "s5", "--rebase", "someday", status=2)
+
+
+def test_templates(dyknow: Any, template: str) -> None:
+    assert (
+        "registered HighSpeedEvent(?o, ?type, ?threshold)"
+        in dyknow("template", "add", template).stdout
+    )
+    twice = dyknow("template", "add", template, status=1)
+    assert "already exists" in twice.stderr
+    dyknow("template", "add", template, "--replace", "HighSpeedEvent")
+    assert "HighSpeedEvent" in dyknow("template", "list").stdout
+    assert lines(dyknow("template", "list", "--json"))[0]["local_name"] == "HighSpeedEvent"
+    assert dyknow("template", "show", "HighSpeedEvent").stdout.strip() == TEMPLATE.strip()
+    dyknow("template", "remove", "HighSpeedEvent")
+    assert "no templates" in dyknow("template", "list").stdout
+    dyknow("template", "show", "HighSpeedEvent", status=1)
+
+
+def test_errors_show_the_place(dyknow: Any) -> None:
+    result = dyknow("template", "add", "REGISTER TEMPLATE dyknow:X(?o AS SELECT", status=1)
+    assert "line 1, column" in result.stderr
+    assert "^" in result.stderr
+    assert result.stdout == ""
+
+
+def test_streams(dyknow: Any, client: Client) -> None:
+    client.put_stream("s5", {"id": "string", "spd": "float"})
+    client.publish("s5", [{"valid": 1, "id": "uav1", "spd": 1.5}])
+    assert "s5" in dyknow("streams").stdout
+    assert {line["name"] for line in lines(dyknow("streams", "--json"))} == {"status", "s5"}
+    shown = dyknow("streams", "s5").stdout
+    assert "accepted=1" in shown
+    assert "id: string, spd: float" in shown
+    dyknow("streams", "nowhere", status=1)
+
+
+def test_sparql(dyknow: Any, client: Client, tmp_path: Path) -> None:
+    client.put_stream("s5", {"a": "float"})
+    query = tmp_path / "names.rq"
+    query.write_text(
+        "PREFIX o: <http://www.dyknow.eu/ontology#> SELECT ?n { ?s a o:Stream ; o:hasName ?n }"
+    )
+    assert "s5" in dyknow("sparql", str(query)).stdout
+    assert lines(dyknow("sparql", str(query), "--json"))[0]["head"]["vars"] == ["n"]
+    assert dyknow("sparql", "ASK { ?s ?p ?o }").stdout.strip() == "yes"
+    assert dyknow("sparql", "CONSTRUCT { ?s ?p ?o } { ?s ?p ?o } LIMIT 1").stdout.strip()
+    assert "line 1" in dyknow("sparql", "SELECT", status=1).stderr
+
+
+def test_match_and_explain(dyknow: Any, client: Client, template: str) -> None:
+    client.annotate(SSL)
+    client.register_template(Path(template).read_text())
+    assert "s5" in dyknow("match", "dyknow:speed", "--sort", "dyknow:UAV").stdout
+    nothing = dyknow("match", "dyknow:altitude", "--sort", "dyknow:UAV", "--json", status=1)
+    assert lines(nothing)[0]["found"] is False
+    assert "HighSpeedEvent" in dyknow("explain", REQUEST).stdout
+    assert "text" in lines(dyknow("explain", "--template", "HighSpeedEvent", "--json"))[0]
+    dyknow("explain", status=1)
+
+
+def test_no_service_at_the_address() -> None:
+    result = CliRunner().invoke(app, ["streams", "--url", "http://127.0.0.1:1"])
+    assert result.exit_code == 1
+    assert "dyknow serve" in result.stderr
+
+
+def test_usage() -> None:
+    assert CliRunner().invoke(app, ["streams", "--nonsense"]).exit_code == 2
+    assert CliRunner().invoke(app, ["--version"]).stdout.strip()
+    assert "replay" in CliRunner().invoke(app, ["--help"]).stdout
+
+
+QUERY = """REGISTER STREAM Fast COMPUTE EVERY 1s AS
+PREFIX dyknow: <http://www.ida.liu.se/dyknow/>
+SELECT ?o ?avg
+FROM STREAM <http://www.ida.liu.se/dyknow/s5.trdf> [RANGE 5s STEP 1s]
+WHERE { ?o dyknow:speed ?spd . }
+AGGREGATE {(?avg, AVG, {?spd}) FILTER (?avg > 100)}
+"""
+STREAM = "http://www.ida.liu.se/dyknow/s5.trdf"
+
+
+@pytest.fixture
+def query(tmp_path: Path) -> str:
+    path = tmp_path / "fast.rq"
+    path.write_text(QUERY)
+    return str(path)
+
+
+@pytest.mark.parametrize("kind", ["csv", "ndjson"])
+def test_run_over_timed_triples(tmp_path: Path, query: str, kind: str) -> None:
+    rows = [(i * 500_000_000, f"dyknow:uav{i % 2 + 1}", 50 + 100 * (i % 2)) for i in range(1, 9)]
+    path = tmp_path / f"speeds.{kind}"
+    if kind == "csv":
+        text = "time,s,p,o\n" + "".join(f"{t},{s},dyknow:speed,{o}\n" for t, s, o in rows)
+    else:
+        text = "".join(
+            json.dumps({"time": t, "s": s, "p": "dyknow:speed", "o": o}) + "\n" for t, s, o in rows
+        )
+    path.write_text(text)
+    arguments = ["run", query, "--stream", f"{STREAM}={path}"]
+    result = CliRunner().invoke(app, [*arguments, "--json"])
+    assert result.exit_code == 0, (result.output, result.exception)
+    windows = lines(result)
+    assert windows[0]["end"] == "1970-01-01T00:00:01Z"
+    assert len(windows[0]["solutions"]) == 1
+    assert "uav2" in windows[0]["solutions"][0]["o"]
+    people = CliRunner().invoke(app, arguments)
+    assert "dyknow:uav2" in people.stdout
+    assert "windows with a result" in people.stdout
+
+
+def test_run_over_a_table_of_samples(table: Path, query: str) -> None:
+    arguments = ["run", query, "--stream", f"{STREAM}={table}", "--ssl", SSL, "--json"]
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 0, (result.output, result.exception)
+    windows = lines(result)
+    assert len(windows) > 15
+    assert "uav2" in str(windows[3]["solutions"])
+    assert "uav1" not in str(windows[3]["solutions"])
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "part"),
+    [
+        ("a.csv", "time,s,p\n", "time,s,p,o"),
+        ("a.csv", "time,s,p,o\n1,dyknow:a,dyknow:b\n", "line 2"),
+        ("a.csv", "time,s,p,o\nnoon,dyknow:a,dyknow:b,1\n", "line 2"),
+        ("a.csv", "time,s,p,o\n1,dyknow:a,5,1\n", "a predicate is an IRI"),
+        ("a.csv", "time,s,p,o\n1,?a,dyknow:b,1\n", "variable"),
+        ("a.ndjson", '{"time": 1}\n', "line 1"),
+        ("a.ndjson", "[]\n", "line 1"),
+        ("a.txt", "", "unknown kind"),
+    ],
+)
+def test_run_with_files_that_are_none(
+    tmp_path: Path, query: str, name: str, text: str, part: str
+) -> None:
+    (tmp_path / name).write_text(text)
+    result = CliRunner().invoke(app, ["run", query, "--stream", f"{STREAM}={tmp_path / name}"])
+    assert result.exit_code == 1, result.output
+    assert part in result.stderr
+
+
+def test_run_with_a_text_that_is_none(tmp_path: Path, table: Path) -> None:
+    path = tmp_path / "bad.rq"
+    path.write_text("REGISTER STREAM")
+    result = CliRunner().invoke(app, ["run", str(path), "--stream", f"{STREAM}={table}"])
+    assert result.exit_code == 1
+    missing = CliRunner().invoke(app, ["run", str(path), "--stream", "nothing"])
+    assert missing.exit_code == 2

@@ -1,0 +1,39 @@
+"""Random requests by the OpenAPI schema: whatever comes, the service does not fail."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import schemathesis
+from hypothesis import HealthCheck, settings
+from schemathesis.checks import not_a_server_error
+
+from dyknow.engine.engine import Engine
+from dyknow.service.app import create_app
+from dyknow.service.settings import Settings
+
+
+@schemathesis.serializer("application/x-ndjson", "application/sparql-query")
+def plain_text(ctx: schemathesis.SerializationContext, value: Any) -> bytes:
+    return value if isinstance(value, bytes) else str(value).encode(errors="replace")
+
+
+@schemathesis.serializer("application/vnd.apache.arrow.stream")
+def raw_bytes(ctx: schemathesis.SerializationContext, value: Any) -> bytes:
+    return value if isinstance(value, bytes) else bytes(str(value), "utf-8", "replace")
+
+
+app = create_app(Engine(epoch="e1"), Settings(body_limit=1 << 16), lambda: 10**18)
+# Event streams have no end of their own; tests/service/test_sse.py is about them.
+schema = schemathesis.openapi.from_asgi("/openapi.json", app).exclude(path_regex="/events$")
+
+
+@schema.parametrize()
+@settings(
+    max_examples=8,
+    deadline=None,
+    derandomize=True,
+    suppress_health_check=list(HealthCheck),
+)
+def test_no_request_makes_the_service_fail(case: schemathesis.Case) -> None:
+    case.call_and_validate(checks=[not_a_server_error])
