@@ -16,14 +16,18 @@ _SUB_CLASS = NamedNode(RDFS + "subClassOf")
 class Background:
     """All triples of a store, whatever graph they are in, read as one set.
 
+    ``store`` may be a function, where another store takes its place with another version.
     ``version`` changes whenever the store does: what is derived from the store (scans, sorts) is
     kept per version. Cost: a scan is one index look-up of Oxigraph and a Python object a triple.
     """
 
     def __init__(
-        self, store: Store | None = None, version: Callable[[], int] | None = None
+        self,
+        store: Store | Callable[[], Store] | None = None,
+        version: Callable[[], int] | None = None,
     ) -> None:
-        self.store = Store() if store is None else store
+        known = Store() if store is None else store
+        self._store = known if callable(known) else lambda: known
         self._version = version or (lambda: 0)
         self._sorts_version: int | None = None
         self._sorts: dict[str, frozenset[str]] = {}
@@ -35,6 +39,11 @@ class Background:
         for path in paths:
             store.bulk_load(path=str(path))
         return cls(store)
+
+    @property
+    def store(self) -> Store:
+        """The store as it is now."""
+        return self._store()
 
     @property
     def version(self) -> int:

@@ -26,6 +26,11 @@ from .unit import ComputationalUnit
 from .views import MatchView, PlanView, UnitView
 
 
+def closed_ontology(ontology: Ontology) -> Background:
+    """The static side of queries: the ontologies with all that they entail, as they are now."""
+    return Background(ontology.closed_store, lambda: ontology.version)
+
+
 def query_text(query: ContinuousQuery) -> str:
     """The query as C-SPARQL, as it is given to the computational unit."""
     return format_query(query)
@@ -61,7 +66,11 @@ def match_view(want: Want, found: Match, strategy: str) -> MatchView:
         strategy=strategy,
         found=found.supply is not None,
         plan=plan,
-        alternatives=tuple(_alternative(alternative) for alternative in found.tree),
+        alternatives=tuple(
+            _alternative(alternative)
+            for alternative in found.tree
+            if alternative.outcome is not Outcome.CHOSEN
+        ),
         reasons=found.missing
         or tuple(
             f"{alternative.text}: {alternative.reason}"
@@ -87,7 +96,7 @@ def query(text: str, ontology: Ontology, dictionary: TermDictionary) -> str:
     """A continuous query: its text as understood, then its plans."""
     parsed = parse_query(text)
     names = [clause.iri for clause in parsed.streams] or ["stream"]
-    evaluator = ContinuousEvaluator(parsed, dictionary, Background(ontology.store), names)
+    evaluator = ContinuousEvaluator(parsed, dictionary, closed_ontology(ontology), names)
     return f"{format_query(parsed)}\n\n{evaluator.explain()}"
 
 
@@ -111,7 +120,7 @@ def request(
     if all(match.supply is not None for match in matches):
         names = list(dict.fromkeys(streams))
         filled = with_streams(bound, names)
-        evaluator = ContinuousEvaluator(filled, dictionary, Background(ontology.store), names)
+        evaluator = ContinuousEvaluator(filled, dictionary, closed_ontology(ontology), names)
         parts.append(f"query\n{_indent(format_query(filled))}")
         parts.append(f"evaluation\n{_indent(evaluator.explain())}")
     return "\n\n".join(parts)

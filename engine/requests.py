@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 from pyoxigraph import Variable
 
-from ..continuous.background import Background
 from ..continuous.evaluator import ContinuousEvaluator
 from ..converters.to_samples import ResultConverter
 from ..converters.to_triples import SampleConverter
@@ -224,7 +223,7 @@ class EventRequests:
 
         def make(output: StreamGenerator) -> tuple[ContinuousEvaluator, ResultConverter]:
             evaluator = ContinuousEvaluator(
-                query, self._dictionary, Background(self._ontology.store), list(inputs)
+                query, self._dictionary, explanations.closed_ontology(self._ontology), list(inputs)
             )
             return evaluator, form.converter(output.stream.pools)
 

@@ -47,7 +47,7 @@ def stream_view(
         watermark=generator.watermark,
         last_available=stream.last_available,
         last_valid=last_valid,
-        rate=(number - 1) * SECOND / span if span else 0.0,
+        rate=(number - 1) * SECOND / max(span, SECOND) if number else 0.0,
         lag=times[1] - last_valid if last_valid is not None else None,
         annotation=None if annotation is None else annotation.source,
         producer=None if unit is None else unit.name,

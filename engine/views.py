@@ -25,7 +25,8 @@ class StreamDeclaration:
 
 @dataclass(frozen=True, slots=True)
 class StreamView:
-    """A stream as it is now. Times in ns; ``rate`` in samples a second of available time."""
+    """A stream as it is now. Times in ns; ``rate`` in samples a second
+    of available time (over at least a second)."""
 
     name: str
     fields: tuple[Field, ...]

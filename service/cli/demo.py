@@ -72,7 +72,7 @@ def demo_files() -> Iterator[tuple[Path, str, str]]:
 
 def demo() -> None:
     """Replay five minutes of recorded flights and find events in them; ends by itself."""
-    console = Console(highlight=False, width=None if sys.stdout.isatty() else 100)
+    console = Console(highlight=False, emoji=False, width=None if sys.stdout.isatty() else 100)
     began = time.perf_counter()
     settings = Settings(port=0)
     with (

@@ -52,7 +52,7 @@ def match(
         if found["plan"] is not None:
             show_text(found["plan"]["text"])
         _section("why", found["reasons"])
-        _section("also possible", found["alternatives"])
+        _section("also considered", found["alternatives"])
     if not found["found"]:
         raise typer.Exit(1)
 

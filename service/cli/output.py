@@ -39,12 +39,12 @@ def connect(url: str) -> Client:
 
 def out() -> Console:
     """The console of results. Made anew each time: tests and pipes exchange standard output."""
-    return Console(file=sys.stdout, highlight=False, soft_wrap=True)
+    return Console(file=sys.stdout, highlight=False, emoji=False, soft_wrap=True)
 
 
 def err() -> Console:
     """The console of progress and errors."""
-    return Console(file=sys.stderr, highlight=False, soft_wrap=True)
+    return Console(file=sys.stderr, highlight=False, emoji=False, soft_wrap=True)
 
 
 def show_json(value: object) -> None:
@@ -79,7 +79,7 @@ def show_table(
         table.add_row(*(_cell(value) for value in row))
     # A pipe has no width of its own; the table then takes what it needs.
     width = None if sys.stdout.isatty() or "COLUMNS" in os.environ else 10_000
-    Console(file=sys.stdout, highlight=False, width=width).print(table)
+    Console(file=sys.stdout, highlight=False, emoji=False, width=width).print(table)
 
 
 def show_values(values: Mapping[str, object]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,6 +14,8 @@ from ..app import create_app
 from ..logs import configure
 from ..server import bind, run, url_of
 from ..settings import Settings
+from .demo import STREAM
+from .demo import flights as play_flights
 from .output import err, fail
 
 
@@ -23,6 +26,9 @@ def serve(
         Path | None, typer.Option(help="Directory of what outlives a restart.", file_okay=False)
     ] = None,
     log_level: Annotated[str | None, typer.Option(help="debug, info, warning, error.")] = None,
+    flights: Annotated[
+        bool, typer.Option("--flights", help="Play the recorded flights, again and again.")
+    ] = False,
 ) -> None:
     """Run the service. Every setting can also be given as DYKNOW_<NAME>."""
     given: dict[str, Any] = {"host": host, "port": port, "data": data, "log_level": log_level}
@@ -38,5 +44,16 @@ def serve(
             "choose another --port",
         ) from error
     app = create_app(Engine(settings.data), settings, time.time_ns)
-    err().print(f"DyKnow serves at {url_of(listener)} (documentation: /docs)", markup=False)
-    run(app, listener)
+    url = url_of(listener)
+    err().print(f"DyKnow serves at {url} (documentation: {url}/docs)", markup=False)
+    if not flights:
+        run(app, listener)
+        return
+    stopping = threading.Event()
+    player = threading.Thread(target=play_flights, args=(url, stopping.is_set), daemon=True)
+    player.start()
+    err().print(f"The recorded flights play into stream {STREAM}, as if they flew now.")
+    try:
+        run(app, listener)
+    finally:
+        stopping.set()

@@ -64,5 +64,5 @@ def _match(view: MatchView) -> str:
         lines += ["", view.plan.text.rstrip()]
     lines += ["", "why:", *(f"- {reason}" for reason in view.reasons)]
     if view.alternatives:
-        lines += ["", "also possible:", *(f"- {other}" for other in view.alternatives)]
+        lines += ["", "also considered:", *(f"- {other}" for other in view.alternatives)]
     return "\n".join(lines) + "\n"

@@ -214,3 +214,19 @@ def test_every_refusal_says_what_to_do(scenario):
     with pytest.raises(DyknowError) as caught:
         scenario.stream("nothing")
     assert caught.value.hint
+
+
+def test_a_query_sees_what_the_ontology_learns(engine, high_speed):
+    """A stream of everything; only what the ontology says is a UAV counts, from then on."""
+    engine.annotate("stream all contains speed(Thing) = spd for every Thing = id")
+    engine.register_template(high_speed)
+    request = engine.parse_request("dyknow:HighSpeedEvent(?o, dyknow:UAV, 100)")
+    view = engine.request_event(request)
+    feed(engine, "all", [(i, {"id": "uav1", "spd": 150.0}) for i in range(1, 4)])
+    assert samples(engine, view.stream) == []
+    engine.ontology.load(
+        "@prefix dyknow: <http://www.ida.liu.se/dyknow/> . dyknow:uav1 a dyknow:RMAX .",
+        name="http://example.org/fleet",
+    )
+    feed(engine, "all", [(i, {"id": "uav1", "spd": 150.0}) for i in range(4, 8)])
+    assert {values["id"] for _, values in samples(engine, view.stream)} == {"uav1"}
