@@ -59,10 +59,10 @@ def _map_rows() -> list[tuple[str, str, str]]:
 @pytest.mark.parametrize(("term", "modules", "tests"), _map_rows())
 def test_the_paper_map_is_true(term: str, modules: str, tests: str):
     """Each row names modules with something in them, and tests that exist."""
-    for path, name in re.findall(r"`([\w/.]+)(?::(\w+))?`", modules):
+    for path, name in re.findall(r"`([\w/.-]+)(?::(\w+))?`", modules):
         text = (ROOT / path).read_text()
         assert not name or re.search(rf"\b{name}\b", text), f"{term}: {name} is not in {path}"
-    named = re.findall(r"`([\w/.]+)(?:::(\w+))?`", tests)
+    named = re.findall(r"`([\w/.-]+)(?:::(\w+))?`", tests)
     assert named, f"{term}: no test"
     for path, name in named:
         text = (ROOT / path).read_text()
