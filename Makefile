@@ -1,4 +1,4 @@
-# The five commands of the project. Each makes the virtual environment it needs, from the
+# The commands of the project. Each makes the virtual environment it needs, from the
 # pinned and hashed lock files; only python3 (3.11 or newer) and make are assumed.
 
 PYTHON ?= python3
@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
 PORT ?= 8000
 
-.PHONY: demo serve test lint bench lock format clean
+.PHONY: demo serve test image-check lint bench lock format clean
 
 demo: $(VENV)/installed ## replay five minutes of recorded flights and find events in them
 	@$(BIN)/dyknow demo
@@ -15,8 +15,11 @@ demo: $(VENV)/installed ## replay five minutes of recorded flights and find even
 serve: $(VENV)/installed ## leave the service running with the same flights replaying
 	@$(BIN)/dyknow serve --port $(PORT) --flights
 
-test: lint ## everything that CI runs
+test: lint image-check ## everything that CI runs
 	$(BIN)/pytest
+
+image-check: ## what the Dockerfile does, as a script in an empty folder
+	sh docker/check
 
 lint: $(VENV)/installed-dev
 	$(BIN)/ruff format --check .
@@ -44,7 +47,6 @@ $(VENV)/installed: requirements.lock pyproject.toml
 	@$(PYTHON) -m venv $(VENV)
 	@$(PIP) install --require-hashes -r requirements.lock
 	@$(PIP) install --no-deps --no-build-isolation --editable .
-	@$(BIN)/python -m dyknow.continuous.kernels
 	@touch $@
 
 $(VENV)/installed-dev: requirements-dev.lock $(VENV)/installed
