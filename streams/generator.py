@@ -172,6 +172,14 @@ class StreamGenerator:
         """Drop and count what is late or a duplicate, each judged by all samples before it."""
         available = batch.available
         before = TIME_MIN if self._greatest is None else self._greatest
+        first = int(available[0])
+        if (
+            (self._greatest is None or first > before)
+            and (self.watermark is None or first >= self.watermark)
+            and _increases(available)
+        ):  # the common case: nothing is late, nothing can be there already
+            self._greatest = int(available[-1])
+            return batch
         greatest = np.maximum.accumulate(np.concatenate(([before], available)))
         self._greatest = int(greatest[-1])
         # Compare without subtracting from the smallest int64, which would wrap around.
@@ -183,8 +191,8 @@ class StreamGenerator:
             late |= available < self.watermark
         first_of_its_time = np.zeros(len(batch), np.bool_)
         on_time = np.flatnonzero(~late)
-        _, first = np.unique(available[on_time], return_index=True)
-        first_of_its_time[on_time[first]] = True
+        _, earliest = np.unique(available[on_time], return_index=True)
+        first_of_its_time[on_time[earliest]] = True
         known = [] if self._pending is None else [self._pending.available]
         if self.stream.last_available is not None:
             known.append(np.array([self.stream.last_available], np.int64))
@@ -231,9 +239,12 @@ class StreamGenerator:
                 receiver.advance(self, watermark)
 
 
+def _increases(available: Times) -> bool:
+    return len(available) < 2 or bool(np.all(available[1:] > available[:-1]))
+
+
 def _in_order(batch: SampleBatch) -> SampleBatch:
     """``batch`` by available time."""
-    available = batch.available
-    if len(available) < 2 or bool(np.all(available[1:] > available[:-1])):
+    if _increases(batch.available):
         return batch
-    return batch.take(np.argsort(available, kind="stable"))
+    return batch.take(np.argsort(batch.available, kind="stable"))
