@@ -28,6 +28,7 @@ from ..streams.strings import StringPool
 from .errors import AlreadyExists, UnknownStream
 from .transformations import Transformation
 from .unit import ComputationalUnit, FunctionUnit, InputPort, QueryUnit, SelectionUnit
+from .views import Since
 
 SELECT_OBJECT = "selectObject"
 """The transformation that selects one object's samples."""
@@ -89,7 +90,7 @@ class Configuration:
         self._on_change = on_change
         self._next_reserved = first_reserved
         self._next_unit = 1
-        self._made: dict[Node, ComputationalUnit] = {}
+        self._made: dict[tuple[Node, Since], ComputationalUnit] = {}
 
     def stream(self, name: str) -> StreamGenerator:
         """The generator of stream ``name``; raises `UnknownStream`."""
@@ -143,17 +144,18 @@ class Configuration:
             if name not in self.streams:
                 return name
 
-    def obtain(self, node: Node) -> StreamGenerator:
+    def obtain(self, node: Node, since: Since = Since.NOW) -> StreamGenerator:
         """The stream of a plan node: found if the same is made already, else built.
 
-        What was built runs until `release` has been called for each unit started on it.
+        What was built runs until `release` has been called for each unit started on it. A unit
+        that began with the past is another than one that began with what comes.
         """
         if isinstance(node, UseStream):
             return self.stream(node.stream)
-        unit = self._made.get(node)
+        unit = self._made.get((node, since))
         if unit is None or unit.failure is not None:
-            unit = self._build(node)
-            self._made[node] = unit
+            unit = self._build(node, since)
+            self._made[node, since] = unit
         return unit.output
 
     def start_query(
@@ -163,6 +165,7 @@ class Configuration:
         make: Callable[[StreamGenerator], tuple[ContinuousEvaluator, ResultConverter]],
         converters: Mapping[str, Sequence[SampleConverter]],
         parameters: Mapping[str, str],
+        since: Since = Since.NOW,
     ) -> QueryUnit:
         """A C-SPARQL unit over ``inputs`` with a new reserved output stream of ``schema``.
 
@@ -176,7 +179,7 @@ class Configuration:
             converters=converters,
             results=results,
         )
-        self._start(unit, parameters.get("query", ""))
+        self._start(unit, since, parameters.get("query", ""))
         return unit
 
     def release(self, unit: ComputationalUnit) -> None:
@@ -186,8 +189,8 @@ class Configuration:
             return
         unit.stop()
         del self.units[unit.output.name]
-        for node in [node for node, made in self._made.items() if made is unit]:
-            del self._made[node]
+        for key in [key for key, made in self._made.items() if made is unit]:
+            del self._made[key]
         self._on_change(
             Change(
                 ChangeKind.UNIT_STOPPED,
@@ -220,16 +223,18 @@ class Configuration:
                 unit.users = 1
                 self.release(unit)
 
-    def _build(self, node: SelectObject | Compute) -> ComputationalUnit:
+    def _build(self, node: SelectObject | Compute, since: Since) -> ComputationalUnit:
         match node:
             case SelectObject(source_node, id_field, object):
-                return self._select(self.obtain(source_node), id_field, object)
+                return self._select(self.obtain(source_node, since), id_field, object, since)
             case Compute():
-                return self._compute(node)
+                return self._compute(node, since)
             case _:
                 assert_never(node)
 
-    def _select(self, source: StreamGenerator, id_field: str, object: str) -> SelectionUnit:
+    def _select(
+        self, source: StreamGenerator, id_field: str, object: str, since: Since
+    ) -> SelectionUnit:
         namespace = self.namespaces[source.name]
         output = self._output(source.schema, namespace, source.stream.pools)
         parameters = {"field": id_field, "object": shorten(object)}
@@ -240,13 +245,13 @@ class Configuration:
             object_id=self._dictionary.id(NamedNode(object)),
             objects=objects,
         )
-        self._start(unit)
+        self._start(unit, since)
         return unit
 
-    def _compute(self, node: Compute) -> FunctionUnit:
+    def _compute(self, node: Compute, since: Since) -> FunctionUnit:
         transformation = self._transformations[node.transformation]
         (edge,) = node.inputs
-        source = self.obtain(edge.node)
+        source = self.obtain(edge.node, since)
         id_field = id_field_of(edge.node)
         fields = [Field(node.output.field, FieldType.FLOAT)]
         pools = {}
@@ -268,7 +273,7 @@ class Configuration:
             id_field=id_field,
             output_field=node.output.field,
         )
-        self._start(unit)
+        self._start(unit, since)
         return unit
 
     def _output(
@@ -287,7 +292,7 @@ class Configuration:
         self._next_unit += 1
         return (name, transformation, inputs, output, parameters, self._failed)
 
-    def _start(self, unit: ComputationalUnit, specification: str = "") -> None:
+    def _start(self, unit: ComputationalUnit, since: Since, specification: str = "") -> None:
         self.units[unit.output.name] = unit
         for source in unit.inputs:
             producer = self.units.get(source.name)
@@ -304,7 +309,7 @@ class Configuration:
                 specification or f"{unit.transformation}({text})",
             )
         )
-        unit.start()
+        unit.start(since)
 
     def _failed(self, unit: ComputationalUnit) -> None:
         self._on_change(

@@ -55,6 +55,7 @@ from .transformations import Transformation, library
 from .views import (
     EventView,
     MatchView,
+    Since,
     StreamDeclaration,
     StreamView,
     TemplateView,
@@ -233,13 +234,16 @@ class Engine:
         parsed = tuple(parse_argument(argument, PREFIXES) for argument in arguments)
         return EventRequest(self._iri(event), parsed, f"{event}({', '.join(arguments)})")
 
-    def request_event(self, request: EventRequest, strategy: str = "fast") -> EventView:
+    def request_event(
+        self, request: EventRequest, strategy: str = "fast", since: Since = Since.NOW
+    ) -> EventView:
         """Find or build the streams that answer the request, and start what is needed.
 
-        The same request again shares stream and units. Raises `UnknownEvent`, `BadArguments`,
+        The same request again shares stream and units. With ``Since.START`` the answer begins
+        with the kept history of the streams that are read. Raises `UnknownEvent`, `BadArguments`,
         `NoPlan`; then nothing runs that did not run before.
         """
-        return self._requests.start(self._event_template(request), request, strategy)
+        return self._requests.start(self._event_template(request), request, strategy, since)
 
     def events(self) -> tuple[EventView, ...]:
         """The running requests, oldest first."""

@@ -35,7 +35,7 @@ from .configuration import Configuration
 from .errors import BadArguments, NoPlan, UnknownRequest
 from .results import result_form
 from .unit import QueryUnit
-from .views import EventView, PlanView
+from .views import EventView, PlanView, Since
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,6 +57,7 @@ class _Request:
     number: int
     request: EventRequest
     strategy: str
+    since: Since
     key: tuple[object, ...]
     running: _Running
 
@@ -81,14 +82,16 @@ class EventRequests:
         self._running: dict[tuple[object, ...], _Running] = {}
         self._number = 0
 
-    def start(self, template: Template, request: EventRequest, strategy: str) -> EventView:
+    def start(
+        self, template: Template, request: EventRequest, strategy: str, since: Since
+    ) -> EventView:
         """Answer ``request`` by the streams there are; raises `BadArguments` and `NoPlan`."""
-        key = _key(template, request, strategy)
+        key = _key(template, request, strategy, since)
         running = self._running.get(key)
         if running is None or running.unit.failure is not None:
             query, matches = self._plan(template, request, strategy)
             try:
-                running = self._build(query, matches)
+                running = self._build(query, matches, since)
             except Exception:
                 self._configuration.release_unused()
                 raise
@@ -96,7 +99,7 @@ class EventRequests:
         running.unit.users += 1
         self._number += 1
         id = f"event{self._number}"
-        self._requests[id] = _Request(id, self._number, request, strategy, key, running)
+        self._requests[id] = _Request(id, self._number, request, strategy, since, key, running)
         return self.view(id)
 
     def cancel(self, id: str) -> None:
@@ -122,6 +125,7 @@ class EventRequests:
             event=request.request.event,
             arguments=tuple(_argument_text(argument) for argument in request.request.arguments),
             strategy=request.strategy,
+            since=str(request.since),
             stream=running.unit.output.name,
             plan=self._plan_view(running),
             created=request.number,
@@ -195,7 +199,7 @@ class EventRequests:
             )
         return query, matches
 
-    def _build(self, query: ContinuousQuery, matches: Sequence[Match]) -> _Running:
+    def _build(self, query: ContinuousQuery, matches: Sequence[Match], since: Since) -> _Running:
         """Start what the matches ask for, inputs first, then the query unit."""
         vocabulary = self._ontology.vocabulary
         inputs: dict[str, StreamGenerator] = {}
@@ -203,7 +207,7 @@ class EventRequests:
         for match in matches:
             assert match.supply is not None
             for source in match.supply.sources:
-                generator = self._configuration.obtain(source.node)
+                generator = self._configuration.obtain(source.node, since)
                 inputs[generator.name] = generator
                 annotation = wanted_annotation(match.supply, source, generator.name)
                 units: dict[str, Unit] = {match.want.feature: source.port.target}
@@ -233,6 +237,7 @@ class EventRequests:
             make,
             converters,
             {"query": explanations.query_text(query)},
+            since,
         )
         name = unit.output.name
         return _Running(
@@ -254,12 +259,14 @@ class EventRequests:
         )
 
 
-def _key(template: Template, request: EventRequest, strategy: str) -> tuple[object, ...]:
+def _key(
+    template: Template, request: EventRequest, strategy: str, since: Since
+) -> tuple[object, ...]:
     """Requests with equal keys want the same stream: the name of a variable does not matter."""
     arguments = tuple(
         None if isinstance(argument, Variable) else argument for argument in request.arguments
     )
-    return (template.source, arguments, strategy)
+    return (template.source, arguments, strategy, since)
 
 
 def _argument_text(argument: object) -> str:

@@ -22,6 +22,7 @@ from ..converters.to_triples import SampleConverter
 from ..ontology.units import Conversion
 from ..streams.generator import StreamGenerator
 from ..streams.sample import Column, FieldType, Mask, SampleBatch, Times
+from .views import Since
 
 UnitFunction = Callable[..., tuple[np.ndarray[Any, Any], Mask]]
 """An implementation: ``f(objects, valid, *inputs) -> (values, present)``, all shape ``(n,)``.
@@ -58,10 +59,22 @@ class ComputationalUnit(ABC):
         self._watermarks: dict[StreamGenerator, int] = {}
         self._ended: set[StreamGenerator] = set()
 
-    def start(self) -> None:
-        """Subscribe to the inputs."""
+    def start(self, since: Since = Since.NOW) -> None:
+        """Subscribe to the inputs; from the start of what they keep, if asked.
+
+        The past of all inputs comes first, then how far each of them is: a unit of several inputs
+        sees the same as if it had been there when their samples came.
+        """
+        if since is Since.START:
+            for source in self.inputs:
+                for segment in source.stream.since(0):
+                    self.receive(source, segment.batch)
         for source in self.inputs:
             source.subscribe(self)
+        if since is Since.START:
+            for source in self.inputs:
+                if source.is_ended:
+                    self.ended(source)
 
     def stop(self) -> None:
         """Leave the inputs; the output ends."""

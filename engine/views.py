@@ -4,11 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from enum import StrEnum
 
 from ..rdf.namespaces import DYKNOW
 from ..streams.fluent import Retention
 from ..streams.generator import Counters
 from ..streams.sample import Field
+
+
+class Since(StrEnum):
+    """Where the answer to a request begins: with what comes, or with the kept history of the
+    streams it reads (SPEC §1: a subscription may begin in the past)."""
+
+    NOW = "now"
+    START = "start"
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,12 +94,16 @@ class PlanView:
 
 @dataclass(frozen=True, slots=True)
 class EventView:
-    """A running request for an event; ``created`` counts requests, 1 being the first."""
+    """A running request for an event; ``created`` counts requests, 1 being the first.
+
+    ``since`` is `Since`'s text: what of the streams' past the answer began with.
+    """
 
     id: str
     event: str
     arguments: tuple[str, ...]
     strategy: str
+    since: str
     stream: str
     plan: PlanView
     created: int

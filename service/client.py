@@ -270,16 +270,25 @@ class Client:
         self._send("DELETE", f"/templates/{_part(name)}")
 
     def request_event(
-        self, event: str, arguments: Sequence[str] | None = None, *, strategy: str = "fast"
+        self,
+        event: str,
+        arguments: Sequence[str] | None = None,
+        *,
+        strategy: str = "fast",
+        since: str = "now",
     ) -> dict[str, Any]:
-        """Request an event: ``Event(arguments)`` as one text, or its name and arguments."""
+        """Request an event: ``Event(arguments)`` as one text, or its name and arguments.
+
+        ``since`` "start" begins with what the streams keep of their past.
+        """
         if arguments is None:
             headers = {"Content-Type": TEXT}
-            parameters = {"strategy": strategy}
+            parameters = {"strategy": strategy, "since": since}
             return self._object(
                 "POST", "/events", content=event, headers=headers, params=parameters
             )
-        body = {"event": event, "arguments": list(arguments), "strategy": strategy}
+        body: dict[str, Any] = {"event": event, "arguments": list(arguments)}
+        body |= {"strategy": strategy, "since": since}
         return self._object("POST", "/events", json=body)
 
     def requests(self) -> list[dict[str, Any]]:

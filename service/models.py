@@ -229,6 +229,8 @@ class EventIn(_Model):
         default_factory=list, max_length=100
     )
     strategy: Strategy = "fast"
+    since: views.Since = views.Since.NOW
+    """``start`` begins with the kept history of the streams that are read."""
 
 
 class UnitModel(BaseModel):
@@ -273,6 +275,7 @@ class EventModel(BaseModel):
     event: str
     arguments: list[str]
     strategy: str
+    since: views.Since
     stream: str
     events: str
     plan: PlanModel
@@ -284,6 +287,7 @@ class EventModel(BaseModel):
             event=view.event,
             arguments=list(view.arguments),
             strategy=view.strategy,
+            since=views.Since(view.since),
             stream=view.stream,
             events=f"/streams/{view.stream}/events",
             plan=PlanModel.of(view.plan),

@@ -10,6 +10,7 @@ from typing import Annotated
 import httpx
 import typer
 
+from ...engine.views import Since
 from ..client import Client, Event, ServiceError
 from .output import (
     DEFAULT_URL,
@@ -40,6 +41,9 @@ def events(
         typer.Argument(help="Such as 'dyknow:HighSpeedEvent(?o, dyknow:UAV, 100)'."),
     ] = None,
     strategy: Annotated[Strategy, typer.Option(help="How a plan is chosen.")] = Strategy.FAST,
+    since: Annotated[
+        Since, typer.Option(help="Begin with what comes, or with what the streams keep.")
+    ] = Since.NOW,
     count: Annotated[
         int | None, typer.Option("--count", "-n", min=1, help="Stop after so many events.")
     ] = None,
@@ -53,7 +57,7 @@ def events(
         if request is None:
             _list(client, as_json)
             return
-        view = client.request_event(request, strategy=strategy.value)
+        view = client.request_event(request, strategy=strategy.value, since=since.value)
         if as_json and not follow:
             show_json(view)
         elif not as_json:

@@ -8,6 +8,7 @@ from fastapi import APIRouter, Query, Request, Response
 from fastapi.exceptions import RequestValidationError
 from pydantic import ValidationError
 
+from ...engine.views import Since
 from ..context import Context
 from ..models import EventIn, EventModel, Strategy, text_schema
 from ..negotiation import JSON, TEXT, content_type, utf8
@@ -45,10 +46,12 @@ async def request_event(
     response: Response,
     service: Context,
     strategy: Annotated[Strategy, Query(description="for a request as text")] = "fast",
+    since: Annotated[Since, Query(description="for a request as text")] = Since.NOW,
 ) -> EventModel:
     """Request an event: the streams it needs are found or built.
 
-    The same request twice shares one stream. 404: no such event; 422: no plan, ``missing`` says
+    The same request twice shares one stream. ``since`` ``start`` begins with what the streams
+    keep of their past, ``now`` with what comes. 404: no such event; 422: no plan, ``missing`` says
     what would be needed.
     """
     kind = content_type(request, (JSON, TEXT))
@@ -59,8 +62,9 @@ async def request_event(
         parsed = engine.parse_request(utf8(body))
     else:
         wanted = _read(body)
-        parsed, strategy = engine.make_request(wanted.event, wanted.arguments), wanted.strategy
-    view = engine.request_event(parsed, strategy)
+        parsed = engine.make_request(wanted.event, wanted.arguments)
+        strategy, since = wanted.strategy, wanted.since
+    view = engine.request_event(parsed, strategy, since)
     response.headers["Location"] = f"/events/{view.id}"
     return EventModel.of(view)
 

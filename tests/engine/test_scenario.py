@@ -15,6 +15,7 @@ from dyknow.engine.errors import (
     UnknownRequest,
     UnknownStream,
 )
+from dyknow.engine.views import Since
 
 COORDINATES = (
     "stream coordinates contains latitude(UAV) = lat [deg], longitude(UAV) = lon [deg] "
@@ -230,3 +231,24 @@ def test_a_query_sees_what_the_ontology_learns(engine, high_speed):
     )
     feed(engine, "all", [(i, {"id": "uav1", "spd": 150.0}) for i in range(4, 8)])
     assert {values["id"] for _, values in samples(engine, view.stream)} == {"uav1"}
+
+
+@pytest.mark.parametrize("text", [REQUEST, "dyknow:HighSpeedEvent(?o, dyknow:UAV, 100)"])
+@pytest.mark.parametrize("is_ended", [False, True])
+def test_an_answer_may_begin_in_the_past(scenario, text, is_ended):
+    """The same samples, asked before and after they came."""
+    fast, other = flight(1, 20, 150.0), flight(3, 20, 300.0, longitude=16.0)
+    recording = merged(rows("uav1", fast), rows("uav2", other))
+    before = scenario.request_event(scenario.parse_request(text))
+    feed(scenario, "coordinates", recording[:15])
+    feed(scenario, "coordinates", recording[15:])
+    if is_ended:
+        scenario.end("coordinates")
+    late = scenario.request_event(scenario.parse_request(text))
+    after = scenario.request_event(scenario.parse_request(text), since=Since.START)
+    assert late.stream == before.stream != after.stream
+    assert samples(scenario, after.stream) == samples(scenario, before.stream) != []
+    assert scenario.stream(after.stream).ended is is_ended
+    if not is_ended:
+        feed(scenario, "coordinates", rows("uav1", [(40, 58.5, 15.0), (41, 58.6, 15.0)]))
+        assert samples(scenario, after.stream) == samples(scenario, before.stream)
