@@ -162,24 +162,24 @@ class Configuration:
         self,
         inputs: Sequence[StreamGenerator],
         schema: Schema,
-        make: Callable[[StreamGenerator], tuple[ContinuousEvaluator, ResultConverter]],
+        make: Callable[[StreamGenerator], tuple[ContinuousEvaluator, ResultConverter, str]],
         converters: Mapping[str, Sequence[SampleConverter]],
-        parameters: Mapping[str, str],
         since: Since = Since.NOW,
     ) -> QueryUnit:
         """A C-SPARQL unit over ``inputs`` with a new reserved output stream of ``schema``.
 
-        ``make`` is called with the output's generator, for its name and string pools.
+        ``make`` is called with the output's generator, for its name and string pools; it gives
+        the evaluator, the converter of results, and the query's text.
         """
         output = self._output(schema, DYKNOW, {})
-        evaluator, results = make(output)
+        evaluator, results, text = make(output)
         unit = QueryUnit(
-            *self._identity(C_SPARQL, inputs, output, parameters),
+            *self._identity(C_SPARQL, inputs, output, {"query": text}),
             evaluator=evaluator,
             converters=converters,
             results=results,
         )
-        self._start(unit, since, parameters.get("query", ""))
+        self._start(unit, since, text)
         return unit
 
     def release(self, unit: ComputationalUnit) -> None:

@@ -387,4 +387,9 @@ class Engine:
 
 
 def _did_you_mean(names: Sequence[str]) -> str:
-    return f"did you mean {', '.join(shorten(name) for name in names)}?" if names else ""
+    return f"did you mean {', '.join(_short(name) for name in names)}?" if names else ""
+
+
+def _short(name: str) -> str:
+    """A name as people write it, whether it is an IRI or short already."""
+    return shorten(name) if "://" in name else name

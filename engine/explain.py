@@ -31,11 +31,6 @@ def closed_ontology(ontology: Ontology) -> Background:
     return Background(ontology.closed_store, lambda: ontology.version)
 
 
-def query_text(query: ContinuousQuery) -> str:
-    """The query as C-SPARQL, as it is given to the computational unit."""
-    return format_query(query)
-
-
 def unit_view(unit: ComputationalUnit) -> UnitView:
     """A unit as the service shows it."""
     return UnitView(

@@ -9,14 +9,14 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from pyoxigraph import Variable
 
 from ..continuous.evaluator import ContinuousEvaluator
 from ..converters.to_samples import ResultConverter
 from ..converters.to_triples import SampleConverter
-from ..languages.csparql import with_streams
+from ..languages.csparql import format_query, with_streams
 from ..languages.csparql.ast import ContinuousQuery, EventRequest, Template
 from ..languages.ssl.annotation import StreamAnnotation
 from ..matching.match import Match, UnknownStrategy, match_all
@@ -225,18 +225,18 @@ class EventRequests:
         form = result_form(query, vocabulary)
         roles = [r for m in matches if m.supply for s in m.supply.sources for r in s.roles]
 
-        def make(output: StreamGenerator) -> tuple[ContinuousEvaluator, ResultConverter]:
+        def make(output: StreamGenerator) -> tuple[ContinuousEvaluator, ResultConverter, str]:
+            named = replace(query, name=output.name)
             evaluator = ContinuousEvaluator(
-                query, self._dictionary, explanations.closed_ontology(self._ontology), list(inputs)
+                named, self._dictionary, explanations.closed_ontology(self._ontology), list(inputs)
             )
-            return evaluator, form.converter(output.stream.pools)
+            return evaluator, form.converter(output.stream.pools), format_query(named)
 
         unit = self._configuration.start_query(
             list(inputs.values()),
             form.schema,
             make,
             converters,
-            {"query": explanations.query_text(query)},
             since,
         )
         name = unit.output.name

@@ -52,6 +52,7 @@ def test_scenario_with_the_names_of_the_paper(scenario):
     assert speed.output == "dyknow_reserved35"
     assert (query.transformation, query.inputs) == ("cSparql", ("dyknow_reserved35",))
     assert view.stream == query.output == "dyknow_reserved36"
+    assert "REGISTER STREAM dyknow_reserved36" in view.plan.query
     assert "FROM STREAM <http://www.ida.liu.se/dyknow/dyknow_reserved35.trdf>" in view.plan.query
 
 
