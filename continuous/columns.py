@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from decimal import Decimal
 from enum import IntEnum
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pyoxigraph import Literal
+from pyoxigraph import Literal, NamedNode, Quad, Store
 
 from ..rdf.dictionary import NO_TERM, Term, TermDictionary
 from ..rdf.namespaces import RDF, XSD
-from ..rdf.timed import Kind, ObjectColumn, TripleRows, make_term, split_term
+from ..rdf.timed import DATATYPES, Kind, ObjectColumn, TripleRows, make_term, split_term
 from ..streams.sample import Mask
 
 
@@ -71,14 +73,18 @@ _INTEGERS = frozenset(
         "nonNegativeInteger",
     ]
 )
+_WHOLE = re.compile(r"[+-]?[0-9]+")
+_NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?|[+-]?INF|NaN")
+_ANY = NamedNode(XSD + "any")
+_NO_DICTIONARY = TermDictionary()
 _NUMBERS = {XSD + "decimal": Kind.DECIMAL, XSD + "float": Kind.FLOAT, XSD + "double": Kind.DOUBLE}
 
 
 class TermValues:
     """What the terms of a dictionary are and are worth, in arrays by id that follow its growth.
 
-    ``sort`` holds `Sort`, ``number`` the float64 and ``integer`` the int64 value, ``empty`` marks
-    empty strings. Cost: Python once a distinct term.
+    Of each: its `Sort`, its float64 and int64 value (of a string: whether it has any character),
+    and the id of its `canonical` term. Cost: Python once a distinct term.
     """
 
     def __init__(self, dictionary: TermDictionary) -> None:
@@ -86,12 +92,22 @@ class TermValues:
         self._sort: NDArray[np.int8] = np.zeros(0, np.int8)
         self._number: NDArray[np.float64] = np.zeros(0, np.float64)
         self._integer: NDArray[np.int64] = np.zeros(0, np.int64)
+        self._canonical: NDArray[np.int32] = np.zeros(0, np.int32)
         self._size = 0
 
     def sorts(self, ids: NDArray[np.int32]) -> NDArray[np.int8]:
         """`Sort` of each id; an absent term (`NO_TERM`) is OTHER."""
         self._follow()
         return np.where(ids < 0, np.int8(Sort.OTHER), self._sort[ids])
+
+    def canonical(self, column: ObjectColumn) -> ObjectColumn:
+        """The column with every TERM in its one spelling, so that equal values are equal ids."""
+        if column.kind is not Kind.TERM:
+            return column
+        self._follow()
+        ids = column.values
+        same = np.where(ids < 0, ids, self._canonical[ids])
+        return column if np.array_equal(same, ids) else ObjectColumn(Kind.TERM, same, column.null)
 
     def typed(self, column: ObjectColumn, kind: Kind) -> ObjectColumn:
         """A TERM column whose terms are all of ``kind`` as a column of that kind."""
@@ -111,17 +127,20 @@ class TermValues:
         return answer
 
     def _follow(self) -> None:
-        size = len(self.dictionary)
-        if size == self._size and len(self._sort):
-            return
-        if len(self._sort) <= size:
-            capacity = max(2 * size, 64)
-            self._sort = _enlarged(self._sort, capacity)
-            self._number = _enlarged(self._number, capacity)
-            self._integer = _enlarged(self._integer, capacity)
-        for id, term in enumerate(self.dictionary.terms(self._size), self._size):
-            self._sort[id], self._number[id], self._integer[id] = _worth(term)
-        self._size = size
+        # A canonical term may be new to the dictionary: then it is looked at in its turn.
+        while self._size < len(self.dictionary) or not len(self._sort):
+            size = len(self.dictionary)
+            if len(self._sort) <= size:
+                capacity = max(2 * size, 64)
+                self._sort = _enlarged(self._sort, capacity)
+                self._number = _enlarged(self._number, capacity)
+                self._integer = _enlarged(self._integer, capacity)
+                self._canonical = _enlarged(self._canonical, capacity)
+            for id, term in enumerate(list(self.dictionary.terms(self._size)), self._size):
+                self._sort[id], self._number[id], self._integer[id] = _worth(term)
+                spelled = canonical(term)
+                self._canonical[id] = id if spelled == term else self.dictionary.id(spelled)
+            self._size = size
 
 
 def _enlarged(array: NDArray[Any], capacity: int) -> NDArray[Any]:
@@ -140,16 +159,54 @@ def _worth(term: Term) -> tuple[Sort, float, int]:
         return Sort.TEXT, 0.0, int(bool(text))
     if datatype == XSD + "boolean" and text in ("true", "false", "1", "0"):
         return Sort.BOOLEAN, 0.0, int(text in ("true", "1"))
-    try:
-        if datatype in _INTEGERS:
-            whole = int(text)
-            if -(2**63) <= whole < 2**63:
-                return Sort.INTEGER, float(whole), whole
-        elif datatype in _NUMBERS:
-            return Sort(int(_NUMBERS[datatype])), float(text), 0
-    except ValueError:
-        pass
+    if datatype in _INTEGERS and _WHOLE.fullmatch(text):
+        whole = int(text)
+        if -(2**63) <= whole < 2**63:
+            return Sort.INTEGER, float(whole), whole
+    elif datatype in _NUMBERS and _NUMBER.fullmatch(text):
+        return Sort(int(_NUMBERS[datatype])), float(text), 0
     return Sort.OTHER, 0.0, 0
+
+
+def canonical(term: Term) -> Term:
+    """The one spelling of a literal's value, as Oxigraph's store has it: 1e2 and 100, 3.0 and 3.
+
+    The integer types are xsd:integer there. A number is spelled as `make_term` does, if that is
+    exact; a string, an IRI and a literal without a value stay as they are.
+    """
+    if not isinstance(term, Literal) or term.language is not None:
+        return term
+    datatype = term.datatype.value
+    if datatype == XSD + "string":
+        return term
+    sort, number, integer = _worth(term)
+    match sort:
+        case Sort.INTEGER:
+            return Literal(str(integer), datatype=DATATYPES[Kind.INTEGER])
+        case Sort.BOOLEAN:
+            return Literal(bool(integer))
+        case Sort.FLOAT | Sort.DOUBLE:
+            return make_number(Kind(int(sort)), number)
+        case Sort.DECIMAL:
+            made = make_number(Kind.DECIMAL, number)
+            return made if Decimal(made.value) == Decimal(term.value) else _stored(term)
+    return _stored(term)
+
+
+def make_number(kind: Kind, number: float) -> Literal:
+    """A DECIMAL, FLOAT or DOUBLE as a literal."""
+    made = make_term(kind, number, _NO_DICTIONARY)
+    assert isinstance(made, Literal)
+    return made
+
+
+def _stored(literal: Literal) -> Literal:
+    """What Oxigraph gives back for a literal."""
+    store = Store()
+    store.add(Quad(_ANY, _ANY, literal))
+    [quad] = store
+    assert isinstance(quad.object, Literal)
+    return quad.object
 
 
 def either(left: Mask | None, right: Mask | None) -> Mask | None:
@@ -160,7 +217,8 @@ def either(left: Mask | None, right: Mask | None) -> Mask | None:
 
 
 def term_column(terms: Sequence[Term | None], dictionary: TermDictionary) -> ObjectColumn:
-    """A column of ``terms`` (None = null), in numbers if they are all of one kind."""
+    """A column of ``terms`` (None = null), canonical, in numbers if they are all of one kind."""
+    terms = [None if term is None else canonical(term) for term in terms]
     pairs = [(Kind.TERM, NO_TERM) if t is None else split_term(t, dictionary) for t in terms]
     null = np.array([t is None for t in terms], np.bool_)
     kinds = {kind for (kind, _), term in zip(pairs, terms, strict=True) if term is not None}

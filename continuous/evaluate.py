@@ -29,13 +29,15 @@ class Window:
 
     ``solutions``: for SELECT a list of dicts name -> term (unbound names left out), for CONSTRUCT
     a list of triples ``(subject, predicate, object)``, for ASK a bool. ``late``: how many elements
-    had been dropped as late by then.
+    had been dropped as late by then. ``merged``: the bag was asked for, yet
+    equal triples counted once (docs/semantics.md says where).
     """
 
     start: int
     end: int
     solutions: list[dict[str, Term]] | list[tuple[Term, NamedNode, Term]] | bool
     late: int = 0
+    merged: bool = False
 
 
 def evaluate(
@@ -98,12 +100,14 @@ def _advance(evaluator: ContinuousEvaluator, feeds: Sequence[_Feed]) -> list[Win
 
 
 def _window(result: WindowResult, late: int) -> Window:
+    solutions: list[dict[str, Term]] | list[tuple[Term, NamedNode, Term]] | bool
     if result.solutions is not None:
-        return Window(result.start, result.end, result.solutions.rows(), late)
-    if result.triples is not None:
-        triples = [(s, p, o) for _, s, p, o in result.triples]
-        return Window(result.start, result.end, triples, late)
-    return Window(result.start, result.end, bool(result.answer), late)
+        solutions = result.solutions.rows()
+    elif result.triples is not None:
+        solutions = [(s, p, o) for _, s, p, o in result.triples]
+    else:
+        solutions = bool(result.answer)
+    return Window(result.start, result.end, solutions, late, result.merged)
 
 
 class _Feed:

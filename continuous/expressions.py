@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ..rdf.dictionary import Term
 from ..rdf.timed import Kind, ObjectColumn, split_term
 from ..streams.sample import Mask
-from .columns import NeedsOxigraph, Sort, TermValues, as_terms, concatenate, either
+from .columns import NeedsOxigraph, Sort, TermValues, concatenate, either
 
 
 @dataclass(frozen=True, slots=True)
@@ -307,6 +307,3 @@ class _Rows:
 
 def _boolean(values: Any, null: Mask | None) -> ObjectColumn:
     return ObjectColumn(Kind.BOOLEAN, np.asarray(values, np.bool_), null)
-
-
-__all__ = ["Call", "Const", "Expression", "Var", "as_terms", "conjuncts", "evaluate", "holds"]

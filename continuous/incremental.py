@@ -35,6 +35,8 @@ from .sliding import Partials, Sliding
 from .sources import StaticSide, WindowSource, distinct_ids
 
 _ROW = "\0row"
+COMPACT = 1024
+"""Below this many groups it is not worth while to forget any."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -241,8 +243,10 @@ class SortFacts:
 class Incremental:
     """The state of one incremental aggregate: partials by pane, facts by pane.
 
-    Cost: a kernel call a table and pane, O(subjects) a window. Memory: two numbers a subject and
-    pane. A pane that columns cannot fold is irregular: `relation` is then None for its windows.
+    Cost: a kernel call a table and pane, O(groups) a window. Memory: two numbers a group and pane.
+    Groups are the subjects of the window; those that have left it are forgotten when they are half
+    of all (O(panes) a subject). A pane that columns cannot fold is irregular: `relation` is then
+    None for its windows.
     """
 
     def __init__(self, shape: Shape, static: StaticSide, terms: TermValues) -> None:
@@ -255,6 +259,7 @@ class Incremental:
         self._irregular: deque[int] = deque()
         self._static_version: int | None = None
         self._static_partials: Partials | None = None
+        self._compact_at = COMPACT
 
     def fold(self, end: int, tables: Sequence[TripleRows]) -> None:
         """The rows of the pane that ends at ``end``, in order."""
@@ -274,6 +279,26 @@ class Incremental:
             facts.evict(until)
         while self._irregular and self._irregular[0] <= until:
             self._irregular.popleft()
+        if self.groups.used >= self._compact_at:
+            self._compact()
+
+    def _compact(self) -> None:
+        """Forget the groups without rows if they are half of all.
+
+        It depends on the windows alone, so results stay the same however the input is cut.
+        """
+        used = self.groups.used
+        alive = np.zeros(used, np.bool_)
+        for part in (self._sliding.total(), self._static_partials):
+            if part is not None:
+                alive |= part[0].rows(used) > 0
+        kept = np.flatnonzero(alive)
+        if 2 * len(kept) <= used:
+            self.groups.keep(kept)
+            self._sliding.change(lambda partials: partials.taken(kept))
+            if self._static_partials is not None:
+                self._static_partials = self._static_partials.taken(kept)
+        self._compact_at = max(COMPACT, 2 * len(kept))
 
     def relation(self, tables: Sequence[TripleRows]) -> Relation | None:
         """The groups of the window, whose rows are ``tables`` (empty where nothing is retained)."""
@@ -321,10 +346,11 @@ class Incremental:
         """The static triples of the folded predicate are one more pane, always there."""
         version = self.static.background.version
         if version != self._static_version:
-            self._static_version = version
             pairs = self.static.pairs(self.shape.scan)
             self.groups.reach(len(self.terms.dictionary))
             self._static_partials = self._folded([pairs]) if len(pairs[0]) else None
+            # Last: where columns cannot fold the static side, every window has to say so.
+            self._static_version = version
         if self._static_partials is None:
             return total
         return self._static_partials if total is None else total + self._static_partials

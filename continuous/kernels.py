@@ -168,6 +168,13 @@ class Groups:
             grown[: self.used] = self.members[: self.used]
             self.members = grown
 
+    def keep(self, kept: NDArray[np.int64]) -> None:
+        """Forget all groups but ``kept`` (ascending), which become 0, 1, 2 …"""
+        self.group_of[self.members[: self.used]] = -1
+        self.used = len(kept)
+        self.members = self.members[kept]
+        self.group_of[self.members] = np.arange(self.used, dtype=np.int32)
+
     def groups(self, subjects: NDArray[np.int32]) -> NDArray[np.int32]:
         """The group of each id, new ones given in order of appearance. In numpy."""
         found: NDArray[np.int32] = self.group_of[subjects]

@@ -1,12 +1,14 @@
 """Oxigraph a window: a fresh store with the window's content and the static triples it needs.
 
-A long-lived store leaks under adding and removing, and a fresh one is exact. It merges equal
-triples, so a query evaluated here has set semantics.
+A long-lived store leaks under adding and removing, and a fresh one is exact. A store merges equal
+triples: under bag semantics a window that holds some is asked by `bag.counting`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 from pyoxigraph import (
@@ -26,9 +28,11 @@ from rdflib.term import URIRef
 from ..rdf.dictionary import Term
 from ..rdf.namespaces import RDF, RDF_TYPE
 from ..rdf.timed import TimedTriples, TripleRows, from_terms
-from .columns import TermValues, term_column
+from .bag import HIDDEN, copy_graph, counting
+from .columns import TermValues, canonical, term_column
 from .results import Solutions, WindowResult
 from .sources import StaticSide, distinct_ids
+from .translate import Unsupported
 
 _DEFAULT = DefaultGraph()
 
@@ -37,25 +41,63 @@ class OxigraphWindows:
     """Evaluates a SPARQL text over one window after the other.
 
     Cost a window: a Python object a triple of the window and of the static triples that the query
-    can touch (chosen once a version of the background), then Oxigraph's. Memory: one such store.
+    can touch (chosen once a version of the background), then Oxigraph's; under bag semantics a
+    look-up a triple more, and twice the store where triples are equal. Memory: one such store.
+    Raises ``ValueError`` for a text that Oxigraph does not take.
     """
 
     def __init__(
-        self, sparql: str, algebra: CompValue, static: StaticSide, terms: TermValues
+        self,
+        sparql: str,
+        algebra: CompValue,
+        static: StaticSide,
+        terms: TermValues,
+        *,
+        distinct: bool,
     ) -> None:
+        _parsed(sparql)
         self.sparql = sparql
+        self.distinct = distinct
         self.static = static
         self.terms = terms
         self.predicates, self.classes = named(algebra)
         self._version: int | None = None
-        self._quads: list[Quad] = []
+        self._quads: dict[Quad, None] = {}
+
+    @cached_property
+    def counting(self) -> str | None:
+        """The text for windows that hold equal triples, None where they count once."""
+        if self.distinct:
+            return None
+        try:
+            text = counting(self.sparql)
+            _parsed(text)
+            return text
+        except ValueError:
+            self.merges = "its text"
+            return None
+        except Unsupported as unsupported:
+            self.merges = str(unsupported)
+            return None
+
+    merges: str = ""
+    """Under bag semantics: why equal triples are merged nevertheless (`counting` is None)."""
 
     def solve(self, tables: Sequence[TripleRows], start: int, end: int) -> WindowResult:
         """The result of the query over ``tables`` and the static side."""
+        static, content = self._static_quads(), list(self._content(tables))
         store = Store()
-        store.extend(self._static_quads())
-        store.extend(self._content(tables))
-        found = store.query(self.sparql)
+        store.extend(static)
+        store.extend(content)
+        copies = [] if self.distinct else _copies(static, content)
+        sparql = self.sparql
+        if copies and self.counting is not None:
+            store.extend(copies)
+            sparql = self.counting
+        merged = bool(copies) and self.counting is None
+        return replace(self._read(store.query(sparql), start, end), merged=merged)
+
+    def _read(self, found: Any, start: int, end: int) -> WindowResult:
         dictionary = self.terms.dictionary
         match found:
             case QueryBoolean():
@@ -67,20 +109,29 @@ class OxigraphWindows:
                 made = from_terms(triples, dictionary)
                 return WindowResult(start, end, triples=TimedTriples(dictionary, made.tables))
             case QuerySolutions():
-                names = tuple(variable.value for variable in found.variables)
-                rows = [[solution[i] for i in range(len(names))] for solution in found]
+                names = tuple(
+                    variable.value
+                    for variable in found.variables
+                    if not variable.value.startswith(HIDDEN)
+                )
+                rows = [[solution[name] for name in names] for solution in found]
                 columns = {
                     name: term_column([_optional(row[i]) for row in rows], dictionary)
                     for i, name in enumerate(names)
                 }
                 solutions = Solutions(names, columns, dictionary, len(rows))
                 return WindowResult(start, end, solutions=solutions)
+        raise AssertionError("Oxigraph knows three kinds of results")
 
-    def _static_quads(self) -> list[Quad]:
+    def _static_quads(self) -> dict[Quad, None]:
+        """The static triples that the query can touch, each once."""
         version = self.static.background.version
         if version != self._version:
             self._version = version
-            self._quads = self.static.background.copy(self.predicates, self.classes)
+            copied = self.static.background.copy(self.predicates, self.classes)
+            self._quads = dict.fromkeys(
+                Quad(q.subject, q.predicate, _value(q.object), _DEFAULT) for q in copied
+            )
         return self._quads
 
     def _content(self, tables: Sequence[TripleRows]) -> Iterator[Quad]:
@@ -96,6 +147,40 @@ class OxigraphWindows:
                 subject = dictionary.term(id)
                 if not isinstance(subject, Literal):
                     yield from (Quad(subject, RDF_TYPE, sort, _DEFAULT) for sort in sorts)
+
+
+def _parsed(sparql: str) -> None:
+    """Raises ``ValueError`` for a text that Oxigraph does not take: now, not at some window."""
+    try:
+        Store().query(sparql)
+    except SyntaxError as error:
+        raise ValueError(f"Oxigraph refuses the query: {error}") from error
+
+
+def _copies(static: Collection[Quad], content: Sequence[Quad]) -> list[Quad]:
+    """Every triple once a copy graph, as often as it is there; empty if all are there once.
+
+    A static triple is one more element. Types are a set of facts and have one copy.
+    """
+    counts = dict.fromkeys(static, 1)
+    again = False
+    for quad in content:
+        known = counts.get(quad, 0)
+        if known and quad.predicate == RDF_TYPE:
+            continue
+        again |= known > 0
+        counts[quad] = known + 1
+    if not again:
+        return []
+    return [
+        Quad(quad.subject, quad.predicate, quad.object, copy_graph(number))
+        for quad, count in counts.items()
+        for number in range(count)
+    ]
+
+
+def _value(term: Any) -> Any:
+    return canonical(term) if isinstance(term, Literal) else term
 
 
 def named(

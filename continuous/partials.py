@@ -145,6 +145,18 @@ class Partial:
             np.add.at(made.others, groups, _padded(self.others, rows, 0)[rows])
         return made
 
+    def taken(self, groups: NDArray[np.int64]) -> Partial:
+        """The partial of these groups (ascending), renumbered 0, 1, 2 …"""
+
+        def of(state: NDArray[Any]) -> NDArray[Any]:
+            taken: NDArray[Any] = state[groups[groups < len(state)]]
+            return taken
+
+        sums = {kind: of(state) for kind, state in self.sums.items()}
+        extremes = {kind: of(state) for kind, state in self.extremes.items()}
+        others = None if self.others is None else of(self.others)
+        return Partial(sums, extremes, others, self.bound)
+
     def __add__(self, other: Partial) -> Partial:
         """Both together, group by group: a new value, the old ones stay as they are."""
         made = Partial(bound=self.bound + other.bound)

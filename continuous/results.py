@@ -38,7 +38,8 @@ class WindowResult:
     """The result of the window with end ``end`` (ns); ``start`` is the earliest bound of content.
 
     Exactly one of ``solutions`` (SELECT), ``triples`` (CONSTRUCT, DESCRIBE; τ and valid time are
-    ``end``) and ``answer`` (ASK) is there.
+    ``end``) and ``answer`` (ASK) is there. ``merged``: the bag was asked for, the window held equal
+    triples, and they counted once (docs/semantics.md says where).
     """
 
     start: int
@@ -46,3 +47,4 @@ class WindowResult:
     solutions: Solutions | None = None
     triples: TimedTriples | None = None
     answer: bool | None = None
+    merged: bool = False

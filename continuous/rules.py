@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-from .expressions import Call, Const, Expression, Var, conjuncts, variables
+from .expressions import conjuncts, variables
 from .logical import Aggregate, Distinct, Extend, Filter, Join, Plan, Project, outputs, walk
 
 Rule = Callable[[Plan], Plan]
@@ -59,25 +59,6 @@ def push_filters(plan: Plan) -> Plan:
     return plan
 
 
-def merge_aggregations(plan: Plan) -> Plan:
-    """The same function of the same argument, written twice (head and HAVING), is one."""
-    if isinstance(plan, Filter | Extend | Project) and isinstance(_below(plan), Aggregate):
-        aggregate = _below(plan)
-        assert isinstance(aggregate, Aggregate)
-        first: dict[tuple[str, Expression | None], str] = {}
-        renamed: dict[str, str] = {}
-        kept = []
-        for one in aggregate.aggregations:
-            name = first.setdefault((one.function, one.argument), one.variable)
-            if name == one.variable:
-                kept.append(one)
-            else:
-                renamed[one.variable] = name
-        if renamed:
-            return _rename(plan, renamed, replace(aggregate, aggregations=tuple(kept)))
-    return plan
-
-
 def drop_projections(plan: Plan) -> Plan:
     """Project over Project, and Project to what is there anyway."""
     if isinstance(plan, Project):
@@ -91,58 +72,36 @@ RULES: tuple[Rule, ...] = (
     flatten_joins,
     split_filters,
     push_filters,
-    merge_aggregations,
     drop_projections,
 )
 
 
-def optimize(plan: Plan) -> Plan:
-    """``plan`` under all `RULES`, from the leaves up, until nothing changes."""
+def optimize(plan: Plan) -> tuple[Plan, tuple[str, ...]]:
+    """``plan`` under all `RULES`, from the leaves up, until nothing changes; and which changed it.
+
+    The names stand in the order of `RULES`.
+    """
+    applied: set[str] = set()
     while True:
-        better = _everywhere(plan)
+        better = _everywhere(plan, applied)
         if better == plan:
-            return plan
+            return plan, tuple(rule.__name__ for rule in RULES if rule.__name__ in applied)
         plan = better
 
 
-def _everywhere(plan: Plan) -> Plan:
+def _everywhere(plan: Plan, applied: set[str]) -> Plan:
     if isinstance(plan, Join):
-        plan = Join(tuple(map(_everywhere, plan.parts)))
+        plan = Join(tuple(_everywhere(part, applied) for part in plan.parts))
     elif isinstance(plan, Filter | Extend | Aggregate | Project | Distinct):
-        plan = replace(plan, child=_everywhere(plan.child))
+        plan = replace(plan, child=_everywhere(plan.child, applied))
     for rule in RULES:
-        plan = rule(plan)
+        better = rule(plan)
+        if better != plan:
+            applied.add(rule.__name__)
+        plan = better
     return plan
 
 
 def _may_be_unbound(plan: Plan, names: frozenset[str]) -> bool:
     """Whether a variable could be bound by another part of the join only."""
     return any(isinstance(p, Extend | Aggregate | Project) for p in walk(plan)) and bool(names)
-
-
-def _below(plan: Plan) -> Plan:
-    while isinstance(plan, Filter | Extend | Project):
-        plan = plan.child
-    return plan
-
-
-def _rename(plan: Plan, names: dict[str, str], bottom: Plan) -> Plan:
-    match plan:
-        case Filter(condition, child):
-            return Filter(_renamed(condition, names), _rename(child, names, bottom))
-        case Extend(variable, expression, child):
-            return Extend(variable, _renamed(expression, names), _rename(child, names, bottom))
-        case Project(_, child):
-            return replace(plan, child=_rename(child, names, bottom))
-        case _:
-            return bottom
-
-
-def _renamed(expression: Expression, names: dict[str, str]) -> Expression:
-    match expression:
-        case Var(name):
-            return Var(names.get(name, name))
-        case Call(name, arguments):
-            return Call(name, tuple(_renamed(argument, names) for argument in arguments))
-        case Const():
-            return expression

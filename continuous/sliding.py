@@ -6,7 +6,11 @@ merge: the front holds suffix totals of the older panes, the back the newer pane
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Generic, Protocol, Self, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
 
 from .partials import Partial
 
@@ -50,6 +54,12 @@ class Sliding(Generic[M]):
                 self._front.append((end, total))
             self._back, self._back_total = [], None
 
+    def change(self, of: Callable[[M], M]) -> None:
+        """Put ``of(pane)`` in each pane's place; ``of`` keeps merges: of(a) + of(b) = of(a + b)."""
+        self._front = [(end, of(total)) for end, total in self._front]
+        self._back = [(end, of(pane)) for end, pane in self._back]
+        self._back_total = None if self._back_total is None else of(self._back_total)
+
     def total(self) -> M | None:
         """The merge of all panes in the window, None if there is none."""
         if not self._front:
@@ -66,3 +76,7 @@ class Partials(tuple[Partial, ...]):
     def __add__(self, other: object) -> Partials:
         assert isinstance(other, Partials)
         return Partials(a + b for a, b in zip(self, other, strict=True))
+
+    def taken(self, groups: NDArray[np.int64]) -> Partials:
+        """Each with these groups only."""
+        return Partials(partial.taken(groups) for partial in self)

@@ -16,6 +16,7 @@ from rdflib.term import Literal as RdflibLiteral
 
 from ..rdf.dictionary import Term
 from ..rdf.namespaces import RDF_TYPE
+from .columns import canonical
 from .expressions import Call, Const, Expression, Var
 from .logical import (
     Aggregate,
@@ -63,7 +64,7 @@ def translate(query: CompValue, bindings: Mapping[str, Term]) -> Query:
 
 class _Translation:
     def __init__(self, bindings: Mapping[str, Term]) -> None:
-        self.bindings = bindings
+        self.bindings = {name: canonical(term) for name, term in bindings.items()}
 
     def query(self, query: CompValue) -> Query:
         head: Head
@@ -137,7 +138,7 @@ class _Translation:
         if term.language is not None:
             return Const(Literal(str(term), language=term.language))
         datatype = None if term.datatype is None else NamedNode(str(term.datatype))
-        return Const(Literal(str(term), datatype=datatype))
+        return Const(canonical(Literal(str(term), datatype=datatype)))
 
     def _values(self, node: Any) -> Plan:
         rows = node.res
@@ -191,6 +192,7 @@ class _Translation:
                 raise Unsupported("GROUP BY an expression")
             keys.append(str(key))
         aggregations = []
+        named: dict[tuple[str, Expression | None], str] = {}
         for one in node.A:
             function, name = one.name.removeprefix("Aggregate_").upper(), str(one.res)
             if one.distinct:
@@ -200,7 +202,12 @@ class _Translation:
                 renamed[name] = str(one.vars)
             elif function in ("COUNT", "SUM", "AVG", "MIN", "MAX"):
                 argument = None if one.vars == "*" else self.expression(one.vars)
-                aggregations.append(Aggregation(name, function, argument))
+                # Written twice (in the head and in HAVING), it is one.
+                first = named.setdefault((function, argument), name)
+                if first == name:
+                    aggregations.append(Aggregation(name, function, argument))
+                else:
+                    renamed[name] = first
             else:
                 raise Unsupported(f"the aggregate {function}")
         free = tuple(key for key in keys if key not in self.bindings)
@@ -244,6 +251,8 @@ class _Translation:
                     return go(node.expr)
                 case name if name.removeprefix("Builtin_") in _BUILTINS:
                     return Call(_BUILTINS[name.removeprefix("Builtin_")], (go(node.arg),))
+                case "Builtin_EXISTS" | "Builtin_NOTEXISTS":
+                    raise Unsupported("EXISTS")
                 case name:
                     raise Unsupported(f"the function {name.removeprefix('Builtin_')}")
 
