@@ -1,4 +1,4 @@
-"""Samples per second through the whole engine: publish → selection of results → history.
+"""Samples per second through the whole engine: publish → units → windows → results.
 
     python bench/service.py
 
@@ -23,7 +23,7 @@ from dyknow.engine.views import StreamDeclaration
 from dyknow.streams.sample import SampleBatch, concatenate
 
 ROOT = Path(__file__).parent.parent
-REPEATS = 20
+REPEATS = 6
 BATCH = 5_000
 RUNS = 3
 
