@@ -56,9 +56,19 @@ def evaluate(
     than ``lateness`` ns (0 unless given) behind the greatest time seen is dropped and counted.
     Streams are merged by time. ``static`` are RDF files. ``semantics`` is "bag" for C-SPARQL
     unless given; ``origin`` is 0. Raises `LanguageError` for the text, ``ValueError`` for
-    streams without a window.
+    streams without a window, and when ``streams`` are not those that the query's FROM STREAM
+    clauses name (a query without them reads what it is given).
     """
     query = parse_query(query_text)
+    named = {clause.iri for clause in query.streams}
+    if named and named != set(streams):
+        strange, lacking = sorted(set(streams) - named), sorted(named - set(streams))
+        raise ValueError(
+            "; ".join(
+                [f"the query does not read <{iri}>" for iri in strange]
+                + [f"the query reads <{iri}>, which is not given" for iri in lacking]
+            )
+        )
     options = Options(semantics or "bag", bounds, origin or 0)
     columns = [given for given in streams.values() if isinstance(given, TimedTriples)]
     dictionary = columns[0].dictionary if columns else TermDictionary()

@@ -181,15 +181,15 @@ class ContinuousEvaluator:
         return max(limits, default=None)
 
     def _watermark(self) -> int | None:
-        """The least watermark over the inputs that have begun; None if none has."""
-        if len(self._ended) == len(self.inputs):
-            return TIME_MAX
-        begun = [
-            TIME_MAX if name in self._ended else self._watermarks[name]
-            for name in self.inputs
-            if name in self._watermarks
-        ]
-        return min(begun, default=None)
+        """The least watermark over all inputs; None while one has neither begun nor ended."""
+        least = TIME_MAX
+        for name in self.inputs:
+            if name in self._ended:
+                continue
+            if name not in self._watermarks:
+                return None
+            least = min(least, self._watermarks[name])
+        return least
 
     def _close(self) -> list[WindowResult]:
         watermark = self._watermark()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 Semantics = Literal["bag", "set"]
 Bounds = Literal["(]", "[)"]
@@ -20,3 +20,9 @@ class Options:
     semantics: Semantics = "bag"
     bounds: Bounds = "(]"
     origin: int = 0
+
+    def __post_init__(self) -> None:
+        if self.semantics not in get_args(Semantics):
+            raise ValueError(f"semantics is 'bag' or 'set', not {self.semantics!r}")
+        if self.bounds not in get_args(Bounds):
+            raise ValueError(f"bounds is '(]' or '[)', not {self.bounds!r}")

@@ -51,6 +51,7 @@ class ChangeKind(StrEnum):
     UNIT_STARTED = "unit started"
     UNIT_STOPPED = "unit stopped"
     UNIT_FAILED = "unit failed"
+    NOT_RESTORED = "not restored"
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +59,8 @@ class Change:
     """One change of the stream space; fields that do not apply are empty.
 
     ``specification`` is the text by which the change was made: SSL, C-SPARQL, or a
-    transformation with its parameters; of a failure, the reason.
+    transformation with its parameters; of a failure, the reason, and so of an annotation kept by
+    an earlier run that does not hold any more.
     """
 
     kind: ChangeKind
@@ -136,6 +138,14 @@ class Configuration:
         generator.close()
         self._on_change(Change(ChangeKind.STREAM_REMOVED, name))
 
+    def readers(self, name: str) -> tuple[ComputationalUnit, ...]:
+        """The units that read stream ``name``."""
+        return tuple(
+            unit
+            for unit in self.units.values()
+            if any(source.name == name for source in unit.inputs)
+        )
+
     def reserved_name(self) -> str:
         """The next free ``dyknow_reserved<N>``."""
         while True:
@@ -153,7 +163,7 @@ class Configuration:
         if isinstance(node, UseStream):
             return self.stream(node.stream)
         unit = self._made.get((node, since))
-        if unit is None or unit.failure is not None:
+        if unit is None or self.is_broken(unit):
             unit = self._build(node, since)
             self._made[node, since] = unit
         return unit.output
@@ -215,6 +225,19 @@ class Configuration:
                 found.update(dict.fromkeys(self.units_behind(producer)))
         found[unit] = None
         return tuple(found)
+
+    def is_stamped(self, generator: StreamGenerator) -> bool | None:
+        """Whether the samples were stamped on arrival, here or where they come from; None before
+        the first one."""
+        unit = self.units.get(generator.name)
+        if unit is None:
+            return generator.stamped
+        known = {self.is_stamped(source) for source in unit.inputs}
+        return False if False in known else (True if True in known else None)
+
+    def is_broken(self, unit: ComputationalUnit) -> bool:
+        """``unit``, or one whose samples reach it, has failed: nothing more comes of it."""
+        return any(part.failure is not None for part in self.units_behind(unit))
 
     def release_unused(self) -> None:
         """Stop units that were built for a request that then failed."""

@@ -9,7 +9,11 @@ import json
 import re
 from collections.abc import Callable, Iterator, Mapping
 
+from pyoxigraph import NamedNode
+
+from ..converters.errors import ConversionError
 from ..converters.to_triples import SampleConverter
+from ..languages.errors import LanguageError
 from ..languages.ssl import check_ssl, parse_ssl
 from ..languages.ssl.annotation import (
     CheckedAnnotation,
@@ -19,18 +23,22 @@ from ..languages.ssl.annotation import (
     TransformationAnnotation,
 )
 from ..matching.space import StreamSpace
+from ..ontology.graphs import STREAM_SPACE_ONTOLOGY
 from ..ontology.ontology import Ontology
+from ..ontology.units import Unit
 from ..rdf.dictionary import TermDictionary
-from ..rdf.namespaces import DYKNOW, XSD
+from ..rdf.namespaces import DYKNOW, STREAM_SPACE, XSD
 from ..streams.fluent import Retention
 from ..streams.generator import StreamGenerator
 from ..streams.sample import Field, FieldType, Schema
-from .configuration import RESERVED, STATUS, Change, ChangeKind, Configuration
-from .errors import Conflict, Refused
-from .transformations import Transformation, described
+from .configuration import C_SPARQL, SELECT_OBJECT, STATUS, Change, ChangeKind, Configuration
+from .errors import BadArguments, Conflict, DyknowError, Refused
+from .transformations import IMPLEMENTATIONS, Transformation, described
 from .views import StreamDeclaration
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
+SYSTEMS_OWN = "dyknow_"
+"""Names of streams and units that the system invents begin so."""
 
 
 class DeclaredStreams:
@@ -55,7 +63,8 @@ class DeclaredStreams:
         """Make a stream, or change one that nobody has used yet.
 
         The same declaration again changes nothing. Raises `Conflict` when a stream that has
-        samples or subscribers would change, `Refused` for a name that is not the user's to give.
+        samples or subscribers would change, `Refused` for a name that is not the user's to give,
+        `BadArguments` for a namespace that is no IRI.
         """
         self._check_name(declaration.name)
         schema = Schema(declaration.fields)
@@ -64,6 +73,13 @@ class DeclaredStreams:
         for name in schema.names:
             if name in ("valid", "available"):
                 raise Refused(f"a field cannot be called {name!r}: that is a sample's time")
+        try:
+            NamedNode(declaration.namespace)
+        except ValueError as error:
+            raise BadArguments(
+                f"the namespace {declaration.namespace!r} is no IRI: {error}",
+                f"objects of an id field are named in it, for example {DYKNOW}",
+            ) from error
         existing = self._configuration.streams.get(declaration.name)
         if existing is not None and self._declaration(existing) == declaration:
             return existing
@@ -76,6 +92,21 @@ class DeclaredStreams:
         generator = self._add(declaration)
         self._ontology.set_stream(declaration.name, _declaration_json(declaration))
         return generator
+
+    def remove(self, name: str) -> None:
+        """Forget a stream, its annotation and what is kept of both; raises `Conflict` while a unit
+        reads it."""
+        readers = self._configuration.readers(name)
+        if readers:
+            raise Conflict(
+                f"stream {name!r} is read by {', '.join(unit.name for unit in readers)}",
+                "cancel the requests that need it first",
+            )
+        if self._annotations.pop(name, None) is not None:
+            self._ontology.remove_annotation(name)
+        if name in self._ontology.streams():
+            self._ontology.remove_stream(name)
+        self._configuration.remove_stream(name)
 
     def annotate(self, ssl: str) -> tuple[CheckedAnnotation, ...]:
         """Annotate streams and transformations by an SSL text; all of it or nothing.
@@ -109,17 +140,36 @@ class DeclaredStreams:
     def compile(
         self, annotation: StreamAnnotation, schema: Schema, namespace: str
     ) -> SampleConverter:
-        """The converter of a stream's samples to triples; raises `ConversionError`."""
+        """The converter of a stream's samples to triples, whose values are in the unit of their
+        feature, as queries see them; raises `ConversionError`."""
+        vocabulary = self._ontology.vocabulary
+        units: dict[str, Unit] = {}
+        for content in annotation.contents:
+            info = vocabulary.feature(content.feature)
+            if info is not None and info.unit is not None:
+                units[content.feature] = info.unit
         return SampleConverter(
-            annotation, schema, self._ontology.vocabulary, self._dictionary, namespace=namespace
+            annotation, schema, vocabulary, self._dictionary, namespace=namespace, units=units
         )
 
     def restore(self) -> None:
-        """What an earlier run was told: declared streams, then annotations."""
+        """What an earlier run was told: declared streams, then annotations.
+
+        An annotation that does not hold any more (the ontology has changed since) is told on the
+        status stream and left out; its text is kept.
+        """
         for name, text in self._ontology.streams().items():
             self._add(_declaration_of(name, text))
-        for source in self._ontology.annotations().values():
-            for annotation in check_ssl(parse_ssl(source), source, self._ontology.vocabulary):
+        for name, source in self._ontology.annotations().items():
+            try:
+                checked = check_ssl(parse_ssl(source), source, self._ontology.vocabulary)
+                for annotation in checked:
+                    self._check_annotation(annotation)
+            except (LanguageError, DyknowError, ConversionError) as error:
+                reason = f"{error}\n{source}"
+                self._changed(Change(ChangeKind.NOT_RESTORED, name, specification=reason))
+                continue
+            for annotation in checked:
                 self._apply(annotation)
 
     def _add(self, declaration: StreamDeclaration) -> StreamGenerator:
@@ -136,8 +186,19 @@ class DeclaredStreams:
             raise Refused(
                 f"{name!r} is no stream name", "letters, digits and _; the first is a letter"
             )
-        if name == STATUS or name.startswith(RESERVED):
+        if (
+            name in (STATUS, SELECT_OBJECT, C_SPARQL)
+            or name.startswith(SYSTEMS_OWN)
+            or name in IMPLEMENTATIONS
+            or self._is_term(name)
+        ):
             raise Refused(f"{name!r} is the system's own name", "choose another name")
+
+    def _is_term(self, name: str) -> bool:
+        """Streams, units and transformations are individuals beside the terms of the ontology."""
+        term = NamedNode(STREAM_SPACE + name)
+        said = self._ontology.store.quads_for_pattern(term, None, None, STREAM_SPACE_ONTOLOGY)
+        return next(said, None) is not None
 
     def _refuse_if_in_use(self, generator: StreamGenerator) -> None:
         if generator.counters.accepted or generator.subscribers:
@@ -161,8 +222,8 @@ class DeclaredStreams:
             case StreamAnnotation():
                 self._check_name(annotation.stream)
                 existing = self._configuration.streams.get(annotation.stream)
-                if existing is not None:
-                    self._check_fields(annotation, existing.schema)
+                schema = Schema(self._inferred(annotation)) if existing is None else existing.schema
+                self._check_fields(annotation, schema)
             case TransformationAnnotation():
                 described(annotation)
             case SourceAnnotation():

@@ -22,7 +22,7 @@ from ..languages.ssl.annotation import (
     CheckedAnnotation,
     StreamAnnotation,
 )
-from ..matching.match import Match, match
+from ..matching.match import Match, UnknownStrategy, match
 from ..matching.want import Want
 from ..ontology.ontology import Ontology
 from ..rdf.dictionary import Term, TermDictionary
@@ -69,16 +69,22 @@ class Engine:
     """Streams, templates and event requests over one ontology.
 
     ``data`` is the directory of what outlives the process (None: in memory). ``epoch`` marks
-    this run in event ids. ``first_reserved`` is the first N of ``dyknow_reserved<N>``.
+    this run in event ids. ``first_reserved`` is the first N of ``dyknow_reserved<N>``. ``now`` is
+    the time in ns until `publish` and `tick` bring a later one.
     """
 
     def __init__(
-        self, data: Path | None = None, *, epoch: str | None = None, first_reserved: int = 1
+        self,
+        data: Path | None = None,
+        *,
+        epoch: str | None = None,
+        first_reserved: int = 1,
+        now: int = 0,
     ) -> None:
         self.epoch = epoch or secrets.token_hex(4)
         self.ontology = Ontology.open(None if data is None else data / "ontology")
         self.dictionary = TermDictionary()
-        self._now = 0
+        self._now = now
         self._transformations: dict[str, Transformation] = library(self.ontology.vocabulary)
         self._configuration = Configuration(
             self.dictionary, self._transformations, self._changed, first_reserved
@@ -98,8 +104,9 @@ class Engine:
             self._templates,
             self._configuration,
             self._declared.space,
+            self._changed,
         )
-        self._keys: OrderedDict[tuple[str, str], int] = OrderedDict()
+        self._keys: OrderedDict[tuple[str, str], tuple[bytes, int]] = OrderedDict()
         self._converters: dict[str, SampleConverter] = {}
         self._status: StreamGenerator | None = None
         self._status = self._configuration.add_stream(
@@ -138,35 +145,70 @@ class Engine:
         """The generator behind a stream, to read and subscribe; raises `UnknownStream`."""
         return self._configuration.stream(name)
 
-    def publish(
-        self, name: str, incoming: Incoming, now: int, idempotency_key: str | None = None
-    ) -> int:
-        """Take a batch into a stream, whole; returns how many samples were accepted.
-
-        A key that was used for this stream before has no second effect and gives the same answer.
-        """
+    def accepting(self, name: str) -> StreamGenerator:
+        """The generator of a stream that takes samples; raises `UnknownStream`, and `Refused` for
+        a stream that the system makes."""
         generator = self._configuration.stream(name)
         if name == STATUS or name in self._configuration.units:
             raise Refused(
                 f"stream {name!r} is made by the system", "publish to a stream that you declared"
             )
+        return generator
+
+    def remove_stream(self, name: str) -> None:
+        """Forget a declared stream and its annotation; raises `UnknownStream`, `Refused` for a
+        stream that the system makes, and `Conflict` while a unit reads it."""
+        self.accepting(name)
+        self._declared.remove(name)
+        for key in [key for key in self._keys if key[0] == name]:
+            del self._keys[key]
+
+    def publish(
+        self,
+        name: str,
+        incoming: Incoming,
+        now: int,
+        idempotency_key: str | None = None,
+        digest: bytes = b"",
+    ) -> int:
+        """Take a batch into a stream, whole; returns how many samples were accepted.
+
+        A key that was used for this stream before has no second effect and gives the same answer;
+        with another ``digest`` of what was sent it is a `Conflict`. So is a batch to be stamped on
+        arrival where samples brought their own available times, and the other way round: the one
+        would make all of the other late.
+        """
+        generator = self.accepting(name)
         key = (name, idempotency_key or "")
         if idempotency_key is not None and key in self._keys:
-            return self._keys[key]
+            sent, accepted = self._keys[key]
+            if sent != digest:
+                raise Conflict(
+                    f"key {idempotency_key!r} was used for other samples of stream {name!r}",
+                    "use a key once; the same samples may be sent under it again",
+                )
+            return accepted
+        if len(incoming.batch) and generator.stamped not in (None, incoming.stamped):
+            has, lacks = (
+                ("are stamped on arrival", "bring")
+                if generator.stamped
+                else ("bring their own available times", "lack")
+            )
+            raise Conflict(
+                f"the samples of stream {name!r} {has}; these {lacks} them",
+                "a stream is one or the other, from its first sample on",
+            )
         self._now = max(self._now, now)
         accepted = generator.offer(incoming.batch, now if incoming.stamped else None)
         if idempotency_key is not None:
-            self._keys[key] = accepted
+            self._keys[key] = (digest, accepted)
             if len(self._keys) > _KEYS_KEPT:
                 self._keys.popitem(last=False)
         return accepted
 
     def end(self, name: str) -> None:
         """A recording has come to its end: what waits for more samples is decided now."""
-        generator = self._configuration.stream(name)
-        if name == STATUS or name in self._configuration.units:
-            raise Refused(f"stream {name!r} is made by the system; it ends with its inputs")
-        generator.end()
+        self.accepting(name).end()
         self._changed(Change(ChangeKind.STREAM_ENDED, name))
 
     def tick(self, now: int) -> None:
@@ -176,6 +218,12 @@ class Engine:
         for generator in list(self._configuration.streams.values()):
             if generator.stamped and generator.name not in units and not generator.is_ended:
                 generator.advance(now)
+        for unit in list(units.values()):
+            # Where everything that has come was stamped on arrival, so will be what is to come.
+            begun = set(unit.inputs) - set(unit.waits_for)
+            if begun and all(self._configuration.is_stamped(source) for source in begun):
+                for source in unit.waits_for:
+                    unit.advance(source, now)
 
     def rdf_of(self, name: str, batch: SampleBatch) -> list[str]:
         """Each sample of stream ``name`` as N-Triples; empty text where it says nothing."""
@@ -284,7 +332,10 @@ class Engine:
         if len(objects) > 1:
             raise Refused("features of one object are matched so far", "name one object, or a sort")
         want = Want(iri, sort_iri, self._iri(objects[0]) if objects else None)
-        found: Match = match(want, self._declared.space(), vocabulary, strategy)
+        try:
+            found: Match = match(want, self._declared.space(), vocabulary, strategy)
+        except UnknownStrategy as error:
+            raise BadArguments(str(error)) from error
         return explanations.match_view(want, found, strategy)
 
     def explain(

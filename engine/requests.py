@@ -18,9 +18,9 @@ from ..converters.to_samples import ResultConverter
 from ..converters.to_triples import SampleConverter
 from ..languages.csparql import format_query, with_streams
 from ..languages.csparql.ast import ContinuousQuery, EventRequest, Template
-from ..languages.ssl.annotation import StreamAnnotation
+from ..languages.ssl.annotation import Content, StreamAnnotation
 from ..matching.match import Match, UnknownStrategy, match_all
-from ..matching.plan import wanted_annotation
+from ..matching.plan import UseStream, nodes_of, wanted_annotation
 from ..matching.space import StreamSpace
 from ..ontology.ontology import Ontology
 from ..ontology.units import Unit
@@ -31,7 +31,7 @@ from ..templates.instantiate import ArgumentError, instantiate
 from ..templates.library import TemplateLibrary
 from ..templates.needs import Needs, NeedsError
 from . import explain as explanations
-from .configuration import Configuration
+from .configuration import Change, ChangeKind, Configuration
 from .errors import BadArguments, NoPlan, UnknownRequest
 from .results import result_form
 from .unit import QueryUnit
@@ -72,12 +72,14 @@ class EventRequests:
         templates: TemplateLibrary,
         configuration: Configuration,
         stream_space: Callable[[], StreamSpace],
+        changed: Callable[[Change], None],
     ) -> None:
         self._ontology = ontology
         self._dictionary = dictionary
         self._templates = templates
         self._configuration = configuration
         self._stream_space = stream_space
+        self._changed = changed
         self._requests: dict[str, _Request] = {}
         self._running: dict[tuple[object, ...], _Running] = {}
         self._number = 0
@@ -88,7 +90,7 @@ class EventRequests:
         """Answer ``request`` by the streams there are; raises `BadArguments` and `NoPlan`."""
         key = _key(template, request, strategy, since)
         running = self._running.get(key)
-        if running is None or running.unit.failure is not None:
+        if running is None or not self._is_sound(running):
             query, matches = self._plan(template, request, strategy)
             try:
                 running = self._build(query, matches, since)
@@ -96,6 +98,7 @@ class EventRequests:
                 self._configuration.release_unused()
                 raise
             self._running[key] = running
+            self._tell_meaning(running)
         running.unit.users += 1
         self._number += 1
         id = f"event{self._number}"
@@ -107,7 +110,7 @@ class EventRequests:
         request = self._request(id)
         del self._requests[id]
         running = request.running
-        # A unit that failed may have been replaced under the same key since.
+        # One that is not sound any more may have been replaced under the same key since.
         if running.unit.users == 1 and self._running.get(request.key) is running:
             del self._running[request.key]
         self._configuration.release(running.unit)
@@ -127,6 +130,7 @@ class EventRequests:
             strategy=request.strategy,
             since=str(request.since),
             stream=running.unit.output.name,
+            waits_for=self._waits_for(running.unit),
             plan=self._plan_view(running),
             created=request.number,
         )
@@ -188,7 +192,12 @@ class EventRequests:
             )
         except UnknownStrategy as error:
             raise BadArguments(str(error)) from error
-        missing = tuple(text for match in matches for text in match.missing)
+        missing = tuple(
+            f"{match.want}: {text}"
+            for match in matches
+            if match.supply is None
+            for text in match.missing or ("nothing gives it",)
+        )
         if missing or not matches:
             raise NoPlan(
                 f"no stream and no transformation answers {shorten(request.event)}: "
@@ -204,12 +213,18 @@ class EventRequests:
         vocabulary = self._ontology.vocabulary
         inputs: dict[str, StreamGenerator] = {}
         converters: dict[str, list[SampleConverter]] = defaultdict(list)
+        # Two patterns may want the same of one stream: its samples are still elements once.
+        read: set[tuple[str, tuple[Content, ...], Unit]] = set()
         for match in matches:
             assert match.supply is not None
             for source in match.supply.sources:
                 generator = self._configuration.obtain(source.node, since)
                 inputs[generator.name] = generator
                 annotation = wanted_annotation(match.supply, source, generator.name)
+                element = (generator.name, annotation.contents, source.port.target)
+                if element in read:
+                    continue
+                read.add(element)
                 units: dict[str, Unit] = {match.want.feature: source.port.target}
                 converters[generator.name].append(
                     SampleConverter(
@@ -246,6 +261,31 @@ class EventRequests:
             form.event_annotation(name, query.name, roles),
             form.rdf_annotation(name, roles),
         )
+
+    def _waits_for(self, unit: QueryUnit) -> tuple[str, ...]:
+        """Streams that are no unit's and have not begun."""
+        waiting = (s for part in self._configuration.units_behind(unit) for s in part.waits_for)
+        names = dict.fromkeys(source.name for source in waiting)
+        return tuple(name for name in names if name not in self._configuration.units)
+
+    def _is_sound(self, running: _Running) -> bool:
+        """It works, and the streams it reads mean what they meant when it started."""
+        if self._configuration.is_broken(running.unit):
+            return False
+        meanings = {known.stream: known.contents for known in self._stream_space().streams}
+        return all(
+            meanings.get(node.stream) == node.contents
+            for match in running.matches
+            if match.supply is not None
+            for source in match.supply.sources
+            for node in nodes_of(source.node)
+            if isinstance(node, UseStream)
+        )
+
+    def _tell_meaning(self, running: _Running) -> None:
+        if running.annotation is not None:
+            name, source = running.unit.output.name, running.annotation.source
+            self._changed(Change(ChangeKind.STREAM_ANNOTATED, name, specification=source))
 
     def _plan_view(self, running: _Running) -> PlanView:
         units = self._configuration.units_behind(running.unit)

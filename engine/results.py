@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from rdflib import URIRef
 from rdflib import Variable as RdflibVariable
+from rdflib.plugins.sparql.parserutils import CompValue
 
 from ..converters.to_samples import ID, ResultConverter, field_names, result_schema
 from ..languages.csparql import algebra
@@ -17,11 +19,16 @@ from ..matching.plan import local_name
 from ..matching.want import THING
 from ..ontology.units import Unit
 from ..ontology.vocabulary import Vocabulary
-from ..rdf.timed import Kind
+from ..rdf.timed import DATATYPES, Kind
 from ..streams.sample import Schema
 from ..streams.strings import StringPool
 
-_AGGREGATE_KINDS = {"AVG": Kind.DOUBLE, "SUM": Kind.DOUBLE, "COUNT": Kind.INTEGER}
+_AGGREGATE_KINDS = {
+    "Aggregate_Avg": Kind.DOUBLE,
+    "Aggregate_Sum": Kind.DOUBLE,
+    "Aggregate_Count": Kind.INTEGER,
+}
+_KIND_OF_RANGE = {datatype.value: kind for kind, datatype in DATATYPES.items()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,21 +77,16 @@ class ResultForm:
 
 
 def result_form(query: ContinuousQuery, vocabulary: Vocabulary) -> ResultForm:
-    """The form of ``query``'s results: types by the head's predicates and aggregates."""
-    tree = algebra(query)
-    kinds_of = {
-        aggregation.alias.value: _AGGREGATE_KINDS[aggregation.function]
-        for aggregation in query.aggregations
-        if aggregation.function in _AGGREGATE_KINDS
-    }
+    """The form of ``query``'s results: types by features' ranges and by aggregates."""
+    tree = algebra(query).algebra
     if query.form is Form.ASK:
         return ResultForm(result_schema(ask=True), (), {})
+    kinds_of = _kinds(tree, vocabulary)
     if query.form is not Form.CONSTRUCT:
-        variables = [str(variable) for variable in tree.algebra.PV]
-        kinds = {name: kinds_of[name] for name in variables if name in kinds_of}
-        return ResultForm(result_schema(variables=variables, kinds=kinds), (), {})
+        variables = [str(variable) for variable in tree.PV]
+        return ResultForm(result_schema(variables=variables, kinds=kinds_of), (), {})
     predicates: dict[str, Kind | None] = {}
-    for _, predicate, object in tree.algebra.template:
+    for _, predicate, object in tree.template:
         if isinstance(predicate, URIRef):
             kind = kinds_of.get(str(object)) if isinstance(object, RdflibVariable) else None
             predicates.setdefault(str(predicate), kind)
@@ -99,6 +101,51 @@ def result_form(query: ContinuousQuery, vocabulary: Vocabulary) -> ResultForm:
         vocabulary=vocabulary,
     )
     return ResultForm(schema, tuple(predicates), units)
+
+
+def _kinds(tree: CompValue, vocabulary: Vocabulary) -> dict[str, Kind]:
+    """Kinds of the variables that are numbers or booleans: by the range of the feature whose
+    value they are, and by the aggregate that computes them."""
+    kinds: dict[str, Kind] = {}
+
+    def learn(node: Any) -> None:
+        if not isinstance(node, CompValue):
+            return
+        if node.name == "BGP":
+            for _, predicate, object in node.triples:
+                info = vocabulary.feature(str(predicate))
+                kind = _KIND_OF_RANGE.get((info.range if info else None) or "")
+                if kind is not None and isinstance(object, RdflibVariable):
+                    kinds.setdefault(str(object), kind)
+        elif node.name.startswith("Aggregate_"):
+            argument = kinds.get(str(node.vars))
+            kind = _AGGREGATE_KINDS.get(node.name, argument)
+            if node.name == "Aggregate_Sum" and argument is Kind.INTEGER:
+                kind = Kind.INTEGER
+            if kind is not None:
+                kinds[str(node.res)] = kind
+        elif node.name == "Extend" and isinstance(node.expr, RdflibVariable):
+            kind = kinds.get(str(node.expr))
+            if kind is not None:
+                kinds[str(node.var)] = kind
+
+    # An alias is known when what it stands for is: once more until nothing new is learnt.
+    before = -1
+    while before < len(kinds):
+        before = len(kinds)
+        _walk(tree, learn)
+    return kinds
+
+
+def _walk(node: Any, visit: Callable[[Any], None]) -> None:
+    if isinstance(node, CompValue):
+        for key, part in node.items():
+            if not key.startswith("_"):
+                _walk(part, visit)
+        visit(node)
+    elif isinstance(node, list | tuple):
+        for part in node:
+            _walk(part, visit)
 
 
 def _subject(roles: Sequence[Role]) -> Role:

@@ -61,7 +61,7 @@ class SemanticsManager:
                 self._assert(
                     ("transformation", change.transformation), transformation_triples(described)
                 )
-            case ChangeKind.STREAM_ENDED | ChangeKind.UNIT_FAILED:
+            case ChangeKind.STREAM_ENDED | ChangeKind.UNIT_FAILED | ChangeKind.NOT_RESTORED:
                 pass  # the structure of the stream space is as it was
 
     def assertions(self) -> frozenset[Triple]:

@@ -58,6 +58,7 @@ class ComputationalUnit(ABC):
         self._on_failure = on_failure
         self._watermarks: dict[StreamGenerator, int] = {}
         self._ended: set[StreamGenerator] = set()
+        self._subscribed: list[StreamGenerator] = []
 
     def start(self, since: Since = Since.NOW) -> None:
         """Subscribe to the inputs; from the start of what they keep, if asked.
@@ -70,17 +71,16 @@ class ComputationalUnit(ABC):
                 for segment in source.stream.since(0):
                     self.receive(source, segment.batch)
         for source in self.inputs:
-            source.subscribe(self)
-        if since is Since.START:
-            for source in self.inputs:
-                if source.is_ended:
-                    self.ended(source)
+            if self.failure is None:
+                self._subscribed.append(source)
+                source.subscribe(self)
+        for source in self.inputs:
+            if source.is_ended:
+                self.ended(source)
 
     def stop(self) -> None:
         """Leave the inputs; the output ends."""
-        if self.failure is None:
-            for source in self.inputs:
-                source.unsubscribe(self)
+        self._leave_inputs()
         self.output.end()
         self.output.close()
 
@@ -101,9 +101,18 @@ class ComputationalUnit(ABC):
 
     @property
     def least_watermark(self) -> int | None:
-        """The watermark that holds for all inputs that have begun and not ended."""
+        """The watermark that holds for all inputs that have not ended; None if there is none,
+        or while one of them has not begun."""
+        if self.waits_for:
+            return None
         running = [w for source, w in self._watermarks.items() if source not in self._ended]
         return min(running) if running else None
+
+    @property
+    def waits_for(self) -> tuple[StreamGenerator, ...]:
+        """Inputs that have neither begun nor ended: what others say is not decided before."""
+        decided = self._watermarks.keys() | self._ended
+        return tuple(source for source in self.inputs if source not in decided)
 
     @property
     def all_ended(self) -> bool:
@@ -131,9 +140,13 @@ class ComputationalUnit(ABC):
             work()
         except Exception as error:  # noqa: BLE001  the unit is cut off and says why; others go on
             self.failure = f"{type(error).__name__}: {error}"
-            for source in self.inputs:
-                source.unsubscribe(self)
+            self._leave_inputs()
             self._on_failure(self)
+
+    def _leave_inputs(self) -> None:
+        # A unit may fail on the past, before it has subscribed to anything.
+        while self._subscribed:
+            self._subscribed.pop().unsubscribe(self)
 
 
 class SelectionUnit(ComputationalUnit):

@@ -235,8 +235,23 @@ class Search:
                 seen.add(roles)
                 inexact = sum(c.feature != i.feature for c, i in zip(contents, ask, strict=True))
                 own = self.want.object is not None and roles[0].object == self.want.object
-                rank = (-self._favoured.get(position, 0), inexact, not own, position, len(seen))
+                rank = (
+                    -self._favoured.get(position, 0),
+                    inexact,
+                    not own,
+                    self._generality(roles[0].sort),
+                    position,
+                    len(seen),
+                )
                 yield Offer(rank, position, annotation, contents)
+
+    def _generality(self, sort: str | None) -> int:
+        """How far ``sort`` is above the wanted one: a stream made for a sort goes before one
+        that speaks of it among others."""
+        above = self.vocabulary.supersorts(self.want.wanted_sort)
+        if sort is None or sort not in above:
+            return 0
+        return len(above) - len(self.vocabulary.supersorts(sort))
 
     def _contents(
         self, annotation: StreamAnnotation, input: Input, roles: Roles | None

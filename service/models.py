@@ -82,7 +82,8 @@ class FieldModel(_Model):
 
 
 class RetentionModel(_Model):
-    """How much history is kept: at most so many samples, at most so old."""
+    """How much history is kept: at least so many samples of at most such an age. What is beyond
+    goes in whole batches, as they came."""
 
     samples: int | None = Field(default=None, gt=0, le=100_000_000)
     age: Duration | None = None
@@ -277,6 +278,7 @@ class EventModel(BaseModel):
     strategy: str
     since: views.Since
     stream: str
+    waits_for: list[str]
     events: str
     plan: PlanModel
 
@@ -289,6 +291,7 @@ class EventModel(BaseModel):
             strategy=view.strategy,
             since=views.Since(view.since),
             stream=view.stream,
+            waits_for=list(view.waits_for),
             events=f"/streams/{view.stream}/events",
             plan=PlanModel.of(view.plan),
         )

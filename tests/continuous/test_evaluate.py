@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from itertools import count, islice
 
+import pytest
 from pyoxigraph import Literal, NamedNode
 
 from dyknow.continuous.evaluate import evaluate
@@ -83,3 +84,16 @@ def test_static_files_origin_and_forms(tmp_path) -> None:
     assert (built.end, built.solutions) == (3, [(WHO, Q, Literal(7))])
     (asked,) = evaluate(f"REGISTER QUERY q AS ASK {head}", {X: data}, static=[path])
     assert asked.solutions is True
+
+
+def test_streams_must_be_those_that_the_query_reads():
+    with pytest.raises(
+        ValueError, match=r"does not read <http://d.example/y>; .* reads <http://d.example/x>"
+    ):
+        evaluate(counting(D + "p", X), {Y: []})
+
+
+@pytest.mark.parametrize("wrong", [{"bounds": "x"}, {"semantics": "x"}])
+def test_options_are_checked(wrong):
+    with pytest.raises(ValueError, match="'x'"):
+        evaluate(counting(D + "p", X), {X: []}, **wrong)

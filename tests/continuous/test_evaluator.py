@@ -105,13 +105,19 @@ def test_rows_without_a_triple_are_no_content() -> None:
     assert run.evaluator.end(X) == []
 
 
-def test_inputs_that_never_spoke_hold_nobody_back() -> None:
+def test_an_input_that_has_not_begun_holds_the_others_back() -> None:
     run = average(inputs=(X, Y))
     run.push((1 * S, ONE, SPEED, Literal(2.0)))
-    assert len(run.evaluator.advance(X, 2 * S)) == 1
-    run.evaluator.advance(Y, 2 * S)
     assert run.evaluator.advance(X, 9 * S) == []
-    assert [r.end // S for r in run.evaluator.advance(Y, 4 * S)] == [2, 3]
+    assert [r.end // S for r in run.evaluator.advance(Y, 4 * S)] == [1, 2, 3]
+    assert [r.end // S for r in run.evaluator.end(Y)] == [4, 5]
+
+
+def test_an_input_that_ends_without_a_word_holds_nobody_back() -> None:
+    run = average(inputs=(X, Y))
+    run.push((1 * S, ONE, SPEED, Literal(2.0)))
+    assert run.evaluator.advance(X, 3 * S) == []
+    assert [r.end // S for r in run.evaluator.end(Y)] == [1, 2]
 
 
 def test_each_stream_has_its_own_window() -> None:

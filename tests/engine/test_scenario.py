@@ -3,6 +3,7 @@
 import pytest
 from feeding import feed, flight, samples
 
+from dyknow.converters.wire import Incoming
 from dyknow.engine.engine import Engine
 from dyknow.engine.errors import (
     AlreadyExists,
@@ -253,3 +254,118 @@ def test_an_answer_may_begin_in_the_past(scenario, text, is_ended):
     if not is_ended:
         feed(scenario, "coordinates", rows("uav1", [(40, 58.5, 15.0), (41, 58.6, 15.0)]))
         assert samples(scenario, after.stream) == samples(scenario, before.stream)
+
+
+TWO = """REGISTER TEMPLATE dyknow:FastHigh(?o, ?t, ?u) COMPUTE EVERY 1s AS
+CONSTRUCT {?o dyknow:speed ?s}
+WHERE {?o a dyknow:UAV . ?o dyknow:altitude ?x . ?o dyknow:speed ?y . FILTER (?x > ?t)}
+AGGREGATE {(?s, AVG, {?y}) FILTER (?s > ?u)} WINDOW [RANGE 2s STEP 1s]"""
+
+
+def two_streams(engine):
+    engine.annotate("stream alt contains altitude(UAV) = h [ft] for every UAV = id")
+    engine.annotate("stream sp contains speed(UAV) = v [km.h-1] for every UAV = id")
+    engine.register_template(TWO)
+    return engine.request_event(engine.parse_request("dyknow:FastHigh(?o, 305, 100)"))
+
+
+@pytest.mark.parametrize("order", ["alt first", "sp first", "mixed"])
+def test_streams_of_a_query_wait_for_each_other(engine, order):
+    view = two_streams(engine)
+    assert view.waits_for == ("alt", "sp")
+    heights = [(i + 0.1, {"id": "uav1", "h": 300.0 + i}) for i in range(20)]
+    speeds = [(i + 0.2, {"id": "uav1", "v": 90.0 + i}) for i in range(20)]
+    parts = {"alt first": 20, "sp first": 20, "mixed": 3}[order]
+    names = [("alt", heights), ("sp", speeds)]
+    for start in range(0, 20, parts):
+        for name, given in names if order != "sp first" else reversed(names):
+            feed(engine, name, given[start : start + parts])
+    engine.end("alt")
+    engine.end("sp")
+    found = {end: values["speed"] for end, values in samples(engine, view.stream)}
+    expected = {}
+    for end in range(1, 23):
+        seen = [i for i in range(20) if end - 2 < i + 0.2 <= end]
+        high = [i for i in range(20) if end - 2 < i + 0.1 <= end and 300 + i > 305]
+        if seen and high and sum(90 + i for i in seen) / len(seen) > 100:
+            expected[float(end)] = sum(90.0 + i for i in seen) / len(seen)
+    assert found == expected
+
+
+def test_a_silent_stream_is_advanced_by_the_clock_where_others_are_stamped(engine, high_speed):
+    second = 1_000_000_000
+    for name in ("one", "two"):
+        engine.annotate(
+            f"stream {name} contains speed({'RMAX' if name == 'one' else 'Car'}) = v "
+            f"for every {'RMAX' if name == 'one' else 'Car'} = id"
+        )
+    engine.register_template(high_speed)
+    view = engine.request_event(
+        engine.parse_request("dyknow:HighSpeedEvent(?o, dyknow:Thing, 100)")
+    )
+    assert set(view.plan.streams) == {"one", "two"}
+    feed(engine, "one", [(0, {"id": "uav1", "v": 150.0})], now=10 * second + 1)
+    engine.tick(12 * second)
+    assert [end for end, _ in samples(engine, view.stream)] == [11.0]
+    assert engine.event(view.id).waits_for == ()
+
+
+def test_a_request_after_the_end_is_at_its_end(scenario):
+    feed(scenario, "coordinates", rows("uav1", flight(1, 20, 150.0)))
+    scenario.end("coordinates")
+    view = scenario.request_event(scenario.parse_request(REQUEST))
+    assert scenario.stream(view.stream).ended
+    assert samples(scenario, view.stream) == []
+    feed(scenario, "coordinates", rows("uav1", flight(30, 20, 150.0)))
+    assert not scenario.stream(view.stream).ended
+    assert samples(scenario, view.stream)
+
+
+def test_a_table_keeps_its_types(engine):
+    engine.annotate("stream sp contains speed(UAV) = v, callsign(UAV) = c for every UAV = id")
+    engine.register_template(
+        "REGISTER TEMPLATE dyknow:Table(?o) COMPUTE EVERY 1s AS "
+        "SELECT ?o (AVG(?v) AS ?mean) (COUNT(?v) AS ?n) (MAX(?v) AS ?top) (MIN(?c) AS ?call) "
+        "WHERE { ?o dyknow:speed ?v . ?o dyknow:callsign ?c } GROUP BY ?o "
+        "WINDOW [RANGE 2s STEP 1s]"
+    )
+    view = engine.request_event(engine.parse_request("dyknow:Table(?x)"))
+    feed(engine, "sp", [(0.5, {"id": "uav1", "v": 150.0, "c": "AFR1"})])
+    engine.end("sp")
+    _, values = samples(engine, view.stream)[0]
+    assert values == {"o": "uav1", "mean": 150.0, "n": 1, "top": 150.0, "call": "AFR1"}
+
+
+def test_triples_of_a_stream_are_in_the_units_of_their_features(engine):
+    engine.annotate("stream s3 contains speed(UAV) = spd [m.s-1] for every UAV = id")
+    feed(engine, "s3", [(1, {"id": "uav1", "spd": 100.0})])
+    (text,) = engine.rdf_of("s3", engine.generator("s3").stream.all())
+    assert '"360"^^<http://www.w3.org/2001/XMLSchema#double>' in text
+
+
+def test_a_key_for_other_samples_is_a_conflict(engine):
+    engine.annotate("stream s3 contains speed(UAV) = spd for every UAV = id")
+    nothing = Incoming(engine.generator("s3").stream.all(), False)
+    assert engine.publish("s3", nothing, 0, "key", b"a") == 0
+    assert engine.publish("s3", nothing, 0, "key", b"a") == 0
+    with pytest.raises(Conflict):
+        engine.publish("s3", nothing, 0, "key", b"b")
+
+
+def test_a_stream_is_stamped_or_brings_its_times(engine):
+    engine.annotate("stream s3 contains speed(UAV) = spd for every UAV = id")
+    feed(engine, "s3", [(1, {"id": "uav1", "spd": 100.0})])
+    with pytest.raises(Conflict):
+        feed(engine, "s3", [(2, {"id": "uav1", "spd": 100.0})], now=10**18)
+    assert engine.stream("s3").counters.accepted == 1
+
+
+def test_a_stream_is_removed_when_nothing_reads_it(scenario):
+    view = scenario.request_event(scenario.parse_request(REQUEST))
+    with pytest.raises(Conflict):
+        scenario.remove_stream("coordinates")
+    scenario.cancel_event(view.id)
+    scenario.remove_stream("coordinates")
+    assert [view.name for view in scenario.streams()] == ["status"]
+    with pytest.raises(NoPlan):
+        scenario.request_event(scenario.parse_request(REQUEST))

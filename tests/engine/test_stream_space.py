@@ -107,6 +107,7 @@ def test_status_tells_every_change_in_order(running):
         ("unit started", "dyknow_reserved1"),
         ("stream added", "dyknow_reserved2"),
         ("unit started", "dyknow_reserved2"),
+        ("stream annotated", "dyknow_reserved2"),
         ("unit stopped", "dyknow_reserved2"),
         ("stream removed", "dyknow_reserved2"),
         ("unit stopped", "dyknow_reserved1"),

@@ -359,3 +359,12 @@ def test_a_large_space_is_matched_quickly(vocabulary):
     supply = match(want("speed", object="o4711"), space, vocabulary).supply
     assert streams_of(supply) == ("s4711",)
     assert time.process_time() - start < 5
+
+
+def test_a_stream_made_for_the_sort_goes_before_a_more_general_one(vocabulary):
+    sorts = (("a1", "UAV"), ("a2", "RMAX"), ("a0", "Thing"))
+    space = StreamSpace(
+        tuple(stream(name, "speed=spd kt", sort=sort, id="id") for name, sort in sorts)
+    )
+    assert streams_of(match(want("speed", "RMAX"), space, vocabulary).supply) == ("a2",)
+    assert streams_of(match(want("speed", "Aircraft"), space, vocabulary).supply) == ("a0",)
