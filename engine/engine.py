@@ -25,6 +25,7 @@ from ..languages.ssl.annotation import (
 from ..matching.match import Match, UnknownStrategy, match
 from ..matching.want import Want
 from ..ontology.ontology import Ontology
+from ..ontology.reading import TextFormat
 from ..rdf.dictionary import Term, TermDictionary
 from ..rdf.namespaces import DYKNOW, PREFIXES, shorten
 from ..streams.fluent import Retention
@@ -304,6 +305,14 @@ class Engine:
     def cancel_event(self, id: str) -> None:
         """End a request; units without users stop."""
         self._requests.cancel(id)
+
+    # -- meaning -----------------------------------------------------------------------------
+
+    def load_ontology(self, text: str, *, name: str, format: TextFormat = "turtle") -> None:
+        """Add a domain ontology, or replace the one called ``name`` (an IRI): its sorts, features
+        and objects are known from now on, also to queries that run. Raises `OntologyError`."""
+        self.ontology.load(text, name=name, format=format)
+        self._converters.clear()
 
     # -- knowing -----------------------------------------------------------------------------
 

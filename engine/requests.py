@@ -58,6 +58,7 @@ class _Request:
     request: EventRequest
     strategy: str
     since: Since
+    position: int
     key: tuple[object, ...]
     running: _Running
 
@@ -100,9 +101,13 @@ class EventRequests:
             self._running[key] = running
             self._tell_meaning(running)
         running.unit.users += 1
+        # Of a stream that others asked for before, what came until now is their past.
+        position = 0 if since is Since.START else running.unit.output.stream.last_number
         self._number += 1
         id = f"event{self._number}"
-        self._requests[id] = _Request(id, self._number, request, strategy, since, key, running)
+        self._requests[id] = _Request(
+            id, self._number, request, strategy, since, position, key, running
+        )
         return self.view(id)
 
     def cancel(self, id: str) -> None:
@@ -129,6 +134,7 @@ class EventRequests:
             arguments=tuple(_argument_text(argument) for argument in request.request.arguments),
             strategy=request.strategy,
             since=str(request.since),
+            position=request.position,
             stream=running.unit.output.name,
             waits_for=self._waits_for(running.unit),
             plan=self._plan_view(running),

@@ -96,7 +96,8 @@ class PlanView:
 class EventView:
     """A running request for an event; ``created`` counts requests, 1 being the first.
 
-    ``since`` is `Since`'s text: what of the streams' past the answer began with. ``waits_for``
+    ``since`` is `Since`'s text: what of the streams' past the answer began with;
+    ``position`` the number of the last sample of ``stream`` before the request. ``waits_for``
     names streams that have no sample yet: a query of several streams decides nothing before.
     """
 
@@ -105,6 +106,7 @@ class EventView:
     arguments: tuple[str, ...]
     strategy: str
     since: str
+    position: int
     stream: str
     waits_for: tuple[str, ...]
     plan: PlanView

@@ -46,8 +46,8 @@ class FluentStream:
     Contract: `append` takes only what continues the order (`StreamGenerator` sees to that).
     Numbers of samples are 1, 2, 3 … over the life of the stream, gap-free.
 
-    Cost: append O(1) a batch; `most_recent_at` O(history) numpy; the others O(log) or O(answer).
-    Memory: `Retention`.
+    Cost: append O(1) a batch; `since` and `newest` O(answer); `between` O(batches kept + answer);
+    the others put the whole history together, O(batches kept + samples kept). Memory: `Retention`.
     """
 
     def __init__(
@@ -159,9 +159,25 @@ class FluentStream:
         """Def. 5.8 availtimes(f): the available times of the kept samples, increasing."""
         return self.all().available
 
+    def newest(self, count: int) -> SampleBatch:
+        """The last ``count`` kept samples (all, if fewer are kept)."""
+        segments = self.since(self.last_number - count + 1)
+        if not segments:
+            return empty_batch(self.schema, self.pools)
+        return concatenate([segment.batch for segment in segments])
+
     def between(self, start: int | None, end: int | None) -> SampleBatch:
         """The kept samples with available time in the closed interval; None is unbounded."""
-        history = self.all()
+        # Only what overlaps is put together: a history of single samples is many segments.
+        held = [
+            segment.batch
+            for segment in self._segments
+            if (start is None or segment.batch.available[-1] >= start)
+            and (end is None or segment.batch.available[0] <= end)
+        ]
+        if not held:
+            return empty_batch(self.schema, self.pools)
+        history = concatenate(held)
         low = 0 if start is None else int(np.searchsorted(history.available, start, "left"))
         high = len(history)
         if end is not None:

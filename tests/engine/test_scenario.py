@@ -369,3 +369,28 @@ def test_a_stream_is_removed_when_nothing_reads_it(scenario):
     assert [view.name for view in scenario.streams()] == ["status"]
     with pytest.raises(NoPlan):
         scenario.request_event(scenario.parse_request(REQUEST))
+
+
+def test_a_sort_of_ones_own(engine, high_speed):
+    """A domain ontology, then an annotation and a request that speak of its sort."""
+    engine.register_template(high_speed)
+    engine.load_ontology(
+        "@prefix : <http://www.ida.liu.se/dyknow/> . "
+        "@prefix rdfs: <http://www.w3.org/2000/01/rdf-schema#> . "
+        "@prefix owl: <http://www.w3.org/2002/07/owl#> . "
+        ":Ship a owl:Class ; rdfs:subClassOf :Vehicle . :Ferry a owl:Class ; rdfs:subClassOf :Ship .",
+        name="http://example.org/harbour",
+    )
+    engine.annotate("stream ferries contains speed(Ferry) = v [kt] for every Ferry = id")
+    view = engine.request_event(engine.parse_request("dyknow:HighSpeedEvent(?o, dyknow:Ship, 30)"))
+    feed(engine, "ferries", [(i, {"id": "viking", "v": 20.0}) for i in range(1, 5)])
+    engine.end("ferries")
+    assert {values["id"] for _, values in samples(engine, view.stream)} == {"viking"}
+
+
+def test_a_request_that_joins_others_begins_where_they_are(scenario):
+    first = scenario.request_event(scenario.parse_request(REQUEST))
+    feed(scenario, "coordinates", rows("uav1", flight(1, 20, 150.0)))
+    second = scenario.request_event(scenario.parse_request(REQUEST))
+    assert first.position == 0
+    assert second.position == len(samples(scenario, first.stream)) > 0

@@ -108,3 +108,22 @@ def test_an_ill_typed_value_names_row_and_field(type, value, message):
 def test_missing_and_undeclared_fields_are_errors(values, message):
     with pytest.raises(SampleError, match=message):
         batch_from_rows(SCHEMA, [(1, 1, values)])
+
+
+def test_newest_crosses_batches_and_begins_where_history_does():
+    made = stream(*F1, retention=Retention(samples=4))
+    for time in (6, 7, 8):
+        made.append(batch_from_rows(SCHEMA, [(time, time, {"v": "w"})], made.pools))
+    assert [a for a, _, _ in samples(made.newest(2))] == [7, 8]
+    assert [a for a, _, _ in samples(made.newest(4))] == [4, 6, 7, 8]
+    assert samples(made.newest(99)) == samples(made.all())
+    assert samples(stream().newest(3)) == []
+
+
+def test_between_takes_parts_of_batches():
+    made = stream(*F1)
+    for time in (6, 7, 8):
+        made.append(batch_from_rows(SCHEMA, [(time, time, {"v": "w"})], made.pools))
+    assert [a for a, _, _ in samples(made.between(3, 7))] == [3, 4, 6, 7]
+    assert [a for a, _, _ in samples(made.between(5, 6))] == [6]
+    assert samples(made.between(5, 5)) == samples(made.between(9, None)) == []

@@ -1,0 +1,73 @@
+"""Names beyond ASCII, namespaces that are none, and a stream that changes while a body comes."""
+
+from collections.abc import Iterator
+from urllib.parse import quote
+
+import httpx
+import pytest
+
+TEMPLATE = """REGISTER TEMPLATE {name}(?o) COMPUTE EVERY 1s AS
+PREFIX dyknow: <http://www.ida.liu.se/dyknow/>
+CONSTRUCT {{?o dyknow:speed ?spd}}
+WHERE {{ ?o a dyknow:UAV . ?o dyknow:speed ?spd }}
+WINDOW [RANGE 5s STEP 1s]"""
+TEXT = {"Content-Type": "text/plain"}
+LINES = {"Content-Type": "application/x-ndjson"}
+
+
+def fields(*named: tuple[str, str]) -> dict[str, object]:
+    return {"fields": [{"name": name, "type": kind} for name, kind in named]}
+
+
+@pytest.mark.parametrize("name", ["dyknow:Συμβάν", "<http://ex.org/ns#Foo>", "<http://ex.org/é>"])
+def test_the_location_of_a_template_leads_to_it(http: httpx.Client, name: str) -> None:
+    text = TEMPLATE.format(name=name)
+    made = http.post("/templates", content=text.encode(), headers=TEXT)
+    assert made.status_code == 201
+    location = made.headers["Location"]
+    assert http.get(location).json() == made.json()
+    assert http.put(location, content=text.encode(), headers=TEXT).status_code == 200
+    assert http.delete(location).status_code == 204
+
+
+def test_a_template_is_put_under_any_of_its_names(http: httpx.Client) -> None:
+    text = TEMPLATE.format(name="dyknow:Fast")
+    for name in ("Fast", "dyknow:Fast", quote("http://www.ida.liu.se/dyknow/Fast", safe="")):
+        answer = http.put(f"/templates/{name}", content=text, headers=TEXT)
+        assert answer.status_code in (200, 201), answer.text
+
+
+@pytest.mark.parametrize("strategy", ["cost", "quality"])
+def test_a_strategy_that_is_not_served_is_a_client_error(http: httpx.Client, strategy: str) -> None:
+    answer = http.post("/match", json={"feature": "speed", "strategy": strategy})
+    assert answer.status_code == 400
+    assert "no strategy" in answer.json()["detail"]
+    assert http.get(f"/explain?feature=speed&strategy={strategy}").status_code == 400
+
+
+@pytest.mark.parametrize("namespace", ["not an iri", "http://x y/", "<"])
+def test_a_namespace_is_an_iri(http: httpx.Client, namespace: str) -> None:
+    declaration = fields(("id", "string")) | {"namespace": namespace}
+    answer = http.put("/streams/z", json=declaration)
+    assert answer.status_code == 400
+    assert "no IRI" in answer.json()["detail"]
+    assert http.get("/streams/z").status_code == 404
+
+
+def test_samples_fit_the_stream_that_is_there_when_the_body_is_complete(
+    http: httpx.Client, url: str
+) -> None:
+    http.put("/streams/z", json=fields(("id", "string"), ("spd", "float")))
+
+    def body() -> Iterator[bytes]:
+        yield b'{"valid": 1, "id": "uav1", '
+        with httpx.Client(base_url=url, trust_env=False) as other:
+            answer = other.put("/streams/z", json=fields(("id", "string"), ("alt", "integer")))
+            assert answer.status_code == 200
+        yield b'"alt": 5}\n'
+
+    answer = http.post("/streams/z/samples", content=body(), headers=LINES)
+    assert (answer.status_code, answer.json()) == (202, {"accepted": 1})
+    (sample,) = http.get("/streams/z/samples", headers={"Accept": "application/json"}).json()
+    assert sample["id"] == "uav1"
+    assert sample["alt"] == 5
