@@ -6,6 +6,7 @@ and no other; null is no_value; a time is ISO-8601 or integer nanoseconds.
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
@@ -19,6 +20,7 @@ from ..streams.strings import StringPool
 from ..streams.time import format_time
 from .errors import WireError
 from .wire import (
+    BOM,
     RESERVED,
     TIME_HINT,
     Incoming,
@@ -49,9 +51,10 @@ def decode_ndjson(data: bytes, schema: Schema, pools: dict[str, StringPool]) -> 
     ten fields.
     """
     check_names(schema)
+    data = data.removeprefix(BOM)
     try:
         samples = _decoder(schema).decode_lines(data)
-    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         raise _cause(data, schema, str(error)) from None
     if len(samples) != sum(1 for line in data.split(b"\n") if line.strip()):
         raise _cause(data, schema, "a line is not exactly one sample")
@@ -68,6 +71,7 @@ def decode_ndjson(data: bytes, schema: Schema, pools: dict[str, StringPool]) -> 
                 "'available' is in some samples and not in others",
                 "send it with every sample, or with none to have them stamped on arrival",
             )
+    _check_keys(data, len(samples), len(schema.fields) + (1 if stamped else 2))
     valid = _times([sample.valid for sample in samples], "valid", lines)
     available = (
         valid if stamped else _times([sample.available for sample in samples], "available", lines)
@@ -94,6 +98,29 @@ def encode_ndjson(batch: SampleBatch) -> bytes:
 def sample_json(available: int, valid: int, values: Mapping[str, Value]) -> dict[str, Value]:
     """A sample as the JSON object that stands for it, times in ISO-8601."""
     return {"available": format_time(available), "valid": format_time(valid), **values}
+
+
+_KEY_END = re.compile(rb'"[ \t\r]*:')
+_BEFORE_COLON = (b" :", b"\t:", b"\r:")
+
+
+def _check_keys(data: bytes, samples: int, keys: int) -> None:
+    """Refuse a sample with a key twice: JSON parsers differ in which of the two they take.
+
+    Every sample has all its ``keys``, so that more ends of keys than that are suspicious. Such an
+    end may also stand in a text, so only then lines are read again, slowly.
+    """
+    usual = all(spelling not in data for spelling in _BEFORE_COLON)
+    if usual and data.count(b'":') == samples * keys:
+        return
+    for number, line in enumerate(data.split(b"\n"), 1):
+        if len(_KEY_END.findall(line)) > keys:
+            pairs = json.loads(line, object_pairs_hook=list)
+            seen: set[str] = set()
+            for key, _ in pairs:
+                if key in seen:
+                    raise WireError(number, f"{key!r} is there twice", "a sample has a key once")
+                seen.add(key)
 
 
 class _Lines:
@@ -165,7 +192,11 @@ def _cause(data: bytes, schema: Schema, message: str) -> WireError:
     """The first line that is no sample, and why: read again line by line, slowly."""
     for number, line in enumerate(data.split(b"\n"), 1):
         if line.strip():
-            error = _line_error(line, number, schema)
+            try:
+                error = _line_error(line, number, schema)
+            except RecursionError:
+                hint = "values of a sample are plain"
+                error = WireError(number, "the line is nested too deeply", hint)
             if error is not None:
                 return error
     return WireError(None, message, "send one JSON object a line")

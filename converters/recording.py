@@ -32,7 +32,7 @@ from .arrow import arrow_field_type, column_from_arrow, read_arrow, times_from_a
 from .csv_table import CHUNK, column_from_cells, read_csv
 from .errors import WireError
 from .inference import TextColumnType, TimeReader, time_column
-from .wire import Incoming
+from .wire import BOM, Incoming
 
 ValueChunk = tuple[list[int], list[dict[str, Any]]]
 
@@ -224,10 +224,16 @@ def _read_ndjson(path: Path) -> Iterator[ValueChunk]:
     rows: list[dict[str, Any]] = []
     with opened(path, "rb") as file:
         for number, line in enumerate(file, 1):
+            if number == 1:
+                line = line.removeprefix(BOM)
             if not line.strip():
                 continue
             try:
                 row = msgspec.json.decode(line)
+            except RecursionError:
+                raise WireError(
+                    number, "the value is nested too deeply", "values of a sample are plain"
+                ) from None
             except (msgspec.MsgspecError, UnicodeDecodeError) as error:
                 raise WireError(number, f"not JSON: {error}") from None
             if not isinstance(row, dict):

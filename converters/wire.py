@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from reprlib import repr as brief
 
 import numpy as np
 
@@ -12,6 +13,8 @@ from ..streams.strings import StringPool
 from ..streams.time import TIME_MIN, format_time, parse_time
 from .errors import WireError
 
+BOM = b"\xef\xbb\xbf"
+"""The byte order mark that some editors put before UTF-8; it is no part of the text."""
 RESERVED = ("available", "valid")
 """Keys of a sample beside its fields; no field may be called so on the wire."""
 
@@ -45,7 +48,7 @@ def format_times(times: Times) -> list[str]:
 def time_of(value: object, key: str, line: int) -> int:
     """One time point in ns; raises `WireError` with the line."""
     if isinstance(value, bool) or not isinstance(value, str | int):
-        raise WireError(line, f"{key!r} is a time, got {value!r}", TIME_HINT)
+        raise WireError(line, f"{key!r} is a time, got {brief(value)}", TIME_HINT)
     try:
         return parse_time(value)
     except ValueError as error:

@@ -170,6 +170,10 @@ class Client:
         """One stream."""
         return self._object("GET", f"/streams/{_part(name)}")
 
+    def remove_stream(self, name: str) -> None:
+        """Remove a declared stream, unless it is read."""
+        self._send("DELETE", f"/streams/{_part(name)}")
+
     def publish(
         self,
         stream: str,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from codecs import BOM_UTF8
 from collections.abc import Sequence
 
 import mimeparse
@@ -76,7 +77,11 @@ async def text_body(request: Request, allowed: Sequence[str]) -> str:
 
 
 def utf8(body: bytes) -> str:
-    """``body`` as text. Raises a 400 `Problem` when it is no UTF-8 or empty."""
+    """``body`` as text, without a byte order mark.
+
+    Raises a 400 `Problem` when it is no UTF-8 or empty.
+    """
+    body = body.removeprefix(BOM_UTF8)
     try:
         text = body.decode()
     except UnicodeDecodeError as error:

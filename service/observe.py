@@ -8,6 +8,7 @@ from typing import Protocol
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from .logs import log
+from .problems import problem_of
 
 HEAD = "dyknow.head"
 """Set in the scope of a GET that came as HEAD: an endless body need not be begun."""
@@ -21,7 +22,7 @@ class RequestCount(Protocol):
 
 
 class Observe:
-    """Logs and counts every request; answers HEAD for every route that answers GET."""
+    """Logs and counts every request; answers HEAD wherever GET is, and failures with a 500."""
 
     def __init__(self, app: ASGIApp, metrics: RequestCount) -> None:
         self._app = app
@@ -36,12 +37,12 @@ class Observe:
         scope = {**scope, "method": "GET", HEAD: True} if method == "HEAD" else dict(scope)
         begun = time.perf_counter()
         status = 500
-        endless = False
+        started = endless = False
 
         async def observed(message: Message) -> None:
-            nonlocal status, endless
+            nonlocal status, started, endless
             if message["type"] == "http.response.start":
-                status = message["status"]
+                started, status = True, message["status"]
                 endless = any(
                     name == b"content-type" and value.startswith(b"text/event-stream")
                     for name, value in message["headers"]
@@ -52,9 +53,13 @@ class Observe:
 
         try:
             await self._app(scope, receive, observed)
-        except Exception:
+        except Exception as error:
             log().exception("request failed", method=method, path=scope["path"])
-            raise
+            # Raised further, it would make the server break the connection that the client means
+            # to use again. An answer that has begun can only be broken off.
+            if started:
+                raise
+            await problem_of(error).response()(scope, receive, observed)
         finally:
             seconds = time.perf_counter() - begun
             route = scope.get("route")

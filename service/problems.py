@@ -15,6 +15,7 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse, Response
 from pydantic import BaseModel, Field
 from starlette.exceptions import HTTPException as StarletteHTTPException
+from starlette.routing import Match
 
 from ..converters.errors import ConversionError, WireError
 from ..engine import errors as engine_errors
@@ -149,7 +150,10 @@ def install(app: FastAPI) -> None:
     """Answer every error of ``app`` as a problem."""
 
     async def answer(request: Request, error: Exception) -> Response:
-        return problem_of(error).response()
+        found = problem_of(error)
+        if found.status_code == 405:
+            found.headers = {**(found.headers or {}), "Allow": ", ".join(_allowed(request))}
+        return found.response()
 
     for kind in (
         StarletteHTTPException,
@@ -165,6 +169,17 @@ def install(app: FastAPI) -> None:
         Exception,
     ):
         app.add_exception_handler(kind, answer)
+
+
+def _allowed(request: Request) -> list[str]:
+    """The methods of all routes of the address: the framework knows those of the first only."""
+    found = []
+    for method in ("GET", "POST", "PUT", "DELETE"):
+        scope = {**request.scope, "method": method}
+        if any(route.matches(scope)[0] is Match.FULL for route in request.app.routes):
+            # HEAD is answered wherever GET is.
+            found += ["GET", "HEAD"] if method == "GET" else [method]
+    return found
 
 
 def responses(*statuses: int) -> dict[int | str, dict[str, Any]]:
@@ -198,6 +213,7 @@ def _validation(errors: Sequence[Any]) -> Problem:
 def _plain(error: StarletteHTTPException) -> Problem:
     phrase = HTTPStatus(error.status_code).phrase
     hint = {
+        400: "send JSON in UTF-8, not nested deeply",
         404: "the routes are listed at /docs and in /openapi.json",
         405: "see the Allow header for the methods of this route",
     }.get(error.status_code, "")

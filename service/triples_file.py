@@ -48,7 +48,7 @@ def read_timed_triples(path: Path) -> Iterator[TimedTriple]:
             "timed triples end in .ndjson or .csv; for a table of samples give --ssl",
         )
     opened = gzip.open if path.suffix == ".gz" else open
-    with opened(path, "rt", encoding="utf-8", newline="") as file:
+    with opened(path, "rt", encoding="utf-8-sig", newline="") as file:
         rows = _csv_rows(file) if name.endswith(".csv") else _json_rows(file)
         for line, values in rows:
             try:
@@ -64,6 +64,8 @@ def _json_rows(file: IO[str]) -> Iterator[tuple[int, list[object]]]:
             continue
         try:
             row = msgspec.json.decode(line)
+        except RecursionError:
+            raise WireError(number, "the value is nested too deeply") from None
         except msgspec.MsgspecError as error:
             raise WireError(number, f"not JSON: {error}") from error
         if not isinstance(row, dict) or set(row) != set(_COLUMNS):

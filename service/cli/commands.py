@@ -14,26 +14,38 @@ from ...languages.errors import LanguageError
 from ...ontology.errors import OntologyError
 from ...streams.sample import SampleError
 from ..client import ServiceError
+from ..problems import problem_of
 from .demo import demo
 from .events import events
 from .knowing import explain, match, sparql
-from .output import fail
+from .output import JSON_WANTED, fail
 from .replay import replay
 from .run import run
 from .serve import serve
 from .streams import annotate, streams
 from .templates import template
 
+USAGE: Any = typer.BadParameter.__base__
+"""Every wrong use of an option, an argument or a command; typer has no public name for it."""
+
 
 class Commands(TyperGroup):
-    """Says errors on standard error, as people read them: what, where, what next."""
+    """Says errors on standard error, as people read them: what, where, what next.
+
+    With ``--json`` each is one JSON object with the members of the service's problems.
+    """
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Note whether JSON is asked for: an error may come before the option is read."""
+        JSON_WANTED.set("--json" in args)
+        return super().parse_args(ctx, args)
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command; every refusal becomes a message and status 1."""
         try:
             return super().invoke(ctx)
         except ServiceError as error:
-            raise fail(str(error)) from error
+            raise fail(str(error), problem=error.problem) from error
         except httpx.ConnectError as error:
             raise fail(
                 "there is no service at this address",
@@ -42,9 +54,15 @@ class Commands(TyperGroup):
         except httpx.HTTPError as error:
             raise fail(f"the service does not answer: {error}") from error
         except (LanguageError, WireError, ConversionError, SampleError, OntologyError) as error:
-            raise fail(str(error)) from error
+            problem = problem_of(error).model().model_dump(exclude_none=True)
+            raise fail(str(error), problem=problem) from error
         except (httpx.InvalidURL, OSError) as error:
             raise fail(str(error)) from error
+        except USAGE as error:
+            if not JSON_WANTED.get():
+                raise
+            told = {"title": "wrong usage", "detail": error.format_message()}
+            raise fail("", problem=told, status=2) from error
 
 
 app = typer.Typer(

@@ -66,7 +66,11 @@ def events(
         if not follow:
             return
         try:
-            _show(client.events(view["stream"], since="start"), count, as_json)
+            seen = _show(client.events(view["stream"], since="start"), count, as_json)
+            if not seen and since is Since.NOW and not as_json:
+                # It ends at once when what it reads has ended; nothing new will come.
+                hint = "the recording has ended; --since start begins with its past"
+                err().print(f"hint: {hint}", markup=False)
         except KeyboardInterrupt:
             err().print("stopped", markup=False)
         finally:
@@ -88,7 +92,8 @@ def _list(client: Client, as_json: bool) -> None:
     )
 
 
-def _show(messages: Iterable[Event], count: int | None, as_json: bool) -> None:
+def _show(messages: Iterable[Event], count: int | None, as_json: bool) -> int:
+    """Show the events until the stream's end, at most ``count``; returns how many."""
     seen = 0
     for message in messages:
         if as_json:
@@ -103,4 +108,5 @@ def _show(messages: Iterable[Event], count: int | None, as_json: bool) -> None:
             err().print(f"end: the stream has {message.data.get('reason')}", markup=False)
         seen += message.kind == "sample"
         if count is not None and seen >= count:
-            return
+            break
+    return seen

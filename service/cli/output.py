@@ -6,6 +6,7 @@ import json
 import os
 import sys
 from collections.abc import Iterable, Mapping, Sequence
+from contextvars import ContextVar
 from datetime import UTC, datetime
 from typing import Annotated, Any
 
@@ -22,6 +23,8 @@ Url = Annotated[
 ]
 Json = Annotated[bool, typer.Option("--json", help="JSON for programs, a value a line.")]
 DEFAULT_URL = URL
+JSON_WANTED: ContextVar[bool] = ContextVar("JSON_WANTED", default=False)
+"""Whether the command that runs was given ``--json``: errors are then JSON, too."""
 _UNITS = (
     ("d", DAY),
     ("h", HOUR),
@@ -87,14 +90,24 @@ def show_values(values: Mapping[str, object]) -> str:
     return "  ".join(f"{name}={_plain(value)}" for name, value in values.items())
 
 
-def fail(message: str, hint: str = "") -> typer.Exit:
-    """Say on standard error what went wrong; raise what is returned."""
+def fail(
+    message: str, hint: str = "", *, problem: Mapping[str, Any] | None = None, status: int = 1
+) -> typer.Exit:
+    """Say on standard error what went wrong; raise what is returned.
+
+    Under ``--json`` it is one JSON object: ``problem`` if there is one, else made of the words.
+    """
+    if JSON_WANTED.get():
+        told = {"title": "error", "detail": message, "hint": hint}
+        known = {key: value for key, value in (problem or told).items() if value}
+        print(json.dumps(known, ensure_ascii=False), file=sys.stderr, flush=True)
+        return typer.Exit(status)
     console = err()
     console.print("[bold red]error:[/]", end=" ")
     console.print(message, markup=False)
     if hint:
         console.print(f"hint: {hint}", markup=False)
-    return typer.Exit(1)
+    return typer.Exit(status)
 
 
 def clock_of(time: str | None) -> str:

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import itertools
 import time
+from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
+import httpx
 import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from ...converters.recording import Recording, open_recording
+from ...languages.ssl import parse_ssl
 from ...streams.sample import FieldType
 from ...streams.time import SECOND, format_time, parse_time
 from ..client import Client, ServiceError
@@ -74,10 +78,12 @@ def replay(
     """Play a recorded table into a stream: declares it, publishes, says when it has ended."""
     factor, begin = _speed(speed), _begin(rebase)
     with connect(url) as client:
-        recording = _declare(client, stream, file, time_column, time_unit, lateness)
-        if ssl is not None:
-            client.annotate(text_or_file(ssl))
-        before = client.stream(stream)["counters"]
+        # All that can be wrong with table and text is found before anything is made.
+        meaning = None if ssl is None else text_or_file(ssl)
+        if meaning is not None:
+            parse_ssl(meaning)
+        there = _fields(client, stream)
+        recording = _open(file, time_column, time_unit, there or {})
         extent = span(recording)
         if extent is None:
             show_text("the recording is empty")
@@ -85,10 +91,21 @@ def replay(
         shift = 0 if begin is None else begin - extent.first
         player = _Player(client, stream, recording, extent, factor, shift)
         begun = time.monotonic()
+        before = dict.fromkeys(_FATES, 0)
         try:
+            _declare(client, stream, recording, there, lateness)
+            if meaning is not None:
+                client.annotate(meaning)
+            before = client.stream(stream)["counters"]
             player.run(loop=loop, quiet=as_json)
         except KeyboardInterrupt:
             err().print("stopped", markup=False)
+        except Exception:
+            if there is None and not player.sent:
+                # The service says why it failed; that it cannot be undone would hide it.
+                with suppress(ServiceError, httpx.TransportError):
+                    client.remove_stream(stream)
+            raise
         else:
             client.end(stream)
         after = client.stream(stream)["counters"]
@@ -96,33 +113,36 @@ def replay(
     _summary(stream, counts, extent, time.monotonic() - begun, rebase is not None, as_json)
 
 
-def _declare(
-    client: Client,
-    stream: str,
-    file: Path,
-    time_column: str | None,
-    time_unit: str | None,
-    lateness: str,
-) -> Recording:
-    """Open the table and make the stream's fields its columns.
-
-    Fields that the stream has already keep their types: the table is read by them.
-    """
-    recording = open_recording(file, time_column, time_unit)
-    names = set(recording.schema.names)
+def _fields(client: Client, stream: str) -> dict[str, FieldType] | None:
+    """The fields that the stream has already; None if there is no such stream."""
     try:
-        there = {f["name"]: FieldType(f["type"]) for f in client.stream(stream)["fields"]}
+        return {f["name"]: FieldType(f["type"]) for f in client.stream(stream)["fields"]}
     except ServiceError as error:
         if error.status != 404:
             raise
-        there = {}
-    types = {name: kind for name, kind in there.items() if name in names}
-    if types:
-        recording = open_recording(file, time_column, time_unit, types)
-    if set(there) != names:
+        return None
+
+
+def _open(
+    file: Path, time_column: str | None, time_unit: str | None, there: Mapping[str, FieldType]
+) -> Recording:
+    """The table; fields that the stream has already keep their types: it is read by them."""
+    recording = open_recording(file, time_column, time_unit)
+    types = {name: kind for name, kind in there.items() if name in recording.schema.names}
+    return open_recording(file, time_column, time_unit, types) if types else recording
+
+
+def _declare(
+    client: Client,
+    stream: str,
+    recording: Recording,
+    there: Mapping[str, FieldType] | None,
+    lateness: str,
+) -> None:
+    """Make the stream's fields the table's columns, unless they are."""
+    if there is None or set(there) != set(recording.schema.names):
         fields = [{"name": f.name, "type": f.type.value} for f in recording.schema.fields]
         client.put_stream(stream, fields, lateness=lateness)
-    return recording
 
 
 @dataclass(slots=True)
@@ -135,6 +155,8 @@ class _Player:
     extent: Span
     speed: float | None
     shift: int
+    sent: int = 0
+    """Samples that were accepted so far."""
 
     def run(self, *, loop: bool, quiet: bool) -> None:
         """Once, or again and again: then each round continues where the one before ended."""
@@ -165,7 +187,9 @@ class _Player:
             wait = part.due / SECOND - (time.monotonic() - begun)
             if wait > 0:
                 time.sleep(wait)
-            sent += self.client.publish(self.stream, part.batch)
+            accepted = self.client.publish(self.stream, part.batch)
+            self.sent += accepted
+            sent += accepted
             elapsed = max(1e-9, time.monotonic() - begun)
             progress.update(task, advance=len(part.batch), rate=sent / elapsed)
 

@@ -13,16 +13,20 @@ from pyoxigraph import Literal, NamedNode
 from ...continuous.evaluate import evaluate
 from ...converters.recording import open_recording
 from ...converters.to_triples import SampleConverter
+from ...languages.errors import LanguageError
 from ...languages.ssl import check_ssl, parse_ssl
 from ...languages.ssl.annotation import StreamAnnotation
+from ...ontology.errors import OntologyError
 from ...ontology.ontology import Ontology
+from ...ontology.units import Unit
+from ...ontology.vocabulary import Vocabulary
 from ...rdf.dictionary import TermDictionary
 from ...rdf.namespaces import shorten
 from ...rdf.timed import TimedTriples
 from ...streams.time import format_time, parse_duration
 from ..triples_file import TimedTriple, read_timed_triples
 from .output import Json, fail, show_json, show_table, show_text
-from .streams import text_or_file
+from .streams import read_text, text_or_file
 
 _FORMATS = {".ttl": "turtle", ".rdf": "rdfxml", ".owl": "rdfxml", ".xml": "rdfxml"}
 _FORMATS |= {".jsonld": "jsonld", ".nt": "ntriples"}
@@ -62,17 +66,25 @@ def run(
 
     A FILE holds timed triples (.ndjson or .csv of time,s,p,o), or with --ssl a table of samples.
     """
+    behind = _lateness(lateness)
     files = _files(stream)
     inputs = _triples(files) if ssl is None else _samples(files, text_or_file(ssl), static or ())
-    windows = evaluate(
-        query.read_text(encoding="utf-8"),
-        inputs,
-        static=static or (),
-        semantics=None if semantics is None else semantics.value,
-        lateness=None if lateness is None else parse_duration(lateness),
-    )
+    try:
+        windows = evaluate(
+            read_text(query),
+            inputs,
+            static=static or (),
+            semantics=None if semantics is None else semantics.value,
+            lateness=behind,
+        )
+    except (LanguageError, OntologyError):
+        raise  # told with their place
+    except ValueError as error:
+        raise fail(str(error)) from error
     count = 0
     for window in windows:
+        if isinstance(window.solutions, list) and not window.solutions:
+            continue
         count += 1
         if as_json:
             show_json({"end": format_time(window.end), "solutions": _plain(window.solutions)})
@@ -80,6 +92,13 @@ def run(
             _show(window.end, window.solutions)
     if not as_json:
         show_text(f"({count} {'window' if count == 1 else 'windows'} with a result)")
+
+
+def _lateness(text: str | None) -> int | None:
+    try:
+        return None if text is None else parse_duration(text)
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from error
 
 
 def _files(pairs: Sequence[str]) -> dict[str, Path]:
@@ -106,7 +125,7 @@ def _samples(files: Mapping[str, Path], ssl: str, static: Sequence[Path]) -> dic
     """Tables of samples as timed triples, by the annotation of the stream's name."""
     ontology = Ontology.open()
     for path in static:
-        text = path.read_text(encoding="utf-8")
+        text = read_text(path)
         ontology.load(text, name=path.stem, format=_format(path))
     vocabulary = ontology.vocabulary
     checked = check_ssl(parse_ssl(ssl), ssl, vocabulary)
@@ -116,10 +135,24 @@ def _samples(files: Mapping[str, Path], ssl: str, static: Sequence[Path]) -> dic
     for iri, path in files.items():
         annotation = _annotation(iri, annotations)
         recording = open_recording(path)
-        converter = SampleConverter(annotation, recording.schema, vocabulary, dictionary)
+        converter = SampleConverter(
+            annotation,
+            recording.schema,
+            vocabulary,
+            dictionary,
+            units=_units(annotation, vocabulary),
+        )
         tables = [converter.convert(incoming.batch).tables for incoming in recording]
         found[iri] = TimedTriples(dictionary, tuple(table for part in tables for table in part))
     return found
+
+
+def _units(annotation: StreamAnnotation, vocabulary: Vocabulary) -> dict[str, Unit]:
+    """The unit that the ontology has for each feature: what queries speak of."""
+    known = {
+        content.feature: vocabulary.feature(content.feature) for content in annotation.contents
+    }
+    return {feature: info.unit for feature, info in known.items() if info and info.unit is not None}
 
 
 def _format(path: Path) -> Any:
@@ -142,8 +175,6 @@ def _show(end: int, solutions: object) -> None:
         show_text("  yes" if solutions else "  no")
         return
     assert isinstance(solutions, list)
-    if not solutions:
-        return
     if isinstance(solutions[0], Mapping):
         names = list(dict.fromkeys(name for row in solutions for name in row))
         show_table(names, [[_term(row.get(name)) for name in names] for row in solutions])

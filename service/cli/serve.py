@@ -43,7 +43,7 @@ def serve(
             f"cannot listen at {settings.host}:{settings.port}: {error.strerror or error}",
             "choose another --port",
         ) from error
-    app = create_app(Engine(settings.data), settings, time.time_ns)
+    app = create_app(Engine(settings.data, now=time.time_ns()), settings, time.time_ns)
     url = url_of(listener)
     err().print(f"DyKnow serves at {url} (documentation: {url}/docs)", markup=False)
     if not flights:

@@ -15,11 +15,14 @@ from .output import (
     brief,
     clock_of,
     connect,
+    fail,
     show_lines,
     show_table,
     show_text,
     show_values,
 )
+
+_TEXTS = (".rq", ".sparql", ".ssl", ".txt")
 
 
 def streams(
@@ -75,11 +78,29 @@ def annotate(
 def text_or_file(source: str) -> str:
     """The text itself, the content of the file it names, or standard input for ``-``."""
     if source == "-":
-        return sys.stdin.read()
+        return sys.stdin.read().removeprefix("\ufeff")
     # A text has blanks or line ends and is no file; a long one is no legal file name either.
     if "\n" not in source and len(source) < 1024 and Path(source).is_file():
-        return Path(source).read_text(encoding="utf-8")
-    return source
+        return read_text(Path(source))
+    if _is_file_name(source):
+        raise fail(f"there is no file {source}", "give a text, the name of its file, or -")
+    return source.removeprefix("\ufeff")
+
+
+def read_text(path: Path) -> str:
+    """A file's text, without a byte order mark."""
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise fail(f"{path} is no UTF-8 at byte {error.start}") from error
+
+
+def _is_file_name(source: str) -> bool:
+    """Texts of all our languages have several words or braces, names of files seldom."""
+    if not source or any(mark in source for mark in "\n{}"):
+        return False
+    word = not any(map(str.isspace, source)) and any(mark in source for mark in "./")
+    return word or source.lower().endswith(_TEXTS)
 
 
 def _show_one(stream: dict[str, object]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from codecs import BOM_UTF8
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request, Response
@@ -55,7 +56,7 @@ async def request_event(
     what would be needed.
     """
     kind = content_type(request, (JSON, TEXT))
-    body = await request.body()
+    body = (await request.body()).removeprefix(BOM_UTF8)
     engine = service.engine
     # A body that came without a type may be either; JSON begins with a brace.
     if kind == TEXT or not ("content-type" in request.headers or body.lstrip().startswith(b"{")):

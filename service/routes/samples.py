@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
 from typing import Annotated, Any
 
@@ -53,7 +54,7 @@ Time = Annotated[str | None, Query(description="ISO-8601 or integer nanoseconds"
     "/streams/{name}/samples",
     status_code=202,
     openapi_extra=BODY,
-    responses=responses(403, 404, 413, 415, 429),
+    responses=responses(403, 404, 409, 413, 415, 429),
 )
 async def publish_samples(
     name: str,
@@ -65,12 +66,21 @@ async def publish_samples(
 ) -> AcceptedModel:
     """Publish a batch: taken whole, or refused whole with the line and the cause.
 
-    Samples without `available` are stamped on arrival.
+    Samples without `available` are stamped on arrival. 409: the `Idempotency-Key` was used for
+    another body.
     """
-    generator = service.engine.generator(name)
+    service.engine.accepting(name)  # an unknown stream is told before the body is read
     kind = content_type(request, (NDJSON, ARROW))
-    incoming = _decode(kind, await request.body(), generator)
-    count = service.engine.publish(name, incoming, service.clock(), idempotency_key)
+    body = await request.body()
+    # Asked again: the stream may have been declared anew while the body came.
+    incoming = _decode(kind, body, service.engine.accepting(name))
+    count = service.engine.publish(
+        name,
+        incoming,
+        service.clock(),
+        idempotency_key=idempotency_key,
+        digest=hashlib.blake2b(body, digest_size=16).digest(),
+    )
     return AcceptedModel(accepted=count)
 
 
@@ -149,6 +159,8 @@ def _select(stream: FluentStream, times: Mapping[str, int | None], limit: int) -
         return stream.most_recent_at(at, TIME_MAX if known is None else known)
     if known is not None:
         raise Problem(400, "wrong arguments", "`known` goes with `at`")
+    if start is None and times["to"] is None:
+        return stream.newest(limit)
     batch = stream.between(start, times["to"])
     if start is None:
         return batch.take(slice(max(0, len(batch) - limit), None))

@@ -57,7 +57,10 @@ async def read_stream(name: str, service: Context) -> StreamModel:
 async def declare_stream(
     name: NewName, declaration: StreamIn, response: Response, service: Context
 ) -> StreamModel:
-    """Declare a stream. Saying the same again changes nothing; other fields are a 409."""
+    """Declare a stream. Saying the same again changes nothing.
+
+    Other fields are taken while the stream has no samples and no subscribers, else 409.
+    """
     known = _known(service, name)
     samples = service.settings.retention_samples
     view = service.engine.declare(declaration.declaration(name, samples))
@@ -67,7 +70,18 @@ async def declare_stream(
     return StreamModel.of(view)
 
 
-@router.post("/streams/{name}/end", status_code=204, responses=responses(404))
+@router.delete("/streams/{name}", status_code=204, responses=responses(403, 404, 409))
+async def remove_stream(name: str, service: Context) -> Response:
+    """Remove a declared stream with its samples and its annotation; its clients are told.
+
+    403 for streams of the system; 409 while units or requests read it.
+    """
+    service.engine.remove_stream(name)
+    service.feeds.review()
+    return Response(status_code=204)
+
+
+@router.post("/streams/{name}/end", status_code=204, responses=responses(403, 404))
 async def end_stream(name: str, service: Context) -> Response:
     """A recording has come to its end: what is held back is released, open windows close.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from typing import Annotated, Any
+from urllib.parse import quote
 
 from fastapi import APIRouter, Header, Path, Request, Response
 from fastapi.responses import JSONResponse, PlainTextResponse
@@ -10,6 +11,7 @@ from fastapi.responses import JSONResponse, PlainTextResponse
 from ...engine.errors import UnknownTemplate
 from ...engine.views import TemplateView
 from ...languages.csparql import parse_template
+from ...rdf.namespaces import shorten
 from ..context import Context, Service
 from ..models import TemplateModel, text_schema
 from ..negotiation import JSON, SPARQL_QUERY, TEXT, accepted, text_body
@@ -92,7 +94,7 @@ async def put_template(
     """Register the template of this name, or replace it. Running requests keep what they have."""
     text = await text_body(request, TEXTS)
     registered = parse_template(text).name
-    if name not in (registered, _local(registered)):
+    if name not in (registered, f"<{registered}>", shorten(registered), _local(registered)):
         raise Problem(
             409,
             "conflict",
@@ -107,7 +109,7 @@ async def put_template(
 
 @router.delete("/templates/{name:path}", status_code=204, responses=responses(404, 409, 412))
 async def remove_template(name: Name, service: Context, if_match: IfMatch = None) -> Response:
-    """Remove a template; its event concept stays. Running requests keep what they have."""
+    """Remove a template and its event concept. 409 while a request for the event runs."""
     if if_match is not None:
         _check(service.engine.template(name), if_match, None)
     service.engine.remove_template(name)
@@ -119,7 +121,9 @@ def _answer(view: TemplateView, status: int) -> Response:
 
 
 def _headers(view: TemplateView) -> dict[str, str]:
-    return {"ETag": _quoted(view.etag), "Location": f"/templates/{view.local_name}"}
+    # A name may hold what a header or an address may not: `#`, letters beyond ASCII.
+    location = f"/templates/{quote(view.local_name, safe='/:')}"
+    return {"ETag": _quoted(view.etag), "Location": location}
 
 
 def _existing(service: Service, name: str) -> TemplateView | None:

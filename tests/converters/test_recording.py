@@ -215,3 +215,17 @@ def test_the_example_is_what_its_readme_says():
         fastest[aircraft] = max(knots * 1.852, fastest.get(aircraft, 0))
     assert sum(speed > 800 for speed in fastest.values()) == 5
     assert sum(speed < 260 for speed in fastest.values()) == 3
+
+
+def test_ndjson_with_a_byte_order_mark(tmp_path):
+    path = tmp_path / "a.ndjson"
+    path.write_bytes(b'\xef\xbb\xbf{"valid": 1, "a": 2}\n')
+    assert open_recording(path).rows == 1
+
+
+def test_ndjson_nested_deeply(tmp_path):
+    path = tmp_path / "a.ndjson"
+    path.write_bytes(b'{"valid": 1, "a": 2}\n' + b"[" * 5000)
+    with pytest.raises(WireError, match="nested too deeply") as caught:
+        open_recording(path)
+    assert caught.value.line == 2

@@ -196,3 +196,52 @@ def test_without_pyarrow_the_error_says_how_to_get_it(monkeypatch):
     monkeypatch.setattr(builtins, "__import__", missing)
     with pytest.raises(ArrowMissing, match=r"pip install dyknow\[arrow\]"):
         decode_arrow(b"", SCHEMA, {})
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        b"[" * 2000,
+        b'{"a":' * 100_000,
+        GOOD.replace(b"1.5", b"[" * 5000 + b"]" * 5000).strip(),
+        GOOD.replace(b"}", b', "more": ' + b"[" * 5000 + b"]" * 5000 + b"}").strip(),
+    ],
+)
+def test_deep_nesting_is_refused_with_its_line(line):
+    with pytest.raises(WireError, match="nested too deeply") as caught:
+        decode_ndjson(GOOD + line + b"\n" + GOOD, SCHEMA, {})
+    assert caught.value.line == 2
+    assert caught.value.hint
+
+
+def test_a_nested_time_is_told_in_short():
+    line = GOOD.replace(b'"valid": 1', b'"valid": ' + b"[" * 500 + b"]" * 500)
+    with pytest.raises(WireError, match="'valid' is a time") as caught:
+        decode_ndjson(line, SCHEMA, {})
+    assert len(caught.value.message) < 100
+
+
+@pytest.mark.parametrize(
+    "more", [b'"alt": 2, ', b'"alt" : 2, ', b'"\\u0061lt": 2, ', b'"valid": 2, ']
+)
+def test_a_key_twice_is_refused_with_its_line(more):
+    line = GOOD.replace(b'{"valid"', b"{" + more + b'"valid"')
+    with pytest.raises(WireError, match="is there twice") as caught:
+        decode_ndjson(GOOD + b"\n" + line + GOOD, SCHEMA, {})
+    assert caught.value.line == 3
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        GOOD.replace(b'"a"', b'"\\"alt\\": 1, \\"alt\\": 2"'),
+        GOOD.replace(b'":', b'" :'),
+        GOOD.replace(b'":', b'"\t:'),
+    ],
+)
+def test_what_only_looks_like_a_key_twice_is_taken(line):
+    assert len(decode_ndjson(GOOD + line, SCHEMA, {}).batch) == 2
+
+
+def test_a_byte_order_mark_is_no_part_of_the_samples():
+    assert len(decode_ndjson(b"\xef\xbb\xbf" + GOOD, SCHEMA, {}).batch) == 1

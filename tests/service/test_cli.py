@@ -260,3 +260,112 @@ def test_run_with_a_text_that_is_none(tmp_path: Path, table: Path) -> None:
     assert result.exit_code == 1
     missing = CliRunner().invoke(app, ["run", str(path), "--stream", "nothing"])
     assert missing.exit_code == 2
+
+
+def test_run_converts_to_the_units_of_the_ontology(table: Path, query: str) -> None:
+    ssl = SSL.replace("km.h-1", "m.s-1")  # 50 m/s are 180 km/h
+    arguments = ["run", query, "--stream", f"{STREAM}={table}", "--ssl", ssl, "--json"]
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 0, (result.output, result.exception)
+    means = {row["o"]: row["avg"] for window in lines(result) for row in window["solutions"]}
+    values = {name[-2]: float(mean.split('"')[1]) for name, mean in means.items()}
+    assert values == {"1": 180.0, "2": 540.0}
+
+
+def test_run_leaves_empty_windows_out(table: Path, tmp_path: Path) -> None:
+    path = tmp_path / "never.rq"
+    path.write_text(QUERY.replace("> 100", "> 1000"))
+    arguments = ["run", str(path), "--stream", f"{STREAM}={table}", "--ssl", SSL]
+    people = CliRunner().invoke(app, arguments)
+    assert people.stdout.strip() == "(0 windows with a result)"
+    assert CliRunner().invoke(app, [*arguments, "--json"]).stdout == ""
+
+
+def test_run_over_a_stream_that_the_query_does_not_read(table: Path, query: str) -> None:
+    other = STREAM.replace("s5", "s6")
+    arguments = ["run", query, "--stream", f"{other}={table}", "--ssl", SSL]
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 1, (result.output, result.exception)
+    assert "s6" in result.stderr
+
+
+def test_run_with_a_lateness_that_is_none(table: Path, query: str) -> None:
+    arguments = ["run", query, "--stream", f"{STREAM}={table}", "--ssl", SSL, "--lateness", "soon"]
+    assert CliRunner().invoke(app, arguments).exit_code == 2
+
+
+@pytest.mark.parametrize(
+    ("text", "ssl"),
+    [
+        ("timestamp,id,spd\n1,uav1,2.5\nyesterday,uav1,3\n", SSL),
+        ("timestamp,id,spd\n1,uav1,2.5\n", "stream s5 contains"),
+        ("timestamp,id,spd\n1,uav1,2.5\n", SSL.replace("= spd", "= alt")),
+        ("timestamp,id,spd\n1,uav1,2.5\n", SSL.replace("speed(", "nosuchfeature(")),
+    ],
+    ids=["bad time", "SSL syntax", "SSL of another field", "SSL of no feature"],
+)
+def test_a_replay_that_fails_leaves_nothing(
+    dyknow: Any, client: Client, tmp_path: Path, text: str, ssl: str
+) -> None:
+    path = tmp_path / "bad.csv"
+    path.write_text(text)
+    dyknow("replay", str(path), "--stream", "s5", "--speed", "max", "--ssl", ssl, status=1)
+    assert [stream["name"] for stream in client.streams()] == ["status"]
+    client.put_stream("s5", {"id": "string", "spd": "float"})
+    dyknow("replay", str(path), "--stream", "s5", "--speed", "max", "--ssl", ssl, status=1)
+    assert client.stream("s5")["counters"]["accepted"] == 0  # what was there before stays
+
+
+@pytest.mark.parametrize("name", ["nofile.rq", "no file.rq", "./nofile"])
+def test_a_file_that_is_not_there(dyknow: Any, name: str) -> None:
+    for command in (("template", "add"), ("annotate",), ("sparql",)):
+        assert "no file" in dyknow(*command, name, status=1).stderr
+
+
+def test_files_with_a_byte_order_mark(dyknow: Any, tmp_path: Path, table: Path) -> None:
+    path = tmp_path / "marked.rq"
+    path.write_text(TEMPLATE, encoding="utf-8-sig")
+    dyknow("template", "add", str(path))
+    path.write_text(QUERY, encoding="utf-8-sig")
+    dyknow("run", str(path), "--stream", f"{STREAM}={table}", "--ssl", SSL)
+
+
+def test_errors_for_programs(dyknow: Any) -> None:
+    def told(*arguments: str, status: int = 1) -> dict[str, Any]:
+        result = dyknow(*arguments, "--json", status=status)
+        assert result.stdout == ""
+        found: dict[str, Any] = json.loads(result.stderr)
+        return found
+
+    assert told("streams", "nowhere")["status"] == 404
+    syntax = told("template", "add", "REGISTER TEMPLATE dyknow:X(?o AS SELECT")
+    assert (syntax["title"], syntax["line"]) == ("syntax error", 1)
+    assert "no file" in told("template", "add", "nofile.rq")["detail"]
+    assert told("streams", "--nonsense", status=2)["title"] == "wrong usage"
+    assert "hint" in told("streams", "--url", "http://127.0.0.1:1")
+    # The next command is for people again.
+    assert "error:" in dyknow("streams", "nowhere", status=1).stderr
+
+
+def test_events_of_a_recording_that_has_ended(dyknow: Any, table: Path, template: str) -> None:
+    dyknow("replay", str(table), "--stream", "s5", "--speed", "max", "--ssl", SSL)
+    dyknow("template", "add", template)
+    assert "--since start" in dyknow("events", REQUEST).stderr
+    past = dyknow("events", REQUEST, "--since", "start")
+    assert "uav2" in past.stdout
+    assert "hint" not in past.stderr
+
+
+def test_what_the_service_knows_of_itself_is_not_of_1970(monkeypatch: pytest.MonkeyPatch) -> None:
+    served: list[Any] = []
+
+    def serve(app: Any, listener: Any) -> None:
+        listener.close()
+        served.append(app.state.service)
+
+    monkeypatch.setattr("dyknow.service.cli.serve.run", serve)
+    monkeypatch.setattr("dyknow.service.cli.serve.configure", lambda *arguments: None)
+    result = CliRunner().invoke(app, ["serve", "--port", "0"])
+    assert result.exit_code == 0, (result.output, result.exception)
+    times = served[0].engine.generator("status").stream.since(0)
+    assert all(segment.batch.valid.min() > 10**18 for segment in times)

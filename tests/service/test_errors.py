@@ -376,3 +376,89 @@ def test_a_failure_within_says_nothing_of_it(monkeypatch: pytest.MonkeyPatch) ->
 
     found = problem(anyio.run(ask), 500)
     assert "secret" not in json.dumps(found)
+
+
+def test_the_connection_outlives_a_failure_within(monkeypatch: pytest.MonkeyPatch) -> None:
+    engine = Engine(epoch="e1")
+
+    def broken() -> None:
+        raise RuntimeError
+
+    with _service(engine, Settings(port=0), lambda: 0) as http:
+        monkeypatch.setattr(engine, "streams", broken)
+        for _ in range(3):
+            answer = http.get("/streams")
+            problem(answer, 500)
+            used = answer.extensions["network_stream"].get_extra_info("client_addr")
+            again = http.get("/healthz")
+            assert again.status_code == 200
+            assert again.extensions["network_stream"].get_extra_info("client_addr") == used
+
+
+@pytest.mark.parametrize("body", ["[" * 2000, '{"a":' * 100_000])
+@pytest.mark.parametrize(
+    ("method", "path"),
+    [("POST", "/streams/s5/samples"), ("PUT", "/streams/s9"), ("POST", "/events")],
+)
+def test_deep_nesting(http: httpx.Client, method: str, path: str, body: str) -> None:
+    before = state(http)
+    kind = LINES if path.endswith("samples") else {"Content-Type": "application/json"}
+    found = problem(http.request(method, path, content=body, headers=kind), 400)
+    if kind is LINES:
+        assert found["line"] == 1
+        assert found["hint"]
+    assert state(http) == before
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "allowed"),
+    [
+        ("PATCH", "/streams/s5", {"GET", "HEAD", "PUT", "DELETE"}),
+        ("DELETE", "/streams/s5/samples", {"GET", "HEAD", "POST"}),
+        ("DELETE", "/templates", {"GET", "HEAD", "POST"}),
+        ("POST", "/templates/HighSpeedEvent", {"GET", "HEAD", "PUT", "DELETE"}),
+        ("PUT", "/sparql", {"GET", "HEAD", "POST"}),
+        ("HEAD", "/match", {"POST"}),
+    ],
+)
+def test_allow_lists_every_method(
+    http: httpx.Client, method: str, path: str, allowed: set[str]
+) -> None:
+    answer = http.request(method, path)
+    assert answer.status_code == 405
+    assert set(answer.headers["allow"].split(", ")) == allowed
+
+
+def test_the_systems_streams_are_refused_before_the_body_is_looked_at(http: httpx.Client) -> None:
+    problem(http.post("/streams/status/samples", content=b"\xff{", headers=LINES), 403)
+    other = {"Content-Type": "image/png"}
+    problem(http.post("/streams/status/samples", content=b"", headers=other), 403)
+
+
+def test_an_idempotency_key_for_another_body(http: httpx.Client) -> None:
+    http.put("/streams/keyed", json={"fields": {"a": "float"}}).raise_for_status()
+
+    def send(body: str) -> httpx.Response:
+        headers = {**LINES, "Idempotency-Key": "k"}
+        return http.post("/streams/keyed/samples", content=body, headers=headers)
+
+    assert send('{"valid": 1, "a": 1}').status_code == 202
+    before = state(http)
+    assert send('{"valid": 1, "a": 1}').status_code == 202
+    problem(send('{"valid": 2, "a": 1}'), 409)
+    assert state(http) == before
+
+
+def test_a_byte_order_mark_before_texts(http: httpx.Client) -> None:
+    mark = b"\xef\xbb\xbf"
+    for method, path, text, kind in (
+        ("PUT", "/templates/HighSpeedEvent", TEMPLATE, TEXT),
+        ("POST", "/annotations", SSL, TEXT),
+        ("POST", "/sparql", "ASK {}", {"Content-Type": "application/sparql-query"}),
+    ):
+        answer = http.request(method, path, content=mark + text.encode(), headers=kind)
+        assert answer.is_success, (path, answer.text)
+    request = b'{"event": "dyknow:HighSpeedEvent", "arguments": ["?o", "dyknow:UAV", "1"]}'
+    made = http.post("/events", content=mark + request)
+    assert made.status_code == 201, made.text
+    http.delete(made.headers["location"])

@@ -15,6 +15,7 @@ import pytest
 
 from dyknow.engine.engine import Engine
 from dyknow.service.body import BodyLimit
+from dyknow.service.client import Client
 from dyknow.service.server import bind
 from dyknow.service.settings import Settings
 
@@ -404,3 +405,24 @@ def test_answers_are_not_held_back_by_nagle() -> None:
     """asyncio switches Nagle's algorithm off for sockets that name their protocol."""
     with bind(Settings(port=0)) as listener:
         assert listener.proto == socket.IPPROTO_TCP
+
+
+def test_a_stream_is_removed(http: httpx.Client, client: Client) -> None:
+    client.put_stream("s5", {"id": "string", "spd": "float"})
+    client.publish("s5", [{"valid": 1, "id": "a", "spd": 1.5}])
+    client.remove_stream("s5")
+    assert http.get("/streams/s5").status_code == 404
+    assert http.delete("/streams/s5").status_code == 404
+    assert http.delete("/streams/status").status_code == 403
+    # It may be declared otherwise now.
+    client.put_stream("s5", {"other": "float"})
+
+
+def test_a_stream_that_is_read_is_not_removed(http: httpx.Client, client: Client) -> None:
+    client.annotate(SSL)
+    client.register_template(TEMPLATE)
+    request = client.request_event("dyknow:HighSpeedEvent(?o, dyknow:UAV, 100)")
+    assert http.delete("/streams/s5").status_code == 409
+    assert http.delete(f"/streams/{request['stream']}").status_code == 403
+    client.cancel_event(request["id"])
+    assert http.delete("/streams/s5").status_code == 204
