@@ -6,10 +6,10 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence, Sized
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
-from pyoxigraph import NamedNode
+from pyoxigraph import BlankNode, Literal, NamedNode
 
 from ..languages.csparql import parse_query
 from ..rdf.dictionary import Term, TermDictionary
@@ -57,7 +57,8 @@ def evaluate(
     Streams are merged by time. ``static`` are RDF files. ``semantics`` is "bag" for C-SPARQL
     unless given; ``origin`` is 0. Raises `LanguageError` for the text, ``ValueError`` for
     streams without a window, and when ``streams`` are not those that the query's FROM STREAM
-    clauses name (a query without them reads what it is given).
+    clauses name (a query without them reads what it is given), ``TypeError`` for what is no tuple
+    ``(time in ns, subject, predicate, object)`` of pyoxigraph's terms.
     """
     query = parse_query(query_text)
     named = {clause.iri for clause in query.streams}
@@ -133,7 +134,9 @@ class _Feed:
         self._columns = given if isinstance(given, TimedTriples) else None
         self._sorted = isinstance(given, Sized)
         if self._columns is None and self._sorted:
-            self._items: Iterator[TimedTerm] = iter(sorted(given, key=lambda item: item[0]))
+            self._items: Iterator[TimedTerm] = iter(
+                sorted(given, key=lambda item: _checked(item)[0])
+            )
         else:
             self._items = iter(()) if self._columns is not None else iter(given)
 
@@ -158,7 +161,7 @@ class _Feed:
             return from_terms(list(columns), dictionary)
         taken: list[TimedTerm] = []
         for item in islice(self._items, _BATCH):
-            time = item[0]
+            time = _checked(item)[0]
             if self.watermark is not None and time < self.watermark:
                 self.late += 1
                 continue
@@ -183,3 +186,22 @@ class _Feed:
 def _chain(first: TimedTerm, rest: Iterator[TimedTerm]) -> Iterator[TimedTerm]:
     yield first
     yield from rest
+
+
+def _checked(item: Any) -> TimedTerm:
+    """``item`` if it is a timed triple; else ``TypeError``, for anything else would only match
+    nothing."""
+    if not isinstance(item, tuple) or len(item) != 4:
+        raise TypeError(f"a timed triple is (time, subject, predicate, object), not {item!r}")
+    time, subject, predicate, object = item
+    if (
+        not isinstance(time, int | np.integer)
+        or not isinstance(subject, NamedNode | BlankNode)
+        or not isinstance(predicate, NamedNode)
+        or not isinstance(object, NamedNode | BlankNode | Literal)
+    ):
+        raise TypeError(
+            "a timed triple is an int in ns and terms of pyoxigraph: "
+            f"(time, NamedNode, NamedNode, NamedNode | Literal), not {item!r}"
+        )
+    return int(time), subject, predicate, object

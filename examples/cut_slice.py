@@ -34,4 +34,6 @@ def main(source: str, target: str) -> None:
 
 
 if __name__ == "__main__":
+    if len(sys.argv) != 3:
+        sys.exit("usage: python cut_slice.py quickstart.csv.gz TARGET.csv.gz")
     main(*sys.argv[1:])

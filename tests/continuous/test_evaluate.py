@@ -97,3 +97,19 @@ def test_streams_must_be_those_that_the_query_reads():
 def test_options_are_checked(wrong):
     with pytest.raises(ValueError, match="'x'"):
         evaluate(counting(D + "p", X), {X: []}, **wrong)
+
+
+@pytest.mark.parametrize(
+    "element",
+    [
+        ("2021-10-07T19:12:53Z", WHO, P, Literal(1)),
+        (1, "dyknow:uav1", P, Literal(1)),
+        (1, WHO, P, 1),
+        (1, WHO, P),
+        "a",
+    ],
+)
+@pytest.mark.parametrize("kind", [list, iter])
+def test_what_is_no_timed_triple_is_refused(element, kind):
+    with pytest.raises(TypeError, match="a timed triple is"):
+        list(evaluate(counting(D + "p", X), {X: kind([element])}))

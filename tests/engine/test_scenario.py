@@ -378,7 +378,8 @@ def test_a_sort_of_ones_own(engine, high_speed):
         "@prefix : <http://www.ida.liu.se/dyknow/> . "
         "@prefix rdfs: <http://www.w3.org/2000/01/rdf-schema#> . "
         "@prefix owl: <http://www.w3.org/2002/07/owl#> . "
-        ":Ship a owl:Class ; rdfs:subClassOf :Vehicle . :Ferry a owl:Class ; rdfs:subClassOf :Ship .",
+        ":Ship a owl:Class ; rdfs:subClassOf :Vehicle . "
+        ":Ferry a owl:Class ; rdfs:subClassOf :Ship .",
         name="http://example.org/harbour",
     )
     engine.annotate("stream ferries contains speed(Ferry) = v [kt] for every Ferry = id")
