@@ -155,11 +155,17 @@ class DeclaredStreams:
     def restore(self) -> None:
         """What an earlier run was told: declared streams, then annotations.
 
-        An annotation that does not hold any more (the ontology has changed since) is told on the
-        status stream and left out; its text is kept.
+        What cannot be read or does not hold any more (the ontology has changed since) is told on
+        the status stream and left out; its text is kept.
         """
         for name, text in self._ontology.streams().items():
-            self._add(_declaration_of(name, text))
+            try:
+                declaration = _declaration_of(name, text)
+            except (KeyError, TypeError, ValueError) as error:
+                reason = f"{type(error).__name__}: {error}\n{text}"
+                self._changed(Change(ChangeKind.NOT_RESTORED, name, specification=reason))
+                continue
+            self._add(declaration)
         for name, source in self._ontology.annotations().items():
             try:
                 checked = check_ssl(parse_ssl(source), source, self._ontology.vocabulary)

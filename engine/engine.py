@@ -118,6 +118,8 @@ class Engine:
         self._status.stamped = True
         for name in self._transformations:
             self._changed(Change(ChangeKind.TRANSFORMATION_ANNOTATED, transformation=name))
+        for event, reason in self._templates.broken.items():
+            self._changed(Change(ChangeKind.NOT_RESTORED, shorten(event), specification=reason))
         self._declared.restore()
 
     # -- streams -----------------------------------------------------------------------------

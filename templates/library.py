@@ -13,6 +13,7 @@ from importlib.resources import files
 
 from ..languages.csparql import parse_template
 from ..languages.csparql.ast import ContinuousQuery, Template
+from ..languages.errors import LanguageError
 from ..ontology.ontology import Ontology
 from ..ontology.vocabulary import local_name
 from ..rdf.namespaces import DYKNOW, PREFIXES, shorten
@@ -53,9 +54,14 @@ class TemplateLibrary:
 
     def __init__(self, ontology: Ontology) -> None:
         self._ontology = ontology
-        self._templates: dict[str, Template] = {
-            event: parse_template(source) for event, source in ontology.templates().items()
-        }
+        self._templates: dict[str, Template] = {}
+        self.broken: dict[str, str] = {}
+        """Kept texts that cannot be read any more, by event, with the reason: left as they are."""
+        for event, source in ontology.templates().items():
+            try:
+                self._templates[event] = parse_template(source)
+            except LanguageError as error:
+                self.broken[event] = str(error)
 
     def register(self, text: str, *, replace: bool = False) -> Template:
         """Parse, check and keep the template; its event concept becomes known by it.

@@ -158,3 +158,16 @@ def test_an_annotation_that_holds_no_more_is_told_and_does_not_keep_the_engine_d
     assert told["stream"] == "old"
     assert "bygone" in told["specification"]
     assert "old" in engine.ontology.annotations()
+
+
+def test_kept_texts_that_cannot_be_read_do_not_stop_the_start(tmp_path, high_speed):
+    engine = Engine(tmp_path)
+    engine.register_template(high_speed)
+    engine.ontology.set_template("http://www.ida.liu.se/dyknow/OldEvent", "REGISTER TEMPLATE ?")
+    engine.ontology.set_stream("old", "{}")
+    del engine
+    gc.collect()
+    again = Engine(tmp_path)
+    assert [view.local_name for view in again.templates()] == ["HighSpeedEvent"]
+    told = [v["stream"] for _, v in samples(again, "status") if v["change"] == "not restored"]
+    assert told == ["dyknow:OldEvent", "old"]
