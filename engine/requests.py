@@ -7,11 +7,12 @@ unit over them. Requests for the same thing share one stream.
 
 from __future__ import annotations
 
+import re
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from pyoxigraph import Variable
+from pyoxigraph import Literal, Variable
 
 from ..continuous.evaluator import ContinuousEvaluator
 from ..converters.to_samples import ResultConverter
@@ -25,7 +26,7 @@ from ..matching.space import StreamSpace
 from ..ontology.ontology import Ontology
 from ..ontology.units import Unit
 from ..rdf.dictionary import TermDictionary
-from ..rdf.namespaces import shorten
+from ..rdf.namespaces import XSD, shorten
 from ..streams.generator import StreamGenerator
 from ..templates.instantiate import ArgumentError, instantiate
 from ..templates.library import TemplateLibrary
@@ -36,6 +37,14 @@ from .errors import BadArguments, NoPlan, UnknownRequest
 from .results import result_form
 from .unit import QueryUnit
 from .views import EventView, PlanView, Since
+
+_SHORT = {
+    XSD + "integer": re.compile(r"[+-]?[0-9]+"),
+    XSD + "decimal": re.compile(r"[+-]?[0-9]*\.[0-9]+"),
+    XSD + "double": re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)[eE][+-]?[0-9]+"),
+    XSD + "boolean": re.compile(r"true|false"),
+}
+"""Literals that SPARQL writes without quotes and datatype."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -316,5 +325,10 @@ def _key(
 
 
 def _argument_text(argument: object) -> str:
+    """As people write it in a request; read again it is the same term."""
+    if isinstance(argument, Literal):
+        pattern = _SHORT.get(argument.datatype.value)
+        if pattern is not None and pattern.fullmatch(argument.value):
+            return argument.value
     text = str(argument)
     return shorten(text[1:-1]) if text.startswith("<") else text

@@ -2,7 +2,7 @@
 
     client = dyknow.Client("http://127.0.0.1:8000")
     request = client.request_event("dyknow:HighSpeedEvent(?o, dyknow:UAV, 100)")
-    for event in client.events(request["stream"], since="start"):
+    for event in client.events(request["stream"], since=request["position"]):
         print(event.values, event.rdf)
 
 Answers are the JSON of the routes as dicts. Refusals are `ServiceError`. Used by the command line.
@@ -254,6 +254,22 @@ class Client:
         """All annotations."""
         return self._list("GET", "/annotations")
 
+    def load_ontology(
+        self, text: str, name: str | None = None, media_type: str = TURTLE
+    ) -> dict[str, Any]:
+        """Add or replace a domain ontology; without ``name`` it is the text's one owl:Ontology.
+
+        ``media_type`` is that of Turtle, RDF/XML, JSON-LD or N-Triples.
+        """
+        parameters = {} if name is None else {"name": name}
+        headers = {"Content-Type": media_type}
+        return self._object("POST", "/ontologies", content=text, headers=headers, params=parameters)
+
+    def ontologies(self) -> list[str]:
+        """The names of the loaded ontologies."""
+        found: list[str] = self._send("GET", "/ontologies").json()
+        return found
+
     def register_template(self, text: str, *, replace: str | None = None) -> dict[str, Any]:
         """Register an event template; ``replace`` names the one that it takes the place of."""
         headers = {"Content-Type": TEXT}
@@ -283,7 +299,8 @@ class Client:
     ) -> dict[str, Any]:
         """Request an event: ``Event(arguments)`` as one text, or its name and arguments.
 
-        ``since`` "start" begins with what the streams keep of their past.
+        ``since`` "start" begins with what the streams keep of their past. Others may have asked
+        before: the answer's ``position``, as ``since`` of `events`, leaves out what came until now.
         """
         if arguments is None:
             headers = {"Content-Type": TEXT}

@@ -278,12 +278,15 @@ class EventModel(BaseModel):
     strategy: str
     since: views.Since
     stream: str
+    position: str = Field(
+        description="id of the stream's last sample before the request: follow with since=position"
+    )
     waits_for: list[str]
     events: str
     plan: PlanModel
 
     @classmethod
-    def of(cls, view: views.EventView) -> EventModel:
+    def of(cls, view: views.EventView, epoch: str) -> EventModel:
         return cls(
             id=view.id,
             event=view.event,
@@ -291,6 +294,7 @@ class EventModel(BaseModel):
             strategy=view.strategy,
             since=views.Since(view.since),
             stream=view.stream,
+            position=f"{epoch}-{view.position}",
             waits_for=list(view.waits_for),
             events=f"/streams/{view.stream}/events",
             plan=PlanModel.of(view.plan),
@@ -359,6 +363,12 @@ class AnnotationModel(BaseModel):
                     features=[annotation.output.feature],
                     source=annotation.source,
                 )
+
+
+class OntologyModel(BaseModel):
+    """A loaded ontology; FROM and GRAPH mean it by its name."""
+
+    name: str
 
 
 class StatusModel(BaseModel):

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import mimeparse
 from fastapi import Request
 
+from ..ontology.reading import TextFormat
 from .problems import Problem
 
 JSON = "application/json"
@@ -18,12 +19,20 @@ ARROW = "application/vnd.apache.arrow.stream"
 NTRIPLES = "application/n-triples"
 TURTLE = "text/turtle"
 JSON_LD = "application/ld+json"
+RDF_XML = "application/rdf+xml"
 SPARQL_QUERY = "application/sparql-query"
 SPARQL_JSON = "application/sparql-results+json"
 SPARQL_XML = "application/sparql-results+xml"
 TSV = "text/tab-separated-values"
 FORM = "application/x-www-form-urlencoded"
 EVENT_STREAM = "text/event-stream"
+ONTOLOGY_FORMATS: dict[str, TextFormat] = {
+    TURTLE: "turtle",
+    RDF_XML: "rdfxml",
+    JSON_LD: "jsonld",
+    NTRIPLES: "ntriples",
+}
+"""What an ontology may be written in."""
 
 
 def accepted(request: Request, offered: Sequence[str]) -> str:

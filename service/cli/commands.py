@@ -18,6 +18,7 @@ from ..problems import problem_of
 from .demo import demo
 from .events import events
 from .knowing import explain, match, sparql
+from .ontologies import ontology
 from .output import JSON_WANTED, fail
 from .replay import replay
 from .run import run
@@ -97,6 +98,7 @@ app.add_typer(template, name="template")
 app.command()(events)
 app.command()(streams)
 app.command()(annotate)
+app.add_typer(ontology, name="ontology")
 app.command()(sparql)
 app.command()(match)
 app.command()(explain)

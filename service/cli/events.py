@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from contextlib import suppress
+import signal
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from enum import StrEnum
-from typing import Annotated
+from types import FrameType
+from typing import Annotated, Any
 
 import httpx
 import typer
 
 from ...engine.views import Since
+from ...rdf.namespaces import shorten
 from ..client import Client, Event, ServiceError
 from .output import (
     DEFAULT_URL,
@@ -35,38 +38,60 @@ class Strategy(StrEnum):
     QUALITY = "quality"
 
 
+STRATEGY: Any = typer.Option(help="How a plan is chosen. Only fast is there so far.")
+
+
 def events(
     request: Annotated[
         str | None,
         typer.Argument(help="Such as 'dyknow:HighSpeedEvent(?o, dyknow:UAV, 100)'."),
     ] = None,
-    strategy: Annotated[Strategy, typer.Option(help="How a plan is chosen.")] = Strategy.FAST,
+    strategy: Annotated[Strategy, STRATEGY] = Strategy.FAST,
     since: Annotated[
         Since, typer.Option(help="Begin with what comes, or with what the streams keep.")
     ] = Since.NOW,
     count: Annotated[
         int | None, typer.Option("--count", "-n", min=1, help="Stop after so many events.")
     ] = None,
-    follow: Annotated[bool, typer.Option(help="Follow the events as they come.")] = True,
+    follow: Annotated[
+        bool,
+        typer.Option(help="Follow the events as they come; else the request is left running."),
+    ] = True,
     keep: Annotated[bool, typer.Option(help="Leave the request running afterwards.")] = False,
+    cancel: Annotated[
+        str | None, typer.Option(help="Give up the request of this id.", metavar="ID")
+    ] = None,
     url: Url = DEFAULT_URL,
     as_json: Json = False,
 ) -> None:
     """Request an event and follow it; without an argument, list the requests that run."""
-    with connect(url) as client:
+    if cancel is not None and request is not None:
+        raise typer.BadParameter("--cancel takes the id of a request that runs, and nothing else")
+    with connect(url) as client, _stoppable():
+        if cancel is not None:
+            client.cancel_event(cancel)
+            if as_json:
+                show_json({"cancelled": cancel})
+            else:
+                show_text(f"gave up {cancel}")
+            return
         if request is None:
             _list(client, as_json)
             return
         view = client.request_event(request, strategy=strategy.value, since=since.value)
-        if as_json and not follow:
-            show_json(view)
-        elif not as_json:
-            err().print(f"request {view['id']} on stream {view['stream']}", markup=False)
-            err().print(view["plan"]["text"].rstrip(), markup=False)
         if not follow:
+            if as_json:
+                show_json(view)
+            else:
+                _tell(view)
             return
         try:
-            seen = _show(client.events(view["stream"], since="start"), count, as_json)
+            if not as_json:
+                _tell(view)
+                err().print("waiting for events; Ctrl-C ends", markup=False)
+            # Others may have asked before: what came until the request is their past.
+            begin = "start" if since is Since.START else view["position"]
+            seen = _show(client.events(view["stream"], since=begin), count, as_json)
             if not seen and since is Since.NOW and not as_json:
                 # It ends at once when what it reads has ended; nothing new will come.
                 hint = "the recording has ended; --since start begins with its past"
@@ -80,14 +105,46 @@ def events(
                     client.cancel_event(view["id"])
 
 
+@contextmanager
+def _stoppable() -> Iterator[None]:
+    """SIGTERM, and SIGHUP when the terminal closes, stop as Ctrl-C does: a request is given up."""
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        for known in before:
+            # The one is enough; giving up must not be interrupted.
+            signal.signal(known, signal.SIG_IGN)
+        raise KeyboardInterrupt
+
+    wanted = [getattr(signal, name, None) for name in ("SIGTERM", "SIGHUP")]
+    # One that is ignored stays so: that is what nohup asks for.
+    before = {
+        number: signal.getsignal(number)
+        for number in wanted
+        if number is not None and signal.getsignal(number) is not signal.SIG_IGN
+    }
+    for number in before:
+        signal.signal(number, stop)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _tell(view: dict[str, Any]) -> None:
+    err().print(f"request {view['id']} on stream {view['stream']}", markup=False)
+    err().print(view["plan"]["text"].rstrip(), markup=False)
+
+
 def _list(client: Client, as_json: bool) -> None:
     found = client.requests()
     if as_json:
         show_lines(found)
         return
     show_table(
-        ["id", "event", "arguments", "strategy", "stream"],
-        [(e["id"], e["event"], e["arguments"], e["strategy"], e["stream"]) for e in found],
+        ["id", "event", "arguments", "stream"],
+        [(e["id"], shorten(e["event"]), e["arguments"], e["stream"]) for e in found],
+        whole=["id", "stream"],
         empty="no requests run",
     )
 

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from ...rdf.namespaces import shorten
-from .events import Strategy
+from .events import STRATEGY, Strategy
 from .output import DEFAULT_URL, Json, Url, connect, show_json, show_table, show_text
 from .streams import text_or_file
 
@@ -37,8 +37,11 @@ def sparql(
 def match(
     feature: Annotated[str, typer.Argument(help="A feature, such as dyknow:speed.")],
     sort: Annotated[str | None, typer.Option(help="Of every object of this sort.")] = None,
-    object: Annotated[list[str] | None, typer.Option(help="Of this object.")] = None,
-    strategy: Annotated[Strategy, typer.Option(help="How a plan is chosen.")] = Strategy.FAST,
+    object: Annotated[
+        list[str] | None,
+        typer.Option(help="Of this object. May be repeated; the service matches one so far."),
+    ] = None,
+    strategy: Annotated[Strategy, STRATEGY] = Strategy.FAST,
     url: Url = DEFAULT_URL,
     as_json: Json = False,
 ) -> None:
@@ -69,6 +72,8 @@ def explain(
     as_json: Json = False,
 ) -> None:
     """Show each stage of a request, a template, a query or a match."""
+    if sum(value is not None for value in (event, template, query, id, feature)) != 1:
+        raise typer.BadParameter("give one of: a request, --template, --query, --id, --feature")
     with connect(url) as client:
         text = client.explain(
             event=event,

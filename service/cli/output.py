@@ -5,12 +5,13 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextvars import ContextVar
 from datetime import UTC, datetime
 from typing import Annotated, Any
 
 import typer
+from rich.cells import cell_len
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
@@ -67,22 +68,43 @@ def show_text(text: str) -> None:
 
 
 def show_table(
-    columns: Sequence[str], rows: Iterable[Sequence[object]], *, title: str = "", empty: str = ""
+    columns: Sequence[str],
+    rows: Iterable[Sequence[object]],
+    *,
+    whole: Collection[str] = (),
+    empty: str = "",
 ) -> None:
-    """A table for people; numbers stand on the right. ``empty`` is said when there is no row."""
+    """A table for people; numbers stand on the right. ``empty`` is said when there is no row.
+
+    Columns that ``whole`` names are not folded, however narrow the terminal is.
+    """
     rows = [list(row) for row in rows]
     if not rows:
         out().print(empty or "nothing", markup=False)
         return
-    table = Table(title=title or None, title_justify="left", header_style="bold", box=None)
+    table = Table(header_style="bold", box=None)
+    widths: list[int] = []
     for i, column in enumerate(columns):
         numeric = all(isinstance(row[i], int | float) or row[i] is None for row in rows)
-        table.add_column(column, justify="right" if numeric else "left", overflow="fold")
+        longest = max(len(column), *(cell_len(_plain(row[i])) for row in rows))
+        if column in whole:
+            widths.append(longest)
+        table.add_column(
+            column,
+            justify="right" if numeric else "left",
+            overflow="fold",
+            min_width=longest if column in whole else None,
+        )
     for row in rows:
         table.add_row(*(_cell(value) for value in row))
     # A pipe has no width of its own; the table then takes what it needs.
     width = None if sys.stdout.isatty() or "COLUMNS" in os.environ else 10_000
-    Console(file=sys.stdout, highlight=False, emoji=False, width=width).print(table)
+    console = Console(file=sys.stdout, highlight=False, emoji=False, width=width)
+    least = sum(widths) + len(columns) * 2 + 6 * (len(columns) - len(widths))
+    if widths and console.width < least:
+        # What is not folded needs more than there is: the terminal breaks the line, not the name.
+        console.width = least
+    console.print(table)
 
 
 def show_values(values: Mapping[str, object]) -> str:
@@ -116,6 +138,12 @@ def clock_of(time: str | None) -> str:
         return ""
     today = datetime.now(UTC).strftime("%Y-%m-%d")
     return time.removeprefix(f"{today}T")
+
+
+def clock_ms(time: str | None) -> str:
+    """The same, to the millisecond."""
+    head, dot, digits = clock_of(time).removesuffix("Z").partition(".")
+    return f"{head}{dot}{digits[:3]}Z" if head else ""
 
 
 def brief(duration: str | None) -> str | None:

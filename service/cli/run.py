@@ -18,18 +18,18 @@ from ...languages.ssl import check_ssl, parse_ssl
 from ...languages.ssl.annotation import StreamAnnotation
 from ...ontology.errors import OntologyError
 from ...ontology.ontology import Ontology
+from ...ontology.reading import TextFormat
 from ...ontology.units import Unit
 from ...ontology.vocabulary import Vocabulary
 from ...rdf.dictionary import TermDictionary
 from ...rdf.namespaces import shorten
 from ...rdf.timed import TimedTriples
 from ...streams.time import format_time, parse_duration
+from ..negotiation import ONTOLOGY_FORMATS, TURTLE
 from ..triples_file import TimedTriple, read_timed_triples
+from .ontologies import MEDIA_TYPES
 from .output import Json, fail, show_json, show_table, show_text
 from .streams import read_text, text_or_file
-
-_FORMATS = {".ttl": "turtle", ".rdf": "rdfxml", ".owl": "rdfxml", ".xml": "rdfxml"}
-_FORMATS |= {".jsonld": "jsonld", ".nt": "ntriples"}
 
 
 class Semantics(StrEnum):
@@ -44,11 +44,16 @@ def run(
         Path, typer.Argument(help="A REGISTER STREAM|QUERY text.", exists=True, dir_okay=False)
     ],
     stream: Annotated[
-        list[str], typer.Option(help="A recorded stream: its IRI and file.", metavar="IRI=FILE")
+        list[str],
+        typer.Option(
+            help="A recorded stream: its IRI and file. May be repeated.", metavar="IRI=FILE"
+        ),
     ],
     static: Annotated[
         list[Path] | None,
-        typer.Option(help="A file of static knowledge.", exists=True, dir_okay=False),
+        typer.Option(
+            help="A file of static knowledge. May be repeated.", exists=True, dir_okay=False
+        ),
     ] = None,
     ssl: Annotated[
         str | None,
@@ -155,8 +160,8 @@ def _units(annotation: StreamAnnotation, vocabulary: Vocabulary) -> dict[str, Un
     return {feature: info.unit for feature, info in known.items() if info and info.unit is not None}
 
 
-def _format(path: Path) -> Any:
-    return _FORMATS.get(path.suffix.lower(), "turtle")
+def _format(path: Path) -> TextFormat:
+    return ONTOLOGY_FORMATS[MEDIA_TYPES.get(path.suffix.lower(), TURTLE)]
 
 
 def _annotation(iri: str, annotations: Sequence[StreamAnnotation]) -> StreamAnnotation:

@@ -13,7 +13,7 @@ from .output import (
     Json,
     Url,
     brief,
-    clock_of,
+    clock_ms,
     connect,
     fail,
     show_lines,
@@ -30,7 +30,7 @@ def streams(
     url: Url = DEFAULT_URL,
     as_json: Json = False,
 ) -> None:
-    """List the streams with their rates and counters."""
+    """List the streams; with a name, tell all of one: fields, counters, lag, annotation."""
     with connect(url) as client:
         found = client.streams() if name is None else [client.stream(name)]
     if as_json:
@@ -40,21 +40,19 @@ def streams(
         _show_one(found[0])
         return
     show_table(
-        ["stream", "fields", "rate/s", "used", "late", "duplicate", "lag", "last", "made by"],
+        ["stream", "samples", "late", "rate/s", "last", "made by"],
         [
             (
                 stream["name"],
-                ", ".join(field["name"] for field in stream["fields"]),
-                stream["rate"],
                 stream["counters"]["used"],
                 stream["counters"]["late"],
-                stream["counters"]["duplicate"],
-                brief(stream["lag"]),
-                clock_of(stream["last_available"]) + (" (ended)" if stream["ended"] else ""),
+                stream["rate"],
+                clock_ms(stream["last_available"]) + (" (ended)" if stream["ended"] else ""),
                 stream["producer"],
             )
             for stream in found
         ],
+        whole=["stream", "made by"],
         empty="no streams yet: dyknow replay FILE --stream NAME",
     )
 
@@ -107,6 +105,9 @@ def _show_one(stream: dict[str, object]) -> None:
     for key, value in stream.items():
         if isinstance(value, dict):
             value = show_values(value)
+        elif key == "lag" and isinstance(value, str):
+            value = brief(value)
         elif key == "fields" and isinstance(value, list):
             value = ", ".join(f"{field['name']}: {field['type']}" for field in value)
-        show_text(f"{key:>15}  {'-' if value is None else value}")
+        text = "-" if value is None else str(value)
+        show_text(f"{key:>15}  " + text.replace("\n", "\n" + " " * 17))

@@ -51,7 +51,8 @@ async def request_event(
 ) -> EventModel:
     """Request an event: the streams it needs are found or built.
 
-    The same request twice shares one stream. ``since`` ``start`` begins with what the streams
+    The same request twice shares one stream; ``position`` is the id of its last sample before
+    this request, to follow with ``since=``. ``since`` ``start`` begins with what the streams
     keep of their past, ``now`` with what comes. 404: no such event; 422: no plan, ``missing`` says
     what would be needed.
     """
@@ -67,19 +68,20 @@ async def request_event(
         strategy, since = wanted.strategy, wanted.since
     view = engine.request_event(parsed, strategy, since)
     response.headers["Location"] = f"/events/{view.id}"
-    return EventModel.of(view)
+    return EventModel.of(view, engine.epoch)
 
 
 @router.get("/events")
 async def list_events(service: Context) -> list[EventModel]:
     """The requests that run."""
-    return [EventModel.of(view) for view in service.engine.events()]
+    engine = service.engine
+    return [EventModel.of(view, engine.epoch) for view in engine.events()]
 
 
 @router.get("/events/{id}", responses=responses(404))
 async def read_event(id: str, service: Context) -> EventModel:
     """One running request, with its plan."""
-    return EventModel.of(service.engine.event(id))
+    return EventModel.of(service.engine.event(id), service.engine.epoch)
 
 
 @router.delete("/events/{id}", status_code=204, responses=responses(404))

@@ -13,7 +13,14 @@ from dyknow.service.app import create_app
 from dyknow.service.settings import Settings
 
 
-@schemathesis.serializer("application/x-ndjson", "application/sparql-query")
+@schemathesis.serializer(
+    "application/x-ndjson",
+    "application/sparql-query",
+    "text/turtle",
+    "application/rdf+xml",
+    "application/ld+json",
+    "application/n-triples",
+)
 def plain_text(ctx: schemathesis.SerializationContext, value: Any) -> bytes:
     return value if isinstance(value, bytes) else str(value).encode(errors="replace")
 

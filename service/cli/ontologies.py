@@ -1,0 +1,64 @@
+"""``dyknow ontology``: add domain ontologies and list those that are loaded."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ..negotiation import JSON_LD, NTRIPLES, RDF_XML, TURTLE
+from .output import DEFAULT_URL, Json, Url, connect, fail, show_json, show_lines, show_text
+from .streams import read_text
+
+MEDIA_TYPES = {
+    ".ttl": TURTLE,
+    ".rdf": RDF_XML,
+    ".owl": RDF_XML,
+    ".xml": RDF_XML,
+    ".jsonld": JSON_LD,
+    ".nt": NTRIPLES,
+}
+"""What an ontology file holds, by its suffix."""
+
+ontology = typer.Typer(help="Domain ontologies: add, list.", no_args_is_help=True)
+
+
+@ontology.command()
+def add(
+    file: Annotated[
+        Path,
+        typer.Argument(help="An ontology: .ttl, .rdf, .owl, .xml, .jsonld or .nt."),
+    ],
+    name: Annotated[
+        str | None,
+        typer.Option(help="Its IRI; else that of the owl:Ontology in it.", metavar="IRI"),
+    ] = None,
+    url: Url = DEFAULT_URL,
+    as_json: Json = False,
+) -> None:
+    """Add a domain ontology, or replace the one of its name."""
+    kind = MEDIA_TYPES.get(file.suffix.lower())
+    if kind is None:
+        raise fail(f"{file} is of an unknown kind", f"name it with one of {', '.join(MEDIA_TYPES)}")
+    if not file.is_file():
+        raise fail(f"there is no file {file}")
+    text = read_text(file)
+    with connect(url) as client:
+        found = client.load_ontology(text, name, kind)
+    if as_json:
+        show_json(found)
+    else:
+        show_text(f"loaded {found['name']}")
+
+
+@ontology.command("list")
+def list_ontologies(url: Url = DEFAULT_URL, as_json: Json = False) -> None:
+    """List the ontologies that are loaded."""
+    with connect(url) as client:
+        found = client.ontologies()
+    if as_json:
+        show_lines(found)
+        return
+    for name in found:
+        show_text(name)

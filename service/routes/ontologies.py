@@ -1,0 +1,98 @@
+"""Domain ontologies: sorts, features and objects that the service is told of while it runs."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Query, Request
+from pyoxigraph import NamedNode
+
+from ...ontology.graphs import ontology_graph
+from ...ontology.reading import TextFormat, read_triples
+from ...rdf.namespaces import OWL, RDF_TYPE
+from ..context import Context
+from ..models import OntologyModel, text_schema
+from ..negotiation import ONTOLOGY_FORMATS, content_type, utf8
+from ..problems import Problem, responses
+
+router = APIRouter(tags=["ontologies"])
+
+EXAMPLE = """@prefix dyknow: <http://www.ida.liu.se/dyknow/> .
+@prefix owl: <http://www.w3.org/2002/07/owl#> .
+@prefix rdfs: <http://www.w3.org/2000/01/rdf-schema#> .
+<http://example.org/harbour> a owl:Ontology .
+dyknow:Ship a owl:Class ; rdfs:subClassOf dyknow:Vehicle ."""
+BODY: dict[str, Any] = {
+    "requestBody": {
+        "required": True,
+        "content": {
+            kind: text_schema("an ontology", EXAMPLE)
+            if kind == "text/turtle"
+            else {"schema": {"type": "string"}}
+            for kind in ONTOLOGY_FORMATS
+        },
+    }
+}
+_ONTOLOGY = NamedNode(OWL + "Ontology")
+# A name of nothing: what a text calls <> has no IRI of its own.
+_NO_BASE = NamedNode("urn:dyknow:no-base:")
+_NAME_IT = "say what it is called: ?name=<IRI>, or --name IRI"
+
+
+@router.post("/ontologies", status_code=201, openapi_extra=BODY, responses=responses(413, 415))
+async def load_ontology(
+    request: Request,
+    service: Context,
+    name: Annotated[
+        str | None,
+        Query(
+            min_length=1,
+            max_length=2000,
+            description="the ontology's IRI; else that of the one owl:Ontology in the text",
+        ),
+    ] = None,
+) -> OntologyModel:
+    """Add a domain ontology, or replace the one of this name. All of it counts, or nothing.
+
+    Its sorts, features and objects are known from then on, also to requests that run. FROM means
+    it by its name. Imports are not followed. Every request waits while what the ontologies
+    entail is computed anew.
+    """
+    format = ONTOLOGY_FORMATS[content_type(request, tuple(ONTOLOGY_FORMATS))]
+    text = utf8(await request.body())
+    if name is None:
+        name = _own_name(text, format)
+    service.engine.load_ontology(text, name=name, format=format)
+    return OntologyModel(name=ontology_graph(name).value)
+
+
+@router.get("/ontologies")
+async def list_ontologies(service: Context) -> list[str]:
+    """The names of the ontologies that are loaded, those that come with the program included."""
+    return list(service.engine.ontology.ontologies())
+
+
+def _own_name(text: str, format: TextFormat) -> str:
+    """The IRI of the one ontology that the text declares.
+
+    Raises a 400 `Problem` for none or several, `OntologyError` for a text that cannot be read.
+    """
+    names = {
+        triple.subject.value
+        for triple in read_triples(text, format, _NO_BASE)
+        if triple.predicate == RDF_TYPE
+        and triple.object == _ONTOLOGY
+        and isinstance(triple.subject, NamedNode)
+    }
+    if len(names) != 1:
+        found = "no owl:Ontology with an IRI" if not names else f"{len(names)} ontologies"
+        raise Problem(400, "ontology without a name", f"the text declares {found}", hint=_NAME_IT)
+    name = names.pop()
+    if name.startswith(_NO_BASE.value):
+        raise Problem(
+            400,
+            "ontology without a name",
+            "the text's owl:Ontology is a relative IRI",
+            hint=_NAME_IT,
+        )
+    return name
