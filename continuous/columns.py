@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pyoxigraph import Literal, NamedNode, Quad, Store
 
+from ..rdf.datatypes import INTEGERS
 from ..rdf.dictionary import NO_TERM, Term, TermDictionary
 from ..rdf.namespaces import RDF, XSD
 from ..rdf.timed import DATATYPES, Kind, ObjectColumn, TripleRows, make_term, split_term
@@ -55,24 +56,6 @@ class Sort(IntEnum):
     TEXT = 8
 
 
-_INTEGERS = frozenset(
-    XSD + name
-    for name in [
-        "integer",
-        "byte",
-        "short",
-        "int",
-        "long",
-        "unsignedByte",
-        "unsignedShort",
-        "unsignedInt",
-        "unsignedLong",
-        "positiveInteger",
-        "negativeInteger",
-        "nonPositiveInteger",
-        "nonNegativeInteger",
-    ]
-)
 _WHOLE = re.compile(r"[+-]?[0-9]+")
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?|[+-]?INF|NaN")
 _ANY = NamedNode(XSD + "any")
@@ -159,7 +142,7 @@ def _worth(term: Term) -> tuple[Sort, float, int]:
         return Sort.TEXT, 0.0, int(bool(text))
     if datatype == XSD + "boolean" and text in ("true", "false", "1", "0"):
         return Sort.BOOLEAN, 0.0, int(text in ("true", "1"))
-    if datatype in _INTEGERS and _WHOLE.fullmatch(text):
+    if datatype in INTEGERS and _WHOLE.fullmatch(text):
         whole = int(text)
         if -(2**63) <= whole < 2**63:
             return Sort.INTEGER, float(whole), whole

@@ -13,6 +13,7 @@ from pyoxigraph import NamedNode
 
 from ..converters.errors import ConversionError
 from ..converters.to_triples import SampleConverter
+from ..converters.values import field_type
 from ..languages.errors import LanguageError
 from ..languages.ssl import check_ssl, parse_ssl
 from ..languages.ssl.annotation import (
@@ -27,7 +28,7 @@ from ..ontology.graphs import STREAM_SPACE_ONTOLOGY
 from ..ontology.ontology import Ontology
 from ..ontology.units import Unit
 from ..rdf.dictionary import TermDictionary
-from ..rdf.namespaces import DYKNOW, STREAM_SPACE, XSD
+from ..rdf.namespaces import DYKNOW, STREAM_SPACE
 from ..streams.fluent import Retention
 from ..streams.generator import StreamGenerator
 from ..streams.sample import Field, FieldType, Schema
@@ -287,7 +288,7 @@ class DeclaredStreams:
                 types[name] = FieldType.STRING
             else:
                 info = self._ontology.vocabulary.feature(features[name])
-                types.setdefault(name, _field_type(None if info is None else info.range))
+                types.setdefault(name, field_type(None if info is None else info.range))
         return tuple(Field(name, type) for name, type in types.items())
 
 
@@ -302,21 +303,6 @@ def _fields_of(annotation: StreamAnnotation) -> Iterator[tuple[str, Role | None]
 
 def _annotated(annotation: CheckedAnnotation) -> str:
     return annotation.stream if isinstance(annotation, StreamAnnotation) else annotation.name
-
-
-def _field_type(range: str | None) -> FieldType:
-    """The field type for values of an RDF range."""
-    match (range or "").removeprefix(XSD):
-        case "double" | "float" | "decimal":
-            return FieldType.FLOAT
-        case "boolean":
-            return FieldType.BOOLEAN
-        case "integer" | "int" | "long" | "short" | "byte":
-            return FieldType.INTEGER
-        case text if text.startswith(("nonNegative", "positive", "unsigned", "negative")):
-            return FieldType.INTEGER
-        case _:
-            return FieldType.STRING
 
 
 def _declaration_json(declaration: StreamDeclaration) -> str:

@@ -7,33 +7,13 @@ from enum import StrEnum
 from typing import Any
 
 from rdflib import Literal, URIRef, Variable
-from rdflib.namespace import RDF, XSD
+from rdflib.namespace import RDF
 from rdflib.plugins.sparql.parserutils import CompValue
 
 from ..ontology.vocabulary import Vocabulary
+from ..rdf.datatypes import NUMBERS
 from .patterns import everything, patterns
 
-_NUMERIC_DATATYPES = frozenset(
-    str(XSD[name])
-    for name in (
-        "integer",
-        "decimal",
-        "float",
-        "double",
-        "byte",
-        "short",
-        "int",
-        "long",
-        "unsignedByte",
-        "unsignedShort",
-        "unsignedInt",
-        "unsignedLong",
-        "nonNegativeInteger",
-        "nonPositiveInteger",
-        "positiveInteger",
-        "negativeInteger",
-    )
-)
 _ARITHMETIC = ("AdditiveExpression", "MultiplicativeExpression", "UnaryMinus", "UnaryPlus")
 _NUMERIC_CALLS = ("Builtin_ABS", "Builtin_CEIL", "Builtin_FLOOR", "Builtin_ROUND", "Builtin_STRLEN")
 _COUNTING = ("Aggregate_Count", "Aggregate_Sum", "Aggregate_Avg")
@@ -51,7 +31,7 @@ class Place(StrEnum):
 
 def is_numeric(datatype: str | None) -> bool:
     """The IRI is of a datatype whose values are numbers."""
-    return datatype in _NUMERIC_DATATYPES
+    return datatype in NUMBERS
 
 
 def places(root: CompValue, vocabulary: Vocabulary) -> dict[str, frozenset[Place]]:
