@@ -120,7 +120,7 @@ def times_from_arrow(column: Any, key: str, reader: TimeReader) -> Times:
         return times
     values = column.to_pylist()
     reader.observe(values)
-    return np.array(reader.read(values, range(1, len(values) + 1), key), np.int64)
+    return reader.read(values, range(1, len(values) + 1), key)
 
 
 def column_from_arrow(field: Field, column: Any, pools: dict[str, StringPool]) -> Column:

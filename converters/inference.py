@@ -10,7 +10,9 @@ from collections.abc import Iterable, Sequence
 from decimal import Decimal, InvalidOperation
 from typing import Final
 
-from ..streams.sample import FieldType
+import numpy as np
+
+from ..streams.sample import FieldType, Times
 from ..streams.time import MICROSECOND, MILLISECOND, NANOSECOND, SECOND, TIME_MAX, TIME_MIN
 from .errors import WireError
 from .wire import time_of
@@ -129,10 +131,11 @@ class TimeReader:
                 return unit
         return "ns"
 
-    def read(self, times: Sequence[object], lines: Sequence[int], key: str) -> list[int]:
-        """Times in ns; raises `WireError` with the line for what is none."""
+    def read(self, times: Sequence[object], lines: Sequence[int], key: str) -> Times:
+        """A column of times in ns; raises `WireError` with the line for what is none."""
         scale = TIME_UNITS[self.unit]
-        return [self._one(time, scale, line, key) for time, line in zip(times, lines, strict=True)]
+        pairs = zip(times, lines, strict=True)
+        return np.array([self._one(time, scale, line, key) for time, line in pairs], np.int64)
 
     def _one(self, time: object, scale: int, line: int, key: str) -> int:
         if isinstance(time, str) and not _NUMBER(time):

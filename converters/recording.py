@@ -122,11 +122,10 @@ def _open_csv(
 
     def read() -> Iterator[SampleBatch]:
         for lines, cells in read_csv(path):
-            valid_times = np.array(times.read(cells[valid], lines, valid), np.int64)
+            valid_times = times.read(cells[valid], lines, valid)
             available = valid_times
             if stamped_column:
-                found = times.read(cells["available"], lines, "available")
-                available = np.array(found, np.int64)
+                available = times.read(cells["available"], lines, "available")
             columns = {
                 f.name: column_from_cells(f, cells[f.name], lines, pools.get(f.name))
                 for f in schema.fields
@@ -166,13 +165,11 @@ def _open_ndjson(
 
     def read() -> Iterator[SampleBatch]:
         for lines, rows in _read_ndjson(path):
-            valid_times = np.array(
-                times.read([row.get(valid) for row in rows], lines, valid), np.int64
-            )
+            valid_times = times.read([row.get(valid) for row in rows], lines, valid)
             available = valid_times
             if stamped_column:
-                found = times.read([row["available"] for row in rows], lines, "available")
-                available = np.array(found, np.int64)
+                given = [row["available"] for row in rows]
+                available = times.read(given, lines, "available")
             columns = {
                 f.name: _json_column(f, [row.get(f.name) for row in rows], lines, pools)
                 for f in schema.fields

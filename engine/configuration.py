@@ -201,15 +201,7 @@ class Configuration:
         del self.units[unit.output.name]
         for key in [key for key, made in self._made.items() if made is unit]:
             del self._made[key]
-        self._on_change(
-            Change(
-                ChangeKind.UNIT_STOPPED,
-                unit.output.name,
-                unit.name,
-                unit.transformation,
-                tuple(source.name for source in unit.inputs),
-            )
-        )
+        self._tell(ChangeKind.UNIT_STOPPED, unit)
         self.remove_stream(unit.output.name)
         for source in unit.inputs:
             producer = self.units.get(source.name)
@@ -322,26 +314,20 @@ class Configuration:
             if producer is not None:
                 producer.users += 1
         text = ", ".join(f"{key}={value}" for key, value in unit.parameters.items())
-        self._on_change(
-            Change(
-                ChangeKind.UNIT_STARTED,
-                unit.output.name,
-                unit.name,
-                unit.transformation,
-                tuple(source.name for source in unit.inputs),
-                specification or f"{unit.transformation}({text})",
-            )
-        )
+        self._tell(ChangeKind.UNIT_STARTED, unit, specification or f"{unit.transformation}({text})")
         unit.start(since)
 
     def _failed(self, unit: ComputationalUnit) -> None:
+        self._tell(ChangeKind.UNIT_FAILED, unit, unit.failure or "")
+
+    def _tell(self, kind: ChangeKind, unit: ComputationalUnit, specification: str = "") -> None:
         self._on_change(
             Change(
-                ChangeKind.UNIT_FAILED,
+                kind,
                 unit.output.name,
                 unit.name,
                 unit.transformation,
                 tuple(source.name for source in unit.inputs),
-                unit.failure or "",
+                specification,
             )
         )

@@ -222,10 +222,13 @@ class Engine:
             if generator.stamped and generator.name not in units and not generator.is_ended:
                 generator.advance(now)
         for unit in list(units.values()):
+            waiting = unit.waits_for
+            if not waiting:
+                continue
             # Where everything that has come was stamped on arrival, so will be what is to come.
-            begun = set(unit.inputs) - set(unit.waits_for)
+            begun = set(unit.inputs).difference(waiting)
             if begun and all(self._configuration.is_stamped(source) for source in begun):
-                for source in unit.waits_for:
+                for source in waiting:
                     unit.advance(source, now)
 
     def rdf_of(self, name: str, batch: SampleBatch) -> list[str]:
@@ -266,7 +269,7 @@ class Engine:
     def remove_template(self, name: str) -> None:
         """Forget a template; raises `UnknownTemplate`, and `Conflict` while a request uses it."""
         template = self._template(name)
-        users = [view.id for view in self._requests.views() if view.event == template.name]
+        users = self._requests.of_event(template.name)
         if users:
             raise Conflict(
                 f"template {shorten(template.name)} is used by request {', '.join(users)}",

@@ -91,7 +91,10 @@ class EventRequests:
         self._stream_space = stream_space
         self._changed = changed
         self._requests: dict[str, _Request] = {}
+        # By what was asked, to share; by the stream it makes, to say what that means. One that is
+        # not sound any more is shared no longer, and still makes its stream.
         self._running: dict[tuple[object, ...], _Running] = {}
+        self._answers: dict[str, _Running] = {}
         self._number = 0
 
     def start(
@@ -108,6 +111,7 @@ class EventRequests:
                 self._configuration.release_unused()
                 raise
             self._running[key] = running
+            self._answers[running.unit.output.name] = running
             self._tell_meaning(running)
         running.unit.users += 1
         # Of a stream that others asked for before, what came until now is their past.
@@ -124,14 +128,20 @@ class EventRequests:
         request = self._request(id)
         del self._requests[id]
         running = request.running
-        # One that is not sound any more may have been replaced under the same key since.
-        if running.unit.users == 1 and self._running.get(request.key) is running:
-            del self._running[request.key]
+        if running.unit.users == 1:
+            del self._answers[running.unit.output.name]
+            # One that is not sound any more may have been replaced under the same key since.
+            if self._running.get(request.key) is running:
+                del self._running[request.key]
         self._configuration.release(running.unit)
 
     def views(self) -> tuple[EventView, ...]:
         """The running requests, oldest first."""
         return tuple(self.view(id) for id in self._requests)
+
+    def of_event(self, event: str) -> tuple[str, ...]:
+        """The ids of the requests that run for ``event`` (an IRI)."""
+        return tuple(r.id for r in self._requests.values() if r.request.event == event)
 
     def view(self, id: str) -> EventView:
         """One running request; raises `UnknownRequest`."""
@@ -152,19 +162,13 @@ class EventRequests:
 
     def annotation_of(self, stream: str) -> StreamAnnotation | None:
         """What the stream of a request's answer contains; None for another stream."""
-        running = self._answering(stream)
+        running = self._answers.get(stream)
         return None if running is None else running.annotation
 
     def rdf_of(self, stream: str) -> StreamAnnotation | None:
         """How samples of a request's answer are written as triples; None for another stream."""
-        running = self._answering(stream)
+        running = self._answers.get(stream)
         return None if running is None else running.rdf
-
-    def _answering(self, stream: str) -> _Running | None:
-        for running in self._running.values():
-            if running.unit.output.name == stream:
-                return running
-        return None
 
     def explain(self, template: Template, request: EventRequest) -> str:
         """Each stage of answering ``request``, without starting anything."""

@@ -1,6 +1,6 @@
 """What there is to match against: annotated streams, sources, transformations.
 
-A `StreamSpace` is an immutable snapshot that the engine makes when something changes; its
+A `StreamSpace` is an immutable snapshot that the engine makes for a match; its
 indexes make a match cost what is relevant, not what exists.
 """
 
