@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pyoxigraph import Literal, NamedNode
 
 from ..ontology.units import Conversion
+from ..rdf.datatypes import range_type
 from ..rdf.dictionary import NO_TERM, Term, TermDictionary
 from ..rdf.namespaces import OWL, RDF, RDFS, XSD
 from ..rdf.timed import Kind, ObjectColumn, make_term
@@ -63,13 +64,7 @@ def field_type(range: str | None, kind: Kind | None = None) -> FieldType:
             pass
         case _:
             assert_never(kind)
-    if range in _FLOAT_KINDS:
-        return FieldType.FLOAT
-    if range is not None and (
-        range == XSD + "integer" or (range.startswith(XSD) and range.removeprefix(XSD) in _INTEGERS)
-    ):
-        return FieldType.INTEGER
-    return FieldType.BOOLEAN if range == XSD + "boolean" else FieldType.STRING
+    return range_type(range)
 
 
 def object_column(

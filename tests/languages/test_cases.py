@@ -19,6 +19,7 @@ from dyknow.languages.csparql import (
     parse_template,
 )
 from dyknow.languages.errors import LanguageError
+from dyknow.languages.kpl import ValueSort, check_kpl, format_kpl, parse_kpl
 from dyknow.languages.ssl import (
     CheckedAnnotation,
     StreamAnnotation,
@@ -39,7 +40,7 @@ dyknow:UAV a owl:Class ; rdfs:subClassOf dyknow:Thing .
 dyknow:RMAX a owl:Class ; rdfs:subClassOf dyknow:UAV , dyknow:Thing .
 dyknow:uav1 a dyknow:UAV , dyknow:Thing .
 dyknow:altitude a dyknow-o:Feature ; dyknow-o:hasUnit "ft" .
-dyknow:speed a dyknow-o:Feature ; dyknow-o:hasUnit "km.h-1" .
+dyknow:speed a dyknow-o:Feature ; dyknow-o:hasUnit "km.h-1" ; rdfs:range xsd:double .
 dyknow:xydist a dyknow-o:Feature .
 dyknow:course a dyknow-o:Feature ; dyknow-o:hasUnit "deg" .
 dyknow:HighSpeedEvent a dyknow-o:Event .
@@ -105,12 +106,29 @@ def print_query(query: ContinuousQuery) -> str:
     return f"{printed}-> SPARQL\n{body_sparql(query)}".rstrip()
 
 
-PRINTERS = {"ssl": print_ssl, "csparql": print_csparql}
+def print_kpl(text: str) -> str:
+    """The declarations, each with the sort that it gives."""
+    new, _ = check_kpl(parse_kpl(text), text, vocabulary())
+    printed = format_kpl(new)
+    # What is printed says the same.
+    assert check_kpl(parse_kpl(printed), printed, vocabulary())[0] == new
+    sorts = [print_sort(declaration.sort) for declaration in new]
+    return "\n".join(f"{format_kpl(d)}\n  {sort}" for d, sort in zip(new, sorts, strict=True))
+
+
+def print_sort(sort: ValueSort) -> str:
+    if sort.fields is None:
+        return f"{sort.name}, open"
+    feature = f" of {shorten(sort.feature)}" if sort.feature else ""
+    return f"{sort.name}: {', '.join(f'{f.name} {f.type}' for f in sort.fields)}{feature}"
+
+
+PRINTERS = {"ssl": print_ssl, "csparql": print_csparql, "kpl": print_kpl}
 
 
 @pytest.mark.parametrize(
     "path",
-    sorted(CASES.glob("ssl/*.case")) + sorted(CASES.glob("csparql/*.case")),
+    [path for language in PRINTERS for path in sorted(CASES.glob(f"{language}/*.case"))],
     ids=lambda path: f"{path.parent.name}-{path.stem}",
 )
 def test_case(path: Path) -> None:
@@ -128,5 +146,5 @@ def test_case(path: Path) -> None:
 
 
 def test_every_case_file_is_of_a_known_language() -> None:
-    assert list(CASES.glob("ssl/*.case"))
-    assert list(CASES.glob("csparql/*.case"))
+    for language in PRINTERS:
+        assert list(CASES.glob(f"{language}/*.case"))

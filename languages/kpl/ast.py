@@ -1,0 +1,154 @@
+"""The AST of KPL ([DyKnow10 §5.2], SPEC §1): what was written, nothing resolved.
+
+Spans say where a thing stands and are no part of what it is: two declarations that differ in
+their spans only are equal. `check` makes the declarations of `signature` out of these.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from dataclasses import field as attribute
+from typing import Literal, TypeAlias
+
+from ...streams.policy import Approximation, Order
+from ..errors import Span
+
+
+@dataclass(frozen=True, slots=True)
+class Name:
+    """A symbol as written: ``pos_car1``, ``dyknow:speed``."""
+
+    text: str
+    span: Span = attribute(compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Time:
+    """A duration or time point as written: ``200``, ``-5``, ``1.5s``, ``2021-10-07T19:12:53Z``."""
+
+    text: str
+    span: Span = attribute(compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """Def. 5.22; ``period`` belongs to ``sample every`` alone."""
+
+    kind: Literal["any update", "any change", "sample every"]
+    period: Time | None
+    span: Span = attribute(compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Delay:
+    """Def. 5.23; None is ``oo``."""
+
+    delay: Time | None
+    span: Span = attribute(compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Duration:
+    """Def. 5.24; ``to_oo`` tells a written ``to oo`` from no ``to``."""
+
+    start: Time | None
+    end: Time | None
+    to_oo: bool
+    span: Span = attribute(compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Ordering:
+    """Def. 5.25."""
+
+    order: Order
+    span: Span = attribute(compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Approximating:
+    """Def. 5.26."""
+
+    approximation: Approximation
+    span: Span = attribute(compare=False)
+
+
+Constraint: TypeAlias = Change | Delay | Duration | Ordering | Approximating
+
+
+@dataclass(frozen=True, slots=True)
+class LabelTerm:
+    """Def. 5.17: ``pos[car1]``; ``pos`` and ``pos[]`` are the same."""
+
+    feature: Name
+    objects: tuple[Name, ...]
+    span: Span = attribute(compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class StreamTerm:
+    """Def. 5.19: a label and the constraints after ``with`` (none: no ``with`` was written)."""
+
+    label: LabelTerm
+    policy: tuple[Constraint, ...]
+    span: Span = attribute(compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """Def. 5.15: ``source pos pos_car1``."""
+
+    sort: Name
+    name: Name
+    span: Span = attribute(compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Compunit:
+    """Def. 5.16: ``compunit speed SpeedEst(pos)``."""
+
+    sort: Name
+    name: Name
+    inputs: tuple[Name, ...]
+    span: Span = attribute(compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Strmgen:
+    """Def. 5.18. ``terms`` empty: nothing in parentheses was written, so a source is meant.
+    ``synchronization`` are the constraints after ``;`` (ours)."""
+
+    label: LabelTerm
+    process: Name
+    terms: tuple[StreamTerm, ...]
+    synchronization: tuple[Constraint, ...]
+    span: Span = attribute(compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Stream:
+    """Def. 5.20: ``stream speed_car1 = speed[car1] with from 300 to 400``."""
+
+    name: Name
+    term: StreamTerm
+    span: Span = attribute(compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Sort:
+    """Ours: ``sort altitude = float`` (one sort) or ``sort pos = (x float, y float)``."""
+
+    name: Name
+    value: Name | tuple[tuple[Name, Name], ...]
+    span: Span = attribute(compare=False)
+
+
+Declaration: TypeAlias = Source | Compunit | Strmgen | Stream | Sort
+
+
+@dataclass(frozen=True, slots=True)
+class Specification:
+    """Def. 5.14. ``unit`` says what integers are; None: whoever reads it decides."""
+
+    unit: Name | None
+    declarations: tuple[Declaration, ...]

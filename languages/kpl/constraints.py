@@ -1,0 +1,239 @@
+"""Constraints as written to policies in ns ([DyKnow10 Def. 5.21-5.26, 5.37]).
+
+Several constraints of a kind hold together, as Def. 5.37's conjunction says: the least delay, the
+common part of durations, the strictest order, the change constraint that implies the other.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, assert_never
+
+from ...streams.policy import (
+    AnyChange,
+    AnyUpdate,
+    Approximation,
+    Change,
+    Duration,
+    Order,
+    Policy,
+    PolicyError,
+    SampleEvery,
+    SynchronizationPolicy,
+)
+from ...streams.time import (
+    MICROSECOND,
+    MILLISECOND,
+    NANOSECOND,
+    SECOND,
+    TIME_MAX,
+    TIME_MIN,
+    parse_duration,
+    parse_time,
+)
+from ..errors import LanguageError, Span
+from . import ast
+
+UNITS: Final = {"ns": NANOSECOND, "us": MICROSECOND, "ms": MILLISECOND, "s": SECOND}
+"""What a specification's abstract integers may be (SPEC §1), in ns."""
+
+_MOST_DIGITS: Final = 40
+_ORDERS: Final = (Order.ANY, Order.MONOTONE, Order.STRICT)
+
+
+@dataclass(frozen=True, slots=True)
+class _Constraints:
+    """One constraint of each kind, and where change and approximation were written."""
+
+    change: Change
+    max_delay: int | None
+    duration: Duration
+    order: Order
+    approximation: Approximation
+    approximation_span: Span | None
+
+
+def to_policy(constraints: Sequence[ast.Constraint], source: str, unit: str) -> Policy:
+    """The policy that these constraints are (Def. 5.21). Raises `LanguageError`."""
+    merged = _merge(constraints, source, unit)
+    try:
+        return Policy(
+            merged.change, merged.max_delay, merged.duration, merged.order, merged.approximation
+        )
+    except PolicyError as error:
+        assert merged.approximation_span is not None
+        raise LanguageError(error.message, source, merged.approximation_span, error.hint) from None
+
+
+def to_synchronization(
+    constraints: Sequence[ast.Constraint], source: str, unit: str, span: Span
+) -> SynchronizationPolicy:
+    """The policy of a synchronization, which says when states are. Raises `LanguageError`; at
+    ``span`` if it does not say."""
+    merged = _merge(constraints, source, unit)
+    if isinstance(merged.change, AnyUpdate):
+        raise LanguageError(
+            "a synchronization says when its states are",
+            source,
+            span,
+            "write `sync(a, b; sample every 100, max delay 50)` or `sync(a, b; any change)`",
+        )
+    return SynchronizationPolicy(
+        merged.change, merged.max_delay, merged.duration, merged.order, merged.approximation
+    )
+
+
+def _merge(constraints: Sequence[ast.Constraint], source: str, unit: str) -> _Constraints:
+    change: Change = AnyUpdate()
+    delays: list[int] = []
+    durations: list[Duration] = []
+    order = Order.ANY
+    approximations: dict[Approximation, Span] = {}
+    for constraint in constraints:
+        match constraint:
+            case ast.Change():
+                change = _stronger(change, constraint, source, unit)
+            case ast.Delay(time):
+                delays += [] if time is None else [_delay(time, source, unit)]
+            case ast.Duration(start, end, to_oo):
+                first = None if start is None else time_point(start, source, unit)
+                last = None if end is None else time_point(end, source, unit)
+                durations.append(Duration(first, last, to_oo))
+            case ast.Ordering():
+                order = max(order, constraint.order, key=_ORDERS.index)
+            case ast.Approximating():
+                approximations.setdefault(constraint.approximation, constraint.span)
+                if len(approximations) > 1:
+                    raise LanguageError(
+                        "samples are approximated or they are not",
+                        source,
+                        constraint.span,
+                        "keep one of `no approximation` and `use most recent`",
+                    )
+            case _:
+                assert_never(constraint)
+    chosen = next(iter(approximations), Approximation.NONE)
+    least = min(delays, default=None)
+    span = approximations.get(chosen)
+    return _Constraints(change, least, _intersection(durations), order, chosen, span)
+
+
+def _stronger(change: Change, constraint: ast.Change, source: str, unit: str) -> Change:
+    if constraint.period is not None:
+        period = duration(constraint.period, source, unit)
+        if period <= 0:
+            raise LanguageError(
+                f"a sample period is longer than nothing, not {constraint.period.text}",
+                source,
+                constraint.period.span,
+                "write for example `sample every 100`",
+            )
+        if isinstance(change, SampleEvery) and change.period != period:
+            raise LanguageError(
+                "two sample periods in one policy",
+                source,
+                constraint.span,
+                "valid times cannot differ by exactly two times at once: keep one",
+            )
+        return SampleEvery(period)
+    if constraint.kind == "any change" and isinstance(change, AnyUpdate):
+        return AnyChange()
+    return change
+
+
+def _delay(time: ast.Time, source: str, unit: str) -> int:
+    delay = duration(time, source, unit)
+    if delay < 0:
+        raise LanguageError(
+            f"a delay is not negative, got {time.text}",
+            source,
+            time.span,
+            "a sample may be available at its valid time at the earliest: `max delay 0`",
+        )
+    return delay
+
+
+def _intersection(durations: Sequence[Duration]) -> Duration:
+    starts = [d.start for d in durations if d.start is not None]
+    ends = [d.end for d in durations if d.end is not None]
+    to_oo = not ends and any(d.to_oo for d in durations)
+    return Duration(max(starts, default=None), min(ends, default=None), to_oo)
+
+
+# -- times -------------------------------------------------------------------------------------
+
+_ABSTRACT = re.compile(r"[+-]?\d+\Z")
+_TIME_POINT = re.compile(r"\d{4}-")
+
+
+def duration(time: ast.Time, source: str, unit: str) -> int:
+    """A stretch of time in ns: an integer in ``unit``, or a number with a unit of its own."""
+    if _TIME_POINT.match(time.text):
+        raise LanguageError(
+            "a point in time stands where a stretch of time is meant",
+            source,
+            time.span,
+            "write an integer, or a number with a unit: `200`, `1.5s`",
+        )
+    return _nanoseconds(time, source, unit)
+
+
+def time_point(time: ast.Time, source: str, unit: str) -> int:
+    """A time in ns since 1970: an integer in ``unit``, a number with a unit, or ISO-8601."""
+    if not _TIME_POINT.match(time.text):
+        return _nanoseconds(time, source, unit)
+    try:
+        return parse_time(time.text)
+    except ValueError as error:
+        raise LanguageError(
+            f"`{time.text}` is no point in time",
+            source,
+            time.span,
+            "write ISO-8601: 2021-10-07T19:12:53.5Z"
+            if "outside" not in str(error)
+            else "times are 64-bit nanoseconds: years 1678 to 2262",
+        ) from None
+
+
+def _nanoseconds(time: ast.Time, source: str, unit: str) -> int:
+    def refused(message: str, hint: str) -> LanguageError:
+        return LanguageError(message, source, time.span, hint)
+
+    text = time.text
+    digits = text.lstrip("+-")
+    sign = -1 if text.startswith("-") else 1
+    too_long = refused(
+        f"`{text}` is more than 64 bits of nanoseconds hold"
+        if len(text) <= _MOST_DIGITS
+        else "this is more than 64 bits of nanoseconds hold",
+        f"integers are in {unit} here; times reach {TIME_MAX // UNITS[unit]} {unit}",
+    )
+    if len(text) > _MOST_DIGITS:
+        raise too_long
+    if _ABSTRACT.match(text):
+        total = sign * int(digits) * UNITS[unit]
+    elif digits[-1].isdigit():
+        raise refused(
+            f"`{text}` is no integer", "a fraction of a time needs a unit of its own: `1.5s`"
+        )
+    else:
+        try:
+            total = sign * parse_duration(digits)
+        except ValueError as error:
+            if "finer" in str(error):
+                raise refused(
+                    f"`{text}` is finer than a nanosecond", "times are whole nanoseconds"
+                ) from None
+            if "outside" in str(error):
+                # The least time has no positive counterpart in 64 bits.
+                if text.startswith("-") and digits == f"{-TIME_MIN}ns":
+                    return TIME_MIN
+                raise too_long from None
+            raise refused(
+                f"`{text}` is no time", "units are ns, us, ms, s, m, h and d: `200ms`, `1.5s`"
+            ) from None
+    if not TIME_MIN <= total <= TIME_MAX:
+        raise too_long
+    return total

@@ -1,0 +1,125 @@
+"""Checked KPL to text. Law: checking the parsed text of declarations gives them again."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final, assert_never
+
+from ...streams.policy import (
+    AnyChange,
+    AnyUpdate,
+    Approximation,
+    Order,
+    Policy,
+    SampleEvery,
+    SynchronizationPolicy,
+)
+from ...streams.time import format_duration
+from .constraints import UNITS
+from .signature import (
+    CheckedDeclaration,
+    CompunitDeclaration,
+    Compute,
+    FromSource,
+    GeneratorDeclaration,
+    JoinOf,
+    SortDeclaration,
+    SourceDeclaration,
+    StreamDeclaration,
+    Synchronize,
+    Term,
+    ValueSort,
+)
+
+DEFAULT_UNIT: Final = "ms"
+
+
+def format_kpl(
+    declarations: CheckedDeclaration | Sequence[CheckedDeclaration], unit: str = DEFAULT_UNIT
+) -> str:
+    """One line a declaration, integers in ``unit``; a ``unit`` line first unless it is ms."""
+    if not isinstance(declarations, Sequence):
+        declarations = (declarations,)
+    lines = [] if unit == DEFAULT_UNIT else [f"unit {unit}"]
+    return "\n".join([*lines, *(_declaration(declaration, unit) for declaration in declarations)])
+
+
+def format_policy(policy: Policy | SynchronizationPolicy, unit: str = DEFAULT_UNIT) -> str:
+    """``sample every 200, max delay 50, from 0 to oo``; constraints at their default are left
+    out, so the default policy is empty text."""
+    parts = []
+    match policy.change:
+        case AnyUpdate():
+            pass
+        case AnyChange():
+            parts.append("any change")
+        case SampleEvery(period):
+            parts.append(f"sample every {_time(period, unit)}")
+        case _:
+            assert_never(policy.change)
+    if policy.max_delay is not None:
+        parts.append(f"max delay {_time(policy.max_delay, unit)}")
+    duration = policy.duration
+    ends = [] if duration.start is None else [f"from {_time(duration.start, unit)}"]
+    if duration.end is not None:
+        ends.append(f"to {_time(duration.end, unit)}")
+    elif duration.to_oo:
+        ends.append("to oo")
+    if ends:
+        parts.append(" ".join(ends))
+    if policy.order is not Order.ANY:
+        parts.append(policy.order.value)
+    if policy.approximation is not Approximation.NONE:
+        parts.append(policy.approximation.value)
+    return ", ".join(parts)
+
+
+def format_term(term: Term, unit: str = DEFAULT_UNIT) -> str:
+    """``pos[car1] with sample every 200``."""
+    policy = format_policy(term.policy, unit)
+    return f"{term.label} with {policy}" if policy else str(term.label)
+
+
+def _declaration(declaration: CheckedDeclaration, unit: str) -> str:
+    match declaration:
+        case SourceDeclaration(name, sort):
+            return f"source {sort.name} {name}"
+        case CompunitDeclaration(name, sort, inputs):
+            return f"compunit {sort.name} {name}({', '.join(i.name for i in inputs)})"
+        case GeneratorDeclaration():
+            return f"strmgen {declaration.label} = {_process(declaration, unit)}"
+        case StreamDeclaration(name, _, term):
+            return f"stream {name} = {format_term(term, unit)}"
+        case SortDeclaration(sort):
+            return f"sort {sort.name} = {_value(sort)}"
+        case _:
+            assert_never(declaration)
+
+
+def _process(generator: GeneratorDeclaration, unit: str) -> str:
+    terms = ", ".join(format_term(term, unit) for term in generator.terms)
+    match generator.process:
+        case FromSource(name):
+            return name
+        case Compute(name):
+            return f"{name}({terms})"
+        case JoinOf():
+            return f"join({terms})"
+        case Synchronize(_, policy):
+            return f"sync({terms}; {format_policy(policy, unit)})"
+        case _:
+            assert_never(generator.process)
+
+
+def _value(sort: ValueSort) -> str:
+    if sort.simple_type is not None:
+        return sort.simple_type.value
+    return f"({', '.join(f'{field.name} {field.type.value}' for field in sort.fields or ())})"
+
+
+def _time(time: int, unit: str) -> str:
+    """An integer in ``unit`` where that is exact, else with the coarsest unit that is."""
+    whole, rest = divmod(time, UNITS[unit])
+    if not rest:
+        return str(whole)
+    return f"{'-' if time < 0 else ''}{format_duration(abs(time))}"
