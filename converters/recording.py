@@ -8,7 +8,7 @@ becomes available a nanosecond after the row before.
 from __future__ import annotations
 
 import gzip
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -55,7 +55,7 @@ class Recording:
         last = TIME_MIN
         for batch in self._read():
             if not self._has_available:
-                batch = batch.with_available(_increasing(batch.valid, last))
+                batch = batch.with_available(increasing(batch.valid, last))
             if len(batch):
                 last = int(batch.available[-1])
                 yield Incoming(batch, False)
@@ -84,7 +84,7 @@ def open_recording(
     if name.endswith(".csv"):
         return _open_csv(path, time_column, times, types or {}, pools)
     if name.endswith((".ndjson", ".jsonl")):
-        return _open_ndjson(path, time_column, times, types or {}, pools)
+        return open_rows(lambda: decode_lines(read_lines(path)), time_column, times, types, pools)
     if name.endswith((".arrow", ".arrows", ".feather")) and name == path.name.lower():
         return _open_arrow(path, time_column, times, types or {}, pools)
     raise WireError(
@@ -135,16 +135,21 @@ def _open_csv(
     return Recording(schema, count, pools, read, stamped_column)
 
 
-def _open_ndjson(
-    path: Path,
+def open_rows(
+    rows_again: Callable[[], Iterator[ValueChunk]],
     wanted: str | None,
     times: TimeReader,
-    types: Mapping[str, FieldType],
+    types: Mapping[str, FieldType] | None,
     pools: dict[str, StringPool],
 ) -> Recording:
+    """Look through rows of named values, which ``rows_again`` gives each time it is called.
+
+    ``times`` has its unit when the recording is iterated: tables of one file may share it.
+    Raises `WireError` with the line.
+    """
     seen: dict[str, set[type]] = {}
     with_available = count = 0
-    for _, rows in _read_ndjson(path):
+    for _, rows in rows_again():
         for row in rows:
             for name, value in row.items():
                 seen.setdefault(name, set()).add(type(value))
@@ -157,14 +162,14 @@ def _open_ndjson(
     if stamped_column and with_available != count:
         raise WireError(None, "'available' is in some samples and not in others")
     clocks = (valid, "available")
-    for _, rows in _read_ndjson(path):
+    for _, rows in rows_again():
         for clock in clocks:
             times.observe(row.get(clock) for row in rows)
-    schema = _schema([(n, _json_type(t)) for n, t in seen.items() if n not in clocks], types)
+    schema = _schema([(n, _json_type(t)) for n, t in seen.items() if n not in clocks], types or {})
     _make_pools(schema, pools)
 
     def read() -> Iterator[SampleBatch]:
-        for lines, rows in _read_ndjson(path):
+        for lines, rows in rows_again():
             valid_times = times.read([row.get(valid) for row in rows], lines, valid)
             available = valid_times
             if stamped_column:
@@ -214,37 +219,46 @@ def _open_arrow(
     return Recording(schema, len(whole), pools, read, stamped_column)
 
 
-def _read_ndjson(path: Path) -> Iterator[ValueChunk]:
-    """Line numbers and objects in chunks; blank lines are skipped."""
+def read_lines(path: Path) -> Iterator[tuple[int, bytes]]:
+    """The lines of a text file that are not blank, with their numbers from 1."""
     opened = gzip.open if path.suffix == ".gz" else open
-    lines: list[int] = []
-    rows: list[dict[str, Any]] = []
     with opened(path, "rb") as file:
         for number, line in enumerate(file, 1):
             if number == 1:
                 line = line.removeprefix(BOM)
-            if not line.strip():
-                continue
-            try:
-                row = msgspec.json.decode(line)
-            except RecursionError:
-                raise WireError(
-                    number, "the value is nested too deeply", "values of a sample are plain"
-                ) from None
-            except (msgspec.MsgspecError, UnicodeDecodeError) as error:
-                raise WireError(number, f"not JSON: {error}") from None
-            if not isinstance(row, dict):
-                raise WireError(number, f"a sample is a JSON object, got {type(row).__name__}")
-            for name, value in row.items():
-                if isinstance(value, list | dict):
-                    raise WireError(number, f"field {name!r} is nested: values are plain")
-            lines.append(number)
-            rows.append(row)
-            if len(rows) == CHUNK:
-                yield lines, rows
-                lines, rows = [], []
+            if line.strip():
+                yield number, line
+
+
+def decode_lines(numbered: Iterable[tuple[int, bytes]]) -> Iterator[ValueChunk]:
+    """Line numbers and objects in chunks; raises `WireError` with the line."""
+    lines: list[int] = []
+    rows: list[dict[str, Any]] = []
+    for number, line in numbered:
+        lines.append(number)
+        rows.append(_decode_line(number, line))
+        if len(rows) == CHUNK:
+            yield lines, rows
+            lines, rows = [], []
     if rows:
         yield lines, rows
+
+
+def _decode_line(number: int, line: bytes) -> dict[str, Any]:
+    try:
+        row = msgspec.json.decode(line)
+    except RecursionError:
+        raise WireError(
+            number, "the value is nested too deeply", "values of a sample are plain"
+        ) from None
+    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
+        raise WireError(number, f"not JSON: {error}") from None
+    if not isinstance(row, dict):
+        raise WireError(number, f"a sample is a JSON object, got {type(row).__name__}")
+    for name, value in row.items():
+        if isinstance(value, list | dict):
+            raise WireError(number, f"field {name!r} is nested: values are plain")
+    return row
 
 
 def _json_type(types: set[type]) -> FieldType:
@@ -289,8 +303,11 @@ def _make_pools(schema: Schema, pools: dict[str, StringPool]) -> None:
             pools.setdefault(f.name, StringPool())
 
 
-def _increasing(times: Times, last: int) -> Times:
-    """``max(time, one before + 1)`` for each: the least strictly increasing times above."""
+def increasing(times: Times, last: int) -> Times:
+    """``max(time, one before + 1)`` for each: the least strictly increasing times above ``last``.
+
+    ``last`` `TIME_MIN` is none before. Raises `WireError` at the end of 64-bit time.
+    """
     if not len(times):
         return times
     if int(times.max()) > TIME_MAX - len(times) or last > TIME_MAX - len(times):

@@ -7,11 +7,13 @@ line and the demonstration.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
+from ..converters.recording import Recording
+from ..converters.recordings import in_order
 from ..converters.wire import Incoming
 from ..streams.sample import SampleBatch
 from ..streams.time import MILLISECOND, SECOND
@@ -70,6 +72,27 @@ def play(
             part = batch.take(slice(start, end))
             due = 0 if speed is None else int(since[start:end].max() / speed)
             yield Part(max(0, due), part)
+
+
+def play_all(
+    recordings: Mapping[str, Recording],
+    begin: int,
+    *,
+    speed: float | None = None,
+    shift: int = 0,
+) -> Iterator[tuple[str, Part]]:
+    """Recordings of several streams in parts, in order of time; one as `play` gives it.
+
+    Arguments as for `play`; ``begin`` is the first available time of them all.
+    """
+    if len(recordings) == 1:
+        name, recording = next(iter(recordings.items()))
+        yield from ((name, part) for part in play(recording, begin, speed=speed, shift=shift))
+        return
+    step = 10 * SECOND if speed is None else max(1, int(FLUSH * min(speed, 100.0)))
+    for name, incoming in in_order(recordings, step):
+        for part in play([incoming], begin, speed=speed, shift=shift):
+            yield name, part
 
 
 def moved(batch: SampleBatch, shift: int) -> SampleBatch:

@@ -6,8 +6,10 @@ tests/laws is its slow twin, straight from the paper's set notation.
 
 from __future__ import annotations
 
-from collections import deque
+from bisect import bisect_left, bisect_right
 from dataclasses import dataclass
+from operator import attrgetter
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
 
@@ -15,13 +17,17 @@ from .sample import SampleBatch, Times, concatenate, empty_batch
 from .sample import Schema as Schema
 from .strings import StringPool
 
+_FAN: Final = 32
+"""So many neighbouring runs of one size class are put together to one of the next."""
+
 
 @dataclass(frozen=True, slots=True)
 class Retention:
     """How much history a stream keeps: at most ``samples``, at most ``age`` ns of available time.
 
-    ``age`` None keeps any age. History is dropped in whole batches: never less is kept than asked
-    for, at most one batch more.
+    ``age`` None keeps any age. Law: with *asked* the number of newest samples that neither limit
+    forbids, ``max(asked, rows of the newest batch)`` samples are kept: never less than asked for,
+    and the newest batch is always there as a whole.
     """
 
     samples: int = 100_000
@@ -30,7 +36,7 @@ class Retention:
 
 @dataclass(frozen=True, slots=True)
 class Segment:
-    """A batch in a stream's history; ``first`` is its first sample's number (from 1)."""
+    """Consecutive samples of a stream; ``first`` is the first one's number (from 1)."""
 
     first: int
     batch: SampleBatch
@@ -40,14 +46,43 @@ class Segment:
         return self.first + len(self.batch) - 1
 
 
+class _Run(NamedTuple):
+    """Batches that were put together, with the bounds by which a search passes them over."""
+
+    first: int
+    """The number of the first sample."""
+    batch: SampleBatch
+    begin: int
+    """The first available time, and the last."""
+    end: int
+    low: int
+    """The least valid time, and the greatest."""
+    high: int
+    size: int
+    """The size class: ``_FAN ** size`` to ``_FAN ** (size + 1) - 1`` samples."""
+    place: int = 1
+    """How many runs of this class stand here in a row, up to this one."""
+
+
+_FIRST = attrgetter("first")
+_BEGIN = attrgetter("begin")
+_END = attrgetter("end")
+
+
 class FluentStream:
     """Samples ordered by available time, unique and strictly increasing, the last ones kept.
 
     Contract: `append` takes only what continues the order (`StreamGenerator` sees to that).
-    Numbers of samples are 1, 2, 3 … over the life of the stream, gap-free.
+    Numbers of samples are 1, 2, 3 … over the life of the stream, gap-free. Batches that were
+    appended or handed out never change.
 
-    Cost: append O(1) a batch; `since` and `newest` O(answer); `between` O(batches kept + answer);
-    the others put the whole history together, O(batches kept + samples kept). Memory: `Retention`.
+    History is a list of runs. Neighbouring runs of like size are put together as the stream grows,
+    so a history of n samples is O(log n) runs however it was cut, some hundreds at most, and a
+    sample is copied O(log n) times. A run of more than an eighth of the retention is never made.
+
+    Cost: `append` O(columns) amortized a batch; `last_avail`, `prev` and `since` O(log n + answer);
+    `most_recent_at` O(runs + rows of the runs whose valid times straddle the one asked for);
+    the others O(runs + answer). Memory: `Retention`, and at most one run more.
     """
 
     def __init__(
@@ -59,14 +94,15 @@ class FluentStream:
         self.schema = schema
         self.retention = retention or Retention()
         self.pools = pools if pools is not None else {}
-        self._segments: deque[Segment] = deque()
-        self._kept = 0
+        self._runs: list[_Run] = []
+        self._longest = max(_FAN, self.retention.samples // 8)
+        self._first = 1
         self._next = 1
         self._last_available: int | None = None
 
     def __len__(self) -> int:
         """How many samples are kept."""
-        return self._kept
+        return self._next - self._first
 
     @property
     def last_number(self) -> int:
@@ -76,7 +112,18 @@ class FluentStream:
     @property
     def first_number(self) -> int:
         """The number of the oldest sample kept; one past the newest when none is."""
-        return self._segments[0].first if self._segments else self._next
+        return self._first
+
+    @property
+    def first_available(self) -> int | None:
+        """The available time of the oldest sample kept, None when none is.
+
+        Answers about earlier times may lack what was known then: history reaches back to here.
+        """
+        if not self._runs:
+            return None
+        oldest = self._runs[0]
+        return int(oldest.batch.available[self._first - oldest.first])
 
     @property
     def last_available(self) -> int | None:
@@ -92,42 +139,45 @@ class FluentStream:
             len(available) > 1 and not bool(np.all(available[1:] > available[:-1]))
         ):
             raise ValueError("available times of a stream are unique and increasing (Def. 4.1)")
-        segment = Segment(self._next, batch)
-        self._segments.append(segment)
+        number = self._next
+        run = _run(number, batch)
+        self._gather(run)
         self._next += len(batch)
-        self._kept += len(batch)
-        self._last_available = int(available[-1])
-        self._drop()
-        return segment
+        self._last_available = run.end
+        self._drop(number)
+        return Segment(number, batch)
 
     def since(self, number: int, limit: int | None = None) -> list[Segment]:
-        """The kept segments from sample ``number`` on, the first one cut to begin there."""
+        """The kept samples from ``number`` on, in order, as segments.
+
+        With ``limit`` the segments end with the one that brings it: at least so many samples, if
+        there are.
+        """
         found: list[Segment] = []
-        count = 0
-        for segment in self._from(number):
-            cut = max(0, number - segment.first)
-            part = segment if cut == 0 else Segment(number, segment.batch.take(slice(cut, None)))
-            found.append(part)
-            count += len(part.batch)
-            if limit is not None and count >= limit:
+        number = max(number, self._first)
+        end = self._next if limit is None else number + max(1, limit)
+        for i in range(max(0, bisect_right(self._runs, number, key=_FIRST) - 1), len(self._runs)):
+            run = self._runs[i]
+            if run.first >= end:
                 break
+            cut = max(0, number - run.first)
+            if cut < len(run.batch):
+                part = run.batch if cut == 0 else run.batch.take(slice(cut, None))
+                found.append(Segment(run.first + cut, part))
         return found
 
     def all(self) -> SampleBatch:
         """The whole kept history as one batch."""
-        if not self._segments:
-            return empty_batch(self.schema, self.pools)
-        return concatenate([segment.batch for segment in self._segments])
+        return self._part(self._first, self._next)
 
     def avail(self, time: int) -> SampleBatch:
         """Def. 5.5 avail(f, t): the kept samples with available time ≤ ``time``."""
-        history = self.all()
-        return history.take(slice(0, int(np.searchsorted(history.available, time, "right"))))
+        return self._part(self._first, self._number(time, "right"))
 
     def last_avail(self, time: int) -> SampleBatch:
         """Def. 5.5 last_avail(f, t): a batch of one, or empty for no_sample."""
-        known = self.avail(time)
-        return known.take(slice(max(0, len(known) - 1), None))
+        end = self._number(time, "right")
+        return self._part(end - 1, end)
 
     def before(self, time: int, query_time: int) -> SampleBatch:
         """Def. 5.6 before(f, t, t_q): available by ``query_time``, valid at or before ``time``."""
@@ -140,74 +190,141 @@ class FluentStream:
         Of the samples known at ``query_time`` with the greatest valid time ≤ ``time``, the one
         that became available last.
         """
-        candidates = self.before(time, query_time)
-        if not len(candidates):
-            return candidates
-        newest = np.flatnonzero(candidates.valid == candidates.valid.max())[-1]
-        return candidates.take(slice(int(newest), int(newest) + 1))
+        found: int | None = None
+        best = 0
+        end = self._number(query_time, "right")
+        if end == self._first:
+            return self._part(0, 0)
+        # From the newest to the oldest: of equal valid times the first one met is the answer.
+        for run in reversed(self._runs[: bisect_left(self._runs, end, key=_FIRST)]):
+            if run.low > time or (found is not None and run.high <= best):
+                continue
+            start = max(0, self._first - run.first)
+            valid = run.batch.valid[start : end - run.first]
+            if run.high > time:
+                rows = np.flatnonzero(valid <= time)
+                if not len(rows):
+                    continue
+                valid = valid[rows]
+            else:
+                rows = None
+            greatest = int(valid.max())
+            if found is None or greatest > best:
+                row = int(np.flatnonzero(valid == greatest)[-1])
+                found = run.first + start + (row if rows is None else int(rows[row]))
+                best = greatest
+                if best == time:
+                    break
+        return self._part(0, 0) if found is None else self._part(found, found + 1)
 
     def prev(self, available: int) -> SampleBatch:
         """Def. 5.7 prev(f, s): the sample before the one available at ``available``.
 
         A batch of one, or empty for no_sample.
         """
-        history = self.all()
-        index = int(np.searchsorted(history.available, available, "left"))
-        return history.take(slice(max(0, index - 1), index))
+        end = self._number(available, "left")
+        return self._part(end - 1, end)
 
     def availtimes(self) -> Times:
         """Def. 5.8 availtimes(f): the available times of the kept samples, increasing."""
-        return self.all().available
+        times = [run.batch.available for run in self._runs]
+        if not times:
+            return np.empty(0, np.int64)
+        times[0] = times[0][self._first - self._runs[0].first :]
+        return np.concatenate(times)
 
     def newest(self, count: int) -> SampleBatch:
         """The last ``count`` kept samples (all, if fewer are kept)."""
-        segments = self.since(self.last_number - count + 1)
-        if not segments:
-            return empty_batch(self.schema, self.pools)
-        return concatenate([segment.batch for segment in segments])
+        return self._part(self._next - count, self._next)
 
     def between(self, start: int | None, end: int | None) -> SampleBatch:
         """The kept samples with available time in the closed interval; None is unbounded."""
-        # Only what overlaps is put together: a history of single samples is many segments.
-        held = [
-            segment.batch
-            for segment in self._segments
-            if (start is None or segment.batch.available[-1] >= start)
-            and (end is None or segment.batch.available[0] <= end)
-        ]
-        if not held:
-            return empty_batch(self.schema, self.pools)
-        history = concatenate(held)
-        low = 0 if start is None else int(np.searchsorted(history.available, start, "left"))
-        high = len(history)
-        if end is not None:
-            high = int(np.searchsorted(history.available, end, "right"))
-        return history.take(slice(low, high))
+        return self._part(
+            self._first if start is None else self._number(start, "left"),
+            self._next if end is None else self._number(end, "right"),
+        )
 
-    def _from(self, number: int) -> list[Segment]:
-        """The segments that hold sample ``number`` and later ones, found from the newest end."""
-        found: list[Segment] = []
-        for segment in reversed(self._segments):
-            if segment.last < number:
+    def _number(self, time: int, side: Literal["left", "right"]) -> int:
+        """The number of the first sample available after ``time`` (``left``: at it or after)."""
+        i = (bisect_left if side == "left" else bisect_right)(self._runs, time, key=_END)
+        if i == len(self._runs):
+            return self._next
+        run = self._runs[i]
+        # Within a run the time is one of 64 bits, which is all that numpy can search for.
+        row = 0 if time < run.begin else int(run.batch.available.searchsorted(time, side))
+        return max(self._first, run.first + row)
+
+    def _part(self, start: int, end: int) -> SampleBatch:
+        """The kept samples with ``start`` ≤ number < ``end``."""
+        start = max(start, self._first)
+        parts: list[SampleBatch] = []
+        i = max(0, bisect_right(self._runs, start, key=_FIRST) - 1)
+        while start < end and i < len(self._runs):
+            run = self._runs[i]
+            rows = slice(start - run.first, end - run.first)
+            whole = rows.start == 0 and rows.stop >= len(run.batch)
+            parts.append(run.batch if whole else run.batch.take(rows))
+            start = run.first + len(run.batch)
+            i += 1
+        return concatenate(parts) if parts else empty_batch(self.schema, self.pools)
+
+    def _gather(self, run: _Run) -> None:
+        """Add a run, put together with neighbours so that the runs stay few.
+
+        Sizes fall from the oldest run to the newest, and fewer than ``_FAN`` runs in a row are of
+        one class: what is smaller than what follows goes into it, and a full row becomes one run
+        of the next class. Nothing that `_longest` forbids is put together; then the neighbours
+        hold so much that they are few, too.
+        """
+        runs = self._runs
+        while runs:
+            last = runs[-1]
+            if last.size > run.size or (last.size == run.size and last.place + 1 < _FAN):
                 break
-            found.append(segment)
-        found.reverse()
-        return found
+            most = run.size if last.size == run.size else run.size - 1
+            start, rows = len(runs), len(run.batch)
+            while start and runs[start - 1].size <= most and rows <= self._longest:
+                start -= 1
+                rows += len(runs[start].batch)
+            if rows > self._longest:
+                break
+            parts = [old.batch for old in runs[start:]]
+            run = _run(runs[start].first, concatenate([*parts, run.batch]))
+            del runs[start:]
+        if runs and runs[-1].size == run.size:
+            run = _Run(*run[:-1], runs[-1].place + 1)
+        runs.append(run)
 
-    def _drop(self) -> None:
-        kept = self.retention
-        while len(self._segments) > 1:
-            oldest = self._segments[0]
-            too_many = self._kept - len(oldest.batch) >= kept.samples
-            too_old = (
-                kept.age is not None
-                and self._last_available is not None
-                and int(oldest.batch.available[-1]) < self._last_available - kept.age
-            )
-            if not (too_many or too_old):
-                return
-            self._segments.popleft()
-            self._kept -= len(oldest.batch)
+    def _drop(self, newest: int) -> None:
+        """Forget what the retention does not ask for, up to the batch that begins at ``newest``."""
+        kept, last = self.retention, self._last_available
+        first = max(self._first, self._next - kept.samples)
+        if kept.age is not None and last is not None:
+            first = max(first, self._number(last - kept.age, "left"))
+        self._first = first = min(first, newest)
+        gone = 0
+        while gone + 1 < len(self._runs) and self._runs[gone + 1].first <= first:
+            gone += 1
+        if gone:
+            del self._runs[:gone]
+
+
+def _run(first: int, batch: SampleBatch) -> _Run:
+    """A run of one batch; for a single sample, much cheaper than reductions over columns."""
+    count = len(batch)
+    begin = int(batch.available[0])
+    if count == 1:
+        valid = int(batch.valid[0])
+        return _Run(first, batch, begin, begin, valid, valid, 0)
+    return _Run(
+        first,
+        batch,
+        begin,
+        int(batch.available[-1]),
+        int(batch.valid.min()),
+        int(batch.valid.max()),
+        (count.bit_length() - 1) // (_FAN.bit_length() - 1),
+    )
 
 
 def join_availtimes(*streams: FluentStream) -> Times:

@@ -223,7 +223,7 @@ def column_from_values(
     missing = [value is None for value in values]
     null = np.array(missing, np.bool_) if any(missing) else None
     for i, value in enumerate(values):
-        problem = None if value is None else _problem(field.type, value)
+        problem = None if value is None else problem_of(field.type, value)
         if problem:
             raise SampleError(f"field {field.name!r} {problem}", i, field.name)
     match field.type:
@@ -260,7 +260,7 @@ def concatenate(batches: Sequence[SampleBatch]) -> SampleBatch:
     )
 
 
-def _problem(kind: FieldType, value: Value) -> str | None:
+def problem_of(kind: FieldType, value: Value) -> str | None:
     """What is wrong with a present ``value`` for a field of type ``kind``; None if nothing."""
     match kind:
         case FieldType.FLOAT:

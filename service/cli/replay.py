@@ -1,4 +1,4 @@
-"""``dyknow replay``: a recorded table comes again as a stream."""
+"""``dyknow replay``: a recorded table comes again as a stream, a recording of many as many."""
 
 from __future__ import annotations
 
@@ -6,20 +6,28 @@ import itertools
 import time
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import httpx
 import typer
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TaskID,
+    TextColumn,
+    TimeElapsedColumn,
+)
 
 from ...converters.recording import Recording, open_recording
+from ...converters.recordings import Recordings, has_many_streams, open_recordings
 from ...languages.ssl import parse_ssl
 from ...streams.sample import FieldType
 from ...streams.time import SECOND, format_time, parse_time
 from ..client import Client, ServiceError
-from ..replay import Span, play, span
+from ..replay import Span, play_all, span
 from .output import DEFAULT_URL, Json, Url, connect, err, show_json, show_text
 from .streams import text_or_file
 
@@ -50,9 +58,20 @@ def _begin(text: str | None) -> int | None:
 def replay(
     file: Annotated[
         Path,
-        typer.Argument(help="CSV, CSV.gz, NDJSON or Arrow.", exists=True, dir_okay=False),
+        typer.Argument(
+            help="CSV, CSV.gz, NDJSON or Arrow; a PX4 log (.ulg); NDJSON of many streams.",
+            exists=True,
+            dir_okay=False,
+        ),
     ],
-    stream: Annotated[str, typer.Option(help="The stream to publish to.", metavar="NAME")],
+    stream: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="The stream to publish to. Of a file of many streams: which ones, and as what; "
+            "without it all. Repeatable.",
+            metavar="NAME|TOPIC[=NAME]",
+        ),
+    ] = None,
     speed: Annotated[
         str, typer.Option(help="1 is as recorded, 10 ten times faster, max as fast as it goes.")
     ] = "1",
@@ -61,7 +80,7 @@ def replay(
     ] = None,
     loop: Annotated[bool, typer.Option(help="Begin again at the end, until stopped.")] = False,
     ssl: Annotated[
-        str | None, typer.Option(help="What the stream is about: SSL text or its file.")
+        str | None, typer.Option(help="What the streams are about: SSL text or its file.")
     ] = None,
     lateness: Annotated[
         str, typer.Option(help="How far behind the newest a sample may be, such as 5s.")
@@ -72,45 +91,77 @@ def replay(
     time_unit: Annotated[
         str | None, typer.Option(help="s, ms, us or ns; else by the size of the numbers.")
     ] = None,
+    utc: Annotated[
+        bool, typer.Option("--utc", help="Move a PX4 log from time since boot to UTC by its GPS.")
+    ] = False,
     url: Url = DEFAULT_URL,
     as_json: Json = False,
 ) -> None:
-    """Play a recorded table into a stream: declares it, publishes, says when it has ended."""
+    """Play a recording into its streams: declares them, publishes, says when it has ended."""
     factor, begin = _speed(speed), _begin(rebase)
     with connect(url) as client:
-        # All that can be wrong with table and text is found before anything is made.
+        # All that can be wrong with tables and text is found before anything is made.
         meaning = None if ssl is None else text_or_file(ssl)
         if meaning is not None:
             parse_ssl(meaning)
-        there = _fields(client, stream)
-        recording = _open(file, time_column, time_unit, there or {})
-        extent = span(recording)
-        if extent is None:
+        opened = _open(client, file, stream or [], time_column, time_unit, utc)
+        tracks = opened.tracks
+        extents = {name: span(track.recording) for name, track in tracks.items()}
+        known = [extent for extent in extents.values() if extent is not None]
+        if not known:
             show_text("the recording is empty")
             return
+        extent = Span(min(e.first for e in known), max(e.last for e in known))
         shift = 0 if begin is None else begin - extent.first
-        player = _Player(client, stream, recording, extent, factor, shift)
+        recordings = {name: track.recording for name, track in tracks.items()}
+        player = _Player(client, recordings, extent, factor, shift)
         begun = time.monotonic()
-        before = dict.fromkeys(_FATES, 0)
+        before = {name: dict.fromkeys(_FATES, 0) for name in tracks}
         try:
-            _declare(client, stream, recording, there, lateness)
+            for name, track in tracks.items():
+                _declare(client, name, track, lateness)
             if meaning is not None:
                 client.annotate(meaning)
-            before = client.stream(stream)["counters"]
+            before = {name: client.stream(name)["counters"] for name in tracks}
             player.run(loop=loop, quiet=as_json)
         except KeyboardInterrupt:
             err().print("stopped", markup=False)
         except Exception:
-            if there is None and not player.sent:
-                # The service says why it failed; that it cannot be undone would hide it.
-                with suppress(ServiceError, httpx.TransportError):
-                    client.remove_stream(stream)
+            for name, track in tracks.items():
+                if track.there is None and not player.sent.get(name):
+                    # The service says why it failed; that it cannot be undone would hide it.
+                    with suppress(ServiceError, httpx.TransportError):
+                        client.remove_stream(name)
             raise
         else:
-            client.end(stream)
-        after = client.stream(stream)["counters"]
-    counts = {fate: after[fate] - before[fate] for fate in _FATES}
-    _summary(stream, counts, extent, time.monotonic() - begun, rebase is not None, as_json)
+            for name in tracks:
+                client.end(name)
+        seconds = time.monotonic() - begun
+        for name in tracks:
+            after = client.stream(name)["counters"]
+            counts = {fate: after[fate] - before[name][fate] for fate in _FATES}
+            its = extents[name] or extent
+            _summary(name, counts, its, seconds, rebase is not None, as_json, opened.dropouts)
+    if not as_json:
+        _tell(opened)
+
+
+@dataclass(frozen=True, slots=True)
+class _Track:
+    """A recording that is published to a stream; ``there``: the fields that it has already."""
+
+    recording: Recording
+    there: Mapping[str, FieldType] | None
+
+
+@dataclass(frozen=True, slots=True)
+class _Opened:
+    """The tracks by stream, and what the recorder lost (None: it does not tell)."""
+
+    tracks: Mapping[str, _Track]
+    dropouts: int | None = None
+    lost: int = 0
+    notes: tuple[str, ...] = ()
 
 
 def _fields(client: Client, stream: str) -> dict[str, FieldType] | None:
@@ -124,39 +175,71 @@ def _fields(client: Client, stream: str) -> dict[str, FieldType] | None:
 
 
 def _open(
-    file: Path, time_column: str | None, time_unit: str | None, there: Mapping[str, FieldType]
-) -> Recording:
-    """The table; fields that the stream has already keep their types: it is read by them."""
-    recording = open_recording(file, time_column, time_unit)
-    types = {name: kind for name, kind in there.items() if name in recording.schema.names}
-    return open_recording(file, time_column, time_unit, types) if types else recording
-
-
-def _declare(
     client: Client,
-    stream: str,
-    recording: Recording,
-    there: Mapping[str, FieldType] | None,
-    lateness: str,
-) -> None:
-    """Make the stream's fields the table's columns, unless they are."""
-    if there is None or set(there) != set(recording.schema.names):
-        fields = [{"name": f.name, "type": f.type.value} for f in recording.schema.fields]
-        client.put_stream(stream, fields, lateness=lateness)
+    file: Path,
+    wanted: list[str],
+    time_column: str | None,
+    time_unit: str | None,
+    utc: bool,
+) -> _Opened:
+    """The streams of the file; fields that a stream has already keep their types."""
+    is_log = file.name.lower().endswith(".ulg")
+    if not is_log and not has_many_streams(file):
+        if len(wanted) != 1:
+            raise typer.BadParameter("a table is played into one stream: --stream NAME")
+        there = _fields(client, wanted[0])
+        recording = open_recording(file, time_column, time_unit)
+        types = {n: kind for n, kind in (there or {}).items() if n in recording.schema.names}
+        if types:
+            recording = open_recording(file, time_column, time_unit, types)
+        return _Opened({wanted[0]: _Track(recording, there)})
+    found = open_recordings([file], time_column, time_unit, utc=utc)
+    names = _chosen(wanted, found)
+    fields = {name: _fields(client, name) for name in names.values()}
+    if not is_log:
+        kinds = {
+            topic: {n: k for n, k in (fields[name] or {}).items() if n in found[topic].schema.names}
+            for topic, name in names.items()
+        }
+        if any(kinds.values()):
+            found = open_recordings([file], time_column, time_unit, kinds)
+    tracks = {name: _Track(found[topic], fields[name]) for topic, name in names.items()}
+    return _Opened(tracks, found.dropouts if is_log else None, found.lost, found.notes)
+
+
+def _chosen(wanted: list[str], found: Recordings) -> dict[str, str]:
+    """The stream to publish to, by the name in the recording."""
+    names: dict[str, str] = {}
+    for text in wanted:
+        topic, _, name = text.partition("=")
+        if topic not in found:
+            raise typer.BadParameter(f"no stream {topic!r} in the recording: {', '.join(found)}")
+        names[topic] = name or topic
+    names = names or {topic: topic for topic in found}
+    if len(set(names.values())) < len(names):
+        raise typer.BadParameter("each stream of the recording needs a name of its own")
+    return names
+
+
+def _declare(client: Client, name: str, track: _Track, lateness: str) -> None:
+    """Make the stream's fields the recording's, unless they are."""
+    schema = track.recording.schema
+    if track.there is None or set(track.there) != set(schema.names):
+        fields = [{"name": f.name, "type": f.type.value} for f in schema.fields]
+        client.put_stream(name, fields, lateness=lateness)
 
 
 @dataclass(slots=True)
 class _Player:
-    """Publishes the parts of a recording when they are due."""
+    """Publishes the parts of recordings when they are due."""
 
     client: Client
-    stream: str
-    recording: Recording
+    recordings: Mapping[str, Recording]
     extent: Span
     speed: float | None
     shift: int
-    sent: int = 0
-    """Samples that were accepted so far."""
+    sent: dict[str, int] = field(default_factory=dict)
+    """Samples of each stream that were accepted so far."""
 
     def run(self, *, loop: bool, quiet: bool) -> None:
         """Once, or again and again: then each round continues where the one before ended."""
@@ -170,28 +253,43 @@ class _Player:
             disable=quiet,
         )
         with progress:
-            task = progress.add_task(self.stream, total=self.recording.rows, rate=0.0)
+            tasks = {
+                name: progress.add_task(name, total=recording.rows, rate=0.0)
+                for name, recording in self.recordings.items()
+            }
             for turn in itertools.count():
                 shift = self.shift + turn * self.extent.period
-                progress.reset(task, total=self.recording.rows)
-                self._once(shift, progress, task)
+                for name, task in tasks.items():
+                    progress.reset(task, total=self.recordings[name].rows)
+                self._once(shift, progress, tasks)
                 if not loop:
                     return
                 if self.speed is not None:
                     time.sleep(1 / self.speed)
 
-    def _once(self, shift: int, progress: Progress, task: Any) -> None:
+    def _once(self, shift: int, progress: Progress, tasks: Mapping[str, TaskID]) -> None:
         begun = time.monotonic()
-        sent = 0
-        for part in play(self.recording, self.extent.first, speed=self.speed, shift=shift):
+        sent = dict.fromkeys(tasks, 0)
+        parts = play_all(self.recordings, self.extent.first, speed=self.speed, shift=shift)
+        for name, part in parts:
             wait = part.due / SECOND - (time.monotonic() - begun)
             if wait > 0:
                 time.sleep(wait)
-            accepted = self.client.publish(self.stream, part.batch)
-            self.sent += accepted
-            sent += accepted
+            accepted = self.client.publish(name, part.batch)
+            self.sent[name] = self.sent.get(name, 0) + accepted
+            sent[name] += accepted
             elapsed = max(1e-9, time.monotonic() - begun)
-            progress.update(task, advance=len(part.batch), rate=sent / elapsed)
+            progress.update(tasks[name], advance=len(part.batch), rate=sent[name] / elapsed)
+
+
+def _tell(opened: _Opened) -> None:
+    """What the recorder lost, for people."""
+    if opened.dropouts:
+        show_text(f"dropouts: {opened.dropouts:,}, {opened.lost / SECOND:.3f} s were not logged")
+    elif opened.dropouts == 0:
+        show_text("dropouts: none")
+    for note in opened.notes:
+        show_text(f"note: {note}")
 
 
 def _summary(
@@ -201,9 +299,11 @@ def _summary(
     seconds: float,
     rebased: bool,
     as_json: bool,
+    dropouts: int | None,
 ) -> None:
     if as_json:
-        show_json({"stream": stream, **counts, "seconds": round(seconds, 3)})
+        told = {"stream": stream, **counts, "seconds": round(seconds, 3)}
+        show_json(told if dropouts is None else {**told, "dropouts": dropouts})
         return
     rate = counts["accepted"] / max(seconds, 1e-9)
     show_text(

@@ -107,13 +107,13 @@ def test_since_gives_every_kept_sample_from_its_number_on(drawn, number, limit):
 
 
 @given(
-    st.lists(st.integers(1, 4), max_size=10),
-    st.integers(1, 12),
-    st.none() | st.integers(0, 40),
+    st.lists(st.integers(1, 4) | st.integers(30, 70), max_size=12),
+    st.integers(1, 12) | st.integers(60, 200),
+    st.none() | st.integers(0, 40) | st.integers(100, 400),
     st.integers(1, 9),
 )
 @LIMITS
-def test_retention_keeps_enough_and_at_most_a_batch_more(sizes, most, age, step):
+def test_retention_keeps_what_is_asked_for_and_the_newest_batch(sizes, most, age, step):
     stream = FluentStream(SCHEMA, Retention(most, age))
     every, time = [], 0
     for size in sizes:
@@ -121,13 +121,64 @@ def test_retention_keeps_enough_and_at_most_a_batch_more(sizes, most, age, step)
         time += size * step
         stream.append(make(batch))
         every.extend(batch)
-    kept = samples_of(stream.all())
-    assert kept == every[len(every) - len(kept) :]
-    assert stream.last_number == len(every)
-    assert stream.first_number == len(every) - len(kept) + 1
-    young = [s for s in every if age is None or s[0] >= every[-1][0] - age]
-    asked = min(len(young), most)
-    assert asked <= len(kept) <= asked + max(sizes, default=0)
+        young = [s for s in every if age is None or s[0] >= every[-1][0] - age]
+        wanted = max(min(len(young), most), size)
+        assert samples_of(stream.all()) == every[len(every) - wanted :]
+        assert len(stream) == wanted
+        assert stream.last_number == len(every)
+        assert stream.first_number == len(every) - wanted + 1
+        assert stream.first_available == every[-wanted][0]
+
+
+@st.composite
+def long_streams(draw):
+    """Histories of many batches, mostly of single samples, with the valid times of all sorts."""
+    sizes = draw(st.lists(st.sampled_from([1] * 6 + [2, 31, 33, 150]), max_size=120))
+    count = sum(sizes)
+    random = np.random.default_rng(draw(st.integers(0, 2**32)))
+    noise = draw(st.sampled_from([0, 3, 500]))
+    available = np.cumsum(random.integers(1, 4, count))
+    valid = available - random.integers(0, noise + 1, count)
+    samples = [(int(a), int(v), i) for i, (a, v) in enumerate(zip(available, valid, strict=True))]
+    kept = Retention(draw(st.sampled_from([40, 300, 100_000])), draw(st.sampled_from([None, 200])))
+    stream, at, handed = FluentStream(SCHEMA, kept), 0, []
+    for size in sizes:
+        stream.append(make(samples[at : at + size]))
+        at += size
+        if size == 33:
+            handed.append((stream.all(), samples[stream.first_number - 1 : at]))
+    return samples[stream.first_number - 1 :], stream, handed
+
+
+@given(
+    long_streams(), st.lists(st.tuples(st.integers(-3, 1500), st.integers(-3, 1500)), max_size=9)
+)
+@settings(deadline=None, max_examples=40)
+def test_long_histories_answer_as_defined_however_they_were_put_together(drawn, times):
+    samples, stream, handed = drawn
+    defined = Definition(samples)
+    assert samples_of(stream.all()) == samples
+    assert stream.availtimes().tolist() == [s[0] for s in samples]
+    for batch, then in handed:  # what was handed out never changes
+        assert samples_of(batch) == then
+    for t, tq in times:
+        assert one(stream.last_avail(t)) == defined.last_avail(t)
+        assert samples_of(stream.avail(t)) == sorted(defined.avail(t))
+        assert set(samples_of(stream.before(t, tq))) == defined.before(t, tq)
+        assert one(stream.most_recent_at(t, tq)) == defined.most_recent_at(t, tq)
+        assert one(stream.prev(t)) == defined.prev((t,))
+        assert samples_of(stream.between(t, tq)) == [s for s in samples if t <= s[0] <= tq]
+        found = stream.since(t, max(1, tq))
+        first = max(t, stream.first_number)
+        got = [s for part in found for s in samples_of(part.batch)]
+        wanted = samples[first - stream.first_number :]
+        assert got == wanted[: len(got)]
+        assert len(got) >= min(len(wanted), max(1, tq))
+        assert [n for p in found for n in range(p.first, p.last + 1)] == list(
+            range(first, first + len(got))
+        )
+        newest = samples_of(stream.newest(max(0, tq)))
+        assert newest == samples[max(0, len(samples) - max(0, tq)) :]
 
 
 class Recorder:

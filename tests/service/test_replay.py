@@ -1,15 +1,23 @@
-"""A recording in parts: cut by time, moved in time, due at its pace."""
+"""A recording in parts: cut by time, moved in time, due at its pace; recordings of many streams."""
 
 from __future__ import annotations
 
+import json
 from itertools import pairwise
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from typer.testing import CliRunner
+from ulog_bytes import TWO_TOPICS
 
 from dyknow.converters.wire import Incoming
-from dyknow.service.replay import ROWS, Part, Span, play, span
+from dyknow.service.cli import app
+from dyknow.service.client import Client
+from dyknow.service.replay import ROWS, Part, Span, play, play_all, span
 from dyknow.streams.sample import Field, FieldType, SampleBatch, Schema, batch_from_rows
 from dyknow.streams.time import MILLISECOND, SECOND
 
@@ -73,3 +81,99 @@ def test_batches_are_views_not_copies() -> None:
     batch: SampleBatch = recording([1, 2, 3])[0].batch
     part = next(play([Incoming(batch, False)], 1))
     assert np.shares_memory(part.batch.columns["n"].values, batch.columns["n"].values)
+
+
+def test_several_recordings_come_in_order_of_time() -> None:
+    both = {
+        "a": recording([i * SECOND for i in range(5)]),
+        "b": recording([i * SECOND + SECOND // 2 for i in range(5)]),
+    }
+    for speed in (1.0, 1e9):
+        parts = list(play_all(both, 0, speed=speed, shift=7))  # type: ignore[arg-type]
+        for name in both:
+            mine = [part for stream, part in parts if stream == name]
+            assert numbers(mine) == list(range(5))
+            assert mine[0].batch.available[0] == both[name][0].batch.available[0] + 7
+    paced = list(play_all(both, 0, speed=2.0))  # type: ignore[arg-type]
+    assert [name for name, _ in paced] == ["a", "b"] * 5
+    assert [part.due for _, part in paced] == [i * SECOND // 4 for i in range(10)]
+    at_once = list(play_all(both, 0))  # type: ignore[arg-type]
+    assert [(name, part.due) for name, part in at_once] == [("a", 0), ("b", 0)]
+
+
+LINES = "\n".join(
+    f'{{"stream": "{name}", "t": {1_633_608_000 + i}, "{name}": {i}}}'
+    for i in range(4)
+    for name in ("speed", "height")
+)
+
+
+@pytest.fixture
+def command(url: str) -> Any:
+    """Runs ``dyknow replay`` against the live service; asserts its status."""
+
+    def run(*arguments: str, status: int = 0) -> Any:
+        found = CliRunner().invoke(app, ["replay", *arguments], env={"DYKNOW_URL": url})
+        assert found.exit_code == status, (found.output, found.exception)
+        return found
+
+    return run
+
+
+def test_lines_of_many_streams_are_published_to_each(
+    command: Any, client: Client, tmp_path: Path
+) -> None:
+    path = tmp_path / "many.ndjson"
+    path.write_text(LINES)
+    told = command(str(path), "--speed", "max", "--json").stdout.splitlines()
+    counts = [json.loads(line) for line in told]
+    assert [(line["stream"], line["used"]) for line in counts] == [("height", 4), ("speed", 4)]
+    assert "dropouts" not in counts[0]
+    assert client.stream("speed")["ended"]
+    chosen = command(str(path), "--stream", "speed=again", "--speed", "max").stdout
+    assert "again: 4 samples accepted" in chosen
+    assert "height" not in chosen
+    assert client.stream("again")["fields"] == client.stream("speed")["fields"]
+
+
+def test_a_stream_keeps_the_types_of_its_fields(
+    command: Any, client: Client, tmp_path: Path
+) -> None:
+    path = tmp_path / "many.ndjson"
+    path.write_text(LINES)
+    client.put_stream("speed", {"speed": "string"})
+    command(str(path), "--speed", "max")
+    assert client.stream("speed")["fields"][0]["type"] == "string"
+    assert client.stream("speed")["counters"]["used"] == 4
+
+
+def test_which_streams_of_which_file(command: Any, client: Client, tmp_path: Path) -> None:
+    table, many = tmp_path / "table.csv", tmp_path / "many.ndjson"
+    table.write_text("t,x\n1,2\n")
+    many.write_text(LINES)
+    command(str(table), status=2)
+    command(str(table), "--stream", "a", "--stream", "b", status=2)
+    command(str(many), "--stream", "nowhere", status=2)
+    command(str(many), "--stream", "speed=a", "--stream", "height=a", status=2)
+    many.write_text(LINES + '\n{"stream": "speed", "t": "soon"}')
+    command(str(many), status=1)
+    assert [stream["name"] for stream in client.streams()] == ["status"]
+
+
+def test_a_flight_log_is_published_topic_by_topic(
+    command: Any, client: Client, tmp_path: Path
+) -> None:
+    pytest.importorskip("pyulog", reason="pyulog is not installed: pip install dyknow[px4]")
+    path = tmp_path / "flight.ulg"
+    path.write_bytes(TWO_TOPICS)
+    told = command(str(path), "--speed", "10").stdout
+    assert "attitude: 3 samples accepted" in told
+    assert "dropouts: 2, 0.042 s were not logged" in told
+    assert "note: attitude.big" in told
+    assert client.stream("gps_1")["counters"]["used"] == 1
+    rebased = command(str(path), "--rebase", "now", "--stream", "gps", "--json").stdout
+    assert json.loads(rebased)["used"] == 2
+    assert json.loads(rebased)["dropouts"] == 2
+    assert "no satellite receiver" in command(str(path), "--utc", status=1).stderr
+    path.write_bytes(TWO_TOPICS[:-2])
+    assert "cut off" in command(str(path), status=1).stderr

@@ -70,7 +70,8 @@ def test_numbers_go_on_when_history_is_dropped():
     for time in range(5):
         made.append(batch_from_rows(SCHEMA, [(time, time, {"v": None})], pools))
     assert (len(made), made.first_number, made.last_number) == (2, 4, 5)
-    assert [part.first for part in made.since(1)] == [4, 5]
+    assert made.first_available == 3
+    assert [n for part in made.since(1) for n in range(part.first, part.last + 1)] == [4, 5]
     assert made.since(6) == []
     assert made.append(made.all().take(slice(0, 0))) is None
 
@@ -79,6 +80,7 @@ def test_a_stream_that_never_spoke():
     made = FluentStream(SCHEMA)
     assert (len(made), made.first_number, made.last_number) == (0, 1, 0)
     assert made.last_available is None
+    assert made.first_available is None
     assert len(made.all()) == len(made.most_recent_at(0, 0)) == len(made.prev(0)) == 0
 
 
@@ -127,3 +129,33 @@ def test_between_takes_parts_of_batches():
     assert [a for a, _, _ in samples(made.between(3, 7))] == [3, 4, 6, 7]
     assert [a for a, _, _ in samples(made.between(5, 6))] == [6]
     assert samples(made.between(5, 5)) == samples(made.between(9, None)) == []
+
+
+NUMBERS = Schema((Field("n", FieldType.INTEGER),))
+
+
+@pytest.mark.parametrize(
+    "sizes", [[1] * 5000, [1, 40] * 800, [3, 1, 1, 700] * 30, [1, 1, 2000] * 9]
+)
+def test_histories_of_many_batches_are_few_runs(sizes):
+    made, at = FluentStream(NUMBERS, Retention(samples=10_000)), 0
+    for size in sizes:
+        rows = [(i, i, {"n": i}) for i in range(at, at + size)]
+        made.append(batch_from_rows(NUMBERS, rows))
+        at += size
+        segments = made.since(made.first_number)
+        # 31 of each size class below an eighth of the history, and what cannot grow any more:
+        # of those, 32 in a row hold more than an eighth.
+        assert len(segments) <= 2 * 31 + 9 * 32
+        assert max(len(part.batch) for part in segments) <= max(1250, *sizes)
+    assert made.all().columns["n"].values.tolist() == list(range(at - len(made), at))
+
+
+def test_a_large_batch_is_not_copied():
+    made = FluentStream(NUMBERS, Retention(samples=1000))
+    rows = [(i, i, {"n": i}) for i in range(500)]
+    large = batch_from_rows(NUMBERS, rows)
+    made.append(large)
+    for time in range(500, 540):
+        made.append(batch_from_rows(NUMBERS, [(time, time, {"n": time})]))
+    assert made.since(1)[0].batch is large
