@@ -11,13 +11,14 @@ Contract of a watermark ``w``: every sample that comes later has available time 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
 from .fluent import FluentStream, Retention
-from .sample import SampleBatch, SampleError, Schema, Times, concatenate
+from .sample import Field, SampleBatch, SampleError, Schema, Times, concatenate
 from .strings import StringPool
 from .time import TIME_MAX, TIME_MIN
 
@@ -87,6 +88,24 @@ class StreamGenerator:
         return self.stream.schema
 
     @property
+    def is_open(self) -> bool:
+        """Whether nobody has said yet which fields the stream has: its first samples will."""
+        return not self.stream.schema.fields
+
+    def adopt(self, schema: Schema, pools: Mapping[str, StringPool]) -> None:
+        """Give an open stream its fields, and the pools of its text fields.
+
+        Raises `SampleError` when the stream has other fields already.
+        """
+        if self.is_open:
+            self.stream.schema = schema
+            self.stream.pools.update(pools)
+        elif schema != self.schema:
+            raise SampleError(
+                f"stream {self.name!r} has the fields {_fields(self.schema)}, not {_fields(schema)}"
+            )
+
+    @property
     def subscribers(self) -> int:
         """How many subscriptions the generator serves."""
         return len(self._receivers)
@@ -112,6 +131,8 @@ class StreamGenerator:
         if not len(batch):
             return 0
         stamps = None if now is None else self._stamps(len(batch), now)
+        if self.is_open:
+            self._adopt_from(batch)
         self.stamped = stamps is not None
         self.is_ended = False
         self.counters.accepted += len(batch)
@@ -150,6 +171,11 @@ class StreamGenerator:
         self.counters.expired += self.counters.pending
         self.counters.pending = 0
         self._pending = None
+
+    def _adopt_from(self, batch: SampleBatch) -> None:
+        fields = tuple(Field(name, column.type) for name, column in batch.columns.items())
+        pools = {n: column.pool for n, column in batch.columns.items() if column.pool is not None}
+        self.adopt(Schema(fields), pools)
 
     def _stamps(self, count: int, now: int) -> Times:
         """``count`` available times from ``now`` on, unique and after every earlier one."""
@@ -237,6 +263,10 @@ class StreamGenerator:
             self.watermark = watermark
             for receiver in tuple(self._receivers):
                 receiver.advance(self, watermark)
+
+
+def _fields(schema: Schema) -> str:
+    return ", ".join(f"{field.name}: {field.type}" for field in schema.fields) or "none"
 
 
 def _increases(available: Times) -> bool:

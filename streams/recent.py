@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
 from .sample import Times
 from .tuples import Rows
@@ -17,14 +20,20 @@ def most_recent_rows(available: Times, valid: Times, points: Times, known: Times
 
     Cost: O(n log K + K) where valid times do not decrease, else O(n log n + n log K + K).
     """
-    if not len(available):
-        return np.full(len(points), -1, np.int64)
     begins = np.maximum(
         np.searchsorted(points, valid, "left"), np.searchsorted(known, available, "left")
     )
-    queries = np.arange(len(points))
-    # Available times increase, so where valid times do not decrease neither does `begins`.
-    if bool(np.all(valid[1:] >= valid[:-1])):
+    return rows_in_use(available, valid, begins, np.arange(len(points)))
+
+
+def rows_in_use(
+    available: Times, valid: Times, begins: NDArray[Any], queries: NDArray[Any]
+) -> Rows:
+    """For each query the row with the greatest (valid, available) among those with
+    ``begins`` ≤ query, -1 for none; ``queries`` are nondecreasing, ``available`` increases."""
+    if not len(available):
+        return np.full(len(queries), -1, np.int64)
+    if bool(np.all(valid[1:] >= valid[:-1])) and bool(np.all(begins[1:] >= begins[:-1])):
         return np.searchsorted(begins, queries, "right").astype(np.int64) - 1
     by_news = np.lexsort((available, valid))
     rank = np.empty(len(valid), np.int64)
@@ -33,4 +42,4 @@ def most_recent_rows(available: Times, valid: Times, points: Times, known: Times
     best = np.maximum.accumulate(rank[by_begin])
     last = np.searchsorted(begins[by_begin], queries, "right") - 1
     found = by_news[best[np.maximum(last, 0)]]
-    return np.where(last < 0, -1, found)
+    return np.where(last < 0, -1, found).astype(np.int64)

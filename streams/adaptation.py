@@ -1,0 +1,201 @@
+"""Adapting a stream to a policy, online ([DyKnow10 §5.3.4, Def. 5.35-5.37], SPEC §1).
+
+The output is a maximal substream of ``extend(f, p)`` that satisfies p: samples are dropped or
+delayed, and invented only by ``use most recent``. Each sample of the input is used at most once.
+`satisfaction` is the definition; tests/laws sets the two against each other.
+
+Four ways to adapt, by what a policy asks for:
+- `Filtering`: every sample is decided when it arrives;
+- `Reordering` (reordering.py): monotone or strict order with a finite delay holds samples back;
+- `Chain` (chain.py): ``sample every`` passes on the samples of one grid, in order;
+- `Approximating` (approximation.py): ``use most recent`` makes the samples of a grid.
+
+What is decided when: after a batch whose last available time is T all is *known* up to T, after a
+watermark w up to w - 1, after the end everything.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .policy import AnyChange, Constraint, Order, Policy, PolicyCounters
+from .sample import Mask, SampleBatch, Times, concatenate
+from .saturating import earlier
+from .time import TIME_MAX, TIME_MIN
+
+REASONS: tuple[Constraint, ...] = tuple(Constraint)
+"""A reason's code is its position here."""
+CODES = {constraint: code for code, constraint in enumerate(REASONS)}
+KEPT = -1
+"""The code of a sample that no constraint has dropped."""
+Reasons = NDArray[np.int8]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Dropped:
+    """Samples that were not passed on: why (codes of `REASONS`) and when that was decided (ns),
+    each shape ``(n,)``; by the moment of the decision, then by available time."""
+
+    batch: SampleBatch
+    reasons: Reasons
+    at: Times
+
+
+OnDrop = Callable[[Dropped], None]
+
+
+class Adaptation(ABC):
+    """Adapts one stream to one policy.
+
+    Contract: batches come in order of available time, watermarks and the end between them.
+
+    Law: what is sent and dropped does not depend on how the input was cut into batches; it is
+    maximal among what satisfies the policy. The sent samples have strictly increasing available
+    times, and after a watermark w none is sent with an available time < w.
+    """
+
+    def __init__(self, policy: Policy, on_drop: OnDrop | None = None) -> None:
+        self.policy = policy
+        self.counters = PolicyCounters()
+        self._on_drop = on_drop
+
+    @abstractmethod
+    def push(self, batch: SampleBatch) -> list[SampleBatch]:
+        """Take samples; gives those that can be sent by now."""
+
+    @abstractmethod
+    def advance(self, watermark: int) -> list[SampleBatch]:
+        """Every later sample has available time ≥ ``watermark``; gives what can be sent."""
+
+    @abstractmethod
+    def end(self) -> list[SampleBatch]:
+        """No more samples (a later `push` takes the stream up again); gives what is left."""
+
+    def _inadmissible(self, batch: SampleBatch) -> Reasons:
+        """`KEPT`, or why a sample can never be part of the output: duration, then delay."""
+        reasons = np.full(len(batch), KEPT, np.int8)
+        duration, delay = self.policy.duration, self.policy.max_delay
+        if delay is not None:
+            too_late = earlier(batch.available, delay) > batch.valid
+            reasons[too_late] = CODES[Constraint.DELAY]
+        if duration.first > TIME_MIN:
+            reasons[batch.valid < duration.first] = CODES[Constraint.DURATION]
+        if duration.last < TIME_MAX:
+            reasons[batch.valid > duration.last] = CODES[Constraint.DURATION]
+        return reasons
+
+    def _drop(self, batch: SampleBatch, reasons: Reasons, at: Times) -> None:
+        """Count and tell the rows of ``batch`` whose reason is not `KEPT`."""
+        dropped = np.flatnonzero(reasons != KEPT)
+        if not len(dropped):
+            return
+        order = dropped[np.lexsort((batch.available[dropped], at[dropped]))]
+        counts = np.bincount(reasons[order], minlength=len(REASONS))
+        for constraint, count in zip(REASONS, counts.tolist(), strict=True):
+            self.counters.drop(constraint, count)
+        if self._on_drop is not None:
+            self._on_drop(Dropped(batch.take(order), reasons[order], at[order]))
+
+    def _sent(self, batch: SampleBatch, delayed: int = 0) -> list[SampleBatch]:
+        self.counters.sent += len(batch)
+        self.counters.delayed += delayed
+        return [batch] if len(batch) else []
+
+
+class Filtering(Adaptation):
+    """Decides each sample when it arrives: any order, or an order without a bound on delay.
+
+    To wait for ever would keep nothing, so an order with ``max delay oo`` never waits.
+    Cost: O(n) numpy. Memory: the last sample sent.
+    """
+
+    def __init__(self, policy: Policy, on_drop: OnDrop | None = None) -> None:
+        super().__init__(policy, on_drop)
+        self._greatest: int | None = None
+        self._last: SampleBatch | None = None
+
+    def push(self, batch: SampleBatch) -> list[SampleBatch]:
+        self.counters.received += len(batch)
+        if not len(batch):
+            return []
+        reasons = self._inadmissible(batch)
+        if self.policy.order is not Order.ANY:
+            self._drop_out_of_order(batch, reasons)
+        if isinstance(self.policy.change, AnyChange):
+            self._drop_unchanged(batch, reasons)
+        kept = reasons == KEPT
+        if not bool(kept.all()):
+            self._drop(batch, reasons, batch.available)
+            batch = batch.take(kept)
+        self.counters.kept += len(batch)
+        return self._sent(batch)
+
+    def advance(self, watermark: int) -> list[SampleBatch]:
+        return []
+
+    def end(self) -> list[SampleBatch]:
+        return []
+
+    def _drop_out_of_order(self, batch: SampleBatch, reasons: Reasons) -> None:
+        """A sample is in order if no admissible one before it is valid later (or as late)."""
+        rows = np.flatnonzero(reasons == KEPT)
+        if not len(rows):
+            return
+        valid = batch.valid[rows]
+        # What is dropped is below what was sent, so the greatest so far is the last sent.
+        greatest = np.maximum.accumulate(valid)
+        before = np.concatenate((valid[:1], greatest[:-1]))
+        first = self._greatest is None
+        if self._greatest is not None:
+            np.maximum(before, self._greatest, out=before)
+            before[0] = self._greatest
+        wrong = valid < before if self.policy.order is Order.MONOTONE else valid <= before
+        if first:
+            wrong[0] = False
+        reasons[rows[wrong]] = CODES[Constraint.ORDER]
+        last = int(greatest[-1])
+        self._greatest = last if self._greatest is None else max(last, self._greatest)
+
+    def _drop_unchanged(self, batch: SampleBatch, reasons: Reasons) -> None:
+        rows = np.flatnonzero(reasons == KEPT)
+        if not len(rows):
+            return
+        candidates = batch.take(rows)
+        # One that is dropped equals the last sent, so each is compared with the one before it.
+        unchanged = repeats(candidates, self._last)
+        reasons[rows[unchanged]] = CODES[Constraint.CHANGE]
+        self._last = own(candidates.take(slice(len(rows) - 1, None)))
+
+
+def repeats(batch: SampleBatch, last: SampleBatch | None) -> Mask:
+    """Which samples equal the one before them in valid time and all values (no_value equals
+    no_value); the first is compared with ``last``, a batch of one."""
+    if last is not None:
+        return repeats(concatenate([last, batch]), None)[1:]
+    same = np.zeros(len(batch), np.bool_)
+    same[1:] = batch.valid[1:] == batch.valid[:-1]
+    for column in batch.columns.values():
+        if not bool(same.any()):
+            break
+        equal = column.values[1:] == column.values[:-1]
+        if column.null is not None:
+            both = column.null[1:] & column.null[:-1]
+            equal = both | (equal & ~column.null[1:] & ~column.null[:-1])
+        same[1:] &= equal
+    return same
+
+
+def own(batch: SampleBatch) -> SampleBatch:
+    """A copy of a few rows: a view would keep the whole batch they were cut from in memory."""
+    return batch.take(np.arange(len(batch)))
+
+
+def joined(parts: Sequence[SampleBatch]) -> SampleBatch:
+    """`concatenate` without the empty ones; at least one part is given."""
+    filled = [part for part in parts if len(part)]
+    return concatenate(filled) if filled else parts[0]

@@ -1,0 +1,24 @@
+"""Which way of adapting a policy asks for."""
+
+from __future__ import annotations
+
+from .adaptation import Adaptation, Filtering, OnDrop
+from .approximation import LIMIT, Approximating
+from .chain import Chain
+from .policy import Approximation, Order, Policy
+from .reordering import Reordering
+
+
+def adapt(policy: Policy, on_drop: OnDrop | None = None, *, limit: int = LIMIT) -> Adaptation:
+    """Adapts one stream to ``policy``, from now on; ``on_drop`` is told what is not passed on.
+
+    ``limit``: how many samples ``use most recent`` may make at once before it raises
+    `PolicyError`.
+    """
+    if policy.approximation is Approximation.MOST_RECENT:
+        return Approximating(policy, on_drop, limit=limit)
+    if policy.period is not None:
+        return Chain(policy, on_drop)
+    if policy.order is Order.ANY or policy.max_delay is None:
+        return Filtering(policy, on_drop)
+    return Reordering(policy, on_drop)

@@ -1,0 +1,136 @@
+"""``use most recent``: the samples of a grid, made from the most recent ones ([DyKnow10 Def. 5.35],
+the function *extend*)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .adaptation import Adaptation, OnDrop, joined, own
+from .policy import Policy, PolicyError
+from .recent import rows_in_use
+from .sample import SampleBatch
+from .saturating import earlier, since
+from .time import TIME_MAX, TIME_MIN
+
+CHUNK: Final = 65_536
+"""So many samples of the grid are made at a time."""
+LIMIT: Final = 10_000_000
+"""More samples of a grid than this at once are refused: a period or a time is mistaken."""
+
+
+class Approximating(Adaptation):
+    """Makes a sample at b, b + s, b + 2s … e, each available d after its valid time, with the
+    values of ``most_recent_at(f, v, v + d)``.
+
+    The grid begins where there is a most recent sample (no_sample is never part of a stream). At
+    the end of the input it goes on to e, or with ``to oo`` until the last news is in it.
+
+    No sample is dropped: each may be the most recent one. ``kept`` counts those in use by now or
+    passed by, ``pending`` those that are not in use yet.
+
+    Cost: O(n + grid) numpy where valid times do not decrease, else O(n log n + grid). Memory: the
+    most recent sample and those not in use yet. Raises `PolicyError` for more than ``limit``
+    samples at once.
+    """
+
+    def __init__(
+        self, policy: Policy, on_drop: OnDrop | None = None, *, limit: int = LIMIT
+    ) -> None:
+        super().__init__(policy, on_drop)
+        assert policy.period is not None
+        assert policy.max_delay is not None
+        assert policy.duration.start is not None
+        self._start = policy.duration.start
+        self._period = policy.period
+        self._delay = policy.max_delay
+        self._limit = limit
+        # No sample of the grid can be available after the end of 64-bit time.
+        end = min(policy.duration.last, TIME_MAX - self._delay)
+        self._final = (end - self._start) // self._period
+        self._next = 0
+        self._best: SampleBatch | None = None
+        self._waiting: SampleBatch | None = None
+
+    def push(self, batch: SampleBatch) -> list[SampleBatch]:
+        self.counters.received += len(batch)
+        if not len(batch):
+            return []
+        self._waiting = batch if self._waiting is None else joined([self._waiting, batch])
+        return self._make_until(self._last_decided(int(batch.available[-1])))
+
+    def advance(self, watermark: int) -> list[SampleBatch]:
+        if watermark == TIME_MIN:
+            return []
+        return self._make_until(self._last_decided(watermark - 1))
+
+    def end(self) -> list[SampleBatch]:
+        if not self.policy.duration.to_oo:
+            return self._make_until(self._final)
+        if self._waiting is None:
+            return []
+        return self._make_until(min(int(self._begins(self._waiting).max()), self._final))
+
+    def _last_decided(self, known: int) -> int:
+        """The number of the last sample of the grid that is available by ``known``."""
+        return min((known - self._delay - self._start) // self._period, self._final)
+
+    def _begins(self, batch: SampleBatch) -> NDArray[np.uint64]:
+        """From which number of the grid on each sample may be used: it is valid and available."""
+        time = np.maximum(batch.valid, earlier(batch.available, self._delay))
+        distance = since(np.maximum(time, self._start), self._start)
+        period = np.uint64(self._period)
+        begins: NDArray[np.uint64] = distance // period + (distance % period != 0)
+        return begins
+
+    def _make_until(self, last: int) -> list[SampleBatch]:
+        """Make the samples of the grid up to number ``last``."""
+        waiting = self._waiting
+        if last < self._next:
+            self.counters.pending = 0 if waiting is None else len(waiting)
+            return []
+        parts = [part for part in (self._best, waiting) if part is not None]
+        first, self._next = self._next, last + 1
+        if not parts:
+            return []
+        known = joined(parts)
+        if len(parts) == 2 and known.available[0] > known.available[1]:
+            known = known.take(np.argsort(known.available, kind="stable"))
+        begins = self._begins(known)
+        if self._best is None:
+            first = max(first, int(begins.min()))
+        made: list[SampleBatch] = []
+        if first <= last:
+            if last - first >= self._limit:
+                self._next = first
+                raise PolicyError(
+                    f"`sample every` would make {last - first + 1} samples at once",
+                    "choose a longer period, or a `from` and `to` nearer to the data",
+                )
+            made = list(self._chunks(known, begins, first, last))
+        still = begins > np.uint64(last)
+        self._waiting = known.take(still) if bool(still.any()) else None
+        pending = int(np.count_nonzero(still))
+        self.counters.kept += self.counters.received - self.counters.kept - pending
+        self.counters.pending = pending
+        return made
+
+    def _chunks(
+        self, known: SampleBatch, begins: NDArray[Any], first: int, last: int
+    ) -> Iterator[SampleBatch]:
+        for low in range(first, last + 1, CHUNK):
+            high = min(low + CHUNK - 1, last)
+            numbers = np.arange(high - low + 1, dtype=np.uint64) + np.uint64(low)
+            rows = rows_in_use(known.available, known.valid, begins, numbers)
+            steps = np.arange(high - low + 1) * self._period
+            valid = steps + (self._start + low * self._period)
+            self._best = own(known.take(rows[-1:]))
+            chosen = known.take(rows)
+            exact = chosen.valid == valid
+            self.counters.approximated += int(np.count_nonzero(~exact))
+            available = valid + self._delay
+            delayed = int(np.count_nonzero(exact & (available > chosen.available)))
+            yield from self._sent(SampleBatch(available, valid, chosen.columns), delayed)

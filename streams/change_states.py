@@ -1,0 +1,187 @@
+"""When and of what states are made at the inputs' own valid times (SPEC §1).
+
+An exact simulation, event by event: what a late sample does depends on what has left.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left, bisect_right, insort
+from collections.abc import Sequence
+
+import numpy as np
+
+from .grid_states import CHUNK, LateRows, Made
+from .inputs import NOTHING_KNOWN
+from .policy import Approximation, Constraint, SynchronizationPolicy
+from .sample import SampleBatch
+from .time import TIME_MAX
+
+
+class ChangeStates:
+    """States at every distinct valid time; see `Synchronization` for the rules.
+
+    Cost: some microseconds of Python a sample and input. Memory: the pending times.
+    """
+
+    def __init__(self, policy: SynchronizationPolicy, monotone: Sequence[bool]) -> None:
+        self._delay, self._duration = policy.max_delay, policy.duration
+        self._exact = policy.approximation is Approximation.NONE
+        self._monotone = list(monotone)
+        self._waiting: list[int] = []
+        self._left = self._last = self._now = self._done = NOTHING_KNOWN
+        self._reach = [NOTHING_KNOWN] * len(self._monotone)
+        self._valid: list[list[int]] = [[] for _ in monotone]
+        self._rows: list[list[int]] = [[] for _ in monotone]
+        self._excused: Sequence[int | None] = ()
+        self._out: list[tuple[int, int, bool, list[int]]] = []
+
+    @property
+    def floor(self) -> int:
+        """No state to come is for an earlier time."""
+        least = self._waiting[0] if self._waiting else TIME_MAX
+        if self._delay is not None:
+            least = min(least, self._done + 1 - self._delay)
+        else:
+            least = NOTHING_KNOWN
+        return max(self._last, self._duration.first, least)
+
+    @property
+    def pending(self) -> int:
+        """States that wait."""
+        return len(self._waiting)
+
+    def run(
+        self,
+        tables: Sequence[SampleBatch],
+        fresh: Sequence[int],
+        until: int,
+        excused: Sequence[int | None],
+    ) -> tuple[list[Made], list[LateRows]]:
+        """All states that leave by ``until``; rows of table i from ``fresh[i]`` are new."""
+        self._excused = excused
+        self._load(tables, fresh)
+        events: list[tuple[int, int, int, int]] = []
+        for i, (table, row) in enumerate(zip(tables, fresh, strict=True)):
+            times = zip(table.available[row:].tolist(), table.valid[row:].tolist(), strict=True)
+            events += [(at, i, row + k, valid) for k, (at, valid) in enumerate(times)]
+            excuse = excused[i]
+            if excuse is not None and self._done < excuse <= until:
+                events.append((excuse, i, -1, 0))
+        events.sort()
+        late: dict[tuple[int, Constraint], list[int]] = {}
+        for at, i, row, valid in events:
+            if at > self._now:
+                self._release(at - 1)
+                self._now = at
+            if row < 0:
+                continue
+            why = self._arrive(at, i, row, valid)
+            if why is not None:
+                late.setdefault((i, why), []).append(row)
+        self._release(until)
+        self._done = max(self._done, until)
+        told = [(i, np.array(rows, np.int64), why) for (i, why), rows in late.items()]
+        return self._made(), told
+
+    def finish(
+        self,
+        tables: Sequence[SampleBatch],
+        excused: Sequence[int | None],
+        news: tuple[int, int] | None,
+    ) -> tuple[list[Made], int]:
+        """The states that leave after the end, and how many never leave."""
+        self._excused = excused
+        self._load(tables, [len(table) for table in tables])
+        self._release(TIME_MAX)
+        never = len(self._waiting)
+        self._waiting.clear()
+        return self._made(), never
+
+    def _load(self, tables: Sequence[SampleBatch], fresh: Sequence[int]) -> None:
+        """What is kept, by valid time; of equal ones the last."""
+        for i, (table, count) in enumerate(zip(tables, fresh, strict=True)):
+            kept = dict(zip(table.valid[:count].tolist(), range(count), strict=True))
+            self._valid[i] = sorted(kept)
+            self._rows[i] = [kept[valid] for valid in self._valid[i]]
+
+    def _arrive(self, at: int, i: int, row: int, valid: int) -> Constraint | None:
+        """Take in a sample; why it is late, if it is."""
+        self._reach[i] = max(self._reach[i], valid)
+        values, rows = self._valid[i], self._rows[i]
+        place = bisect_left(values, valid)
+        if place < len(values) and values[place] == valid:
+            rows[place] = row
+        else:
+            values.insert(place, valid)
+            rows.insert(place, row)
+        within = self._duration.first <= valid <= self._duration.last
+        if within and self._delay is not None and at > valid + self._delay:
+            return Constraint.DELAY
+        if valid <= self._last and (within or not self._exact):
+            return Constraint.AVAILABLE
+        if within:
+            place = bisect_left(self._waiting, valid)
+            if place == len(self._waiting) or self._waiting[place] != valid:
+                insort(self._waiting, valid)
+        return None
+
+    def _release(self, until: int) -> None:
+        """Let states leave in order of their times, as far as they leave by ``until``."""
+        gone = 0
+        for valid in self._waiting:
+            complete = self._is_complete(valid)
+            if complete:
+                due = self._now
+                if self._delay is not None:
+                    due = min(due, valid + self._delay)
+            elif self._delay is not None:
+                due = min(valid + self._delay, TIME_MAX)
+            else:
+                break
+            leaves = max(due, self._left + 1)
+            if leaves > until:
+                break
+            self._left, self._last = leaves, valid
+            gone += 1
+            self._out.append((leaves, valid, complete, self._pick(valid)))
+        if gone:
+            del self._waiting[:gone]
+
+    def _is_complete(self, valid: int) -> bool:
+        for i, monotone in enumerate(self._monotone):
+            excuse = self._excused[i]
+            if excuse is not None and excuse <= self._now:
+                continue
+            if monotone:
+                if self._reach[i] < valid:
+                    return False
+                continue
+            values = self._valid[i]
+            place = bisect_left(values, valid)
+            if place == len(values) or values[place] != valid:
+                return False
+        return True
+
+    def _pick(self, valid: int) -> list[int]:
+        picked = []
+        for values, rows in zip(self._valid, self._rows, strict=True):
+            place = bisect_right(values, valid) - 1
+            none = place < 0 or (self._exact and values[place] != valid)
+            picked.append(-1 if none else rows[place])
+        return picked
+
+    def _made(self) -> list[Made]:
+        made: list[Made] = []
+        for start in range(0, len(self._out), CHUNK):
+            part = self._out[start : start + CHUNK]
+            rows = np.array([row for *_, row in part], np.int64)
+            made.append(
+                (
+                    np.array([row[0] for row in part], np.int64),
+                    np.array([row[1] for row in part], np.int64),
+                    tuple(rows[:, i] for i in range(rows.shape[1])),
+                    np.array([row[2] for row in part], np.bool_),
+                )
+            )
+        self._out.clear()
+        return made

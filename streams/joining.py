@@ -1,0 +1,110 @@
+"""join: tuples of the latest samples of several streams ([DyKnow10 Def. 5.11]).
+
+join(f1 … fn) = {⟨t, t, [s1 … sn]⟩ | t ∈ availtimes({f1 … fn}), s_i = last_avail(f_i, t)}. It feeds
+computational units (Def. 5.34). tests/laws/joint_definition.py is its slow twin.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from .inputs import NOTHING_KNOWN, Input, known_of
+from .sample import SampleBatch, Times, concatenate
+from .tuples import Rows, TupleBatch
+
+
+class Join:
+    """Def. 5.11 online: a tuple at each available time of any input, as soon as all are known.
+
+    Law: whatever the batches, watermarks and interleaving, the tuples given up to `known` are
+    those of the definition. An input that has not begun (no sample, watermark or end) holds back
+    the others. After an end a push continues the input, if it comes after what was given.
+
+    Cost: O(n log n) numpy a push, n the samples decided by it. Memory: the last sample of each
+    input and what other inputs are behind; nothing of the history.
+    """
+
+    def __init__(self, arity: int) -> None:
+        if arity < 1:
+            raise ValueError("a join has at least one input (Def. 5.11)")
+        self._inputs = [Input() for _ in range(arity)]
+        self._last: list[SampleBatch | None] = [None] * arity
+        self._done = NOTHING_KNOWN
+
+    @property
+    def known(self) -> int | None:
+        """Every tuple with t ≤ known has been given; None before all inputs have begun."""
+        return known_of(self._inputs)
+
+    @property
+    def retained(self) -> int:
+        """How many samples are kept: those that wait, and the last of each input."""
+        lasts = sum(last is not None for last in self._last)
+        return lasts + sum(input.waiting for input in self._inputs)
+
+    def push(self, input: int, batch: SampleBatch) -> TupleBatch | None:
+        """Samples of ``input`` in order; the tuples they decide, None for none.
+
+        Raises `ValueError` where available times do not increase; then nothing is taken.
+        """
+        self._inputs[input].push(batch, self._done)
+        return self._proceed()
+
+    def advance(self, input: int, watermark: int) -> TupleBatch | None:
+        """Every later sample of ``input`` is available at ``watermark`` or later."""
+        self._inputs[input].advance(watermark)
+        return self._proceed()
+
+    def end(self, input: int) -> TupleBatch | None:
+        """``input`` has no more samples: its last one stands from here on."""
+        self._inputs[input].end()
+        return self._proceed()
+
+    def _proceed(self) -> TupleBatch | None:
+        known = known_of(self._inputs)
+        if known is None or known <= self._done:
+            return None
+        news = [
+            concatenate(parts) if (parts := input.take(known)) else None for input in self._inputs
+        ]
+        # All ended: what was given reaches as far as the last of them, so that one may continue.
+        self._done = min(known, max(input.known for input in self._inputs))
+        arrivals = [new.available for new in news if new is not None]
+        if not arrivals:
+            return None
+        times = union(arrivals)
+        batches, rows = [], []
+        for i, new in enumerate(news):
+            last = self._last[i]
+            if new is None:
+                batches.append(self._inputs[i].empty() if last is None else last)
+                rows.append(np.full(len(times), -1 if last is None else 0, np.int64))
+                continue
+            batch = new
+            if last is not None and new.available[0] != times[0]:
+                batch = concatenate([last, new])
+            batches.append(batch)
+            rows.append(_last_rows(batch.available, times))
+            self._last[i] = new if len(new) == 1 else new.take(np.array([len(new) - 1]))
+        return TupleBatch(times, times, tuple(batches), tuple(rows))
+
+
+def union(increasing: Sequence[Times]) -> Times:
+    """The union of increasing times, increasing. Cost: O(n log k) for k arrays."""
+    if len(increasing) == 1:
+        return increasing[0]
+    # Runs in order are what numpy's stable sort merges fast.
+    every = np.sort(np.concatenate(increasing), kind="stable")
+    new = np.empty(len(every), np.bool_)
+    new[0] = True
+    np.not_equal(every[1:], every[:-1], out=new[1:])
+    return every[new]
+
+
+def _last_rows(available: Times, times: Times) -> Rows:
+    """last_avail at each of ``times`` as a row, -1 for no_sample."""
+    if available is times:
+        return np.arange(len(times))
+    return np.searchsorted(available, times, "right") - 1

@@ -1,0 +1,234 @@
+"""State synchronization of several streams ([DyKnow10 §5.4, §7.4], SPEC §1)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .change_states import ChangeStates
+from .grid_states import GridStates, LateRows, Made
+from .inputs import NOTHING_KNOWN, Input, known_of
+from .policy import Constraint, Order, SynchronizationPolicy
+from .sample import SampleBatch, Times, concatenate
+from .tuples import TupleBatch
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Late:
+    """Samples of one input that came too late for a state, or in no order; ``at`` says when."""
+
+    input: int
+    batch: SampleBatch
+    constraint: Constraint
+    at: Times
+
+
+@dataclass(slots=True)
+class StateCounters:
+    """What became of the samples and states.
+
+    ``complete`` of the ``states`` had every input that had not ended. ``approximated`` values are
+    of another valid time than the state's, ``unknown`` ones are no_value. ``late`` samples came
+    after the first state that could have used them, ``dropped`` ones broke the order.
+    ``incomplete`` states were never complete and never left; ``pending`` ones still wait.
+    """
+
+    received: int = 0
+    states: int = 0
+    complete: int = 0
+    approximated: int = 0
+    unknown: int = 0
+    late: int = 0
+    dropped: int = 0
+    incomplete: int = 0
+    pending: int = 0
+
+
+class Synchronization:
+    """States of n inputs under a policy.
+
+    ``sample every s`` makes a state at every ``from + k*s`` (without ``from``: at multiples of s
+    from the first sample on), any other change at every valid time of a sample in the duration.
+    The state for t leaves at L_t = max(c_t, L_before + 1), in order of t. c_t is t + max delay, or
+    the moment before at which every input not ended has a sample valid at t, or at t or later
+    where its valid times do not decrease. An input ends the moment after all it has promised; at
+    the end of the last input nothing is complete that was not. A value is the most recent sample
+    at t among those available at L_t; without approximation only if it is valid at t.
+
+    Monotone inputs (``monotone[i]``, or all by the policy's order) lose samples that decrease.
+
+    Law: what is given does not depend on how inputs were cut or interleaved, and everything that
+    leaves by `known` has been given. Cost: `GridStates`, `ChangeStates`; each push that moves
+    `known` copies what is kept. Memory: the samples that a state to come may use.
+    """
+
+    def __init__(
+        self,
+        policy: SynchronizationPolicy,
+        monotone: Sequence[bool],
+        on_late: Callable[[Late], None] | None = None,
+        *,
+        limit: int = 10_000_000,
+    ) -> None:
+        if not monotone:
+            raise ValueError("a synchronization has at least one input")
+        self._policy = policy
+        self._monotone = [each or policy.order is not Order.ANY for each in monotone]
+        self._inputs = [Input() for _ in monotone]
+        self._kept: list[SampleBatch | None] = [None] * len(monotone)
+        self._reach = [NOTHING_KNOWN] * len(monotone)
+        self._news: list[tuple[int, int] | None] = [None] * len(monotone)
+        self._on_late = on_late
+        self._states: GridStates | ChangeStates
+        if policy.period is None:
+            self._states = ChangeStates(policy, self._monotone)
+        else:
+            self._states = GridStates(policy, self._monotone, limit)
+        self._done = NOTHING_KNOWN
+        self._finished = False
+        self.counters = StateCounters()
+
+    @property
+    def known(self) -> int | None:
+        """No later state leaves at or before it; None before all inputs have begun."""
+        return known_of(self._inputs)
+
+    @property
+    def retained(self) -> int:
+        """How many samples are kept."""
+        kept = sum(len(batch) for batch in self._kept if batch is not None)
+        return kept + sum(input.waiting for input in self._inputs)
+
+    def push(self, input: int, batch: SampleBatch) -> list[TupleBatch]:
+        """Samples of ``input`` in order; the states that leave, at most 65,536 a batch."""
+        self._inputs[input].push(batch, self._done)
+        self.counters.received += len(batch)
+        return self._proceed()
+
+    def advance(self, input: int, watermark: int) -> list[TupleBatch]:
+        """Every later sample of ``input`` is available at ``watermark`` or later."""
+        self._inputs[input].advance(watermark)
+        return self._proceed()
+
+    def end(self, input: int) -> list[TupleBatch]:
+        """``input`` has no more samples."""
+        self._inputs[input].end()
+        return self._proceed()
+
+    def _proceed(self) -> list[TupleBatch]:
+        known = known_of(self._inputs)
+        if known is None:
+            return []
+        excused = [input.ended_at for input in self._inputs]
+        finishing = all(moment is not None for moment in excused)
+        if finishing:
+            known = max(input.known for input in self._inputs)
+            # With the last input's end there is no input left that could complete a state.
+            excused = [None if moment == known + 1 else moment for moment in excused]
+        elif known <= self._done:
+            return []
+        if finishing and self._finished:
+            return []
+        self._finished = finishing
+        tables, fresh, dropped = self._collect(known)
+        made, late = self._states.run(tables, fresh, known, excused)
+        self._done = max(self._done, known)
+        if finishing:
+            news = [each for each in self._news if each is not None]
+            last = (max(v for v, _ in news), max(a for _, a in news)) if news else None
+            tail, self.counters.incomplete = self._states.finish(tables, excused, last)
+            made += tail
+        self._tell(tables, late, dropped)
+        self._prune(tables)
+        self.counters.pending = 0 if finishing else self._states.pending
+        return [self._state_batch(part, tables) for part in made]
+
+    def _collect(self, known: int) -> tuple[list[SampleBatch], list[int], list[Late]]:
+        """Kept and new samples of each input, where the new begin, and what broke the order."""
+        tables: list[SampleBatch] = []
+        fresh: list[int] = []
+        dropped: list[Late] = []
+        for i, input in enumerate(self._inputs):
+            parts = input.take(known)
+            kept = self._kept[i]
+            fresh.append(0 if kept is None else len(kept))
+            if not parts:
+                tables.append(input.empty() if kept is None else kept)
+                continue
+            new = concatenate(parts)
+            if self._monotone[i]:
+                highest = np.maximum.accumulate(new.valid)
+                if self._reach[i] > highest[0]:
+                    highest = np.maximum(highest, self._reach[i])
+                falls = new.valid < highest
+                if falls.any():
+                    lost = new.take(falls)
+                    dropped.append(Late(i, lost, Constraint.ORDER, lost.available))
+                    new = new.take(~falls)
+            if len(new):
+                self._reach[i] = max(self._reach[i], int(new.valid.max()))
+                newest = int(new.valid.max())
+                at = int(new.available[np.flatnonzero(new.valid == newest)[-1]])
+                self._news[i] = max((newest, at), self._news[i] or (newest, at))
+            tables.append(new if kept is None else concatenate([kept, new]))
+        return tables, fresh, dropped
+
+    def _tell(
+        self, tables: Sequence[SampleBatch], late: Sequence[LateRows], dropped: Sequence[Late]
+    ) -> None:
+        """Count and report what was late or dropped, in order of moment, then of input."""
+        told = [*dropped]
+        self.counters.dropped += sum(len(each.batch) for each in dropped)
+        for i, rows, constraint in late:
+            if len(rows):
+                batch = tables[i].take(rows)
+                told.append(Late(i, batch, constraint, batch.available))
+                self.counters.late += len(rows)
+        if self._on_late is None or not told:
+            return
+        moments = np.concatenate([each.at for each in told])
+        source = np.repeat(np.arange(len(told)), [len(each.at) for each in told])
+        place = np.concatenate([np.arange(len(each.at)) for each in told])
+        order = np.lexsort((np.array([each.input for each in told])[source], moments))
+        source, place = source[order], place[order]
+        cuts = np.flatnonzero(np.diff(source)) + 1
+        for run, rows in zip(np.split(source, cuts), np.split(place, cuts), strict=True):
+            each = told[int(run[0])]
+            batch = each.batch.take(rows)
+            self._on_late(Late(each.input, batch, each.constraint, batch.available))
+
+    def _prune(self, tables: Sequence[SampleBatch]) -> None:
+        """Keep what a state to come may use: later samples, and the most recent before them."""
+        floor, last = self._states.floor, self._policy.duration.last
+        for i, table in enumerate(tables):
+            if not len(table):
+                continue
+            rows = np.arange(len(table))
+            if not self._monotone[i]:
+                rows = np.lexsort((table.available, table.valid))
+            valid = table.valid[rows]
+            final = np.ones(len(valid), np.bool_)
+            final[:-1] = valid[1:] != valid[:-1]
+            past = int(np.searchsorted(valid, floor, "right")) if floor >= -(2**63) else 0
+            final[: max(0, past - 1)] = False
+            final &= valid <= last
+            if not final.all():
+                self._kept[i] = table.take(np.sort(rows[final]))
+            else:
+                self._kept[i] = table
+
+    def _state_batch(self, part: Made, tables: Sequence[SampleBatch]) -> TupleBatch:
+        available, valid, rows, complete = part
+        counters = self.counters
+        counters.states += len(available)
+        counters.complete += int(complete.sum())
+        for table, chosen in zip(tables, rows, strict=True):
+            absent = chosen < 0
+            unknown = int(absent.sum())
+            counters.unknown += unknown
+            if len(table):
+                other = (table.valid[chosen] != valid) & ~absent
+                counters.approximated += int(other.sum())
+        return TupleBatch(available, valid, tuple(tables), rows)

@@ -1,0 +1,198 @@
+"""join and state synchronization against their definitions, however inputs are cut and mixed."""
+
+import importlib.util
+import sys
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dyknow.streams.joining import Join
+from dyknow.streams.policy import (
+    AnyChange,
+    AnyUpdate,
+    Approximation,
+    Duration,
+    Order,
+    PolicyError,
+    SampleEvery,
+    SynchronizationPolicy,
+)
+from dyknow.streams.sample import SampleBatch
+from dyknow.streams.synchronization import Synchronization
+
+_place = importlib.util.spec_from_file_location(
+    "joint_definition", Path(__file__).with_name("joint_definition.py")
+)
+assert _place is not None
+assert _place.loader is not None
+definition = importlib.util.module_from_spec(_place)
+sys.modules[_place.name] = definition
+_place.loader.exec_module(definition)
+
+LIMITS = settings(deadline=None, max_examples=150)
+LEAST, GREATEST = -(2**63), 2**63 - 1
+SMALL = st.integers(-3, 16)
+EDGES = st.integers(LEAST, LEAST + 9) | st.integers(GREATEST - 9, GREATEST) | st.integers(-3, 3)
+
+
+def batch_of(samples):
+    return SampleBatch(
+        np.array([a for a, _ in samples], np.int64), np.array([v for _, v in samples], np.int64), {}
+    )
+
+
+@st.composite
+def streams(draw, times=SMALL, monotone=False, most=8):
+    available = sorted(draw(st.sets(times, max_size=most)))
+    valid = [draw(times) for _ in available]
+    return list(zip(available, sorted(valid) if monotone else valid, strict=True))
+
+
+@st.composite
+def feedings(draw, inputs, last=None):
+    """One way to tell ``inputs``: [(input, "push" | "advance" | "end", what)], ends included.
+
+    ``last[i]`` is a watermark told before input i ends, or None.
+    """
+    queues = []
+    for i, stream in enumerate(inputs):
+        cuts = draw(st.lists(st.integers(0, len(stream)), max_size=4))
+        bounds = sorted({0, len(stream), *cuts})
+        told = []
+        for low, high in pairwise(bounds):
+            if draw(st.booleans()):
+                floor = stream[low - 1][0] if low else LEAST
+                told.append(("advance", draw(st.integers(floor, stream[low][0]))))
+            told.append(("push", stream[low:high]))
+        if last is not None and last[i] is not None:
+            told.append(("advance", last[i]))
+        queues.append([*told, ("end", None)])
+    steps = []
+    while any(queues):
+        i = draw(st.sampled_from([k for k, queue in enumerate(queues) if queue]))
+        steps.append((i, *queues[i].pop(0)))
+    return steps
+
+
+def tell(process, step):
+    i, what, content = step
+    match what:
+        case "push":
+            return process.push(i, batch_of(content))
+        case "advance":
+            return process.advance(i, content)
+        case _:
+            return process.end(i)
+
+
+def named(batches, streams):
+    """Tuples with each sample named by its place in its stream."""
+    result = []
+    for batch in batches:
+        places = []
+        for i, one in enumerate(batch.inputs):
+            where = {a: k for k, (a, _) in enumerate(streams[i])}
+            places.append([where[a] for a in one.available.tolist()])
+            for a, v in zip(one.available.tolist(), one.valid.tolist(), strict=True):
+                assert streams[i][where[a]] == (a, v)
+        for available, valid, rows in batch.tuples():
+            chosen = tuple(None if k is None else places[i][k] for i, k in enumerate(rows))
+            result.append((available, valid, chosen))
+    return result
+
+
+@LIMITS
+@given(st.data())
+def test_join_is_the_definition_however_it_is_fed(data):
+    times = data.draw(st.sampled_from([SMALL, EDGES]))
+    inputs = data.draw(st.lists(streams(times), min_size=1, max_size=3))
+    expected = definition.join(inputs)
+    join = Join(len(inputs))
+    given_so_far = []
+    for step in data.draw(feedings(inputs)):
+        batch = tell(join, step)
+        if batch is not None:
+            assert len(batch)
+            given_so_far += named([batch], inputs)
+        known = join.known
+        if known is None:
+            assert given_so_far == []
+        else:
+            assert given_so_far == [row for row in expected if row[0] <= known]
+    assert given_so_far == expected
+
+
+@st.composite
+def synchronizations(draw, times, reach):
+    """(streams, monotone, policy, arguments of the twin but the promised times)."""
+    order = draw(st.sampled_from(Order))
+    monotone = draw(st.lists(st.booleans(), min_size=1, max_size=3))
+    inputs = [draw(streams(times, each and draw(st.integers(0, 4)) > 0)) for each in monotone]
+    change = draw(st.sampled_from([AnyChange(), AnyUpdate()]) | st.builds(SampleEvery, reach))
+    delay = draw(st.none() | st.integers(0, 9) | st.just(GREATEST))
+    bounds = st.none() | times
+    duration = Duration(draw(bounds), draw(bounds))
+    approximation = draw(st.sampled_from(Approximation))
+    policy = SynchronizationPolicy(change, delay, duration, order, approximation)
+    exact = approximation is Approximation.NONE
+    strict = [each or order is not Order.ANY for each in monotone]
+    twin = (strict, policy.period, delay, duration.start, duration.end, exact)
+    return inputs, monotone, policy, twin
+
+
+def check_synchronization(data, inputs, monotone, policy, twin, watermarks):
+    told = []
+    last = [
+        data.draw(st.none() | watermarks.map(lambda w, s=s: max(w, s[-1][0] if s else LEAST)))
+        for s in inputs
+    ]
+    process = Synchronization(policy, monotone, told.append, limit=5000)
+    steps = data.draw(feedings(inputs, last))
+    promised = [LEAST - 1] * len(inputs)
+    for i, what, content in steps:
+        if what != "end":
+            reached = content - 1 if what == "advance" else content[-1][0]
+            promised[i] = max(promised[i], reached)
+    try:
+        given_so_far, knowns = [], []
+        for step in steps:
+            batches = tell(process, step)
+            given_so_far += named(batches, inputs)
+            knowns.append((process.known, len(given_so_far)))
+    except PolicyError:
+        return
+    states, late, incomplete = definition.synchronize(inputs, promised, *twin)
+    assert given_so_far == states
+    for known, count in knowns:
+        expected = [] if known is None else [s for s in states if s[0] <= known]
+        assert count == len(expected)
+    rows = [
+        (a, one.input, next(k for k, s in enumerate(inputs[one.input]) if s[0] == a), why)
+        for one in told
+        for a, why in zip(one.at.tolist(), [one.constraint.value] * len(one.at), strict=True)
+    ]
+    assert set(rows) == late
+    assert len(rows) == len(late)
+    assert [row[:2] for row in rows] == sorted(row[:2] for row in rows)
+    assert process.counters.incomplete == incomplete
+    assert process.counters.states == len(states)
+
+
+@LIMITS
+@given(st.data())
+def test_synchronization_is_the_definition(data):
+    case = data.draw(synchronizations(SMALL, st.integers(1, 5)))
+    check_synchronization(data, *case, SMALL)
+
+
+@LIMITS
+@given(st.data())
+def test_synchronization_at_the_ends_of_time(data):
+    near = data.draw(
+        st.sampled_from([st.integers(LEAST, LEAST + 9), st.integers(GREATEST - 9, GREATEST)])
+    )
+    case = data.draw(synchronizations(near, st.integers(1, 5) | st.integers(2**62, GREATEST)))
+    check_synchronization(data, *case, near)

@@ -1,0 +1,104 @@
+"""Policies by their definition ([DyKnow10 Def. 5.35-5.37]): sets, quantifiers, brute force.
+
+Samples are tuples ``(available, valid, value)``; everything is Python integers. It shares nothing
+with the product but the names of the constraints in a `Policy`.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+from dyknow.streams.policy import AnyChange, Approximation, Order, Policy
+
+Sample = tuple[int, int, object]
+
+
+def satisfies(stream: list[Sample], policy: Policy) -> bool:
+    """Def. 5.37, and the unique available times of Def. 4.1."""
+    times = [ta for ta, _, _ in stream]
+    if any(a >= b for a, b in pairwise(times)):
+        return False
+    pairs = list(pairwise(stream))
+    if isinstance(policy.change, AnyChange) and any(a[1:] == b[1:] for a, b in pairs):
+        return False
+    if policy.period is not None and any(b[1] - a[1] != policy.period for a, b in pairs):
+        return False
+    if policy.duration.start is not None and any(tv < policy.duration.start for _, tv, _ in stream):
+        return False
+    if policy.duration.end is not None and any(tv > policy.duration.end for _, tv, _ in stream):
+        return False
+    if policy.max_delay is not None and any(ta - tv > policy.max_delay for ta, tv, _ in stream):
+        return False
+    if policy.order is Order.MONOTONE and any(a[1] > b[1] for a, b in pairs):
+        return False
+    return not (policy.order is Order.STRICT and any(a[1] >= b[1] for a, b in pairs))
+
+
+def most_recent_at(stream: list[Sample], time: int, query: int) -> Sample | None:
+    """Def. 5.6."""
+    before = [s for s in stream if s[0] <= query and s[1] <= time]
+    if not before:
+        return None
+    newest = max(s[1] for s in before)
+    return max((s for s in before if s[1] == newest), key=lambda s: s[0])
+
+
+def extend(stream: list[Sample], policy: Policy, horizon: int) -> list[Sample]:
+    """Def. 5.35; ``horizon`` is the last valid time to look at where the policy says ``oo``."""
+    if policy.approximation is not Approximation.MOST_RECENT:
+        return list(stream)
+    assert policy.duration.start is not None
+    assert policy.period is not None
+    assert policy.max_delay is not None
+    end = horizon if policy.duration.end is None else policy.duration.end
+    made: list[Sample] = []
+    time = policy.duration.start
+    while time <= end:
+        found = most_recent_at(stream, time, time + policy.max_delay)
+        if found is not None:
+            made.append((time + policy.max_delay, time, found[2]))
+        time += policy.period
+    return made
+
+
+def origins(part: list[Sample], whole: list[Sample]) -> list[int] | None:
+    """Def. 5.36 with each sample used once: for every sample of ``part`` the index of its origin
+    in ``whole``, or None if there is no such correspondence (bipartite matching)."""
+    chosen: dict[int, int] = {}
+
+    def place(row: int, seen: set[int]) -> bool:
+        ta, tv, value = part[row]
+        for index, (a, v, w) in enumerate(whole):
+            if index not in seen and a <= ta and v == tv and w == value:
+                seen.add(index)
+                if index not in chosen or place(chosen[index], seen):
+                    chosen[index] = row
+                    return True
+        return False
+
+    if not all(place(row, set()) for row in range(len(part))):
+        return None
+    return [next(i for i, r in chosen.items() if r == row) for row in range(len(part))]
+
+
+def addable(part: list[Sample], whole: list[Sample], policy: Policy) -> Sample | None:
+    """A sample of ``whole`` that can still be added to ``part``, with the available time at which;
+    None if ``part`` is maximal. One that repeats what is kept does not count for `any change`.
+
+    All times at which something could differ are tried: next to its own and to those of ``part``.
+    """
+    kept = {s[1:] for s in part}
+    for sample in whole:
+        if isinstance(policy.change, AnyChange) and sample[1:] in kept:
+            continue
+        times = {sample[0]} | {s[0] + step for s in part for step in (-1, 1)}
+        if policy.max_delay is not None:
+            times.add(sample[1] + policy.max_delay)
+        for time in times:
+            if time < sample[0] or any(s[0] == time for s in part):
+                continue
+            added = (time, *sample[1:])
+            more = sorted([*part, added])
+            if satisfies(more, policy) and origins(more, whole) is not None:
+                return added
+    return None
