@@ -22,6 +22,7 @@ from ..converters.to_triples import SampleConverter
 from ..ontology.units import Conversion
 from ..streams.generator import StreamGenerator
 from ..streams.sample import Column, FieldType, Mask, SampleBatch, Times
+from .supervision import ErrorCounters
 from .views import Since
 
 UnitFunction = Callable[..., tuple[np.ndarray[Any, Any], Mask]]
@@ -51,10 +52,13 @@ class ComputationalUnit(ABC):
         self.name = name
         self.transformation = transformation
         self.inputs = tuple(inputs)
+        self.sources = tuple(dict.fromkeys(inputs))
+        """The inputs, each stream once: the same one may be given twice."""
         self.output = output
         self.parameters = dict(parameters)
         self.users = 0
         self.failure: str | None = None
+        self.counters = ErrorCounters()
         self._on_failure = on_failure
         self._watermarks: dict[StreamGenerator, int] = {}
         self._ended: set[StreamGenerator] = set()
@@ -67,14 +71,14 @@ class ComputationalUnit(ABC):
         sees the same as if it had been there when their samples came.
         """
         if since is Since.START:
-            for source in self.inputs:
+            for source in self.sources:
                 for segment in source.stream.since(0):
                     self.receive(source, segment.batch)
-        for source in self.inputs:
+        for source in self.sources:
             if self.failure is None:
                 self._subscribed.append(source)
                 source.subscribe(self)
-        for source in self.inputs:
+        for source in self.sources:
             if source.is_ended:
                 self.ended(source)
 
@@ -112,11 +116,11 @@ class ComputationalUnit(ABC):
     def waits_for(self) -> tuple[StreamGenerator, ...]:
         """Inputs that have neither begun nor ended: what others say is not decided before."""
         decided = self._watermarks.keys() | self._ended
-        return tuple(source for source in self.inputs if source not in decided)
+        return tuple(source for source in self.sources if source not in decided)
 
     @property
     def all_ended(self) -> bool:
-        return len(self._ended) == len(self.inputs)
+        return len(self._ended) == len(self.sources)
 
     @abstractmethod
     def process(self, source: StreamGenerator, batch: SampleBatch) -> None:
@@ -140,8 +144,14 @@ class ComputationalUnit(ABC):
             work()
         except Exception as error:  # noqa: BLE001  the unit is cut off and says why; others go on
             self.failure = f"{type(error).__name__}: {error}"
+            self.counters.note(self.failure, None)
             self._leave_inputs()
             self._on_failure(self)
+
+    def cut_off(self, reason: str) -> None:
+        """It stops for good without an error of the system: its own rule says so."""
+        self.failure = reason
+        self._leave_inputs()
 
     def _leave_inputs(self) -> None:
         # A unit may fail on the past, before it has subscribed to anything.

@@ -186,9 +186,10 @@ class PolicyCounters:
     """What became of the samples of one subscription.
 
     Law: received = kept + the sum of ``dropped`` + pending, where without approximation ``kept``
-    samples are those sent. ``delayed`` of them were sent later than they came. ``approximated``
-    samples were made by ``use most recent`` at a valid time that no received sample has; then
-    ``kept`` counts received samples that were or may yet be most recent.
+    samples are those sent, and ``delayed`` of them were sent later than they came. With ``use most
+    recent`` ``kept`` samples came into use or were passed by (a newer one was there by then),
+    ``sent`` are those of the grid; ``approximated`` of these repeat a sample of another valid
+    time, ``delayed`` one of their own that had come earlier.
     """
 
     received: int = 0

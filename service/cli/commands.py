@@ -18,6 +18,7 @@ from ..problems import problem_of
 from .demo import demo
 from .events import events
 from .knowing import explain, match, sparql
+from .kpl import kpl
 from .ontologies import ontology
 from .output import JSON_WANTED, fail
 from .replay import replay
@@ -103,6 +104,7 @@ app.command()(sparql)
 app.command()(match)
 app.command()(explain)
 app.command()(run)
+app.add_typer(kpl, name="kpl")
 
 
 def main() -> None:

@@ -1,0 +1,95 @@
+"""Proving a KPL specification on a recording ([DyKnow10 Def. 5.29, 5.35-5.38]).
+
+The recording is replayed through the application that the specification declares. Then every
+declared stream is held against the definition: it must be in eval_fsterm of its term over the
+whole stream of its label. The definitions (`streams.satisfaction`) share nothing with what made
+the streams.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from ..converters.wire import Incoming
+from ..languages.kpl import Signature, StreamDeclaration, format_term
+from ..streams.fluent import Retention
+from ..streams.policy import Approximation, PolicyCounters
+from ..streams.satisfaction import Counterexample, prove, satisfies
+from ..streams.time import TIME_MAX
+from .application import Application
+from .errors import Conflict
+from .processes import Processes
+
+
+@dataclass(frozen=True, slots=True)
+class Proof:
+    """What was found for one declared stream.
+
+    ``refutation`` None: the stream is a maximal satisfying substream, as Def. 5.35 asks.
+    ``as_recorded`` is the first place where the label's own stream would have broken the policy,
+    None where it holds of the recording as it is. ``failure``: a unit behind the stream failed.
+    """
+
+    stream: str
+    term: str
+    received: int
+    counters: PolicyCounters
+    refutation: Counterexample | None
+    as_recorded: Counterexample | None
+    failure: str | None
+
+    @property
+    def holds(self) -> bool:
+        return self.refutation is None and self.failure is None
+
+
+def prove_specification(
+    signature: Signature, processes: Processes, samples: Iterable[tuple[str, Incoming]]
+) -> tuple[Proof, ...]:
+    """Replay ``samples`` (source and batch, in order of available time) and prove each stream.
+
+    Samples of streams that are no source are passed over. Raises `UnknownFeature` for a unit
+    without an implementation, `Conflict` where a source's fields are not those of its sort.
+    Memory: the whole of every stream.
+    """
+    # However late a sample stands in the recording, it takes its place by its available time.
+    application = Application(processes, Retention(samples=2**62), lateness=TIME_MAX)
+    application.add(signature.declarations)
+    for name, incoming in samples:
+        source = application.sources.get(name)
+        if source is None:
+            continue
+        recorded = tuple(incoming.batch.columns)
+        if not source.is_open and recorded != source.schema.names:
+            raise Conflict(
+                f"source {name!r} has the fields {', '.join(source.schema.names)}; "
+                f"recorded are {', '.join(recorded)}",
+                "give the source a sort with these fields, or one that nobody has declared",
+            )
+        source.offer(incoming.batch)
+    application.end()
+    return tuple(
+        _proof(application, declaration)
+        for declaration in signature.declarations
+        if isinstance(declaration, StreamDeclaration)
+    )
+
+
+def _proof(application: Application, declaration: StreamDeclaration) -> Proof:
+    policy = declaration.term.policy
+    label = str(declaration.term.label)
+    whole = application.labels[label].stream.all()
+    made = application.streams[declaration.name].stream.all()
+    unit = application.adaptations[declaration.name]
+    failed = [reason for name, reason in application.failures if name in (label, declaration.name)]
+    approximates = policy.approximation is Approximation.MOST_RECENT
+    return Proof(
+        stream=declaration.name,
+        term=format_term(declaration.term),
+        received=len(whole),
+        counters=unit.policy_counters,
+        refutation=prove(made, whole, policy),
+        as_recorded=None if approximates and not len(whole) else satisfies(whole, policy),
+        failure=failed[0] if failed else None,
+    )

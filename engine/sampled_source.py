@@ -1,0 +1,85 @@
+"""Sample-based sources: functions of time that are read at a period ([DyKnow10 Def. 5.9, 5.33])."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from ..streams.generator import StreamGenerator
+from ..streams.time import TIME_MAX
+from .exchange import Answers, Row
+from .processes import SourceImplementation
+from .supervision import DIRECT, ErrorCounters, Instance, ProcessEvent, Runner, Supervisor
+
+
+class SampledSource:
+    """A source at work: reads at ``start + k * period`` for every due time, when `tick` says that
+    the time has come. ``start`` None: the first tick is the first due time.
+
+    A sample is available at its due time unless it brings a later one, and valid at its due time
+    unless it says otherwise. A tick reads at most ``behind`` due times, the latest; earlier ones
+    are counted in ``missed``: a sensor that is asked late tells nothing of the past. A source that
+    stops by its rule ends its output; ``failure`` says why.
+
+    Cost: Python per reading. Memory: none that grows.
+    """
+
+    def __init__(
+        self,
+        implementation: SourceImplementation,
+        output: StreamGenerator,
+        start: int | None,
+        *,
+        on_event: Callable[[SampledSource, ProcessEvent, str], None],
+        runner: Runner = DIRECT,
+        behind: int = 100,
+        name: str | None = None,
+    ) -> None:
+        self.implementation = implementation
+        self.output = output
+        self.name = name or implementation.name
+        self.counters = ErrorCounters()
+        self.failure: str | None = None
+        self.missed = 0
+        self._next = start
+        self._behind = behind
+        self._answers = Answers(output)
+        self._instance: Instance[Callable[..., Any]] = Instance(implementation.make)
+        self._supervisor = Supervisor(
+            implementation.rule,
+            runner,
+            self.counters,
+            self._instance.forget,
+            self._stop_by_rule,
+            lambda event, text: on_event(self, event, text),
+        )
+
+    def tick(self, now: int) -> None:
+        """The time is ``now`` (ns): read what is due, and promise that nothing comes before."""
+        if self.failure is not None:
+            return
+        if self._next is None:
+            self._next = now
+        if self._next <= now:
+            period = self.implementation.period
+            due = (now - self._next) // period + 1
+            missed = max(0, due - self._behind)
+            self.missed += missed
+            times = [self._next + k * period for k in range(missed, due)]
+            self._next += due * period
+            self._supervisor.run([(t, None) for t in times], self._read, self._answers.offer)
+        if self.failure is None and now < TIME_MAX:
+            self.output.advance(now + 1)
+
+    def stop(self) -> None:
+        """Read no more; the output ends."""
+        self.failure = self.failure or "stopped"
+        self.output.end()
+        self.output.close()
+
+    def _stop_by_rule(self, reason: str) -> None:
+        self.failure = reason
+        self.output.end()
+
+    def _read(self, time: int, _: None) -> Row | None:
+        return self._answers.row(self._instance.get()(time), time, time)

@@ -1,0 +1,82 @@
+"""Policies with the paper's numbers ([DyKnow10 Examples 5.6, 5.9-5.11, Def. 5.26])."""
+
+import pytest
+
+from dyknow.streams.adapting import adapt
+from dyknow.streams.policy import (
+    Approximation,
+    Constraint,
+    Duration,
+    Policy,
+    PolicyError,
+    SampleEvery,
+)
+from dyknow.streams.sample import Field, FieldType, SampleBatch, Schema, batch_from_rows
+from dyknow.streams.satisfaction import extend, is_substream, prove, satisfies
+from dyknow.streams.strings import StringPool
+
+POOL = StringPool()
+SCHEMA = Schema((Field("value", FieldType.STRING),))
+
+
+def stream(*samples: tuple[int, int, str]) -> SampleBatch:
+    rows = [(available, valid, {"value": value}) for available, valid, value in samples]
+    return batch_from_rows(SCHEMA, rows, {"value": POOL})
+
+
+def rows(*batches: SampleBatch) -> list[tuple[int, int, object]]:
+    return [(ta, tv, values["value"]) for batch in batches for ta, tv, values in batch.rows()]
+
+
+F1 = stream((250, 200, "p1"), (325, 300, "p2"), (430, 400, "p3"), (505, 500, "p4"))
+"""Example 5.6: what pos is for car1."""
+F5 = stream((345, 300, "p2"), (460, 400, "p3"))
+"""Example 5.6: speed_car1."""
+
+
+def test_example_5_9_a_delayed_part_is_a_substream() -> None:
+    assert is_substream(F5, F1) is None
+    assert is_substream(F1, F5) is not None
+    assert prove(F5, F1, Policy(duration=Duration(300, 400))) is None
+
+
+def test_example_5_10_every_100_holds_and_a_delay_of_40_does_not() -> None:
+    assert satisfies(F1, Policy(SampleEvery(100))) is None
+    found = satisfies(F1, Policy(max_delay=40))
+    assert found is not None
+    assert (found.constraint, found.row) == (Constraint.DELAY, 0)
+
+
+def test_example_5_11_every_200_has_this_stream_among_others() -> None:
+    policy = Policy(SampleEvery(200))
+    assert prove(stream((280, 200, "p1"), (480, 400, "p3")), F1, policy) is None
+    adaptation = adapt(policy)
+    made = adaptation.push(F1) + adaptation.end()
+    assert rows(*made) == [(250, 200, "p1"), (430, 400, "p3")]
+    assert prove(made[0], F1, policy) is None
+    assert prove(stream((280, 200, "p1")), F1, policy) is not None, "p3 could be added"
+
+
+def test_extend_makes_a_grid_of_the_most_recent_samples() -> None:
+    policy = Policy(
+        SampleEvery(50), 30, Duration(150, 350), approximation=Approximation.MOST_RECENT
+    )
+    # p1 is available at 250, so the first sample that knows it is the one for 250 (at 280).
+    expected = [(280, 250, "p1"), (330, 300, "p2"), (380, 350, "p2")]
+    assert rows(extend(F1, policy)) == expected
+    adaptation = adapt(policy)
+    assert rows(*adaptation.push(F1), *adaptation.end()) == expected
+    assert adaptation.counters.approximated == 2
+
+
+def test_most_recent_needs_a_complete_policy() -> None:
+    with pytest.raises(PolicyError, match=r"sample every.*from a to b.*max delay"):
+        Policy(approximation=Approximation.MOST_RECENT)
+
+
+def test_a_grid_that_is_far_too_long_is_refused() -> None:
+    policy = Policy(SampleEvery(1), 0, Duration(0, 10**12), approximation=Approximation.MOST_RECENT)
+    adaptation = adapt(policy, limit=1_000)
+    adaptation.push(stream((1, 1, "p1")))
+    with pytest.raises(PolicyError, match="samples at once"):
+        adaptation.push(stream((5_000, 5_000, "p2")))
