@@ -209,7 +209,7 @@ def test_available_times_of_a_recording_are_the_least_increasing_ones(times, cut
         expected.append(last)
     found, before = [], -(2**63)
     for start in range(0, len(times), cut):
-        part = _increasing(np.array(times[start : start + cut], np.int64), before)
+        part = increasing(np.array(times[start : start + cut], np.int64), before)
         before = int(part[-1])
         found.extend(part.tolist())
     assert found == expected
