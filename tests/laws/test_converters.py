@@ -200,7 +200,7 @@ def test_any_bytes_are_samples_or_a_wire_error(data):
 def test_available_times_of_a_recording_are_the_least_increasing_ones(times, cut):
     import numpy as np
 
-    from dyknow.converters.recording import _increasing
+    from dyknow.converters.recording import increasing
 
     times = [max(min(t, 2**63 - 200), -(2**63) + 200) for t in times]
     last, expected = None, []
