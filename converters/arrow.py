@@ -28,10 +28,16 @@ class ArrowMissing(WireError):
 
 
 def decode_arrow(data: bytes, schema: Schema, pools: dict[str, StringPool]) -> Incoming:
-    """A batch from an IPC stream, taken whole or refused whole (`WireError`, lines are rows)."""
-    check_names(schema)
+    """A batch from an IPC stream, taken whole or refused whole (`WireError`, lines are rows).
+
+    Without fields in ``schema`` (an open stream) the table's columns decide them.
+    """
     table = _read(data)
     names = table.column_names
+    if not schema.fields and len(set(names)) == len(names):
+        own = [(name, table.column(name).type) for name in names if name not in RESERVED]
+        schema = Schema(tuple(Field(name, arrow_field_type(name, type)) for name, type in own))
+    check_names(schema)
     for name in names:
         if names.count(name) > 1:
             raise WireError(None, f"column {name!r} is there twice")

@@ -7,10 +7,8 @@ shares it, and it stops when the last user leaves. Every change is told to one l
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from enum import StrEnum
-from typing import assert_never
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from typing import Protocol, assert_never
 
 from pyoxigraph import NamedNode
 
@@ -25,6 +23,7 @@ from ..streams.fluent import Retention
 from ..streams.generator import StreamGenerator
 from ..streams.sample import Field, FieldType, Schema
 from ..streams.strings import StringPool
+from .changes import Change, ChangeKind
 from .errors import AlreadyExists, UnknownStream
 from .transformations import Transformation
 from .unit import ComputationalUnit, FunctionUnit, InputPort, QueryUnit, SelectionUnit
@@ -36,45 +35,30 @@ C_SPARQL = "cSparql"
 """The transformation that evaluates a continuous query ([Events14 §V.B])."""
 STATUS = "status"
 """The stream of changes of the stream space ([Introspection15 §3.2])."""
+_NAMED = 20
+"""So many streams are listed when an unknown one is asked for."""
 RESERVED = "dyknow_reserved"
 """Names of streams that the system invents begin so (SPEC §5)."""
 
 
-class ChangeKind(StrEnum):
-    """What happened to the stream space."""
+class Reader(Protocol):
+    """A process that reads streams and makes none: a sink, a configuration process."""
 
-    STREAM_ADDED = "stream added"
-    STREAM_REMOVED = "stream removed"
-    STREAM_ANNOTATED = "stream annotated"
-    STREAM_ENDED = "stream ended"
-    TRANSFORMATION_ANNOTATED = "transformation annotated"
-    UNIT_STARTED = "unit started"
-    UNIT_STOPPED = "unit stopped"
-    UNIT_FAILED = "unit failed"
-    NOT_RESTORED = "not restored"
+    name: str
+    transformation: str
+    inputs: tuple[StreamGenerator, ...]
+    parameters: dict[str, str]
 
-
-@dataclass(frozen=True, slots=True)
-class Change:
-    """One change of the stream space; fields that do not apply are empty.
-
-    ``specification`` is the text by which the change was made: SSL, C-SPARQL, or a
-    transformation with its parameters; of a failure, the reason, and so of an annotation kept by
-    an earlier run that does not hold any more.
-    """
-
-    kind: ChangeKind
-    stream: str = ""
-    unit: str = ""
-    transformation: str = ""
-    inputs: tuple[str, ...] = ()
-    specification: str = ""
+    def stop(self) -> None:
+        """Leave the inputs."""
 
 
 class Configuration:
-    """Streams by name, units by the stream they make.
+    """Streams by name, units by the stream they make, readers (units without output) by name.
 
-    ``namespaces`` says for a stream in which namespace its id fields name objects.
+    ``aliases`` are further names of streams. ``namespaces`` says for a stream in which namespace
+    its id fields name objects. ``system`` names streams that the system makes without a unit;
+    ``missing`` may make a stream that somebody asks for.
     """
 
     def __init__(
@@ -86,19 +70,26 @@ class Configuration:
     ) -> None:
         self.streams: dict[str, StreamGenerator] = {}
         self.units: dict[str, ComputationalUnit] = {}
+        self.readers: dict[str, Reader] = {}
+        self.aliases: dict[str, str] = {}
         self.namespaces: dict[str, str] = {}
+        self.system: set[str] = set()
+        self.missing: Callable[[str], StreamGenerator | None] = lambda _: None
         self._dictionary = dictionary
         self._transformations = transformations
         self._on_change = on_change
         self._next_reserved = first_reserved
         self._next_unit = 1
-        self._made: dict[tuple[Node, Since], ComputationalUnit] = {}
+        self._shared: dict[Hashable, ComputationalUnit] = {}
+        self._keys: dict[ComputationalUnit, Hashable] = {}
 
     def stream(self, name: str) -> StreamGenerator:
-        """The generator of stream ``name``; raises `UnknownStream`."""
-        found = self.streams.get(name)
+        """The generator of ``name``, a stream or an alias of one; raises `UnknownStream`."""
+        found = self.streams.get(self.aliases.get(name, name)) or self.missing(name)
         if found is None:
-            known = ", ".join(sorted(self.streams)) or "none yet"
+            names = sorted(self.streams)
+            known = ", ".join(names[:_NAMED]) + (", …" if len(names) > _NAMED else "")
+            known = known or "none yet"
             raise UnknownStream(
                 f"there is no stream called {name!r}",
                 f"declare it with PUT /streams/{name} or annotate it; there are: {known}",
@@ -116,8 +107,9 @@ class Configuration:
         pools: dict[str, StringPool] | None = None,
         specification: str = "",
     ) -> StreamGenerator:
-        """A new stream; raises `AlreadyExists`. Text fields get string pools of their own."""
-        if name in self.streams:
+        """A new stream; raises `AlreadyExists`. Text fields get string pools of their own. A
+        schema without fields makes an *open* stream, whose first samples decide its fields."""
+        if name in self.streams or name in self.aliases:
             raise AlreadyExists(f"there is a stream called {name!r}", "choose another name")
         pools = dict(pools or {})
         for field in schema.fields:
@@ -138,12 +130,11 @@ class Configuration:
         generator.close()
         self._on_change(Change(ChangeKind.STREAM_REMOVED, name))
 
-    def readers(self, name: str) -> tuple[ComputationalUnit, ...]:
-        """The units that read stream ``name``."""
+    def readers_of(self, name: str) -> tuple[str, ...]:
+        """The names of the units and readers that read stream ``name``."""
+        everybody = (*self.units.values(), *self.readers.values())
         return tuple(
-            unit
-            for unit in self.units.values()
-            if any(source.name == name for source in unit.inputs)
+            one.name for one in everybody if any(source.name == name for source in one.inputs)
         )
 
     def reserved_name(self) -> str:
@@ -162,11 +153,19 @@ class Configuration:
         """
         if isinstance(node, UseStream):
             return self.stream(node.stream)
-        unit = self._made.get((node, since))
+        return self.share((node, since), lambda: self._build(node, since)).output
+
+    def share(self, key: Hashable, build: Callable[[], ComputationalUnit]) -> ComputationalUnit:
+        """The running unit that was built for ``key``, or a new one: who wants the same shares it.
+
+        ``build`` starts the unit; it is forgotten when it stops, and not shared once it failed.
+        """
+        unit = self._shared.get(key)
         if unit is None or self.is_broken(unit):
-            unit = self._build(node, since)
-            self._made[node, since] = unit
-        return unit.output
+            unit = build()
+            self._shared[key] = unit
+            self._keys[unit] = key
+        return unit
 
     def start_query(
         self,
@@ -184,29 +183,42 @@ class Configuration:
         output = self._output(schema, DYKNOW, {})
         evaluator, results, text = make(output)
         unit = QueryUnit(
-            *self._identity(C_SPARQL, inputs, output, {"query": text}),
+            *self.identity(C_SPARQL, inputs, output, {"query": text}),
             evaluator=evaluator,
             converters=converters,
             results=results,
         )
-        self._start(unit, since, text)
+        self.start(unit, since, text)
         return unit
 
     def release(self, unit: ComputationalUnit) -> None:
         """One user less; the unit stops with its last one, and so do its inputs in turn."""
         unit.users -= 1
-        if unit.users > 0:
-            return
+        if unit.users <= 0:
+            self.remove_unit(unit)
+
+    def remove_unit(self, unit: ComputationalUnit) -> None:
+        """Stop a unit, whoever reads it: its readers are told that their input has ended."""
+        unit.users = 0
         unit.stop()
         del self.units[unit.output.name]
-        for key in [key for key, made in self._made.items() if made is unit]:
-            del self._made[key]
-        self._tell(ChangeKind.UNIT_STOPPED, unit)
+        key = self._keys.pop(unit, None)
+        if key is not None and self._shared.get(key) is unit:
+            del self._shared[key]
+        self.tell(ChangeKind.UNIT_STOPPED, unit)
         self.remove_stream(unit.output.name)
-        for source in unit.inputs:
-            producer = self.units.get(source.name)
-            if producer is not None and producer.output is source:
-                self.release(producer)
+        self._leave(unit.inputs)
+
+    def attach(self, reader: Reader) -> None:
+        """A process without output begins: the units that make its inputs have one user more."""
+        self.readers[reader.name] = reader
+        self._use(reader.inputs)
+
+    def detach(self, reader: Reader) -> None:
+        """A process without output ends, and with it what nobody else needs."""
+        reader.stop()
+        del self.readers[reader.name]
+        self._leave(reader.inputs)
 
     def units_behind(self, unit: ComputationalUnit) -> tuple[ComputationalUnit, ...]:
         """The units whose samples reach ``unit``, inputs first, and ``unit`` itself, each once."""
@@ -223,7 +235,7 @@ class Configuration:
         the first one."""
         unit = self.units.get(generator.name)
         if unit is None:
-            return generator.stamped
+            return True if generator.name in self.system else generator.stamped
         known = {self.is_stamped(source) for source in unit.inputs}
         return False if False in known else (True if True in known else None)
 
@@ -235,8 +247,7 @@ class Configuration:
         """Stop units that were built for a request that then failed."""
         for unit in list(self.units.values()):
             if unit.users == 0 and self.units.get(unit.output.name) is unit:
-                unit.users = 1
-                self.release(unit)
+                self.remove_unit(unit)
 
     def _build(self, node: SelectObject | Compute, since: Since) -> ComputationalUnit:
         match node:
@@ -255,12 +266,12 @@ class Configuration:
         parameters = {"field": id_field, "object": shorten(object)}
         objects = ObjectTable(self._dictionary, namespace)
         unit = SelectionUnit(
-            *self._identity(SELECT_OBJECT, [source], output, parameters),
+            *self.identity(SELECT_OBJECT, [source], output, parameters),
             id_field=id_field,
             object_id=self._dictionary.id(NamedNode(object)),
             objects=objects,
         )
-        self._start(unit, since)
+        self.start(unit, since)
         return unit
 
     def _compute(self, node: Compute, since: Since) -> FunctionUnit:
@@ -279,7 +290,7 @@ class Configuration:
         output = self._output(Schema(tuple(fields)), self.namespaces[source.name], pools)
         ports = {port.target_field: port for port in edge.ports}
         unit = FunctionUnit(
-            *self._identity(transformation.name, [source], output, transformation.parameters),
+            *self.identity(transformation.name, [source], output, transformation.parameters),
             function=transformation.implementation.make(transformation.parameters),
             ports=[
                 InputPort(ports[port.field].source_field, ports[port.field].conversion)
@@ -288,39 +299,56 @@ class Configuration:
             id_field=id_field,
             output_field=node.output.field,
         )
-        self._start(unit, since)
+        self.start(unit, since)
         return unit
 
-    def _output(
-        self, schema: Schema, namespace: str, pools: dict[str, StringPool]
-    ) -> StreamGenerator:
-        return self.add_stream(self.reserved_name(), schema, namespace=namespace, pools=pools)
-
-    def _identity(
+    def identity(
         self,
         transformation: str,
         inputs: Sequence[StreamGenerator],
         output: StreamGenerator,
         parameters: Mapping[str, str],
     ) -> tuple[object, ...]:
+        """What every `ComputationalUnit` begins with; it gets the next free name."""
+        return (self.unit_name(), transformation, inputs, output, parameters, self._failed)
+
+    def unit_name(self) -> str:
+        """The next free ``dyknow_cu<N>``."""
         name = f"dyknow_cu{self._next_unit}"
         self._next_unit += 1
-        return (name, transformation, inputs, output, parameters, self._failed)
+        return name
 
-    def _start(self, unit: ComputationalUnit, since: Since, specification: str = "") -> None:
+    def start(
+        self,
+        unit: ComputationalUnit,
+        since: Since = Since.NOW,
+        specification: str = "",
+        after: int | None = None,
+    ) -> None:
+        """Connect a unit to its inputs, and tell; see `ComputationalUnit.start`."""
         self.units[unit.output.name] = unit
-        for source in unit.inputs:
-            producer = self.units.get(source.name)
-            if producer is not None:
-                producer.users += 1
+        self._use(unit.inputs)
         text = ", ".join(f"{key}={value}" for key, value in unit.parameters.items())
-        self._tell(ChangeKind.UNIT_STARTED, unit, specification or f"{unit.transformation}({text})")
-        unit.start(since)
+        self.tell(ChangeKind.UNIT_STARTED, unit, specification or f"{unit.transformation}({text})")
+        unit.start(since, after)
 
-    def _failed(self, unit: ComputationalUnit) -> None:
-        self._tell(ChangeKind.UNIT_FAILED, unit, unit.failure or "")
+    def change_inputs(
+        self,
+        unit: ComputationalUnit,
+        gained: Sequence[StreamGenerator],
+        lost: Sequence[StreamGenerator],
+    ) -> None:
+        """A unit that chooses its inputs itself has changed them ([DyKnow10 Def. 4.7])."""
+        self._use(gained)
+        self.tell(ChangeKind.INPUTS_CHANGED, unit)
+        self._leave(lost)
 
-    def _tell(self, kind: ChangeKind, unit: ComputationalUnit, specification: str = "") -> None:
+    def told(self, change: Change) -> None:
+        """Pass on a change of a process that is no unit."""
+        self._on_change(change)
+
+    def tell(self, kind: ChangeKind, unit: ComputationalUnit, specification: str = "") -> None:
+        """Tell a change of a unit."""
         self._on_change(
             Change(
                 kind,
@@ -331,3 +359,23 @@ class Configuration:
                 specification,
             )
         )
+
+    def _use(self, inputs: Sequence[StreamGenerator]) -> None:
+        for source in inputs:
+            producer = self.units.get(source.name)
+            if producer is not None:
+                producer.users += 1
+
+    def _leave(self, inputs: Sequence[StreamGenerator]) -> None:
+        for source in inputs:
+            producer = self.units.get(source.name)
+            if producer is not None and producer.output is source:
+                self.release(producer)
+
+    def _output(
+        self, schema: Schema, namespace: str, pools: dict[str, StringPool]
+    ) -> StreamGenerator:
+        return self.add_stream(self.reserved_name(), schema, namespace=namespace, pools=pools)
+
+    def _failed(self, unit: ComputationalUnit) -> None:
+        self.tell(ChangeKind.UNIT_FAILED, unit, unit.failure or "")

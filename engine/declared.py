@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Iterator, Mapping
+from urllib.parse import quote
 
 from pyoxigraph import NamedNode
 
@@ -32,10 +33,14 @@ from ..rdf.namespaces import DYKNOW, STREAM_SPACE
 from ..streams.fluent import Retention
 from ..streams.generator import StreamGenerator
 from ..streams.sample import Field, FieldType, Schema
-from .configuration import C_SPARQL, SELECT_OBJECT, STATUS, Change, ChangeKind, Configuration
+from ..streams.strings import StringPool
+from .application import BUILT_IN
+from .changes import Change, ChangeKind
+from .configuration import C_SPARQL, SELECT_OBJECT, STATUS, Configuration
 from .errors import BadArguments, Conflict, DyknowError, Refused
 from .transformations import IMPLEMENTATIONS, Transformation, described
 from .views import StreamDeclaration
+from .violations import SUFFIX
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
 SYSTEMS_OWN = "dyknow_"
@@ -67,7 +72,7 @@ class DeclaredStreams:
         samples or subscribers would change, `Refused` for a name that is not the user's to give,
         `BadArguments` for a namespace that is no IRI.
         """
-        self._check_name(declaration.name)
+        self.check_stream_name(declaration.name)
         schema = Schema(declaration.fields)
         if not schema.fields:
             raise Refused("a stream has at least one field", 'give "fields": [{"name", "type"}]')
@@ -97,10 +102,10 @@ class DeclaredStreams:
     def remove(self, name: str) -> None:
         """Forget a stream, its annotation and what is kept of both; raises `Conflict` while a unit
         reads it."""
-        readers = self._configuration.readers(name)
+        readers = self._configuration.readers_of(name)
         if readers:
             raise Conflict(
-                f"stream {name!r} is read by {', '.join(unit.name for unit in readers)}",
+                f"stream {name!r} is read by {', '.join(readers)}",
                 "cancel the requests that need it first",
             )
         if self._annotations.pop(name, None) is not None:
@@ -153,8 +158,8 @@ class DeclaredStreams:
             annotation, schema, vocabulary, self._dictionary, namespace=namespace, units=units
         )
 
-    def restore(self) -> None:
-        """What an earlier run was told: declared streams, then annotations.
+    def restore_streams(self) -> None:
+        """The streams that an earlier run was told of.
 
         What cannot be read or does not hold any more (the ontology has changed since) is told on
         the status stream and left out; its text is kept.
@@ -167,6 +172,9 @@ class DeclaredStreams:
                 self._changed(Change(ChangeKind.NOT_RESTORED, name, specification=reason))
                 continue
             self._add(declaration)
+
+    def restore_annotations(self) -> None:
+        """The annotations that an earlier run was told; see `restore_streams`."""
         for name, source in self._ontology.annotations().items():
             try:
                 checked = check_ssl(parse_ssl(source), source, self._ontology.vocabulary)
@@ -188,22 +196,33 @@ class DeclaredStreams:
             namespace=declaration.namespace,
         )
 
-    def _check_name(self, name: str) -> None:
+    def check_stream_name(self, name: str) -> None:
+        """Raises `Refused` for what is no name of a stream that people may declare."""
         if not _NAME.match(name):
             raise Refused(
                 f"{name!r} is no stream name", "letters, digits and _; the first is a letter"
             )
+        self.check_name(name)
+
+    def check_name(self, name: str) -> None:
+        """Raises `Refused` for names that are the system's own."""
         if (
-            name in (STATUS, SELECT_OBJECT, C_SPARQL)
+            name in (STATUS, SELECT_OBJECT, C_SPARQL, *BUILT_IN)
             or name.startswith(SYSTEMS_OWN)
+            or name.endswith(SUFFIX)
             or name in IMPLEMENTATIONS
             or self._is_term(name)
         ):
             raise Refused(f"{name!r} is the system's own name", "choose another name")
 
+    def is_as_declared(self, declaration: StreamDeclaration) -> bool:
+        """Whether there is the very stream of the declaration."""
+        existing = self._configuration.streams.get(declaration.name)
+        return existing is not None and self._declaration(existing) == declaration
+
     def _is_term(self, name: str) -> bool:
         """Streams, units and transformations are individuals beside the terms of the ontology."""
-        term = NamedNode(STREAM_SPACE + name)
+        term = NamedNode(STREAM_SPACE + quote(name, safe=""))
         said = self._ontology.store.quads_for_pattern(term, None, None, STREAM_SPACE_ONTOLOGY)
         return next(said, None) is not None
 
@@ -227,9 +246,12 @@ class DeclaredStreams:
     def _check_annotation(self, annotation: CheckedAnnotation) -> None:
         match annotation:
             case StreamAnnotation():
-                self._check_name(annotation.stream)
+                self.check_stream_name(annotation.stream)
                 existing = self._configuration.streams.get(annotation.stream)
-                schema = Schema(self._inferred(annotation)) if existing is None else existing.schema
+                if existing is None or existing.is_open:
+                    schema = Schema(self._inferred(annotation))
+                else:
+                    schema = existing.schema
                 self._check_fields(annotation, schema)
             case TransformationAnnotation():
                 described(annotation)
@@ -268,8 +290,13 @@ class DeclaredStreams:
             )
         elif isinstance(annotation, StreamAnnotation):
             self._annotations[annotation.stream] = annotation
-            if annotation.stream not in self._configuration.streams:
-                self._add(StreamDeclaration(annotation.stream, self._inferred(annotation)))
+            existing = self._configuration.streams.get(annotation.stream)
+            inferred = self._inferred(annotation)
+            if existing is None:
+                self._add(StreamDeclaration(annotation.stream, inferred))
+            elif existing.is_open:
+                texts = [field.name for field in inferred if field.type is FieldType.STRING]
+                existing.adopt(Schema(inferred), {name: StringPool() for name in texts})
             self._changed(
                 Change(
                     ChangeKind.STREAM_ANNOTATED,

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 import secrets
-from collections import OrderedDict
+from collections import OrderedDict, deque
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -38,7 +38,9 @@ from ..templates.library import (
     TemplateRefused,
 )
 from . import explain as explanations
-from .configuration import STATUS, Change, ChangeKind, Configuration
+from .application import Application
+from .changes import Change, ChangeKind
+from .configuration import STATUS, Configuration
 from .declared import DeclaredStreams
 from .errors import (
     AlreadyExists,
@@ -49,11 +51,15 @@ from .errors import (
     UnknownFeature,
     UnknownTemplate,
 )
+from .kpl import KplDeclarations
+from .processes import PROCESSES, Processes
 from .requests import EventRequests
 from .semantics_manager import SemanticsManager
 from .stream_view import stream_view
+from .supervision import DIRECT, Runner
 from .transformations import Transformation, library
 from .views import (
+    DeclarationView,
     EventView,
     MatchView,
     Since,
@@ -71,7 +77,8 @@ class Engine:
 
     ``data`` is the directory of what outlives the process (None: in memory). ``epoch`` marks
     this run in event ids. ``first_reserved`` is the first N of ``dyknow_reserved<N>``. ``now`` is
-    the time in ns until `publish` and `tick` bring a later one.
+    the time in ns until `publish` and `tick` bring a later one. ``processes`` are the user-written
+    ones that KPL may name, and ``runner`` calls them.
     """
 
     def __init__(
@@ -81,6 +88,8 @@ class Engine:
         epoch: str | None = None,
         first_reserved: int = 1,
         now: int = 0,
+        processes: Processes = PROCESSES,
+        runner: Runner = DIRECT,
     ) -> None:
         self.epoch = epoch or secrets.token_hex(4)
         self.ontology = Ontology.open(None if data is None else data / "ontology")
@@ -107,6 +116,14 @@ class Engine:
             self._declared.space,
             self._changed,
         )
+        self._application = Application(
+            self._configuration,
+            processes,
+            runner=runner,
+            check_name=self._declared.check_name,
+        )
+        self._kpl = KplDeclarations(self.ontology, self._application, self._changed)
+        self._untold: deque[Change] = deque()
         self._keys: OrderedDict[tuple[str, str], tuple[bytes, int]] = OrderedDict()
         self._converters: dict[str, SampleConverter] = {}
         self._status: StreamGenerator | None = None
@@ -120,12 +137,17 @@ class Engine:
             self._changed(Change(ChangeKind.TRANSFORMATION_ANNOTATED, transformation=name))
         for event, reason in self._templates.broken.items():
             self._changed(Change(ChangeKind.NOT_RESTORED, shorten(event), specification=reason))
-        self._declared.restore()
+        self._declared.restore_streams()
+        with self._manager.together():
+            self._kpl.restore()
+        self._declared.restore_annotations()
 
     # -- streams -----------------------------------------------------------------------------
 
     def declare(self, declaration: StreamDeclaration) -> StreamView:
         """Make a stream, or change one that nobody has used yet; see `DeclaredStreams`."""
+        if self._configuration.streams.get(declaration.name) is not None:
+            self._refuse_if_source(declaration.name, declaration)
         return self._view(self._declared.declare(declaration))
 
     def annotate(self, ssl: str) -> tuple[CheckedAnnotation, ...]:
@@ -152,7 +174,8 @@ class Engine:
         """The generator of a stream that takes samples; raises `UnknownStream`, and `Refused` for
         a stream that the system makes."""
         generator = self._configuration.stream(name)
-        if name == STATUS or name in self._configuration.units:
+        made = (self._configuration.units, self._configuration.system, (STATUS,))
+        if any(generator.name in names for names in made):
             raise Refused(
                 f"stream {name!r} is made by the system", "publish to a stream that you declared"
             )
@@ -160,8 +183,9 @@ class Engine:
 
     def remove_stream(self, name: str) -> None:
         """Forget a declared stream and its annotation; raises `UnknownStream`, `Refused` for a
-        stream that the system makes, and `Conflict` while a unit reads it."""
-        self.accepting(name)
+        stream that the system makes, and `Conflict` while a unit or KPL needs it."""
+        name = self.accepting(name).name
+        self._refuse_if_source(name)
         self._declared.remove(name)
         for key in [key for key in self._keys if key[0] == name]:
             del self._keys[key]
@@ -211,12 +235,14 @@ class Engine:
 
     def end(self, name: str) -> None:
         """A recording has come to its end: what waits for more samples is decided now."""
-        self.accepting(name).end()
-        self._changed(Change(ChangeKind.STREAM_ENDED, name))
+        generator = self.accepting(name)
+        generator.end()
+        self._changed(Change(ChangeKind.STREAM_ENDED, generator.name))
 
     def tick(self, now: int) -> None:
         """The time is ``now``: streams that are stamped on arrival have nothing before it."""
         self._now = max(self._now, now)
+        self._application.tick(now)
         units = self._configuration.units
         for generator in list(self._configuration.streams.values()):
             if generator.stamped and generator.name not in units and not generator.is_ended:
@@ -311,6 +337,36 @@ class Engine:
         """End a request; units without users stop."""
         self._requests.cancel(id)
 
+    # -- KPL ---------------------------------------------------------------------------------
+
+    def add_kpl(self, text: str, unit: str = "ms") -> tuple[DeclarationView, ...]:
+        """Declare sources, units, generators and streams in KPL, and start them; all of the text
+        or nothing. Gives what is new. ``unit`` is what integers are where the text does not say.
+
+        Raises `LanguageError`, and what `Application.add` raises.
+        """
+        with self._manager.together():
+            added = self._kpl.add(text, unit)
+        return tuple(self._kpl.view(key) for key in added)
+
+    def kpl(self) -> tuple[DeclarationView, ...]:
+        """Everything declared in KPL, in order."""
+        return self._kpl.views()
+
+    def kpl_text(self) -> str:
+        """The same as a KPL text, integers in ms."""
+        return self._kpl.text()
+
+    def kpl_declaration(self, name: str) -> tuple[DeclarationView, tuple[str, ...]]:
+        """One declaration, and the names of all that cannot be without it; raises
+        `UnknownDeclaration`."""
+        return self._kpl.view(name), self._kpl.used_by(name)
+
+    def remove_kpl(self, name: str, *, cascade: bool = False) -> tuple[str, ...]:
+        """Stop and forget a declaration; see `Application.remove`."""
+        with self._manager.together():
+            return self._kpl.remove(name, cascade=cascade)
+
     # -- meaning -----------------------------------------------------------------------------
 
     def load_ontology(self, text: str, *, name: str, format: TextFormat = "turtle") -> None:
@@ -368,7 +424,28 @@ class Engine:
     # -- within ------------------------------------------------------------------------------
 
     def _changed(self, change: Change) -> None:
-        """A change of the stream space: mirrored into the ontology, told on the status stream."""
+        """A change of the stream space: mirrored into the ontology, told on the status stream.
+
+        To tell one may cause another, if a process reads the status stream: that is told after it.
+        """
+        self._untold.append(change)
+        if len(self._untold) == 1:
+            while self._untold:
+                try:
+                    self._tell(self._untold[0])
+                finally:
+                    self._untold.popleft()
+
+    def _refuse_if_source(self, name: str, declaration: StreamDeclaration | None = None) -> None:
+        if self._application.uses_stream(name) and (
+            declaration is None or not self._declared.is_as_declared(declaration)
+        ):
+            raise Conflict(
+                f"stream {name!r} is a source of KPL declarations",
+                f"remove these first: DELETE /kpl/{name}",
+            )
+
+    def _tell(self, change: Change) -> None:
         self._manager.changed(change)
         self._converters.pop(change.stream, None)
         status = self._status

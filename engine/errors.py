@@ -79,3 +79,9 @@ class Refused(DyknowError):
     """A request that the engine understands and does not carry out."""
 
     title = "refused"
+
+
+class UnknownDeclaration(DyknowError):
+    """Nothing of this name was declared in KPL."""
+
+    title = "unknown declaration"

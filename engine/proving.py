@@ -12,14 +12,21 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from ..converters.wire import Incoming
-from ..languages.kpl import Signature, StreamDeclaration, format_term
+from ..languages.kpl import Signature, SourceDeclaration, StreamDeclaration, format_term
+from ..rdf.dictionary import TermDictionary
 from ..streams.fluent import Retention
 from ..streams.policy import Approximation, PolicyCounters
 from ..streams.satisfaction import Counterexample, prove, satisfies
 from ..streams.time import TIME_MAX
 from .application import Application
+from .changes import Change, ChangeKind
+from .configuration import Configuration
 from .errors import Conflict
 from .processes import Processes
+from .stream_units import AdaptationUnit
+from .supervision import DIRECT, Runner
+
+_FAILURES = (ChangeKind.UNIT_FAILED, ChangeKind.UNIT_STOPPED_BY_RULE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,19 +52,42 @@ class Proof:
 
 
 def prove_specification(
-    signature: Signature, processes: Processes, samples: Iterable[tuple[str, Incoming]]
+    signature: Signature,
+    processes: Processes,
+    samples: Iterable[tuple[str, Incoming]],
+    runner: Runner = DIRECT,
 ) -> tuple[Proof, ...]:
     """Replay ``samples`` (source and batch, in order of available time) and prove each stream.
 
-    Samples of streams that are no source are passed over. Raises `UnknownFeature` for a unit
-    without an implementation, `Conflict` where a source's fields are not those of its sort.
+    Samples of streams that are no source are passed over. ``runner`` calls the processes. Raises
+    `UnknownFeature` for a unit without an implementation, `Conflict` where a source's fields are
+    not those of its sort.
     Memory: the whole of every stream.
     """
     # However late a sample stands in the recording, it takes its place by its available time.
-    application = Application(processes, Retention(samples=2**62), lateness=TIME_MAX)
+    failures: list[tuple[str, str]] = []
+
+    def told(change: Change) -> None:
+        if change.kind in _FAILURES:
+            failures.append((change.stream, f"{change.kind}: {change.specification}"))
+
+    configuration = Configuration(TermDictionary(), {}, told)
+    application = Application(
+        configuration,
+        processes,
+        runner=runner,
+        retention=Retention(samples=2**62),
+        lateness=TIME_MAX,
+        reads_sources=False,
+    )
     application.add(signature.declarations)
+    sources = {
+        declaration.name: configuration.stream(declaration.name)
+        for declaration in signature.declarations
+        if isinstance(declaration, SourceDeclaration)
+    }
     for name, incoming in samples:
-        source = application.sources.get(name)
+        source = sources.get(name)
         if source is None:
             continue
         recorded = tuple(incoming.batch.columns)
@@ -68,21 +98,27 @@ def prove_specification(
                 "give the source a sort with these fields, or one that nobody has declared",
             )
         source.offer(incoming.batch)
-    application.end()
+    for source in sources.values():
+        source.end()
     return tuple(
-        _proof(application, declaration)
+        _proof(application, failures, declaration)
         for declaration in signature.declarations
         if isinstance(declaration, StreamDeclaration)
     )
 
 
-def _proof(application: Application, declaration: StreamDeclaration) -> Proof:
+def _proof(
+    application: Application, failures: list[tuple[str, str]], declaration: StreamDeclaration
+) -> Proof:
     policy = declaration.term.policy
     label = str(declaration.term.label)
-    whole = application.labels[label].stream.all()
-    made = application.streams[declaration.name].stream.all()
-    unit = application.adaptations[declaration.name]
-    failed = [reason for name, reason in application.failures if name in (label, declaration.name)]
+    source, output = application.stream_of(label), application.stream_of(declaration.name)
+    unit = application.unit_of(declaration.name)
+    assert source is not None
+    assert output is not None
+    assert isinstance(unit, AdaptationUnit)
+    whole, made = source.stream.all(), output.stream.all()
+    failed = [reason for name, reason in failures if name in (source.name, output.name)]
     approximates = policy.approximation is Approximation.MOST_RECENT
     return Proof(
         stream=declaration.name,

@@ -32,7 +32,8 @@ from ..templates.instantiate import ArgumentError, instantiate
 from ..templates.library import TemplateLibrary
 from ..templates.needs import Needs, NeedsError
 from . import explain as explanations
-from .configuration import Change, ChangeKind, Configuration
+from .changes import Change, ChangeKind
+from .configuration import Configuration
 from .errors import BadArguments, NoPlan, UnknownRequest
 from .results import result_form
 from .unit import QueryUnit

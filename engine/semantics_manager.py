@@ -8,7 +8,9 @@ asserts is exactly what `assertions` gives for the current configuration: a test
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from urllib.parse import quote
 
 from pyoxigraph import Literal, NamedNode, Triple
 
@@ -16,13 +18,14 @@ from ..languages.ssl.annotation import Content, PortAnnotation, StreamAnnotation
 from ..ontology.ontology import Ontology
 from ..ontology.units import format_unit
 from ..rdf.namespaces import RDF_TYPE, STREAM_SPACE
-from .configuration import Change, ChangeKind
+from .changes import Change, ChangeKind
 from .transformations import Transformation
 
 
 def term(name: str) -> NamedNode:
-    """A term of the stream space: of the ontology, or an individual by its name."""
-    return NamedNode(STREAM_SPACE + name)
+    """A term of the stream space: of the ontology, or an individual by its name, of which what an
+    IRI cannot have is percent-encoded (``speed%5Bcar1%5D``)."""
+    return NamedNode(STREAM_SPACE + quote(name, safe=""))
 
 
 class SemanticsManager:
@@ -43,6 +46,23 @@ class SemanticsManager:
         self._asserted: dict[tuple[str, str], frozenset[Triple]] = {}
         # Several units may say the same of their transformation: a triple goes with its last one.
         self._supported: Counter[Triple] = Counter()
+        self._held: dict[Triple, bool] | None = None
+
+    @contextmanager
+    def together(self) -> Iterator[None]:
+        """Changes told meanwhile are mirrored in one piece at the end: it is cheaper."""
+        if self._held is not None:
+            yield
+            return
+        held = self._held = {}
+        try:
+            yield
+        finally:
+            self._held = None
+            self._ontology.mirror(
+                {triple for triple, there in held.items() if there},
+                {triple for triple, there in held.items() if not there},
+            )
 
     def changed(self, change: Change) -> None:
         """Mirror one change."""
@@ -52,7 +72,7 @@ class SemanticsManager:
                 self._assert(("stream", change.stream), stream_triples(change.stream, annotation))
             case ChangeKind.STREAM_REMOVED:
                 self._assert(("stream", change.stream), ())
-            case ChangeKind.UNIT_STARTED:
+            case ChangeKind.UNIT_STARTED | ChangeKind.INPUTS_CHANGED:
                 self._assert(("unit", change.unit), unit_triples(change))
             case ChangeKind.UNIT_STOPPED:
                 self._assert(("unit", change.unit), ())
@@ -61,7 +81,13 @@ class SemanticsManager:
                 self._assert(
                     ("transformation", change.transformation), transformation_triples(described)
                 )
-            case ChangeKind.STREAM_ENDED | ChangeKind.UNIT_FAILED | ChangeKind.NOT_RESTORED:
+            case (
+                ChangeKind.STREAM_ENDED
+                | ChangeKind.UNIT_FAILED
+                | ChangeKind.UNIT_RESTARTED
+                | ChangeKind.UNIT_STOPPED_BY_RULE
+                | ChangeKind.NOT_RESTORED
+            ):
                 pass  # the structure of the stream space is as it was
 
     def assertions(self) -> frozenset[Triple]:
@@ -79,7 +105,10 @@ class SemanticsManager:
         removed = {triple for triple in before - after if not self._supported[triple]}
         for triple in removed:
             del self._supported[triple]
-        self._ontology.mirror(added, removed)
+        if self._held is None:
+            self._ontology.mirror(added, removed)
+        else:
+            self._held.update(dict.fromkeys(removed, False) | dict.fromkeys(added, True))
 
 
 def stream_triples(name: str, annotation: StreamAnnotation | None) -> Iterable[Triple]:
@@ -103,11 +132,12 @@ def stream_triples(name: str, annotation: StreamAnnotation | None) -> Iterable[T
 def unit_triples(change: Change) -> Iterable[Triple]:
     """A computational unit, in the shape of [Introspection15 Listing 2]."""
     unit = term(change.unit)
-    yield Triple(unit, RDF_TYPE, term("ComputationalUnit"))
+    yield Triple(unit, RDF_TYPE, term(change.role))
     yield Triple(unit, term("hasName"), Literal(change.unit))
     for source in change.inputs:
         yield Triple(unit, term("hasInput"), term(source))
-    yield Triple(unit, term("hasOutput"), term(change.stream))
+    if change.stream:
+        yield Triple(unit, term("hasOutput"), term(change.stream))
     yield Triple(unit, term("instantiationOf"), term(change.transformation))
     yield Triple(term(change.transformation), RDF_TYPE, term("Transformation"))
     specification = term(f"{change.unit}_specification")

@@ -6,6 +6,7 @@ The kernels stand in `streams`; here they are connected to generators.
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Sequence
 from typing import Any
 
@@ -14,17 +15,41 @@ from ..streams.generator import StreamGenerator
 from ..streams.joining import Join
 from ..streams.policy import Policy, PolicyCounters
 from ..streams.sample import SampleBatch, empty_batch
-from ..streams.synchronization import Synchronization
+from ..streams.synchronization import StateCounters, Synchronization
 from ..streams.tuples import TupleBatch, flat_names
 from .unit import ComputationalUnit
+from .violations import Violations
 
 
-class AdaptationUnit(ComputationalUnit):
+class PolicyUnit(ComputationalUnit):
+    """A unit that follows a policy, and tells what it did not let through."""
+
+    def __init__(self, *args: Any, violations: Violations | None = None) -> None:
+        super().__init__(*args)
+        self.violations = violations
+
+    @property
+    @abstractmethod
+    def policy_counters(self) -> PolicyCounters | StateCounters | None:
+        """What became of the samples; None of a unit without a policy."""
+
+    def stop(self) -> None:
+        super().stop()
+        if self.violations is not None:
+            self.violations.end()
+
+    def finish(self, source: StreamGenerator) -> None:
+        super().finish(source)
+        if self.violations is not None and self.all_ended:
+            self.violations.end()
+
+
+class AdaptationUnit(PolicyUnit):
     """A subscription with a policy: its output is in eval_fsterm(label with policy) (Def. 5.35)."""
 
-    def __init__(self, *args: Any, policy: Policy) -> None:
-        super().__init__(*args)
-        self._adaptation = adapt(policy)
+    def __init__(self, *args: Any, policy: Policy, violations: Violations | None = None) -> None:
+        super().__init__(*args, violations=violations)
+        self._adaptation = adapt(policy, None if violations is None else violations.dropped)
 
     @property
     def policy_counters(self) -> PolicyCounters:
@@ -47,7 +72,7 @@ class AdaptationUnit(ComputationalUnit):
             self.output.offer(batch)
 
 
-class TupleUnit(ComputationalUnit):
+class TupleUnit(PolicyUnit):
     """``join(w1 … wn)`` or ``sync(w1 … wn; policy)``: one sample a tuple, whose fields are those of
     the inputs under the names of `flat_names`; where an input has none they are no_value.
 
@@ -55,11 +80,20 @@ class TupleUnit(ComputationalUnit):
     """
 
     def __init__(
-        self, *args: Any, kernel: Join | Synchronization, identifiers: Sequence[str]
+        self,
+        *args: Any,
+        kernel: Join | Synchronization,
+        identifiers: Sequence[str],
+        violations: Violations | None = None,
     ) -> None:
-        super().__init__(*args)
+        super().__init__(*args, violations=violations)
         self._kernel = kernel
         self._identifiers = tuple(identifiers)
+
+    @property
+    def policy_counters(self) -> StateCounters | None:
+        """What became of samples and states; None of a join, which has no policy."""
+        return self._kernel.counters if isinstance(self._kernel, Synchronization) else None
 
     def process(self, source: StreamGenerator, batch: SampleBatch) -> None:
         for place in self._places(source):

@@ -59,28 +59,35 @@ class ComputationalUnit(ABC):
         self.users = 0
         self.failure: str | None = None
         self.counters = ErrorCounters()
+        self._after: int | None = None
         self._on_failure = on_failure
         self._watermarks: dict[StreamGenerator, int] = {}
         self._ended: set[StreamGenerator] = set()
         self._subscribed: list[StreamGenerator] = []
 
-    def start(self, since: Since = Since.NOW) -> None:
+    def start(self, since: Since = Since.NOW, after: int | None = None) -> None:
         """Subscribe to the inputs; from the start of what they keep, if asked.
 
         The past of all inputs comes first, then how far each of them is: a unit of several inputs
-        sees the same as if it had been there when their samples came.
+        sees the same as if it had been there when their samples came. With ``after`` (ns) it sees
+        nothing that was available by then, whether that has come already or not.
         """
-        if since is Since.START:
+        self._after = after
+        if since is Since.START or after is not None:
             for source in self.sources:
                 for segment in source.stream.since(0):
                     self.receive(source, segment.batch)
         for source in self.sources:
-            if self.failure is None:
-                self._subscribed.append(source)
-                source.subscribe(self)
-        for source in self.sources:
-            if source.is_ended:
-                self.ended(source)
+            self.connect(source)
+
+    def connect(self, source: StreamGenerator) -> None:
+        """Subscribe to an input, and hear of its end if that was earlier."""
+        if self.failure is not None:
+            return
+        self._subscribed.append(source)
+        source.subscribe(self)
+        if source.is_ended:
+            self.ended(source)
 
     def stop(self) -> None:
         """Leave the inputs; the output ends."""
@@ -91,6 +98,10 @@ class ComputationalUnit(ABC):
     def receive(self, source: StreamGenerator, batch: SampleBatch) -> None:
         """Samples of an input."""
         self._ended.discard(source)
+        if self._after is not None and batch.available[0] <= self._after:
+            batch = batch.take(batch.available > self._after)
+            if not len(batch):
+                return
         self._guarded(lambda: self.process(source, batch))
 
     def advance(self, source: StreamGenerator, watermark: int) -> None:

@@ -124,3 +124,29 @@ class MatchView:
     plan: PlanView | None
     alternatives: tuple[str, ...]
     reasons: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class DeclarationView:
+    """A KPL declaration and what became of it.
+
+    ``name`` is its name, label or key, ``kind`` its first word, ``stream`` the stream it makes or
+    names, ``unit`` the process that makes it. ``uses`` are the names of what it needs directly.
+    ``missed`` are due times at which a source was not read. ``counters`` say what became of the
+    samples under a policy (`PolicyCounters`, `StateCounters`); ``violations`` names the stream of
+    those not passed on, once there is one.
+    """
+
+    name: str
+    kind: str
+    text: str
+    stream: str | None
+    unit: str | None
+    uses: tuple[str, ...]
+    failure: str | None
+    errors: int
+    restarts: int
+    last_error: str | None
+    missed: int
+    counters: Mapping[str, object]
+    violations: str | None

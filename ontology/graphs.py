@@ -29,6 +29,8 @@ ANNOTATIONS: Final = NamedNode(_OWN + "annotations")
 """SSL texts, one a subject."""
 DECLARATIONS: Final = NamedNode(_OWN + "declarations")
 """Declared streams, one JSON text a stream."""
+KPL: Final = NamedNode(_OWN + "kpl")
+"""All KPL declarations, as one text."""
 CONCEPT_ENTAILMENTS: Final = NamedNode(_OWN + "concept-entailments")
 """What the ontology entails of templates, annotations and declarations."""
 STREAM_SPACE: Final = NamedNode(_OWN + "stream-space")
@@ -44,6 +46,7 @@ SYSTEM: Final = frozenset(
         TEMPLATES,
         ANNOTATIONS,
         DECLARATIONS,
+        KPL,
         CONCEPT_ENTAILMENTS,
         STREAM_SPACE,
         STREAM_SPACE_ENTAILMENTS,

@@ -203,6 +203,16 @@ class Ontology:
         """Name of a declared stream -> its declaration as JSON text."""
         return self._named_texts(graphs.DECLARATIONS)
 
+    def set_kpl(self, text: str) -> None:
+        """Keeps all KPL declarations; empty text forgets them."""
+        node = graphs.KPL
+        kept = _named_text(node, _SPECIFICATION, "KPL", text) if text else set()
+        self._keep(graphs.KPL, node, kept)
+
+    def kpl(self) -> str:
+        """The KPL declarations; empty if there are none."""
+        return self._named_texts(graphs.KPL).get("KPL", "")
+
     # -- the live stream space ---------------------------------------------------------------
 
     def mirror(self, added: Iterable[Triple], removed: Iterable[Triple]) -> None:
@@ -380,7 +390,7 @@ class Ontology:
         return frozenset().union(*map(self._graph, [*names, graphs.ENTAILMENTS]))
 
     def _concept_triples(self) -> frozenset[Triple]:
-        kept = (graphs.TEMPLATES, graphs.ANNOTATIONS, graphs.DECLARATIONS)
+        kept = (graphs.TEMPLATES, graphs.ANNOTATIONS, graphs.DECLARATIONS, graphs.KPL)
         return frozenset().union(*map(self._graph, kept))
 
     def _named_texts(self, graph: NamedNode) -> dict[str, str]:

@@ -1,0 +1,150 @@
+"""KPL in the running system: text in, processes at work, text kept over a restart
+([DyKnow10 §5.2], SPEC §1)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict
+
+from ..languages.errors import LanguageError
+from ..languages.kpl import (
+    CheckedDeclaration,
+    CompunitDeclaration,
+    GeneratorDeclaration,
+    Signature,
+    SortDeclaration,
+    SourceDeclaration,
+    StreamDeclaration,
+    check_kpl,
+    format_kpl,
+    parse_kpl,
+)
+from ..ontology.ontology import Ontology
+from ..streams.policy import PolicyCounters
+from .application import Application
+from .changes import Change, ChangeKind
+from .errors import DyknowError
+from .stream_units import PolicyUnit
+from .views import DeclarationView
+
+_KINDS = {
+    SourceDeclaration: "source",
+    CompunitDeclaration: "compunit",
+    GeneratorDeclaration: "strmgen",
+    StreamDeclaration: "stream",
+    SortDeclaration: "sort",
+}
+
+
+class KplDeclarations:
+    """What was declared in KPL, and the application that it makes.
+
+    The declarations are kept in the store in their one spelling. What does not hold any more after
+    a restart (the code of a unit is gone, a stream has other fields) is told on the status
+    stream, left out, and kept.
+    """
+
+    def __init__(
+        self, ontology: Ontology, application: Application, changed: Callable[[Change], None]
+    ) -> None:
+        self._ontology = ontology
+        self._application = application
+        self._changed = changed
+        self._texts: dict[str, str] = {}
+        self._not_restored: list[str] = []
+
+    @property
+    def signature(self) -> Signature:
+        """Everything that is declared."""
+        return self._application.signature
+
+    def add(self, text: str, unit: str = "ms") -> tuple[str, ...]:
+        """Declare, and start what is declared; all of the text or nothing. Gives the keys of what
+        is new: what was declared in the same words before changes nothing.
+
+        Raises `LanguageError`, and what `Application.add` raises.
+        """
+        new = self._declare(text, unit)
+        if new:
+            self._keep()
+        return tuple(declaration.key for declaration in new)
+
+    def remove(self, name: str, *, cascade: bool = False) -> tuple[str, ...]:
+        """See `Application.remove`."""
+        removed = self._application.remove(name, cascade=cascade)
+        for key in removed:
+            del self._texts[key]
+        self._keep()
+        return removed
+
+    def text(self) -> str:
+        """All declarations in their one spelling; declared in this order they give the same."""
+        return "".join(f"{text}\n" for text in self._texts.values())
+
+    def views(self) -> tuple[DeclarationView, ...]:
+        """All declarations, in order."""
+        return tuple(self._view(declaration) for declaration in self.signature.declarations)
+
+    def view(self, name: str) -> DeclarationView:
+        """One, by name, label or key; raises `UnknownDeclaration`."""
+        return self._view(self._application.declaration(name))
+
+    def used_by(self, name: str) -> tuple[str, ...]:
+        """The keys of all that cannot be without it, users first; raises `UnknownDeclaration`."""
+        return self.signature.dependents(self._application.declaration(name).key)
+
+    def restore(self) -> None:
+        """Declare what an earlier run was told; what does not hold any more is told and left."""
+        kept = self._ontology.kpl()
+        if not kept:
+            return
+        try:
+            self._declare(kept)
+        except (LanguageError, DyknowError):
+            # Something does not hold any more: what can be without it is restored.
+            for line in kept.splitlines():
+                try:
+                    self._declare(line)
+                except (LanguageError, DyknowError) as error:
+                    self._not_restored.append(line)
+                    reason = f"{error}\n{line}"
+                    self._changed(Change(ChangeKind.NOT_RESTORED, specification=reason))
+
+    def _declare(self, text: str, unit: str = "ms") -> tuple[CheckedDeclaration, ...]:
+        vocabulary = self._ontology.vocabulary
+        new, _ = check_kpl(parse_kpl(text), text, vocabulary, self.signature, unit)
+        self._application.add(new)
+        self._texts.update((declaration.key, format_kpl(declaration)) for declaration in new)
+        return new
+
+    def _keep(self) -> None:
+        self._ontology.set_kpl(
+            "".join((self.text(), *(f"{line}\n" for line in self._not_restored)))
+        )
+
+    def _view(self, declaration: CheckedDeclaration) -> DeclarationView:
+        key = declaration.key
+        unit = self._application.unit_of(key)
+        sampled = self._application.sampled.get(key)
+        process = unit or sampled
+        stream = self._application.stream_of(key)
+        counters = unit.policy_counters if isinstance(unit, PolicyUnit) else None
+        counted = {} if counters is None else asdict(counters)
+        if isinstance(counters, PolicyCounters):
+            counted["dropped"] = {str(kind): n for kind, n in counters.dropped.items()}
+        violations = unit.violations if isinstance(unit, PolicyUnit) else None
+        return DeclarationView(
+            name=key,
+            kind=_KINDS[type(declaration)],
+            text=self._texts[key],
+            stream=None if stream is None else stream.name,
+            unit=None if process is None else process.name,
+            uses=self.signature.uses(declaration),
+            failure=None if process is None else process.failure,
+            errors=0 if process is None else process.counters.errors,
+            restarts=0 if process is None else process.counters.restarts,
+            last_error=None if process is None else process.counters.last_error,
+            missed=0 if sampled is None else sampled.missed,
+            counters=counted,
+            violations=None if violations is None else violations.name,
+        )
