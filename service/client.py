@@ -254,6 +254,27 @@ class Client:
         """All annotations."""
         return self._list("GET", "/annotations")
 
+    def declare_kpl(self, text: str, unit: str = "ms") -> list[dict[str, Any]]:
+        """Declare processes and streams in KPL; gives what is new. ``unit`` is what integers are
+        where the text does not say."""
+        headers = {"Content-Type": TEXT}
+        return self._list("POST", "/kpl", content=text, headers=headers, params={"unit": unit})
+
+    def kpl(self) -> list[dict[str, Any]]:
+        """Everything declared in KPL, in order."""
+        return self._list("GET", "/kpl")
+
+    def kpl_declaration(self, name: str) -> dict[str, Any]:
+        """One declaration by name or label, with what cannot be without it."""
+        return self._object("GET", f"/kpl/{quote(name, safe='')}")
+
+    def remove_kpl(self, name: str, *, cascade: bool = False) -> list[str]:
+        """Remove a declaration, with ``cascade`` also what cannot be without it."""
+        parameters = {"cascade": str(cascade).lower()}
+        answer = self._object("DELETE", f"/kpl/{quote(name, safe='')}", params=parameters)
+        removed: list[str] = answer["removed"]
+        return removed
+
     def load_ontology(
         self, text: str, name: str | None = None, media_type: str = TURTLE
     ) -> dict[str, Any]:

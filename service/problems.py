@@ -80,6 +80,7 @@ _STATUS: tuple[tuple[type[DyknowError], int], ...] = (
     (engine_errors.UnknownEvent, 404),
     (engine_errors.UnknownRequest, 404),
     (engine_errors.UnknownFeature, 404),
+    (engine_errors.UnknownDeclaration, 404),
     (engine_errors.AlreadyExists, 409),
     (engine_errors.Conflict, 409),
     (engine_errors.BadArguments, 400),

@@ -19,6 +19,8 @@ class Settings(BaseSettings):
     port: int = Field(default=8000, ge=0, le=65535)
     data: Path | None = None
     """Where ontology, templates and annotations are kept; None keeps them in memory."""
+    processes: list[str] = []
+    """Modules or .py files with user-written processes, loaded at the start."""
     body_limit: int = Field(default=8 * MEBIBYTE, gt=0)
     """A larger request body is refused with 413."""
     bodies_limit: int = Field(default=64 * MEBIBYTE, gt=0)

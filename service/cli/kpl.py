@@ -1,25 +1,38 @@
-"""``dyknow kpl``: check KPL declarations, and prove them on a recording, without a server."""
+"""``dyknow kpl``: check KPL declarations and prove them on a recording without a server; add, show
+and remove them with one."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from ...converters.recordings import in_order, open_recordings
 from ...engine.errors import DyknowError
-from ...engine.loading import load_processes
 from ...engine.processes import PROCESSES
 from ...engine.proving import Proof, prove_specification
 from ...languages.kpl import Signature, SourceDeclaration, check_kpl, format_kpl, parse_kpl
 from ...ontology.ontology import Ontology
 from ..problems import problem_of
-from .output import Json, fail, show_lines, show_table, show_text
-from .streams import read_text
+from ..watchdog import Watchdog
+from .output import (
+    DEFAULT_URL,
+    Json,
+    Url,
+    connect,
+    fail,
+    show_json,
+    show_lines,
+    show_table,
+    show_text,
+)
+from .serve import load
+from .streams import read_text, text_or_file
 
 kpl = typer.Typer(
-    help="KPL, the knowledge processing language: check, prove.", no_args_is_help=True
+    help="KPL, the knowledge processing language: check, prove, add, show, remove.",
+    no_args_is_help=True,
 )
 
 File = Annotated[
@@ -67,9 +80,7 @@ def prove(
     the first sample that does not.
     """
     signature = _signature(file, unit)
-    for report in load_processes(processes or ()):
-        if report.error:
-            raise fail(f"{report.origin}: {report.error}")
+    load(processes or ())
     recordings = open_recordings(recording, time_unit=time_unit)
     sources = [one.name for one in signature.declarations if isinstance(one, SourceDeclaration)]
     missing = [name for name in sources if name not in recordings]
@@ -78,18 +89,111 @@ def prove(
             f"nothing was recorded for source {', '.join(missing)}",
             f"name a file with {missing[0]}=FILE; there are {', '.join(recordings)}",
         )
+    watchdog = Watchdog()
     try:
         chosen = {name: recordings[name] for name in sources}
-        proofs = prove_specification(signature, PROCESSES, in_order(chosen))
+        proofs = prove_specification(signature, PROCESSES, in_order(chosen), watchdog)
     except DyknowError as error:
         problem = problem_of(error).model().model_dump(exclude_none=True)
         raise fail(str(error), problem=problem) from error
+    finally:
+        watchdog.close()
     if as_json:
         show_lines(_as_json(proof) for proof in proofs)
     else:
         _show(proofs)
     if not all(proof.holds for proof in proofs):
         raise typer.Exit(1)
+
+
+@kpl.command()
+def add(
+    source: Annotated[str, typer.Argument(help="KPL text, its file, or - .")],
+    unit: Unit = "ms",
+    url: Url = DEFAULT_URL,
+    as_json: Json = False,
+) -> None:
+    """Declare processes and streams in a running service."""
+    text = text_or_file(source)
+    with connect(url) as client:
+        found = client.declare_kpl(text, unit)
+    if as_json:
+        show_lines(found)
+        return
+    for declaration in found:
+        show_text(declaration["text"])
+    if not found:
+        show_text("nothing new: all of it was declared before")
+
+
+@kpl.command()
+def show(
+    name: Annotated[str | None, typer.Argument(help="A name or label; else everything.")] = None,
+    url: Url = DEFAULT_URL,
+    as_json: Json = False,
+) -> None:
+    """Print what is declared in a running service, or all about one declaration."""
+    with connect(url) as client:
+        if name is not None:
+            one = client.kpl_declaration(name)
+            if as_json:
+                show_json(one)
+            else:
+                _show_one(one)
+            return
+        found = client.kpl()
+    if as_json:
+        show_lines(found)
+    elif found:
+        show_text("\n".join(declaration["text"] for declaration in found))
+    else:
+        show_text("nothing is declared yet: dyknow kpl add FILE")
+
+
+@kpl.command()
+def remove(
+    name: Annotated[str, typer.Argument(help="A name or label.")],
+    cascade: Annotated[
+        bool, typer.Option("--cascade", help="Also what cannot be without it.")
+    ] = False,
+    url: Url = DEFAULT_URL,
+    as_json: Json = False,
+) -> None:
+    """Stop and forget a declaration in a running service."""
+    with connect(url) as client:
+        removed = client.remove_kpl(name, cascade=cascade)
+    if as_json:
+        show_json({"removed": removed})
+    else:
+        show_text(f"removed {', '.join(removed)}")
+
+
+def _show_one(one: dict[str, Any]) -> None:
+    show_text(one["text"])
+    rows = [
+        ("stream", one["stream"]),
+        ("unit", one["unit"]),
+        ("uses", ", ".join(one["uses"])),
+        ("used by", ", ".join(one["used_by"])),
+        ("failure", one["failure"]),
+        ("errors", one["errors"] or None),
+        ("restarts", one["restarts"] or None),
+        ("last error", one["last_error"]),
+        ("violations", one["violations"]),
+        *_counted(one["counters"]),
+    ]
+    show_table(["", ""], [(key, str(value)) for key, value in rows if value], empty="")
+
+
+def _counted(counters: dict[str, Any]) -> list[tuple[str, str]]:
+    """Counters as rows; what was dropped by its reasons."""
+    rows = []
+    for key, value in counters.items():
+        if isinstance(value, dict):
+            rows += [(f"{key}: {reason}", str(count)) for reason, count in value.items()]
+        else:
+            rows.append((key, str(value)))
+    return rows
 
 
 def _signature(file: Path, unit: str) -> Signature:

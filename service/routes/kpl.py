@@ -1,0 +1,79 @@
+"""KPL over HTTP: declare, show, remove ([DyKnow10 §5.2])."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from fastapi import APIRouter, Query, Request
+from fastapi.responses import JSONResponse, PlainTextResponse, Response
+
+from ..context import Context
+from ..models import DeclarationModel, OneDeclarationModel, RemovedModel, text_schema
+from ..negotiation import JSON, TEXT, accepted, text_body
+from ..problems import responses
+
+router = APIRouter(tags=["kpl"])
+
+EXAMPLE = """source float pos_car1
+strmgen pos[car1] = pos_car1
+stream slow = pos[car1] with sample every 200, max delay 100"""
+BODY = {
+    "requestBody": {
+        "required": True,
+        "content": {TEXT: text_schema("declarations in KPL", EXAMPLE)},
+    }
+}
+Unit = Annotated[
+    Literal["ns", "us", "ms", "s"],
+    Query(description="what integers are, where the text does not say `unit`"),
+]
+
+
+@router.post(
+    "/kpl", status_code=201, openapi_extra=BODY, responses=responses(403, 404, 409, 413, 415)
+)
+async def declare(request: Request, service: Context, unit: Unit = "ms") -> list[DeclarationModel]:
+    """Declare sources, computational units, generators and streams, and start them.
+
+    All of the text takes effect, or none: 400 with line and column, 404 for a unit without code,
+    409 where a stream or the code is otherwise. Gives what is new; what was declared in the same
+    words before changes nothing.
+    """
+    text = await text_body(request, (TEXT,))
+    return [DeclarationModel.of(view) for view in service.engine.add_kpl(text, unit)]
+
+
+@router.get(
+    "/kpl",
+    response_model=list[DeclarationModel],
+    responses={200: {"content": {TEXT: {"schema": {"type": "string"}}}}, **responses(406)},
+)
+async def list_declarations(request: Request, service: Context) -> Response:
+    """Everything declared, in order; as KPL for ``Accept: text/plain``, integers in ms."""
+    if accepted(request, (JSON, TEXT)) == TEXT:
+        return PlainTextResponse(service.engine.kpl_text())
+    models = [DeclarationModel.of(view) for view in service.engine.kpl()]
+    return JSONResponse([model.model_dump() for model in models])
+
+
+@router.get("/kpl/{name:path}", responses=responses(404))
+async def read_declaration(name: str, service: Context) -> OneDeclarationModel:
+    """One declaration by name or label, with what cannot be without it."""
+    view, used_by = service.engine.kpl_declaration(name)
+    return OneDeclarationModel(**DeclarationModel.of(view).model_dump(), used_by=list(used_by))
+
+
+@router.delete("/kpl/{name:path}", responses=responses(404, 409))
+async def remove_declaration(
+    name: str,
+    service: Context,
+    cascade: Annotated[bool, Query(description="also what cannot be without it")] = False,
+) -> RemovedModel:
+    """Stop and forget a declaration; its streams are gone, and their clients told.
+
+    409 where others need it, without ``cascade``, and where something outside of KPL reads one of
+    the streams.
+    """
+    removed = service.engine.remove_kpl(name, cascade=cascade)
+    service.feeds.review()
+    return RemovedModel(removed=list(removed))
