@@ -104,6 +104,14 @@ class Application:
         """The unit that makes a declaration's stream."""
         return self._units.get(key)
 
+    def producer_of(self, stream: str) -> str | None:
+        """The name of the process that makes a stream, whoever asked for it; None if none does."""
+        maker: ComputationalUnit | SampledSource | None = self._configuration.units.get(stream)
+        maker = maker or self.sampled.get(stream)
+        if maker is None and stream in self._configuration.system:
+            maker = self._units.get(stream.removesuffix(SUFFIX))
+        return None if maker is None else maker.name
+
     def uses_stream(self, name: str) -> bool:
         """Whether ``name`` is the stream of a declared source."""
         return self.signature.source(name) is not None

@@ -470,7 +470,7 @@ class Engine:
         return stream_view(
             generator,
             self._configuration.namespaces[name],
-            self._configuration.units.get(name),
+            self._application.producer_of(name),
             self._annotation_of(name),
         )
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from ..languages.ssl.annotation import StreamAnnotation
 from ..streams.generator import StreamGenerator
 from ..streams.time import SECOND
-from .unit import ComputationalUnit
 from .views import StreamView
 
 _RECENT = 1_000
@@ -15,10 +14,10 @@ _RECENT = 1_000
 def stream_view(
     generator: StreamGenerator,
     namespace: str,
-    unit: ComputationalUnit | None,
+    producer: str | None,
     annotation: StreamAnnotation | None,
 ) -> StreamView:
-    """The stream as it is now; ``unit`` is the one that makes it, if the system does.
+    """The stream as it is now; ``producer`` names the process that makes it, if the system does.
 
     Cost: O(1) but for the few last batches, from which rate and lag are read.
     """
@@ -50,6 +49,6 @@ def stream_view(
         rate=(number - 1) * SECOND / max(span, SECOND) if number else 0.0,
         lag=times[1] - last_valid if last_valid is not None else None,
         annotation=None if annotation is None else annotation.source,
-        producer=None if unit is None else unit.name,
+        producer=producer,
         subscribers=generator.subscribers,
     )

@@ -197,7 +197,7 @@ class Supervisor:
             if len(entries) < len(items):  # else the last call came back at the last moment
                 time = items[len(entries)][0]
                 text = describe(blocked)
-                entries.append(_Failure(time, text, _Verdict.STOPPED, "it did not come back"))
+                entries.append(_Failure(time, text, _Verdict.STOPPED))
         self._in_a_row = row
         self._settle(entries, deliver)
 
@@ -251,7 +251,7 @@ class Supervisor:
                 if is_told:
                     events.append((ProcessEvent.RESTARTED, f"restart {counters.restarts}"))
             case _Verdict.STOPPED:
-                self._stopped = f"{failure.text} ({failure.reason})"
+                self._stopped = failure.text + (f" ({failure.reason})" if failure.reason else "")
                 events.append((ProcessEvent.STOPPED, self._stopped))
             case _:
                 assert_never(failure.verdict)
