@@ -1,0 +1,199 @@
+"""Mediating the streams of a changing set of objects into one ([DyKnow10 Def. 4.7]).
+
+A stream of label sets says which objects there are: the set that became available last holds
+(Def. 5.5's last_avail). A sample of an object's stream is passed on if the object was in the set
+that held when the sample became available.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Sequence
+
+import numpy as np
+
+from .inputs import NOTHING_KNOWN, Input
+from .sample import Column, FieldType, SampleBatch, SampleError
+from .strings import StringPool
+from .time import TIME_MAX, TIME_MIN
+
+Labels = tuple[str, ...]
+
+
+class Mediation:
+    """One stream of the streams of the objects in a set that changes.
+
+    Samples go out in order of available time, those of one moment in the order of their labels.
+    Available times are unique, so a sample that finds its own taken is available right after the
+    one before it. With ``tag`` a text field of that name says whose sample it is.
+
+    What is decided when: all up to the least of what is known of the set and of the streams of
+    the objects in it. A stream that is not there yet (`attach`) has no samples and holds nobody
+    back; nor does one whose object has left.
+
+    Law: the output does not depend on how inputs were cut or interleaved, as long as streams are
+    there when their objects enter (tests/laws). Cost: O(n log n) numpy a `take` of n samples, and
+    Python per object with samples. Memory: what waits, and the sets that it needs.
+    """
+
+    def __init__(self, tag: str | None = None) -> None:
+        self._tag = tag
+        self._tags = StringPool()
+        self._pools: dict[str, StringPool] = {}
+        # The sets that may still hold for a sample to come, and since when each does.
+        self._since: list[int] = [TIME_MIN]
+        self._sets: list[frozenset[str]] = [frozenset()]
+        self._members_known = NOTHING_KNOWN
+        self._members_ended = False
+        self._inputs: dict[str, Input] = {}
+        self._last = TIME_MIN - 1
+        self.done = NOTHING_KNOWN
+        """Everything available by then has been given; what comes is available later."""
+
+    @property
+    def members(self) -> frozenset[str]:
+        """The set that was told last."""
+        return self._sets[-1]
+
+    @property
+    def wanted(self) -> frozenset[str]:
+        """The objects whose samples may still be needed."""
+        return frozenset[str]().union(*self._sets)
+
+    @property
+    def has_ended(self) -> bool:
+        """Nothing comes any more: the set is final, and so are the streams of its objects."""
+        return self._members_ended and all(
+            label in self._inputs and self._inputs[label].ended_at is not None
+            for label in self.members
+        )
+
+    def push_members(self, available: Sequence[int], sets: Sequence[Labels]) -> None:
+        """The next label sets, with increasing available times."""
+        self._members_ended = False
+        for time, labels in zip(available, sets, strict=True):
+            self._members_known = time
+            if frozenset(labels) != self._sets[-1]:
+                self._since.append(time)
+                self._sets.append(frozenset(labels))
+
+    def advance_members(self, watermark: int) -> None:
+        """Every later label set is available at ``watermark`` or after it."""
+        self._members_known = max(self._members_known, watermark - 1)
+
+    def end_members(self) -> None:
+        """The set does not change any more."""
+        self._members_ended = True
+
+    def attach(self, label: str) -> None:
+        """The stream of ``label`` is there: what it has not promised is waited for."""
+        self._inputs.setdefault(label, Input())
+
+    def push(self, label: str, batch: SampleBatch) -> None:
+        """The next samples of an attached stream; those that were decided already are left out."""
+        input = self._inputs[label]
+        # A stream that has gone and come again may repeat what its predecessor had promised.
+        decided = self.done if input.ended_at is None else max(self.done, input.known)
+        batch = batch.take(batch.available > decided)
+        if len(batch):
+            input.push(batch)
+
+    def advance(self, label: str, watermark: int) -> None:
+        """Every later sample of ``label`` is available at ``watermark`` or after it."""
+        self._inputs[label].advance(watermark)
+
+    def end(self, label: str) -> None:
+        """No more samples of ``label``."""
+        self._inputs[label].end()
+
+    def take(self) -> SampleBatch | None:
+        """What is decided by now; None if that is nothing."""
+        known = self._known()
+        if known <= self.done:
+            return None
+        parts: list[tuple[str, SampleBatch]] = []
+        for label in sorted(self._inputs):
+            for batch in self._inputs[label].take(known):
+                chosen = batch.take(self._holds(label, batch))
+                if len(chosen):
+                    parts.append((label, chosen))
+        self.done = known
+        self._forget(known)
+        return self._merged(parts) if parts else None
+
+    def _known(self) -> int:
+        """Up to when everything is decided."""
+        known = TIME_MAX if self._members_ended else self._members_known
+        for label in self.members:
+            input = self._inputs.get(label)
+            if input is not None and input.ended_at is None:
+                known = min(known, input.known if input.begun else NOTHING_KNOWN)
+        if known == TIME_MAX:
+            # All that is there has ended. It may be taken up again, and others may come.
+            known = max((self.done, *(input.known for input in self._inputs.values())))
+        return known
+
+    def _holds(self, label: str, batch: SampleBatch) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+        """Which samples were available while ``label`` was in the set."""
+        within = np.array([label in labels for labels in self._sets], np.bool_)
+        place = np.searchsorted(np.array(self._since, np.int64), batch.available, "right") - 1
+        return within[place]
+
+    def _forget(self, known: int) -> None:
+        """Let go of sets that no sample to come was available under, and of their objects."""
+        first = bisect_right(self._since, known) - 1
+        del self._since[:first], self._sets[:first]
+        wanted = self.wanted
+        for label in [label for label in self._inputs if label not in wanted]:
+            del self._inputs[label]
+
+    def _merged(self, parts: Sequence[tuple[str, SampleBatch]]) -> SampleBatch:
+        fields = [(name, column.type) for name, column in parts[0][1].columns.items()]
+        for label, batch in parts:
+            if [(name, column.type) for name, column in batch.columns.items()] != fields:
+                raise SampleError(f"the stream of {label} has other fields than those before")
+        available = np.concatenate([batch.available for _, batch in parts])
+        # Parts stand in the order of labels, so the stable sort orders ties by label.
+        order = np.argsort(available, kind="stable")
+        available = self._unique(available[order])
+        valid = np.concatenate([batch.valid for _, batch in parts])[order]
+        columns = {}
+        if self._tag is not None:
+            codes = [np.full(len(b), self._tags.code(label), np.int32) for label, b in parts]
+            tags = np.concatenate(codes)[order]
+            columns[self._tag] = Column(FieldType.STRING, tags, None, self._tags)
+        for name, kind in fields:
+            own = [batch.columns[name] for _, batch in parts]
+            columns[name] = self._column(name, kind, own).take(order)
+        return SampleBatch(available, valid, columns)
+
+    def _unique(
+        self, available: np.ndarray[tuple[int], np.dtype[np.int64]]
+    ) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+        steps = np.arange(len(available), dtype=np.int64)
+        first = available if self._last < TIME_MIN else np.maximum(available, self._last + 1)
+        moved = np.maximum.accumulate(first - steps) + steps
+        self._last = int(moved[-1])
+        return moved
+
+    def _column(self, name: str, kind: FieldType, parts: Sequence[Column]) -> Column:
+        values = [part.values for part in parts]
+        pool = None
+        if kind is FieldType.STRING:
+            pool = self._pools.setdefault(name, StringPool())
+            values = [_recoded(part, pool) for part in parts]
+        null = None
+        if any(part.null is not None for part in parts):
+            null = np.concatenate([~part.present for part in parts])
+        return Column(kind, np.concatenate(values), null, pool)
+
+
+def _recoded(column: Column, pool: StringPool) -> np.ndarray[tuple[int], np.dtype[np.int32]]:
+    """The codes of a text column in another pool: streams have pools of their own."""
+    assert column.pool is not None
+    present = column.present
+    codes = np.zeros(len(column), np.int32)
+    used, place = np.unique(column.values[present], return_inverse=True)
+    known = pool.encode([column.pool[code] for code in used.tolist()])
+    codes[present] = known[place]
+    return codes
