@@ -39,6 +39,9 @@ class MediationUnit(ComputationalUnit):
         self._stream_of = stream_of
         self._on_inputs = on_inputs
         self._labels: dict[str, StreamGenerator] = {}
+        self._read_by: dict[StreamGenerator, list[str]] = {}
+        self._is_news = False
+        self._seen = kernel.wanted
         self.unmet: tuple[str, ...] = ()
         """Objects in the set whose stream is not there."""
 
@@ -48,19 +51,20 @@ class MediationUnit(ComputationalUnit):
             if self._select:
                 sets = [labels[-1:] for labels in sets]
             self._kernel.push_members(batch.available.tolist(), sets)
-        for label in self._labels_of(source):
+            self._is_news = True
+        for label in self._read_by.get(source, ()):
             self._kernel.push(label, batch)
 
     def progress(self, source: StreamGenerator, watermark: int) -> None:
         if source is self._members:
             self._kernel.advance_members(watermark)
-        for label in self._labels_of(source):
+        for label in self._read_by.get(source, ()):
             self._kernel.advance(label, watermark)
 
     def finish(self, source: StreamGenerator) -> None:
         if source is self._members:
             self._kernel.end_members()
-        for label in self._labels_of(source):
+        for label in self._read_by.get(source, ()):
             self._kernel.end(label)
 
     def settle(self) -> bool:
@@ -84,49 +88,54 @@ class MediationUnit(ComputationalUnit):
         return acted
 
     def _connect(self) -> bool:
-        gained = []
-        unmet = []
-        for label in sorted(self._kernel.wanted - self._labels.keys()):
-            found = self._stream_of(label)
-            if found is None:
-                unmet.append(label)
-            else:
-                self._labels[label] = found
-                gained.append(found)
-        self.unmet = tuple(unmet)
+        missing = self._kernel.wanted.difference(self._labels) if self._is_news else self.unmet
+        self._is_news = False
+        found = {label: self._stream_of(label) for label in sorted(missing)}
+        self.unmet = tuple(label for label, generator in found.items() if generator is None)
+        gained = {label: stream for label, stream in found.items() if stream is not None}
         if not gained:
             return False
-        self.inputs += tuple(gained)
+        self.inputs += tuple(gained.values())
         self.sources = tuple(dict.fromkeys(self.inputs))
-        self._on_inputs(self, gained, ())
-        for label, generator in self._labels.items():
-            if generator in gained:
-                self._kernel.attach(label)
-        for generator in dict.fromkeys(gained):
-            for segment in generator.stream.since(0):
-                self.process(generator, segment.batch)
-            if generator not in self._subscribed:
-                self.connect(generator)
+        self._on_inputs(self, tuple(gained.values()), ())
+        for label, generator in gained.items():
+            self._read(label, generator)
         return True
 
+    def _read(self, label: str, generator: StreamGenerator) -> None:
+        """Begin to read the stream of an object with what it keeps."""
+        self._labels[label] = generator
+        self._kernel.attach(label)
+        for segment in generator.stream.since(0):
+            self._kernel.push(label, segment.batch)
+        if generator.watermark is not None:
+            self._kernel.advance(label, generator.watermark)
+        if generator.is_ended:
+            self._kernel.end(label)
+        self._read_by.setdefault(generator, []).append(label)
+        if generator not in self._subscribed:
+            self.connect(generator)
+
     def _disconnect(self) -> bool:
-        wanted = self._kernel.wanted
-        gone = [label for label in self._labels if label not in wanted]
-        if not gone:
+        if self._kernel.wanted is self._seen:
             return False
-        lost = [self._labels.pop(label) for label in gone]
+        self._seen = self._kernel.wanted
+        lost = []
         inputs = list(self.inputs)
-        for generator in lost:
+        for label in sorted(self._labels.keys() - self._kernel.wanted):
+            generator = self._labels.pop(label)
+            lost.append(generator)
+            self._read_by[generator].remove(label)
             inputs.remove(generator)
             if generator not in inputs:
+                del self._read_by[generator]
                 self._subscribed.remove(generator)
                 generator.unsubscribe(self)
                 self._watermarks.pop(generator, None)
                 self._ended.discard(generator)
+        if not lost:
+            return False
         self.inputs = tuple(inputs)
         self.sources = tuple(dict.fromkeys(inputs))
         self._on_inputs(self, (), lost)
         return True
-
-    def _labels_of(self, source: StreamGenerator) -> list[str]:
-        return [label for label, generator in self._labels.items() if generator is source]
