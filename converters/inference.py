@@ -99,17 +99,23 @@ def time_column(names: Sequence[str], wanted: str | None) -> str:
     )
 
 
+_EARLIEST = 1e8
+"""A table whose greatest time is less has no times of the calendar: that is 1973 in seconds."""
+
+
 class TimeReader:
     """Reads a table's times: numbers in one unit since 1970, or ISO-8601 texts.
 
     `observe` every time first: the unit, if it is not given, is the one that the greatest number
-    makes sense in (years 1973 to 5138 as s; larger as ms, us, ns).
+    makes sense in (years 1973 to 5138 as s; larger as ms, us, ns). ``abstract_unit`` is that of
+    numbers which are earlier than that, as those of examples are.
     """
 
-    def __init__(self, unit: str | None) -> None:
+    def __init__(self, unit: str | None, abstract_unit: str = "s") -> None:
         if unit is not None and unit not in TIME_UNITS:
             raise WireError(None, f"unknown time unit {unit!r}", f"use {', '.join(TIME_UNITS)}")
         self._unit = unit
+        self._abstract_unit = abstract_unit
         self._greatest = 0.0
 
     def observe(self, times: Iterable[object]) -> None:
@@ -126,6 +132,8 @@ class TimeReader:
         """``s``, ``ms``, ``us`` or ``ns``."""
         if self._unit is not None:
             return self._unit
+        if self._greatest < _EARLIEST:
+            return self._abstract_unit
         for unit, limit in (("s", 1e11), ("ms", 1e14), ("us", 1e17)):
             if self._greatest < limit:
                 return unit

@@ -67,12 +67,14 @@ def open_recording(
     time_unit: str | None = None,
     types: Mapping[str, FieldType] | None = None,
     pools: dict[str, StringPool] | None = None,
+    abstract_unit: str = "s",
 ) -> Recording:
     """Look through the table at ``path``: ``.csv .csv.gz .ndjson .ndjson.gz .arrow``.
 
     ``time_column``: else ``valid``, ``timestamp``, ``time`` or ``t``. ``time_unit`` of numeric
-    times: ``s ms us ns``, else by their magnitude. ``types`` of fields: else by their values (CSV:
-    columns named like identifiers stay text). ``pools`` to encode text with.
+    times: ``s ms us ns``, else by their magnitude; ``abstract_unit`` where they are small.
+    ``types`` of fields: else by their values (CSV: columns named like identifiers stay text).
+    ``pools`` to encode text with.
 
     Raises `WireError` with the line, `OSError` when the file cannot be read.
     Cost: the file is read twice. Memory: a chunk of rows, and every distinct text (Arrow: all).
@@ -80,7 +82,7 @@ def open_recording(
     path = Path(path)
     name = path.name.lower().removesuffix(".gz")
     pools = {} if pools is None else pools
-    times = TimeReader(time_unit)
+    times = TimeReader(time_unit, abstract_unit)
     if name.endswith(".csv"):
         return _open_csv(path, time_column, times, types or {}, pools)
     if name.endswith((".ndjson", ".jsonl")):

@@ -72,14 +72,15 @@ def open_recordings(
     types: Types | None = None,
     *,
     utc: bool = False,
+    abstract_unit: str = "s",
 ) -> Recordings:
     """Look through all files of ``paths``; each stream has its own fields and string pools.
 
     A path is a flight log ``.ulg`` (a stream a topic), an NDJSON file whose lines carry
     ``"stream": "name"`` (many streams), any other table (one stream, called like the file), a
     folder of such files, or ``NAME=FILE`` for a table under another name. ``time_column``,
-    ``time_unit`` and ``types`` (by stream and field) are of tables, as for `open_recording`;
-    ``utc`` is of flight logs, as for `open_ulog`.
+    ``time_unit``, ``abstract_unit`` and ``types`` (by stream and field) are of tables, as for
+    `open_recording`; ``utc`` is of flight logs, as for `open_ulog`.
 
     Raises `WireError`, also when two files have a stream of one name; `OSError` when a file cannot
     be read. Memory: a flight log is held whole, and so is the text of a file of many streams.
@@ -98,11 +99,13 @@ def open_recordings(
         elif has_many_streams(path):
             if name is not None:
                 raise _many(name, path)
-            opened = _open_many(path, time_column, time_unit, types or {})
+            times = TimeReader(time_unit, abstract_unit)
+            opened = _open_many(path, time_column, times, types or {})
         else:
             name = name or valid_name(_stem(path), STREAM)
             kinds = (types or {}).get(name)
-            opened = {name: open_recording(path, time_column, time_unit, kinds)}
+            table = open_recording(path, time_column, time_unit, kinds, abstract_unit=abstract_unit)
+            opened = {name: table}
         for stream, recording in opened.items():
             if stream in found:
                 raise WireError(
@@ -187,7 +190,7 @@ def _stem(path: Path) -> str:
 
 
 def _open_many(
-    path: Path, time_column: str | None, time_unit: str | None, types: Types
+    path: Path, time_column: str | None, times: TimeReader, types: Types
 ) -> dict[str, Recording]:
     """A recording for each stream that the lines of the file name."""
     texts: dict[str, list[tuple[int, bytes]]] = {}
@@ -208,7 +211,6 @@ def _open_many(
                 )
             texts.setdefault(name, []).append((number, line))
     # The times of one file are in one unit: the greatest of all streams tells which.
-    times = TimeReader(time_unit)
     found: dict[str, Recording] = {}
     for name, numbered in texts.items():
         rows: Callable[[], Iterator[ValueChunk]] = partial(_rows, numbered)

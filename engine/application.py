@@ -13,55 +13,52 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import assert_never
 
 from ..languages.kpl import (
+    PROCESSES,
     CheckedDeclaration,
     CompunitDeclaration,
     Compute,
-    FromSource,
+    ForeachDeclaration,
     GeneratorDeclaration,
-    JoinOf,
     Signature,
+    SinkDeclaration,
     SortDeclaration,
     SourceDeclaration,
     StreamDeclaration,
-    Synchronize,
-    Term,
     ValueSort,
     format_kpl,
-    format_term,
 )
 from ..streams.fluent import Retention
 from ..streams.generator import StreamGenerator
-from ..streams.joining import Join
-from ..streams.policy import Order
-from ..streams.sample import Schema
-from ..streams.synchronization import Late, Synchronization
 from .changes import Change, ChangeKind, Role
 from .configuration import Configuration
+from .configuration_process import ConfigurationProcess
 from .errors import AlreadyExists, Conflict, Refused, UnknownDeclaration, UnknownFeature
-from .joined_unit import FunctionProcess
-from .processes import Processes, SourceImplementation, UnitImplementation
+from .mediation_unit import MediationUnit
+from .network import POLICY, Network, schema_text, sort_name
+from .processes import Processes, SinkImplementation, SourceImplementation, UnitImplementation
 from .sampled_source import SampledSource
-from .stream_units import AdaptationUnit, PolicyUnit, TupleUnit
-from .supervision import DIRECT, ProcessEvent, Runner
+from .sink import Sink
+from .stream_units import AdaptationUnit, PolicyUnit
+from .supervision import DIRECT, Runner
 from .unit import ComputationalUnit
-from .views import Since
 from .violations import SUFFIX, Violations
 
-POLICY = "policy"
-"""The transformation of a subscription with a policy."""
-BUILT_IN = (POLICY, "join", "sync")
+BUILT_IN = (POLICY, *PROCESSES)
 """Transformations of the language; nothing else is called so."""
+Process = ComputationalUnit | SampledSource | Sink | ConfigurationProcess
+"""What may run for a declaration."""
 
 
 class Application:
     """The processes of checked declarations, connected.
 
-    ``processes`` implements computational units (Def. 5.28) and sampled sources, ``runner`` calls
-    them. ``retention`` and ``lateness`` (ns) are those of the streams that it makes. Without
-    ``reads_sources`` every source is published to, as a recording is. ``check_name`` raises
-    `Refused` for names that are the system's own.
+    ``processes`` implements computational units (Def. 5.28), sampled sources and sinks, ``runner``
+    calls them. ``retention`` and ``lateness`` (ns) are those of the streams that it makes. A
+    ``rehearsal`` has no world around it: every source is published to, as a recording is, and no
+    sink is called. ``check_name`` raises `Refused` for names that are the system's own.
 
-    `add` takes all of its declarations or none; `remove` likewise.
+    `add` takes all of its declarations or none; `remove` likewise. Whoever feeds the streams calls
+    `settle` afterwards: only then configuration and mediation processes act.
     """
 
     def __init__(
@@ -72,7 +69,7 @@ class Application:
         runner: Runner = DIRECT,
         retention: Retention | None = None,
         lateness: int = 0,
-        reads_sources: bool = True,
+        rehearsal: bool = False,
         check_name: Callable[[str], None] = lambda _: None,
     ) -> None:
         self.signature = Signature()
@@ -81,12 +78,16 @@ class Application:
         self._configuration = configuration
         self._processes = processes
         self._runner = runner
-        self._retention = retention
-        self._lateness = lateness
-        self._reads_sources = reads_sources
+        self._rehearsal = rehearsal
         self._check_name = check_name
+        self._network = Network(
+            configuration, processes, runner, retention, lateness, self._has_news
+        )
         self._own: set[str] = set()
         self._units: dict[str, ComputationalUnit] = {}
+        self._readers: dict[str, Sink | ConfigurationProcess] = {}
+        self._news: dict[MediationUnit | ConfigurationProcess, None] = {}
+        self._is_new = False
         configuration.missing = self._missing
 
     # -- what there is -----------------------------------------------------------------------
@@ -100,9 +101,9 @@ class Application:
             case _:
                 return None
 
-    def unit_of(self, key: str) -> ComputationalUnit | None:
-        """The unit that makes a declaration's stream."""
-        return self._units.get(key)
+    def process_of(self, key: str) -> Process | None:
+        """What runs for a declaration."""
+        return self._units.get(key) or self.sampled.get(key) or self._readers.get(key)
 
     def producer_of(self, stream: str) -> str | None:
         """The name of the process that makes a stream, whoever asked for it; None if none does."""
@@ -139,9 +140,11 @@ class Application:
         new = tuple(declarations)
         for declaration in new:
             self._check(declaration)
+        self.signature = self.signature.with_declarations(new)
         for declaration in new:
             self._start(declaration)
-        self.signature = self.signature.with_declarations(new)
+        self._is_new = True
+        self.settle()
 
     def remove(self, name: str, *, cascade: bool = False) -> tuple[str, ...]:
         """Stop and forget a declaration, with ``cascade`` also what cannot be without it.
@@ -169,7 +172,43 @@ class Application:
         for key in keys:
             self._stop(self.signature.by_key[key])
         self.signature = self.signature.without(keys)
+        self._is_new = True
+        self.settle()
         return keys
+
+    def settle(self) -> None:
+        """Let configuration and mediation processes act on what has come.
+
+        First generators come and go, set by set, then mediations take what is decided; as long as
+        one has something to do. They read each other in no circle, so this ends.
+        """
+        while self._news or self._is_new:
+            self._review()
+            news, self._news = self._news, {}
+            for process in news:
+                if isinstance(process, ConfigurationProcess) and process.settle():
+                    self._is_new = True
+            mediations = [unit for unit in news if isinstance(unit, MediationUnit)]
+            if self._is_new:  # whoever waits for a stream may find it now
+                self._news = {**dict.fromkeys(mediations), **self._news}
+                continue
+            for unit in mediations:
+                if self._units.get(unit.output.name) is unit:
+                    unit.settle()
+
+    def _review(self) -> None:
+        """Streams came or went: whoever waits for one looks again, until that changes nothing."""
+        while self._is_new:
+            self._is_new = False
+            for reader in self._readers.values():
+                if isinstance(reader, ConfigurationProcess) and reader.review():
+                    self._is_new = True
+            for unit in self._units.values():
+                if isinstance(unit, MediationUnit) and unit.unmet:
+                    self._news[unit] = None
+
+    def _has_news(self, process: MediationUnit | ConfigurationProcess) -> None:
+        self._news[process] = None
 
     def tick(self, now: int) -> None:
         """The time is ``now`` (ns): read the sources that are due."""
@@ -184,14 +223,18 @@ class Application:
                 self._check_source(name, sort)
             case GeneratorDeclaration():
                 self._check_free(declaration.key)
-                if isinstance(declaration.process, Compute):
-                    self._implementation(declaration)
+                self._check_code(declaration)
             case StreamDeclaration(name):
                 self._check_free(name)
             case CompunitDeclaration(name):
                 implementation = self._processes.units.get(name)
                 if implementation is not None:
                     _check_sorts(declaration, implementation)
+            case ForeachDeclaration(_, _, generators):
+                for generator in generators:
+                    self._check_code(generator)
+            case SinkDeclaration():
+                self._sink_implementation(declaration)
             case SortDeclaration():
                 pass
             case _:
@@ -199,11 +242,12 @@ class Application:
 
     def _check_source(self, name: str, sort: ValueSort) -> None:
         implementation = self._processes.sources.get(name)
-        if implementation is not None and _sort(implementation.sort) != sort.name:
+        if implementation is not None and sort_name(implementation.sort) != sort.name:
             raise Conflict(
                 f"source {name!r} is declared with values of sort {sort.name}, "
                 f"its code gives {implementation.sort}",
-                f"declare `source {_sort(implementation.sort)} {name}`, or change its decorator",
+                f"declare `source {sort_name(implementation.sort)} {name}`, "
+                "or change its decorator",
             )
         existing = self._configuration.streams.get(name)
         if existing is None:
@@ -216,33 +260,44 @@ class Application:
             )
         if not existing.is_open and sort.schema is not None and sort.schema != existing.schema:
             raise Conflict(
-                f"stream {name!r} has the fields {_fields(existing.schema)}; "
-                f"the sort {sort.name} has {_fields(sort.schema)}",
+                f"stream {name!r} has the fields {schema_text(existing.schema)}; "
+                f"the sort {sort.name} has {schema_text(sort)}",
                 "declare a sort with the fields of the stream: "
-                f"sort {sort.name} = ({_fields(existing.schema)})",
+                f"sort {sort.name} = ({schema_text(existing.schema)})",
             )
 
     def _check_free(self, name: str) -> None:
-        if name in self._configuration.streams or name in self._configuration.aliases:
+        if self._configuration.has(name):
             raise AlreadyExists(
                 f"there is a stream called {name!r} that KPL did not declare",
                 "choose another name, or declare it as a source",
             )
         self._check_name(name)
 
-    def _implementation(self, declaration: GeneratorDeclaration) -> UnitImplementation:
-        assert isinstance(declaration.process, Compute)
-        name = declaration.process.unit
-        found = self._processes.units.get(name)
+    def _check_code(self, declaration: GeneratorDeclaration) -> None:
+        if isinstance(declaration.process, Compute):
+            name = declaration.process.unit
+            implementation = self._network.implementation(name, declaration.key)
+            compunit = self.signature.compunit(name)
+            if compunit is not None:
+                _check_sorts(compunit, implementation)
+
+    def _sink_implementation(self, declaration: SinkDeclaration) -> SinkImplementation | None:
+        if self._rehearsal:
+            return None
+        found = self._processes.sinks.get(declaration.name)
         if found is None:
-            known = ", ".join(self._processes.units) or "none"
+            known = ", ".join(self._processes.sinks) or "none"
             raise UnknownFeature(
-                f"computational unit {name!r} of {declaration.key} has no implementation",
-                f"write it with @dyknow.computational_unit and load its module; there are: {known}",
+                f"sink {declaration.name!r} has no implementation",
+                f"write it with @dyknow.sink and load its module; there are: {known}",
             )
-        compunit = self.signature.compunit(name)
-        if compunit is not None:
-            _check_sorts(compunit, found)
+        if len(found.inputs) != len(declaration.terms):
+            raise Conflict(
+                f"sink {found.name!r} is declared with {len(declaration.terms)} inputs, "
+                f"its code takes {len(found.inputs)}",
+                "make the declaration and the decorator the same",
+            )
         return found
 
     def _readers_outside(self, stream: str, ours: set[str]) -> tuple[str, ...]:
@@ -251,6 +306,8 @@ class Application:
         for unit in self._configuration.units.values():
             if all(source.name != stream for source in unit.inputs) or unit.output.name in ours:
                 continue
+            if isinstance(unit, MediationUnit) or unit.output.name in self._units:
+                continue  # it does without: another object's stream is left
             if isinstance(unit, AdaptationUnit):  # it goes with its own readers
                 outside += self._readers_outside(unit.output.name, ours)
             else:
@@ -264,9 +321,15 @@ class Application:
             case SourceDeclaration(name, sort):
                 self._start_source(name, sort)
             case GeneratorDeclaration():
-                self._start_generator(declaration)
-            case StreamDeclaration(name, _, term):
-                self._declared(name, self._adapt(term, name, declared=True))
+                unit = self._network.start_generator(declaration)
+                if unit is not None:
+                    self._units[declaration.key] = unit
+            case StreamDeclaration(name):
+                self._units[name] = self._network.start_stream(declaration)
+            case ForeachDeclaration():
+                self._start_foreach(declaration)
+            case SinkDeclaration():
+                self._start_sink(declaration)
             case CompunitDeclaration() | SortDeclaration():
                 pass
             case _:
@@ -279,12 +342,20 @@ class Application:
             if isinstance(unit, PolicyUnit) and unit.violations is not None:
                 self._close_violations(unit.violations)
             self._configuration.remove_unit(unit)
+            if isinstance(unit, MediationUnit):
+                self._news.pop(unit, None)
         self._configuration.aliases.pop(key, None)
         sampled = self.sampled.pop(key, None)
         if sampled is not None:
             sampled.stop()
             self._configuration.system.discard(key)
             self._tell_source(ChangeKind.UNIT_STOPPED, sampled)
+        reader = self._readers.pop(key, None)
+        if reader is not None:
+            self._configuration.detach(reader)
+            self._tell_reader(ChangeKind.UNIT_STOPPED, reader)
+            if isinstance(reader, ConfigurationProcess):
+                self._news.pop(reader, None)
         if key in self._own:
             self._own.discard(key)
             self._configuration.remove_stream(key)
@@ -293,8 +364,8 @@ class Application:
         implementation = self._processes.sources.get(name)
         if name not in self._configuration.streams:
             self._own.add(name)
-            output = self._stream(name, sort.schema)
-            if implementation is not None and self._reads_sources:
+            output = self._network.stream(name, sort.schema)
+            if implementation is not None and not self._rehearsal:
                 self._read(implementation, output)
 
     def _read(self, implementation: SourceImplementation, output: StreamGenerator) -> None:
@@ -310,102 +381,56 @@ class Application:
         self._configuration.system.add(output.name)
         self._tell_source(ChangeKind.UNIT_STARTED, source, f"source {output.name}")
 
-    def _start_generator(self, declaration: GeneratorDeclaration) -> None:
-        match declaration.process:
-            case FromSource(name):
-                self._configuration.aliases[declaration.key] = name
-            case Compute(name, terms):
-                inputs = [self._term(term) for term in terms]
-                output = self._stream(declaration.key, declaration.sort.schema)
-                unit: ComputationalUnit = FunctionProcess(
-                    *self._identity(name, inputs, output, declaration),
-                    implementation=self._implementation(declaration),
-                    on_event=self._told,
-                    runner=self._runner,
-                )
-                self._declared(declaration.key, unit)
-            case JoinOf(terms):
-                self._tuples(declaration, terms, Join(len(terms)), None)
-            case Synchronize(terms, policy):
-                violations = self._violations(declaration.key)
-                labels = [str(term.label) for term in terms]
-
-                def late(samples: Late) -> None:
-                    violations.late(samples, labels[samples.input])
-
-                monotone = [term.policy.effective_order is not Order.ANY for term in terms]
-                kernel = Synchronization(policy, monotone, late)
-                self._tuples(declaration, terms, kernel, violations)
-            case _:
-                assert_never(declaration.process)
-
-    def _tuples(
-        self,
-        declaration: GeneratorDeclaration,
-        terms: Sequence[Term],
-        kernel: Join | Synchronization,
-        violations: Violations | None,
-    ) -> None:
-        inputs = [self._term(term) for term in terms]
-        output = self._stream(declaration.key, None)
-        name = "join" if isinstance(kernel, Join) else "sync"
-        unit = TupleUnit(
-            *self._identity(name, inputs, output, declaration),
-            kernel=kernel,
-            identifiers=[term.label.identifier for term in terms],
-            violations=violations,
+    def _start_foreach(self, declaration: ForeachDeclaration) -> None:
+        process = ConfigurationProcess(
+            self._configuration.unit_name(),
+            declaration,
+            self._network.term(declaration.members),
+            start=self._start_instance,
+            stop=self._stop,
+            is_there=self._network.is_there,
+            on_event=lambda process, event, text: self._tell_reader(
+                ChangeKind(event), process, text
+            ),
+            on_news=self._has_news,
         )
-        self._declared(declaration.key, unit)
+        self._attach(declaration.key, process, format_kpl(declaration))
+        process.begin()
 
-    def _term(self, term: Term) -> StreamGenerator:
-        """The stream of a term; the same term is the same stream."""
-        if term.policy.is_default:
-            return self._configuration.stream(str(term.label))
-        name = self._configuration.reserved_name
-
-        def build() -> ComputationalUnit:
-            unit = self._adapt(term, name(), declared=False)
-            self._configuration.start(unit, Since.START)
-            return unit
-
-        return self._configuration.share(term, build).output
-
-    def _adapt(self, term: Term, name: str, *, declared: bool) -> AdaptationUnit:
-        source = self._configuration.stream(str(term.label))
-        output = self._stream(name, None if source.is_open else source.schema)
-        output.stream.pools.update(source.stream.pools)
-        return AdaptationUnit(
-            *self._configuration.identity(POLICY, [source], output, {"term": format_term(term)}),
-            policy=term.policy,
-            violations=self._violations(name) if declared else None,
-        )
-
-    def _identity(
-        self,
-        transformation: str,
-        inputs: Sequence[StreamGenerator],
-        output: StreamGenerator,
-        declaration: GeneratorDeclaration,
-    ) -> tuple[object, ...]:
-        parameters = {"kpl": format_kpl(declaration)}
-        return self._configuration.identity(transformation, inputs, output, parameters)
-
-    def _declared(self, key: str, unit: ComputationalUnit) -> None:
-        """Start the unit of a declaration, which is its first user."""
-        unit.users += 1
+    def _start_instance(self, declaration: GeneratorDeclaration, after: int) -> str | None:
+        """Start a generator of one object; why not, if that cannot be."""
+        key = declaration.key
+        missing = self._network.missing(declaration)
+        if missing is not None:
+            return f"there is no {missing}"
+        if self._configuration.has(key):
+            return f"there is another {key}"
+        unit = self._network.start_generator(declaration, after)
+        assert unit is not None, "a foreach has no generators of sources"
         self._units[key] = unit
-        specification = unit.parameters.get("kpl") or f"stream {key} = {unit.parameters['term']}"
-        self._configuration.start(unit, Since.START, specification)
+        self._is_new = True
+        return None
 
-    def _stream(self, name: str, schema: Schema | None) -> StreamGenerator:
-        return self._configuration.add_stream(
-            name, schema or Schema(()), lateness=self._lateness, retention=self._retention
+    def _start_sink(self, declaration: SinkDeclaration) -> None:
+        implementation = self._sink_implementation(declaration)
+        if implementation is None:
+            return
+        sink = Sink(
+            implementation,
+            [self._network.term(term) for term in declaration.terms],
+            on_event=lambda sink, event, text: self._tell_reader(ChangeKind(event), sink, text),
+            runner=self._runner,
+            name=self._configuration.unit_name(),
         )
+        self._attach(declaration.key, sink, format_kpl(declaration))
+        sink.start()
+
+    def _attach(self, key: str, reader: Sink | ConfigurationProcess, specification: str) -> None:
+        self._readers[key] = reader
+        self._configuration.attach(reader)
+        self._tell_reader(ChangeKind.UNIT_STARTED, reader, specification)
 
     # -- what is told ------------------------------------------------------------------------
-
-    def _told(self, unit: ComputationalUnit, event: ProcessEvent, text: str) -> None:
-        self._configuration.tell(ChangeKind(event), unit, text)
 
     def _tell_source(self, kind: ChangeKind, source: SampledSource, text: str = "") -> None:
         name = source.implementation.name
@@ -413,12 +438,21 @@ class Application:
             Change(kind, source.output.name, source.name, name, (), text, Role.SOURCE)
         )
 
-    def _violations(self, name: str) -> Violations:
-        return Violations(lambda: self._open_violations(name + SUFFIX))
-
-    def _open_violations(self, name: str) -> StreamGenerator:
-        self._configuration.system.add(name)
-        return self._configuration.add_stream(name, Schema(()), retention=self._retention)
+    def _tell_reader(
+        self, kind: ChangeKind, reader: Sink | ConfigurationProcess, text: str = ""
+    ) -> None:
+        name = reader.implementation.name if isinstance(reader, Sink) else "foreach"
+        self._configuration.told(
+            Change(
+                kind,
+                "",
+                reader.name,
+                name,
+                tuple(source.name for source in reader.inputs),
+                text,
+                Role.SINK,
+            )
+        )
 
     def _close_violations(self, violations: Violations) -> None:
         name = violations.name
@@ -438,7 +472,7 @@ class Application:
 def _check_sorts(declaration: CompunitDeclaration, implementation: UnitImplementation) -> None:
     """What KPL says of a unit's value sorts (Def. 5.16) is what its decorator says."""
     declared = (declaration.sort.name, *(sort.name for sort in declaration.inputs))
-    coded = tuple(map(_sort, (implementation.output, *implementation.inputs)))
+    coded = tuple(map(sort_name, (implementation.output, *implementation.inputs)))
     if declared != coded:
         text = f"compunit {coded[0]} {implementation.name}({', '.join(coded[1:])})"
         raise Conflict(
@@ -446,15 +480,6 @@ def _check_sorts(declaration: CompunitDeclaration, implementation: UnitImplement
             f"`{format_kpl(declaration)}`, its code as `{text}`",
             "make the declaration and the decorator the same",
         )
-
-
-def _sort(name: str) -> str:
-    """A sort's one spelling: terms of the domain go without their prefix."""
-    return name.removeprefix("dyknow:")
-
-
-def _fields(schema: Schema) -> str:
-    return ", ".join(f"{field.name} {field.type}" for field in schema.fields)
 
 
 def _some(names: Sequence[str]) -> str:

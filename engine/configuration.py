@@ -44,10 +44,13 @@ RESERVED = "dyknow_reserved"
 class Reader(Protocol):
     """A process that reads streams and makes none: a sink, a configuration process."""
 
-    name: str
-    transformation: str
-    inputs: tuple[StreamGenerator, ...]
-    parameters: dict[str, str]
+    @property
+    def name(self) -> str:
+        """What it is called in the stream space."""
+
+    @property
+    def inputs(self) -> tuple[StreamGenerator, ...]:
+        """The streams that it reads."""
 
     def stop(self) -> None:
         """Leave the inputs."""
@@ -109,7 +112,7 @@ class Configuration:
     ) -> StreamGenerator:
         """A new stream; raises `AlreadyExists`. Text fields get string pools of their own. A
         schema without fields makes an *open* stream, whose first samples decide its fields."""
-        if name in self.streams or name in self.aliases:
+        if self.has(name):
             raise AlreadyExists(f"there is a stream called {name!r}", "choose another name")
         pools = dict(pools or {})
         for field in schema.fields:
@@ -129,6 +132,10 @@ class Configuration:
         del self.namespaces[name]
         generator.close()
         self._on_change(Change(ChangeKind.STREAM_REMOVED, name))
+
+    def has(self, name: str) -> bool:
+        """Whether there is a stream of this name, or an alias."""
+        return name in self.streams or name in self.aliases
 
     def readers_of(self, name: str) -> tuple[str, ...]:
         """The names of the units and readers that read stream ``name``."""
@@ -337,10 +344,11 @@ class Configuration:
         unit: ComputationalUnit,
         gained: Sequence[StreamGenerator],
         lost: Sequence[StreamGenerator],
+        specification: str,
     ) -> None:
         """A unit that chooses its inputs itself has changed them ([DyKnow10 Def. 4.7])."""
         self._use(gained)
-        self.tell(ChangeKind.INPUTS_CHANGED, unit)
+        self.tell(ChangeKind.INPUTS_CHANGED, unit, specification)
         self._leave(lost)
 
     def told(self, change: Change) -> None:

@@ -227,6 +227,7 @@ class Engine:
             )
         self._now = max(self._now, now)
         accepted = generator.offer(incoming.batch, now if incoming.stamped else None)
+        self._application.settle()
         if idempotency_key is not None:
             self._keys[key] = (digest, accepted)
             if len(self._keys) > _KEYS_KEPT:
@@ -237,6 +238,7 @@ class Engine:
         """A recording has come to its end: what waits for more samples is decided now."""
         generator = self.accepting(name)
         generator.end()
+        self._application.settle()
         self._changed(Change(ChangeKind.STREAM_ENDED, generator.name))
 
     def tick(self, now: int) -> None:
@@ -256,6 +258,7 @@ class Engine:
             if begun and all(self._configuration.is_stamped(source) for source in begun):
                 for source in waiting:
                     unit.advance(source, now)
+        self._application.settle()
 
     def rdf_of(self, name: str, batch: SampleBatch) -> list[str]:
         """Each sample of stream ``name`` as N-Triples; empty text where it says nothing."""

@@ -10,8 +10,10 @@ from ..languages.errors import LanguageError
 from ..languages.kpl import (
     CheckedDeclaration,
     CompunitDeclaration,
+    ForeachDeclaration,
     GeneratorDeclaration,
     Signature,
+    SinkDeclaration,
     SortDeclaration,
     SourceDeclaration,
     StreamDeclaration,
@@ -21,18 +23,25 @@ from ..languages.kpl import (
 )
 from ..ontology.ontology import Ontology
 from ..streams.policy import PolicyCounters
-from .application import Application
+from .application import Application, Process
 from .changes import Change, ChangeKind
+from .configuration_process import ConfigurationProcess
 from .errors import DyknowError
+from .mediation_unit import MediationUnit
+from .sampled_source import SampledSource
 from .stream_units import PolicyUnit
 from .views import DeclarationView
 
+_SEPARATOR = "\n\n"
+"""Between declarations where they are kept: some have several lines, none has an empty one."""
 _KINDS = {
     SourceDeclaration: "source",
     CompunitDeclaration: "compunit",
     GeneratorDeclaration: "strmgen",
     StreamDeclaration: "stream",
     SortDeclaration: "sort",
+    ForeachDeclaration: "foreach",
+    SinkDeclaration: "sink",
 }
 
 
@@ -102,12 +111,12 @@ class KplDeclarations:
             self._declare(kept)
         except (LanguageError, DyknowError):
             # Something does not hold any more: what can be without it is restored.
-            for line in kept.splitlines():
+            for text in kept.split(_SEPARATOR):
                 try:
-                    self._declare(line)
+                    self._declare(text)
                 except (LanguageError, DyknowError) as error:
-                    self._not_restored.append(line)
-                    reason = f"{error}\n{line}"
+                    self._not_restored.append(text)
+                    reason = f"{error}\n{text}"
                     self._changed(Change(ChangeKind.NOT_RESTORED, specification=reason))
 
     def _declare(self, text: str, unit: str = "ms") -> tuple[CheckedDeclaration, ...]:
@@ -118,21 +127,13 @@ class KplDeclarations:
         return new
 
     def _keep(self) -> None:
-        self._ontology.set_kpl(
-            "".join((self.text(), *(f"{line}\n" for line in self._not_restored)))
-        )
+        self._ontology.set_kpl(_SEPARATOR.join((*self._texts.values(), *self._not_restored)))
 
     def _view(self, declaration: CheckedDeclaration) -> DeclarationView:
         key = declaration.key
-        unit = self._application.unit_of(key)
-        sampled = self._application.sampled.get(key)
-        process = unit or sampled
+        process = self._application.process_of(key)
         stream = self._application.stream_of(key)
-        counters = unit.policy_counters if isinstance(unit, PolicyUnit) else None
-        counted = {} if counters is None else asdict(counters)
-        if isinstance(counters, PolicyCounters):
-            counted["dropped"] = {str(kind): n for kind, n in counters.dropped.items()}
-        violations = unit.violations if isinstance(unit, PolicyUnit) else None
+        violations = process.violations if isinstance(process, PolicyUnit) else None
         return DeclarationView(
             name=key,
             kind=_KINDS[type(declaration)],
@@ -144,7 +145,27 @@ class KplDeclarations:
             errors=0 if process is None else process.counters.errors,
             restarts=0 if process is None else process.counters.restarts,
             last_error=None if process is None else process.counters.last_error,
-            missed=0 if sampled is None else sampled.missed,
-            counters=counted,
+            counters=_counters(process),
             violations=None if violations is None else violations.name,
         )
+
+
+def _counters(process: Process | None) -> dict[str, object]:
+    """What a process counts, beside its errors."""
+    match process:
+        case PolicyUnit():
+            counters = process.policy_counters
+            if counters is None:
+                return {}
+            counted: dict[str, object] = asdict(counters)
+            if isinstance(counters, PolicyCounters):
+                counted["dropped"] = {str(kind): n for kind, n in counters.dropped.items()}
+            return counted
+        case SampledSource():
+            return {"missed": process.missed}
+        case ConfigurationProcess():
+            return {"objects": len(process.objects), "waiting": process.waiting}
+        case MediationUnit():
+            return {"inputs": len(process.inputs) - 1, "without stream": list(process.unmet)}
+        case _:
+            return {}

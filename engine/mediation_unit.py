@@ -18,7 +18,8 @@ class MediationUnit(ComputationalUnit):
     """The streams of the objects that its first input names, as one.
 
     ``stream_of`` gives the stream of an object, or None while there is none; ``on_inputs`` hears
-    which inputs came and went. With ``select`` only the object named last in a set is in it.
+    which inputs came and went, ``on_news`` that there is something to settle. With ``select`` only
+    the object named last in a set is in it.
 
     What comes is only noted; `settle` acts on it, once every process that makes or removes streams
     has done so. So what is passed on does not depend on who hears of a set first.
@@ -31,6 +32,7 @@ class MediationUnit(ComputationalUnit):
         select: bool,
         stream_of: Callable[[str], StreamGenerator | None],
         on_inputs: Callable[[MediationUnit, Inputs, Inputs], None],
+        on_news: Callable[[MediationUnit], None],
     ) -> None:
         super().__init__(*args)
         self._members = self.inputs[0]
@@ -38,6 +40,7 @@ class MediationUnit(ComputationalUnit):
         self._select = select
         self._stream_of = stream_of
         self._on_inputs = on_inputs
+        self._on_news = on_news
         self._labels: dict[str, StreamGenerator] = {}
         self._read_by: dict[StreamGenerator, list[str]] = {}
         self._is_news = False
@@ -54,18 +57,21 @@ class MediationUnit(ComputationalUnit):
             self._is_news = True
         for label in self._read_by.get(source, ()):
             self._kernel.push(label, batch)
+        self._on_news(self)
 
     def progress(self, source: StreamGenerator, watermark: int) -> None:
         if source is self._members:
             self._kernel.advance_members(watermark)
         for label in self._read_by.get(source, ()):
             self._kernel.advance(label, watermark)
+        self._on_news(self)
 
     def finish(self, source: StreamGenerator) -> None:
         if source is self._members:
             self._kernel.end_members()
         for label in self._read_by.get(source, ()):
             self._kernel.end(label)
+        self._on_news(self)
 
     def settle(self) -> bool:
         """Take the streams of objects that came, leave those of objects that went, pass on what is

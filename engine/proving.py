@@ -61,7 +61,7 @@ def prove_specification(
 
     Samples of streams that are no source are passed over. ``runner`` calls the processes. Raises
     `UnknownFeature` for a unit without an implementation, `Conflict` where a source's fields are
-    not those of its sort.
+    not those of its sort, or two of its samples have one available time.
     Memory: the whole of every stream.
     """
     # However late a sample stands in the recording, it takes its place by its available time.
@@ -78,7 +78,7 @@ def prove_specification(
         runner=runner,
         retention=Retention(samples=2**62),
         lateness=TIME_MAX,
-        reads_sources=False,
+        rehearsal=True,
     )
     application.add(signature.declarations)
     sources = {
@@ -98,8 +98,18 @@ def prove_specification(
                 "give the source a sort with these fields, or one that nobody has declared",
             )
         source.offer(incoming.batch)
+        application.settle()
     for source in sources.values():
         source.end()
+        application.settle()
+        lost = source.counters.duplicate + source.counters.late
+        if lost:
+            raise Conflict(
+                f"source {source.name!r}: {lost} of {source.counters.accepted} recorded samples "
+                "have the available time of another one",
+                "available times are unique within a stream (Def. 5.4): mend the recording, or "
+                "leave its available times out to have them made from the valid times",
+            )
     return tuple(
         _proof(application, failures, declaration)
         for declaration in signature.declarations
@@ -113,7 +123,7 @@ def _proof(
     policy = declaration.term.policy
     label = str(declaration.term.label)
     source, output = application.stream_of(label), application.stream_of(declaration.name)
-    unit = application.unit_of(declaration.name)
+    unit = application.process_of(declaration.name)
     assert source is not None
     assert output is not None
     assert isinstance(unit, AdaptationUnit)

@@ -10,11 +10,12 @@ from abc import abstractmethod
 from collections.abc import Sequence
 from typing import Any
 
+from ..languages.kpl import OBJECT_FIELD
 from ..streams.adapting import adapt
 from ..streams.generator import StreamGenerator
 from ..streams.joining import Join
 from ..streams.policy import Policy, PolicyCounters
-from ..streams.sample import SampleBatch, empty_batch
+from ..streams.sample import FieldType, SampleBatch, SampleError, empty_batch
 from ..streams.synchronization import StateCounters, Synchronization
 from ..streams.tuples import TupleBatch, flat_names
 from .unit import ComputationalUnit
@@ -127,3 +128,26 @@ class TupleUnit(PolicyUnit):
             whole = TupleBatch(tuples.available, tuples.valid, inputs, tuples.rows)
             names = flat_names(self._identifiers, [source.schema for source in self.inputs])
             self.output.offer(whole.flatten(names))
+
+
+class ObjectSelectionUnit(ComputationalUnit):
+    """``selectObject(w)``: of a stream about many objects the samples of one, as they are.
+
+    Whose a sample is stands in the field ``object``, else ``id``, else in the first text field;
+    ``object`` is compared as text. Cost: one comparison a sample.
+    """
+
+    def __init__(self, *args: Any, object: str) -> None:
+        super().__init__(*args)
+        self._object = object
+
+    def process(self, source: StreamGenerator, batch: SampleBatch) -> None:
+        texts = [n for n, column in batch.columns.items() if column.type is FieldType.STRING]
+        name = next((n for n in (OBJECT_FIELD, "id", *texts) if n in texts), None)
+        if name is None:
+            raise SampleError("no field names the object of a sample: there is no text field")
+        column = batch.columns[name]
+        assert column.pool is not None
+        chosen = (column.values == column.pool.find(self._object)) & column.present
+        if bool(chosen.any()):
+            self.output.offer(batch.take(chosen))

@@ -132,9 +132,9 @@ class DeclarationView:
 
     ``name`` is its name, label or key, ``kind`` its first word, ``stream`` the stream it makes or
     names, ``unit`` the process that makes it. ``uses`` are the names of what it needs directly.
-    ``missed`` are due times at which a source was not read. ``counters`` say what became of the
-    samples under a policy (`PolicyCounters`, `StateCounters`); ``violations`` names the stream of
-    those not passed on, once there is one.
+    ``counters`` say what became of the samples under a policy (`PolicyCounters`,
+    `StateCounters`), how often a source was not read in time, which objects a ``foreach`` or a
+    mediation has; ``violations`` names the stream of samples not passed on, once there is one.
     """
 
     name: str
@@ -147,6 +147,5 @@ class DeclarationView:
     errors: int
     restarts: int
     last_error: str | None
-    missed: int
     counters: Mapping[str, object]
     violations: str | None

@@ -348,8 +348,9 @@ class DeclarationModel(BaseModel):
     errors: int
     restarts: int
     last_error: str | None
-    missed: int = Field(description="due times at which a source was not read")
-    counters: dict[str, Any] = Field(description="what became of the samples under its policy")
+    counters: dict[str, Any] = Field(
+        description="what became of samples under its policy; which objects it has"
+    )
     violations: str | None = Field(description="the stream of samples that were not passed on")
 
     @classmethod

@@ -25,7 +25,8 @@ class Mediation:
 
     Samples go out in order of available time, those of one moment in the order of their labels.
     Available times are unique, so a sample that finds its own taken is available right after the
-    one before it. With ``tag`` a text field of that name says whose sample it is.
+    one before it. With ``tag`` a text field of that name, where the samples have none, says whose
+    sample it is. Text is encoded with ``pools`` (by field; made where one lacks).
 
     What is decided when: all up to the least of what is known of the set and of the streams of
     the objects in it. A stream that is not there yet (`attach`) has no samples and holds nobody
@@ -37,10 +38,9 @@ class Mediation:
     that held it up the last time still does. Memory: what waits, and the sets that it needs.
     """
 
-    def __init__(self, tag: str | None = None) -> None:
+    def __init__(self, tag: str | None = None, pools: dict[str, StringPool] | None = None) -> None:
         self._tag = tag
-        self._tags = StringPool()
-        self._pools: dict[str, StringPool] = {}
+        self._pools = {} if pools is None else pools
         # The sets that may still hold for a sample to come, and since when each does.
         self._since: list[int] = [TIME_MIN]
         self._sets: list[frozenset[str]] = [frozenset()]
@@ -170,10 +170,11 @@ class Mediation:
         available = self._unique(available[order])
         valid = np.concatenate([batch.valid for _, batch in parts])[order]
         columns = {}
-        if self._tag is not None:
-            codes = [np.full(len(b), self._tags.code(label), np.int32) for label, b in parts]
+        if self._tag is not None and all(name != self._tag for name, _ in fields):
+            pool = self._pools.setdefault(self._tag, StringPool())
+            codes = [np.full(len(batch), pool.code(label), np.int32) for label, batch in parts]
             tags = np.concatenate(codes)[order]
-            columns[self._tag] = Column(FieldType.STRING, tags, None, self._tags)
+            columns[self._tag] = Column(FieldType.STRING, tags, None, pool)
         for name, kind in fields:
             own = [batch.columns[name] for _, batch in parts]
             columns[name] = self._column(name, kind, own).take(order)

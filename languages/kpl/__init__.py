@@ -3,36 +3,53 @@
 
 from .ast import Specification
 from .check import check_kpl, parse_label, parse_policy
-from .parser import parse_kpl
-from .printer import format_kpl, format_policy, format_term
-from .signature import (
+from .declarations import (
+    OBJECT_FIELD,
+    PROCESSES,
+    VALUE,
+    Aggregate,
     CheckedDeclaration,
     CompunitDeclaration,
     Compute,
+    ForeachDeclaration,
     FromSource,
     GeneratorDeclaration,
     JoinOf,
     Label,
     Process,
-    Signature,
+    Select,
+    SelectObject,
+    SinkDeclaration,
     SortDeclaration,
     SourceDeclaration,
     StreamDeclaration,
     Synchronize,
     Term,
     ValueSort,
+    instantiate,
 )
+from .parser import parse_kpl
+from .printer import format_kpl, format_policy, format_term
+from .signature import Signature
 
 __all__ = [
+    "OBJECT_FIELD",
+    "PROCESSES",
+    "VALUE",
+    "Aggregate",
     "CheckedDeclaration",
     "CompunitDeclaration",
     "Compute",
+    "ForeachDeclaration",
     "FromSource",
     "GeneratorDeclaration",
     "JoinOf",
     "Label",
     "Process",
+    "Select",
+    "SelectObject",
     "Signature",
+    "SinkDeclaration",
     "SortDeclaration",
     "SourceDeclaration",
     "Specification",
@@ -44,6 +61,7 @@ __all__ = [
     "format_kpl",
     "format_policy",
     "format_term",
+    "instantiate",
     "parse_kpl",
     "parse_label",
     "parse_policy",

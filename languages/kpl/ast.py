@@ -1,22 +1,32 @@
 """The AST of KPL ([DyKnow10 §5.2], SPEC §1): what was written, nothing resolved.
 
 Spans say where a thing stands and are no part of what it is: two declarations that differ in
-their spans only are equal. `check` makes the declarations of `signature` out of these.
+their spans only are equal. `check` makes what is in `declarations` out of these.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from dataclasses import field as attribute
-from typing import Literal, TypeAlias
+from typing import Final, Literal, TypeAlias
 
 from ...streams.policy import Approximation, Order
 from ..errors import Span
 
+KEYWORDS: Final = frozenset(
+    [
+        *("any", "approximation", "change", "compunit", "delay", "every", "from", "max"),
+        *("monotone", "most", "no", "oo", "order", "recent", "sample", "source", "stream"),
+        *("strict", "strmgen", "to", "update", "use", "with"),
+    ]
+)
+"""Def. 5.12: no symbol is called like these. Our `unit`, `sort`, `foreach`, `in` and `sink` are
+free as names."""
+
 
 @dataclass(frozen=True, slots=True)
 class Name:
-    """A symbol as written: ``pos_car1``, ``dyknow:speed``."""
+    """A symbol as written: ``pos_car1``, ``dyknow:speed``; an object's without its quotes."""
 
     text: str
     span: Span = attribute(compare=False)
@@ -114,14 +124,25 @@ class Compunit:
 
 
 @dataclass(frozen=True, slots=True)
+class Mediation:
+    """Ours (Def. 4.7): ``(pos[car] foreach car in cars)``, the inputs of a mediation process."""
+
+    pattern: StreamTerm
+    variable: Name
+    members: StreamTerm
+    span: Span = attribute(compare=False)
+
+
+@dataclass(frozen=True, slots=True)
 class Strmgen:
-    """Def. 5.18. ``terms`` empty: nothing in parentheses was written, so a source is meant.
-    ``synchronization`` are the constraints after ``;`` (ours)."""
+    """Def. 5.18. Without ``terms`` and ``mediation`` nothing in parentheses was written, so a
+    source is meant. ``synchronization`` are the constraints after ``;`` (ours)."""
 
     label: LabelTerm
     process: Name
     terms: tuple[StreamTerm, ...]
     synchronization: tuple[Constraint, ...]
+    mediation: Mediation | None
     span: Span = attribute(compare=False)
 
 
@@ -143,7 +164,26 @@ class Sort:
     span: Span = attribute(compare=False)
 
 
-Declaration: TypeAlias = Source | Compunit | Strmgen | Stream | Sort
+@dataclass(frozen=True, slots=True)
+class Foreach:
+    """Ours, a configuration process (Def. 4.6): ``generators`` for each object in ``members``."""
+
+    variable: Name
+    members: StreamTerm
+    generators: tuple[Strmgen, ...]
+    span: Span = attribute(compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Sink:
+    """Ours: ``sink Log(speed[car1] with any change)``, a process without output."""
+
+    name: Name
+    terms: tuple[StreamTerm, ...]
+    span: Span = attribute(compare=False)
+
+
+Declaration: TypeAlias = Source | Compunit | Strmgen | Stream | Sort | Foreach | Sink
 
 
 @dataclass(frozen=True, slots=True)

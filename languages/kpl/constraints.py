@@ -45,9 +45,10 @@ _ORDERS: Final = (Order.ANY, Order.MONOTONE, Order.STRICT)
 
 @dataclass(frozen=True, slots=True)
 class _Constraints:
-    """One constraint of each kind, and where change and approximation were written."""
+    """One constraint of each kind, and where the approximation was written. ``change`` None: none
+    was written."""
 
-    change: Change
+    change: Change | None
     max_delay: int | None
     duration: Duration
     order: Order
@@ -60,7 +61,11 @@ def to_policy(constraints: Sequence[ast.Constraint], source: str, unit: str) -> 
     merged = _merge(constraints, source, unit)
     try:
         return Policy(
-            merged.change, merged.max_delay, merged.duration, merged.order, merged.approximation
+            merged.change or AnyUpdate(),
+            merged.max_delay,
+            merged.duration,
+            merged.order,
+            merged.approximation,
         )
     except PolicyError as error:
         assert merged.approximation_span is not None
@@ -73,7 +78,7 @@ def to_synchronization(
     """The policy of a synchronization, which says when states are. Raises `LanguageError`; at
     ``span`` if it does not say."""
     merged = _merge(constraints, source, unit)
-    if isinstance(merged.change, AnyUpdate):
+    if merged.change is None:
         raise LanguageError(
             "a synchronization says when its states are",
             source,
@@ -86,7 +91,7 @@ def to_synchronization(
 
 
 def _merge(constraints: Sequence[ast.Constraint], source: str, unit: str) -> _Constraints:
-    change: Change = AnyUpdate()
+    change: Change | None = None
     delays: list[int] = []
     durations: list[Duration] = []
     order = Order.ANY
@@ -120,7 +125,7 @@ def _merge(constraints: Sequence[ast.Constraint], source: str, unit: str) -> _Co
     return _Constraints(change, least, _intersection(durations), order, chosen, span)
 
 
-def _stronger(change: Change, constraint: ast.Change, source: str, unit: str) -> Change:
+def _stronger(change: Change | None, constraint: ast.Change, source: str, unit: str) -> Change:
     if constraint.period is not None:
         period = duration(constraint.period, source, unit)
         if period <= 0:
@@ -138,9 +143,9 @@ def _stronger(change: Change, constraint: ast.Change, source: str, unit: str) ->
                 "valid times cannot differ by exactly two times at once: keep one",
             )
         return SampleEvery(period)
-    if constraint.kind == "any change" and isinstance(change, AnyUpdate):
-        return AnyChange()
-    return change
+    if constraint.kind == "any change":
+        return change if isinstance(change, SampleEvery) else AnyChange()
+    return AnyUpdate() if change is None else change
 
 
 def _delay(time: ast.Time, source: str, unit: str) -> int:

@@ -5,6 +5,7 @@ Names are not resolved here; `check` does that.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable
 from collections.abc import Set as AbstractSet
 from functools import cache
@@ -18,37 +19,45 @@ from ...streams.policy import Approximation, Order
 from ..errors import LanguageError, Span
 from ..syntax import expected_hint, span_of, syntax_error, tokens, trees
 from . import ast
-
-KEYWORDS: Final = frozenset(
-    [
-        *("any", "approximation", "change", "compunit", "delay", "every", "from", "max"),
-        *("monotone", "most", "no", "oo", "order", "recent", "sample", "source", "stream"),
-        *("strict", "strmgen", "to", "update", "use", "with"),
-    ]
-)
-"""Def. 5.12: no symbol is called like these. Our `unit` and `sort` are free as names."""
+from .hints import did_you_mean
 
 _EXPECTED: Final = {
     "NAME": "a name",
     "PREFIXED": "a name",
     "NUMBER": "a time",
     "TIME_POINT": "a time",
+    "OBJECT_ID": "a name",
+    "STRING": "a name in quotes",
     "EQUAL": "`=`",
     "LPAR": "`(`",
     "RPAR": "`)`",
     "LSQB": "`[`",
     "RSQB": "`]`",
+    "LBRACE": "`{`",
+    "RBRACE": "`}`",
     "COMMA": "`,`",
     "SEMICOLON": "`;`",
     "$END": "the end",
 }
-_DECLARING: Final = frozenset({"SOURCE", "COMPUNIT", "STRMGEN", "STREAM", "SORT"})
+_DECLARATIONS: Final = ("source", "compunit", "strmgen", "stream", "sort", "foreach", "sink")
+_DECLARING: Final = frozenset(word.upper() for word in _DECLARATIONS)
 _CONSTRAINING: Final = frozenset({"ANY", "SAMPLE", "MAX", "FROM", "TO", "STRICT", "NO", "USE"})
 _BEGINNINGS: Final = frozenset({"monotone", *(word.lower() for word in _CONSTRAINING)})
 _CONSTRAINTS: Final = (
     "a constraint is `any update`, `any change`, `sample every t`, `max delay t`, `from a to b`, "
     "`any order`, `monotone order`, `strict order`, `no approximation` or `use most recent`"
 )
+
+_TERMS: Final = "a term is a label, `pos[car1]`, or one with a policy: `pos[car1] with any change`"
+_BLOCK: Final = "in a `foreach` stand generators, `strmgen speed[car] = …`, and `}` ends it"
+_FOR_EACH_OBJECT: Final = {
+    "source_decl": "declare the source before it: one serves the streams of every object",
+    "compunit_decl": "declare the computational unit before it: one serves every object",
+    "sort_decl": "declare the sort before it",
+    "stream_decl": "a stream has one name: declare `strmgen speed[car] = …`, whose label varies",
+    "sink_decl": "a sink has one name: give it `aggregate(speed[car] foreach car in cars)`",
+    "foreach_decl": "declare generators of two objects with `aggregate(… foreach … in …)` in one",
+}
 
 
 @cache
@@ -86,7 +95,18 @@ def _parse(source: str, start: str) -> Tree[Token]:
     try:
         return _grammar().parse(source, start=start)
     except UnexpectedInput as error:
-        raise syntax_error(error, source, _syntax_hint) from None
+        history = getattr(error, "token_history", None)
+        before = history[-1] if history else None
+        if before is not None and before.type == "NAME" and before in ast.KEYWORDS:
+            # It was taken for a name, and what stumbles is the next word.
+            raise _keyword_error(before, source) from None
+
+        def hint(found: str, expected: AbstractSet[str]) -> str:
+            if before is not None and before.type == "WITH" and found in ("", ")", *_DECLARATIONS):
+                return "after `with` stands a constraint; without one leave `with` out"
+            return _syntax_hint(found, expected)
+
+        raise syntax_error(error, source, hint) from None
 
 
 def _syntax_hint(found: str, expected: AbstractSet[str]) -> str:
@@ -97,13 +117,31 @@ def _syntax_hint(found: str, expected: AbstractSet[str]) -> str:
         return "nothing ends a declaration: leave the full stop out"
     if found.lower() in _BEGINNINGS and "WITH" in expected:
         return f"a policy begins with `with`: write `with {found} …`"
+    if declaring and "RBRACE" in expected:
+        return _BLOCK
+    words = {name.lower() for name in expected if name not in _EXPECTED}
+    meant = did_you_mean(found, words) if found.isidentifier() else ""
+    if meant:
+        return meant
     if expected >= _CONSTRAINING:
-        return _CONSTRAINTS
+        return _TERMS if "NAME" in expected else _CONSTRAINTS
     if expected in ({"NAME"}, {"NAME", "PREFIXED"}):
         return "a name is a letter or `_`, then letters, digits and `_`"
     if declaring and expected <= {*_DECLARING, "UNIT", "$END"}:
-        return "a declaration begins with `source`, `compunit`, `strmgen`, `stream` or `sort`"
+        known = [f"`{word}`" for word in _DECLARATIONS]
+        return f"a declaration begins with {', '.join(known[:-1])} or {known[-1]}"
     return expected_hint(expected, _EXPECTED)
+
+
+def _keyword_error(token: Token, source: str, quoted: bool = False) -> LanguageError:
+    hint = f"choose another name, `{token}_1` for example"
+    if quoted:
+        hint = f'an object of this name is written in quotes: `"{token}"`'
+    elif token in _DECLARATIONS:
+        hint += "; if a declaration begins here, a name is missing before it"
+    return LanguageError(
+        f"`{token}` is a keyword of KPL, so nothing is called that", source, span_of(token), hint
+    )
 
 
 class _Reader:
@@ -113,15 +151,28 @@ class _Reader:
         self._source = source
 
     def name(self, token: Token) -> ast.Name:
+        if token in ast.KEYWORDS:
+            raise _keyword_error(token, self._source)
+        return ast.Name(str(token), span_of(token))
+
+    def object(self, token: Token) -> ast.Name:
         span = span_of(token)
-        if token in KEYWORDS:
+        if token.type != "STRING":
+            if token in ast.KEYWORDS:
+                raise _keyword_error(token, self._source, quoted=True)
+            return ast.Name(str(token), span)
+        try:
+            text = json.loads(token, strict=False)
+            # Half a surrogate pair is no text, though JSON can write it.
+            text.encode()
+        except ValueError:
             raise LanguageError(
-                f"`{token}` is a keyword of KPL, so nothing is called that",
+                f"{token} is no text",
                 self._source,
                 span,
-                f"choose another name, `{token}_1` for example",
-            )
-        return ast.Name(str(token), span)
+                'what follows a `\\` is as in JSON: `\\"`, `\\\\`, `\\n`, `\\u00e9`',
+            ) from None
+        return ast.Name(text, span)
 
     def symbol(self, tree: Tree[Token]) -> ast.Name:
         return self.name(tokens(tree)[0])
@@ -136,16 +187,13 @@ class _Reader:
             case "compunit_decl":
                 return ast.Compunit(names[0], names[1], tuple(map(self.symbol, parts)), span)
             case "strmgen_decl":
-                label = self.label(parts[0])
-                if len(parts) == 1:
-                    return ast.Strmgen(label, names[0], (), (), span)
-                terms, synchronization = self.arguments(trees(parts[1]))
-                return ast.Strmgen(label, names[0], terms, synchronization, span)
+                return self.strmgen(tree)
             case "stream_decl":
-                policy = self.constraints(parts[1:])
-                start = span_of(parts[0]).start
-                term = ast.StreamTerm(self.label(parts[0]), policy, Span(start, span.end))
-                return ast.Stream(names[0], term, span)
+                return ast.Stream(names[0], self.term(parts[0], parts[1:]), span)
+            case "foreach_decl":
+                return self.foreach(tree, names[0])
+            case "sink_decl":
+                return ast.Sink(names[0], self.sink_inputs(parts[0]), span)
             case _:
                 (value,) = parts
                 if value.data == "symbol":
@@ -156,38 +204,93 @@ class _Reader:
                 )
                 return ast.Sort(names[0], fields, span)
 
+    def strmgen(self, tree: Tree[Token]) -> ast.Strmgen:
+        label, *arguments = trees(tree)
+        name, span = self.name(tokens(tree, "NAME")[0]), span_of(tree)
+        if not arguments:
+            return ast.Strmgen(self.label(label), name, (), (), None, span)
+        items, last = self.split(arguments[0])
+        if last is not None and last.data == "mediated":
+            mediation = self.mediation(items, last)
+            return ast.Strmgen(self.label(label), name, (), (), mediation, span)
+        synchronization = self.constraints(trees(last)) if last is not None else ()
+        return ast.Strmgen(self.label(label), name, self.terms(items), synchronization, None, span)
+
+    def mediation(self, items: list[Tree[Token]], tree: Tree[Token]) -> ast.Mediation:
+        pattern = self.one_term(items, "what is mediated")
+        members = self.one_term(trees(trees(tree)[0]), "what names the objects")
+        variable = self.name(tokens(tree, "NAME")[0])
+        return ast.Mediation(pattern, variable, members, span_of(tree))
+
+    def foreach(self, tree: Tree[Token], variable: ast.Name) -> ast.Foreach:
+        label, *policy, block = trees(tree)
+        generators = []
+        for node in trees(block):
+            if node.data != "strmgen_decl":
+                raise LanguageError(
+                    "a `foreach` declares generators alone",
+                    self._source,
+                    span_of(tokens(node)[0]),
+                    _FOR_EACH_OBJECT[str(node.data)],
+                )
+            generators.append(self.strmgen(node))
+        members = self.term(label, policy)
+        return ast.Foreach(variable, members, tuple(generators), span_of(tree))
+
+    def sink_inputs(self, tree: Tree[Token]) -> tuple[ast.StreamTerm, ...]:
+        items, last = self.split(tree)
+        if last is not None:
+            raise LanguageError(
+                "a sink gets streams, and nothing stands behind them",
+                self._source,
+                span_of(last),
+                "declare a generator, `strmgen LABEL = …`, and name its label here",
+            )
+        return self.terms(items)
+
     def label(self, tree: Tree[Token]) -> ast.LabelTerm:
         symbol, *objects = trees(tree)
-        named = tokens(objects[0], "NAME") if objects else []
-        return ast.LabelTerm(self.symbol(symbol), tuple(map(self.name, named)), span_of(tree))
+        named = tokens(objects[0]) if objects else []
+        return ast.LabelTerm(self.symbol(symbol), tuple(map(self.object, named)), span_of(tree))
 
-    def arguments(
-        self, nodes: list[Tree[Token]]
-    ) -> tuple[tuple[ast.StreamTerm, ...], tuple[ast.Constraint, ...]]:
-        """Terms with all their constraints, and the constraints after ``;``."""
-        terms: list[ast.StreamTerm] = []
-        synchronization: tuple[ast.Constraint, ...] = ()
+    def split(self, tree: Tree[Token]) -> tuple[list[Tree[Token]], Tree[Token] | None]:
+        """The terms and constraints among arguments, and what stands behind them."""
+        nodes = trees(tree)
+        behind = nodes.pop() if nodes[-1].data in ("synchronized", "mediated") else None
+        return nodes, behind
+
+    def term(self, label: Tree[Token], policy: Iterable[Tree[Token]]) -> ast.StreamTerm:
+        constraints = self.constraints(policy)
+        span = span_of(label)
+        end = constraints[-1].span.end if constraints else span.end
+        return ast.StreamTerm(self.label(label), constraints, Span(span.start, end))
+
+    def terms(self, nodes: Iterable[Tree[Token]]) -> tuple[ast.StreamTerm, ...]:
+        """Each with all its constraints: one belongs to the term before it, if that has some."""
+        groups: list[list[Tree[Token]]] = []
         for node in nodes:
-            if node.data == "synchronized":
-                synchronization = self.constraints(trees(node))
-            elif node.data == "term":
-                label, *policy = trees(node)
-                term = ast.StreamTerm(self.label(label), self.constraints(policy), span_of(node))
-                terms.append(term)
+            if node.data == "term":
+                groups.append(trees(node))
+            elif groups and len(groups[-1]) > 1:
+                groups[-1].append(node)
             else:
-                constraint = self.constraint(node)
-                last = terms.pop() if terms else None
-                if last is None or not last.policy:
-                    words = self._source[constraint.span.start : constraint.span.end]
-                    raise LanguageError(
-                        "a constraint stands here without a term that it belongs to",
-                        self._source,
-                        constraint.span,
-                        f"a policy begins with `with`: write `label with {words}`",
-                    )
-                span = Span(last.span.start, constraint.span.end)
-                terms.append(ast.StreamTerm(last.label, (*last.policy, constraint), span))
-        return tuple(terms), synchronization
+                span = span_of(node)
+                words = self._source[span.start : span.end]
+                raise LanguageError(
+                    "a constraint stands here without a term that it belongs to",
+                    self._source,
+                    span,
+                    f"a policy begins with `with`: write `label with {words}`",
+                )
+        return tuple(self.term(label, policy) for label, *policy in groups)
+
+    def one_term(self, nodes: Iterable[Tree[Token]], what: str) -> ast.StreamTerm:
+        term, *more = self.terms(nodes)
+        if more:
+            raise LanguageError(
+                f"{what} is one term", self._source, more[0].span, "leave this one out"
+            )
+        return term
 
     def constraints(self, nodes: Iterable[Tree[Token]]) -> tuple[ast.Constraint, ...]:
         return tuple(map(self.constraint, nodes))

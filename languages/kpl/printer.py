@@ -16,13 +16,18 @@ from ...streams.policy import (
 )
 from ...streams.time import format_duration
 from .constraints import UNITS
-from .signature import (
+from .declarations import (
+    Aggregate,
     CheckedDeclaration,
     CompunitDeclaration,
     Compute,
+    ForeachDeclaration,
     FromSource,
     GeneratorDeclaration,
     JoinOf,
+    Select,
+    SelectObject,
+    SinkDeclaration,
     SortDeclaration,
     SourceDeclaration,
     StreamDeclaration,
@@ -37,7 +42,8 @@ DEFAULT_UNIT: Final = "ms"
 def format_kpl(
     declarations: CheckedDeclaration | Sequence[CheckedDeclaration], unit: str = DEFAULT_UNIT
 ) -> str:
-    """One line a declaration, integers in ``unit``; a ``unit`` line first unless it is ms."""
+    """One line a declaration, but several a ``foreach``; integers in ``unit``, with a ``unit`` line
+    first unless it is ms."""
     if not isinstance(declarations, Sequence):
         declarations = (declarations,)
     lines = [] if unit == DEFAULT_UNIT else [f"unit {unit}"]
@@ -46,11 +52,12 @@ def format_kpl(
 
 def format_policy(policy: Policy | SynchronizationPolicy, unit: str = DEFAULT_UNIT) -> str:
     """``sample every 200, max delay 50, from 0 to oo``; constraints at their default are left
-    out, so the default policy is empty text."""
+    out, so the default policy is empty text. A synchronization's change is always there."""
     parts = []
     match policy.change:
         case AnyUpdate():
-            pass
+            # A synchronization has no default: it says when its states are.
+            parts += ["any update"] if isinstance(policy, SynchronizationPolicy) else []
         case AnyChange():
             parts.append("any change")
         case SampleEvery(period):
@@ -92,6 +99,11 @@ def _declaration(declaration: CheckedDeclaration, unit: str) -> str:
             return f"stream {name} = {format_term(term, unit)}"
         case SortDeclaration(sort):
             return f"sort {sort.name} = {_value(sort)}"
+        case ForeachDeclaration(variable, members, generators):
+            lines = (f"  {_declaration(generator, unit)}\n" for generator in generators)
+            return f"foreach {variable} in {format_term(members, unit)} {{\n{''.join(lines)}}}"
+        case SinkDeclaration(name, terms):
+            return f"sink {name}({', '.join(format_term(term, unit) for term in terms)})"
         case _:
             assert_never(declaration)
 
@@ -107,6 +119,12 @@ def _process(generator: GeneratorDeclaration, unit: str) -> str:
             return f"join({terms})"
         case Synchronize(_, policy):
             return f"sync({terms}; {format_policy(policy, unit)})"
+        case SelectObject():
+            return f"selectObject({terms})"
+        case Aggregate(variable, pattern, members) | Select(variable, pattern, members):
+            name = "select" if isinstance(generator.process, Select) else "aggregate"
+            objects = f"foreach {variable} in {format_term(members, unit)}"
+            return f"{name}({format_term(pattern, unit)} {objects})"
         case _:
             assert_never(generator.process)
 

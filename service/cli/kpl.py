@@ -4,7 +4,7 @@ and remove them with one."""
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -39,7 +39,8 @@ File = Annotated[
     Path, typer.Argument(help="A text of KPL declarations.", exists=True, dir_okay=False)
 ]
 Unit = Annotated[
-    str, typer.Option(help="What integers are where the text does not say: ns, us, ms or s.")
+    Literal["ns", "us", "ms", "s"],
+    typer.Option(help="What integers are where the text does not say."),
 ]
 
 
@@ -70,7 +71,10 @@ def prove(
     unit: Unit = "ms",
     time_unit: Annotated[
         str | None,
-        typer.Option(help="Unit of numeric times in tables: s, ms, us, ns; else by magnitude."),
+        typer.Option(
+            help="Unit of numeric times in tables: s, ms, us, ns; else by magnitude, and small "
+            "ones are what the text's integers are."
+        ),
     ] = None,
     as_json: Json = False,
 ) -> None:
@@ -81,7 +85,9 @@ def prove(
     """
     signature = _signature(file, unit)
     load(processes or ())
-    recordings = open_recordings(recording, time_unit=time_unit)
+    recordings = open_recordings(
+        recording, time_unit=time_unit, abstract_unit=_unit_of(read_text(file), unit)
+    )
     sources = [one.name for one in signature.declarations if isinstance(one, SourceDeclaration)]
     missing = [name for name in sources if name not in recordings]
     if missing:
@@ -166,6 +172,11 @@ def remove(
         show_json({"removed": removed})
     else:
         show_text(f"removed {', '.join(removed)}")
+
+
+def _unit_of(text: str, otherwise: str) -> str:
+    declared = parse_kpl(text).unit
+    return otherwise if declared is None else declared.text
 
 
 def _show_one(one: dict[str, Any]) -> None:

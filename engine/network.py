@@ -1,0 +1,260 @@
+"""Making the processes of KPL declarations and connecting them ([DyKnow10 Def. 5.33-5.35])."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import assert_never
+
+from ..languages.kpl import (
+    OBJECT_FIELD,
+    Aggregate,
+    Compute,
+    FromSource,
+    GeneratorDeclaration,
+    JoinOf,
+    Select,
+    SelectObject,
+    StreamDeclaration,
+    Synchronize,
+    Term,
+    ValueSort,
+    format_kpl,
+    format_term,
+)
+from ..streams.fluent import Retention
+from ..streams.generator import StreamGenerator
+from ..streams.joining import Join
+from ..streams.mediation import Mediation
+from ..streams.policy import Order
+from ..streams.sample import Schema
+from ..streams.synchronization import Late, Synchronization
+from .changes import ChangeKind
+from .configuration import Configuration
+from .errors import UnknownFeature
+from .joined_unit import FunctionProcess
+from .mediation_unit import MediationUnit
+from .processes import Processes, UnitImplementation
+from .stream_units import AdaptationUnit, ObjectSelectionUnit, TupleUnit
+from .supervision import Runner
+from .unit import ComputationalUnit
+from .views import Since
+from .violations import SUFFIX, Violations
+
+POLICY = "policy"
+"""The transformation of a subscription with a policy."""
+
+
+class Network:
+    """Starts the units of generators and streams over a configuration's streams.
+
+    What is made is used once, by its declaration; equal terms share one adapted stream, which is
+    there as long as somebody reads it. ``settle`` is called by whoever feeds the streams, for
+    units that act only then.
+    """
+
+    def __init__(
+        self,
+        configuration: Configuration,
+        processes: Processes,
+        runner: Runner,
+        retention: Retention | None,
+        lateness: int,
+        on_news: Callable[[MediationUnit], None],
+    ) -> None:
+        self._configuration = configuration
+        self._processes = processes
+        self._runner = runner
+        self._retention = retention
+        self._lateness = lateness
+        self._on_news = on_news
+
+    def stream(self, name: str, schema: Schema | None) -> StreamGenerator:
+        """A new stream; an open one without ``schema``."""
+        return self._configuration.add_stream(
+            name, schema or Schema(()), lateness=self._lateness, retention=self._retention
+        )
+
+    def is_there(self, declaration: GeneratorDeclaration) -> bool:
+        """Whether all that a generator reads is there."""
+        return all(self._configuration.has(str(term.label)) for term in _read(declaration))
+
+    def missing(self, declaration: GeneratorDeclaration) -> str | None:
+        """The first label that a generator reads and that is not there."""
+        labels = (str(term.label) for term in _read(declaration))
+        return next((label for label in labels if not self._configuration.has(label)), None)
+
+    def implementation(self, name: str, key: str) -> UnitImplementation:
+        """The code of a computational unit; raises `UnknownFeature`."""
+        found = self._processes.units.get(name)
+        if found is None:
+            known = ", ".join(self._processes.units) or "none"
+            raise UnknownFeature(
+                f"computational unit {name!r} of {key} has no implementation",
+                f"write it with @dyknow.computational_unit and load its module; there are: {known}",
+            )
+        return found
+
+    def start_generator(
+        self, declaration: GeneratorDeclaration, after: int | None = None
+    ) -> ComputationalUnit | None:
+        """Start what a label stands for; None for a source's, which is its stream.
+
+        With ``after`` (ns) it sees nothing that was available by then.
+        """
+        unit: ComputationalUnit
+        key, process = declaration.key, declaration.process
+        match process:
+            case FromSource(name):
+                self._configuration.aliases[key] = name
+                return None
+            case Compute(name, terms):
+                unit = FunctionProcess(
+                    *self._identity(name, terms, declaration, declaration.sort.schema, after),
+                    implementation=self.implementation(name, key),
+                    on_event=lambda unit, event, text: self._configuration.tell(
+                        ChangeKind(event), unit, text
+                    ),
+                    runner=self._runner,
+                )
+            case JoinOf(terms):
+                unit = TupleUnit(
+                    *self._identity("join", terms, declaration, None, after),
+                    kernel=Join(len(terms)),
+                    identifiers=process.identifiers,
+                )
+            case Synchronize(terms):
+                unit = self._synchronization(declaration, process, after)
+            case SelectObject(term):
+                unit = ObjectSelectionUnit(
+                    *self._identity(
+                        "selectObject", (term,), declaration, declaration.sort.schema, after
+                    ),
+                    object=declaration.label.objects[0],
+                )
+                unit.output.stream.pools.update(unit.inputs[0].stream.pools)
+            case Aggregate() | Select():
+                unit = self._mediation(declaration, process, after)
+            case _:
+                assert_never(process)
+        self._start(unit, unit.parameters["kpl"], after)
+        return unit
+
+    def start_stream(self, declaration: StreamDeclaration) -> AdaptationUnit:
+        """Start the subscription that a declared stream is."""
+        unit = self._adaptation(declaration.term, declaration.name, self._violations)
+        self._start(unit, format_kpl(declaration), None)
+        return unit
+
+    def term(self, term: Term, after: int | None = None) -> StreamGenerator:
+        """The stream of a term; the same term is the same stream."""
+        if term.policy.is_default:
+            return self._configuration.stream(str(term.label))
+
+        def build() -> ComputationalUnit:
+            unit = self._adaptation(term, self._configuration.reserved_name(), lambda _: None)
+            self._configuration.start(unit, Since.START, after=after)
+            return unit
+
+        return self._configuration.share((term, after), build).output
+
+    def _start(self, unit: ComputationalUnit, specification: str, after: int | None) -> None:
+        unit.users += 1
+        self._configuration.start(unit, Since.START, specification, after)
+
+    def _adaptation(
+        self, term: Term, name: str, violations: Callable[[str], Violations | None]
+    ) -> AdaptationUnit:
+        source = self._configuration.stream(str(term.label))
+        output = self.stream(name, None if source.is_open else source.schema)
+        output.stream.pools.update(source.stream.pools)
+        return AdaptationUnit(
+            *self._configuration.identity(POLICY, [source], output, {"term": format_term(term)}),
+            policy=term.policy,
+            violations=violations(name),
+        )
+
+    def _synchronization(
+        self, declaration: GeneratorDeclaration, process: Synchronize, after: int | None
+    ) -> TupleUnit:
+        violations = self._violations(declaration.key)
+        labels = [str(term.label) for term in process.terms]
+
+        def late(samples: Late) -> None:
+            violations.late(samples, labels[samples.input])
+
+        monotone = [term.policy.effective_order is not Order.ANY for term in process.terms]
+        return TupleUnit(
+            *self._identity("sync", process.terms, declaration, None, after),
+            kernel=Synchronization(process.policy, monotone, late),
+            identifiers=process.identifiers,
+            violations=violations,
+        )
+
+    def _mediation(
+        self, declaration: GeneratorDeclaration, process: Aggregate | Select, after: int | None
+    ) -> MediationUnit:
+        specification = format_kpl(declaration)
+
+        def stream_of(object: str) -> StreamGenerator | None:
+            term = process.pattern.bound(process.variable, object)
+            return self.term(term) if self._configuration.has(str(term.label)) else None
+
+        def changed(
+            unit: MediationUnit,
+            gained: Sequence[StreamGenerator],
+            lost: Sequence[StreamGenerator],
+        ) -> None:
+            self._configuration.change_inputs(unit, gained, lost, specification)
+
+        is_aggregate = isinstance(process, Aggregate)
+        name = "aggregate" if is_aggregate else "select"
+        schema = declaration.sort.schema
+        identity = self._identity(name, (process.members,), declaration, schema, after)
+        pools = self._configuration.stream(declaration.key).stream.pools
+        return MediationUnit(
+            *identity,
+            kernel=Mediation(OBJECT_FIELD if is_aggregate else None, pools),
+            select=not is_aggregate,
+            stream_of=stream_of,
+            on_inputs=changed,
+            on_news=self._on_news,
+        )
+
+    def _identity(
+        self,
+        transformation: str,
+        terms: Sequence[Term],
+        declaration: GeneratorDeclaration,
+        schema: Schema | None,
+        after: int | None,
+    ) -> tuple[object, ...]:
+        inputs = [self.term(term, after) for term in terms]
+        output = self.stream(declaration.key, schema)
+        parameters = {"kpl": format_kpl(declaration)}
+        return self._configuration.identity(transformation, inputs, output, parameters)
+
+    def _violations(self, name: str) -> Violations:
+        return Violations(lambda: self._open_violations(name + SUFFIX))
+
+    def _open_violations(self, name: str) -> StreamGenerator:
+        self._configuration.system.add(name)
+        return self._configuration.add_stream(name, Schema(()), retention=self._retention)
+
+
+def _read(declaration: GeneratorDeclaration) -> Sequence[Term]:
+    """The terms whose streams a generator needs to begin."""
+    match declaration.process:
+        case Aggregate(_, _, members) | Select(_, _, members):
+            return (members,)
+        case _:
+            return declaration.terms
+
+
+def sort_name(name: str) -> str:
+    """A sort's one spelling: terms of the domain go without their prefix."""
+    return name.removeprefix("dyknow:")
+
+
+def schema_text(sort: ValueSort | Schema) -> str:
+    """Fields as KPL writes them."""
+    return ", ".join(f"{field.name} {field.type}" for field in sort.fields or ())

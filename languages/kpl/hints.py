@@ -1,0 +1,26 @@
+"""Hints: the known name that was probably meant. The checker and the parser share them."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """``did you mean a or b?`` from the names near ``name``; empty if none is."""
+    near = difflib.get_close_matches(name, sorted(set(known)), n=3)
+    return f"did you mean {' or '.join(near)}?" if near else ""
+
+
+def near(name: str, known: Iterable[str]) -> str:
+    """The same; where nothing is near, some of what there is."""
+    names = sorted(set(known))
+    if not names:
+        return "none is declared yet: declare it first"
+    listed = ", ".join(names[:8]) + (" …" if len(names) > 8 else "")
+    return did_you_mean(name, names) or f"known are {listed}"
+
+
+def count(number: int, what: str) -> str:
+    """``1 input``, ``2 inputs``."""
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"

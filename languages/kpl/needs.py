@@ -1,0 +1,137 @@
+"""Which declarations need which ([DyKnow10 Def. 4.6, 4.7, 5.13-5.20]).
+
+A declaration *makes* and *needs* tokens: keys of declarations, and ``feature pos`` for some
+generator of a feature, whichever it is. `signature` removes by these, `check` looks for circles.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Set as AbstractSet
+from typing import assert_never
+
+from .declarations import (
+    Aggregate,
+    CheckedDeclaration,
+    CompunitDeclaration,
+    Compute,
+    ForeachDeclaration,
+    FromSource,
+    GeneratorDeclaration,
+    JoinOf,
+    Select,
+    SelectObject,
+    SinkDeclaration,
+    SortDeclaration,
+    SourceDeclaration,
+    StreamDeclaration,
+    Synchronize,
+)
+
+
+def feature_token(feature: str) -> str:
+    """What every generator of the feature makes."""
+    return f"feature {feature}"
+
+
+def made_by(declaration: CheckedDeclaration) -> tuple[str, ...]:
+    """The tokens that a declaration makes, each once."""
+    match declaration:
+        case GeneratorDeclaration():
+            return (declaration.key, feature_token(declaration.label.feature))
+        case ForeachDeclaration():
+            made = (feature_token(generator.label.feature) for generator in declaration.generators)
+            return (declaration.key, *dict.fromkeys(made))
+        case (
+            SourceDeclaration()
+            | CompunitDeclaration()
+            | StreamDeclaration()
+            | SortDeclaration()
+            | SinkDeclaration()
+        ):
+            return (declaration.key,)
+        case _:
+            assert_never(declaration)
+
+
+def needed_by(declaration: CheckedDeclaration) -> tuple[str, ...]:
+    """The tokens that a declaration needs, each once. A sort may be one that is not declared."""
+    own = made_by(declaration)
+    return tuple(token for token in dict.fromkeys(_needs(declaration)) if token not in own)
+
+
+def _needs(declaration: CheckedDeclaration) -> Iterator[str]:
+    match declaration:
+        case SourceDeclaration():
+            yield f"sort {declaration.sort.name}"
+        case CompunitDeclaration():
+            for sort in (declaration.sort, *declaration.inputs):
+                yield f"sort {sort.name}"
+        case GeneratorDeclaration():
+            yield from generator_needs(declaration)
+        case StreamDeclaration():
+            yield str(declaration.term.label)
+        case ForeachDeclaration():
+            yield str(declaration.members.label)
+            for generator in declaration.generators:
+                yield from generator_needs(generator, declaration.variable)
+        case SinkDeclaration():
+            for term in declaration.terms:
+                yield str(term.label)
+        case SortDeclaration():
+            # The fields were copied, so nothing else is needed any more.
+            pass
+        case _:
+            assert_never(declaration)
+
+
+def generator_needs(generator: GeneratorDeclaration, *variables: str) -> Iterator[str]:
+    """The tokens of a generator; labels with one of ``variables`` are of some object only."""
+    match generator.process:
+        case FromSource(name) | Compute(name):
+            yield name
+        case Aggregate(variable) | Select(variable):
+            variables = (*variables, variable)
+        case JoinOf() | Synchronize() | SelectObject():
+            pass
+        case _:
+            assert_never(generator.process)
+    for term in generator.terms:
+        if set(variables).isdisjoint(term.label.objects):
+            yield str(term.label)
+        else:
+            yield feature_token(term.label.feature)
+
+
+def founded(
+    declarations: Iterable[CheckedDeclaration], known: AbstractSet[str]
+) -> list[CheckedDeclaration]:
+    """Those that have what they need of the tokens ``known``, each behind what it uses, otherwise
+    in the order given. Cost: linear, once more for each declaration that is moved at worst."""
+    waiting, done = list(declarations), list[CheckedDeclaration]()
+    made: set[str] = set()
+    while waiting:
+        left = []
+        for declaration in waiting:
+            if all(token in made or token not in known for token in needed_by(declaration)):
+                made.update(made_by(declaration))
+                done.append(declaration)
+            else:
+                left.append(declaration)
+        if len(left) == len(waiting):
+            break
+        waiting = left
+    return done
+
+
+def reaches(start: Iterable[str], wanted: str, edges: Mapping[str, AbstractSet[str]]) -> bool:
+    """Whether ``wanted`` is needed for ``start``, directly or not. Cost: linear in what is."""
+    seen, todo = set[str](), list(start)
+    while todo:
+        token = todo.pop()
+        if token == wanted:
+            return True
+        if token not in seen:
+            seen.add(token)
+            todo.extend(edges.get(token, ()))
+    return False

@@ -1,0 +1,107 @@
+"""One KPL text on its way through the checker: what is declared so far, and its errors.
+
+`check` declares into a scope; `sorts` and `generators` read it.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from ...ontology.vocabulary import Vocabulary
+from ...rdf.namespaces import DYKNOW, PREFIXES
+from ..errors import LanguageError, Span
+from . import ast
+from .constraints import UNITS
+from .declarations import CheckedDeclaration, Label
+from .hints import count
+from .symbols import OBJECT, Symbols
+
+
+@dataclass(slots=True)
+class Scope:
+    """The text, and the signature with what the text has added so far: ``by_key`` and ``symbols``.
+
+    ``unit`` is what integers are. Without ``vocabulary`` no sort is a feature's.
+    """
+
+    source: str
+    unit: str
+    vocabulary: Vocabulary | None
+    written: tuple[ast.Declaration, ...]
+    by_key: dict[str, CheckedDeclaration]
+    symbols: Symbols
+
+    def error(self, message: str, span: Span, hint: str = "") -> LanguageError:
+        return LanguageError(message, self.source, span, hint)
+
+    def keys_of(self, kind: type[CheckedDeclaration]) -> list[str]:
+        return [key for key, value in self.by_key.items() if isinstance(value, kind)]
+
+    def label(self, written: ast.LabelTerm) -> Label:
+        return label_of(written, self.source)
+
+    def check_symbol(self, name: str, kind: str, span: Span) -> None:
+        """The sets of symbols are disjoint (Def. 5.13)."""
+        other = self.symbols.clash(name, kind)
+        if other is not None:
+            raise self.error(
+                f"`{name}` is {other} already, so it cannot be {kind}",
+                span,
+                "a symbol stands for one thing (Def. 5.13); only a sort and a feature may share a "
+                "name",
+            )
+
+    def check_label(self, written: ast.LabelTerm, variables: Iterable[str]) -> None:
+        """The label of a generator that is declared: its symbols, and how many objects it has."""
+        label = self.label(written)
+        for object, term in zip(label.objects, written.objects, strict=True):
+            if object == label.feature:
+                raise self.error(
+                    f"`{object}` is the feature, so it cannot be its object",
+                    term.span,
+                    "a symbol stands for one thing (Def. 5.13)",
+                )
+            if object not in variables:
+                self.check_symbol(object, OBJECT, term.span)
+        self.check_arity(label, written.span)
+
+    def check_arity(self, label: Label, span: Span) -> None:
+        known = self.symbols.example(label.feature)
+        if known is not None and len(known.objects) != len(label.objects):
+            raise self.error(
+                f"`{label.feature}` is of {count(len(known.objects), 'object')}, "
+                f"and here of {len(label.objects)}",
+                span,
+                f"it is declared as {known}",
+            )
+
+
+def check_unit(unit: str) -> None:
+    """Raises `ValueError` for a unit that integers cannot have."""
+    if unit not in UNITS:
+        raise ValueError(f"{unit!r} is no unit of abstract time: ns, us, ms or s")
+
+
+def label_of(label: ast.LabelTerm, source: str) -> Label:
+    """The label in its one spelling. Raises `LanguageError` for an unknown prefix."""
+    check_prefix(label.feature, source)
+    return Label(without_prefix(label.feature.text), tuple(name.text for name in label.objects))
+
+
+def check_prefix(name: ast.Name, source: str) -> None:
+    """Raises `LanguageError` for a name with a prefix that is not one of `PREFIXES`."""
+    prefix, colon, _ = name.text.partition(":")
+    if colon and prefix not in PREFIXES:
+        near = difflib.get_close_matches(prefix, PREFIXES, n=1)
+        hint = f"did you mean {near[0]}:?" if near else f"known are {', '.join(PREFIXES)}"
+        span = Span(name.span.start, name.span.start + len(prefix))
+        raise LanguageError(f"the prefix `{prefix}:` is not known", source, span, hint)
+
+
+def without_prefix(name: str) -> str:
+    """One spelling: ``speed`` for ``dyknow:speed``; names of other prefixes keep them, and so does
+    one that would be a keyword."""
+    prefix, _, local = name.partition(":")
+    return local if PREFIXES.get(prefix) == DYKNOW and local not in ast.KEYWORDS else name
