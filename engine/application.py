@@ -204,8 +204,8 @@ class Application:
                 if isinstance(reader, ConfigurationProcess) and reader.review():
                     self._is_new = True
             for unit in self._units.values():
-                if isinstance(unit, MediationUnit) and unit.unmet:
-                    self._news[unit] = None
+                if isinstance(unit, MediationUnit) and unit.may_find:
+                    unit.look_again()
 
     def _has_news(self, process: MediationUnit | ConfigurationProcess) -> None:
         self._news[process] = None

@@ -165,14 +165,18 @@ class Configuration:
     def share(self, key: Hashable, build: Callable[[], ComputationalUnit]) -> ComputationalUnit:
         """The running unit that was built for ``key``, or a new one: who wants the same shares it.
 
-        ``build`` starts the unit; it is forgotten when it stops, and not shared once it failed.
+        ``build`` starts the unit; it is forgotten when it stops, and not shared once it failed or
+        one of its inputs was removed.
         """
         unit = self._shared.get(key)
-        if unit is None or self.is_broken(unit):
+        if unit is None or self.is_broken(unit) or not self._reads_what_is_there(unit):
             unit = build()
             self._shared[key] = unit
             self._keys[unit] = key
         return unit
+
+    def _reads_what_is_there(self, unit: ComputationalUnit) -> bool:
+        return all(self.streams.get(source.name) is source for source in unit.inputs)
 
     def start_query(
         self,

@@ -125,7 +125,7 @@ class ConfigurationProcess:
             if not self._is_there(instance.declaration):
                 self._stop(instance.declaration)
                 del self._running[key]
-                self._waiting[key] = (instance, "an input is gone")
+                self._waiting[key] = (instance, "")
                 acted = True
         for instance, _ in list(self._waiting.values()):
             acted = self._try(instance) or acted

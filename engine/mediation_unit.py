@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 from ..streams.generator import StreamGenerator
@@ -73,6 +73,16 @@ class MediationUnit(ComputationalUnit):
             self._kernel.end(label)
         self._on_news(self)
 
+    @property
+    def may_find(self) -> bool:
+        """Whether a stream that comes to be there may be one that it needs."""
+        return bool(self.unmet or self._ended)
+
+    def look_again(self) -> None:
+        """Streams came or went: with the next `settle` it looks for those of its objects."""
+        self._is_news = True
+        self._on_news(self)
+
     def settle(self) -> bool:
         """Take the streams of objects that came, leave those of objects that went, pass on what is
         decided; tells whether anything was done."""
@@ -94,8 +104,11 @@ class MediationUnit(ComputationalUnit):
         return acted
 
     def _connect(self) -> bool:
-        missing = self._kernel.wanted.difference(self._labels) if self._is_news else self.unmet
-        self._is_news = False
+        missing: Iterable[str] = self.unmet
+        if self._is_news:
+            self._is_news = False
+            self._leave_replaced()
+            missing = self._kernel.wanted.difference(self._labels)
         found = {label: self._stream_of(label) for label in sorted(missing)}
         self.unmet = tuple(label for label, generator in found.items() if generator is None)
         gained = {label: stream for label, stream in found.items() if stream is not None}
@@ -107,6 +120,28 @@ class MediationUnit(ComputationalUnit):
         for label, generator in gained.items():
             self._read(label, generator)
         return True
+
+    def _leave_replaced(self) -> None:
+        """Leave streams that have ended where objects have others by now."""
+        for generator in [ended for ended in self._ended if ended in self._read_by]:
+            for label in list(self._read_by[generator]):
+                if self._stream_of(label) not in (None, generator):
+                    self._on_inputs(self, (), (self._leave(label),))
+
+    def _leave(self, label: str) -> StreamGenerator:
+        generator = self._labels.pop(label)
+        self._read_by[generator].remove(label)
+        inputs = list(self.inputs)
+        inputs.remove(generator)
+        self.inputs = tuple(inputs)
+        if generator not in inputs:
+            del self._read_by[generator]
+            self._subscribed.remove(generator)
+            generator.unsubscribe(self)
+            self._watermarks.pop(generator, None)
+            self._ended.discard(generator)
+        self.sources = tuple(dict.fromkeys(inputs))
+        return generator
 
     def _read(self, label: str, generator: StreamGenerator) -> None:
         """Begin to read the stream of an object with what it keeps."""
@@ -126,22 +161,7 @@ class MediationUnit(ComputationalUnit):
         if self._kernel.wanted is self._seen:
             return False
         self._seen = self._kernel.wanted
-        lost = []
-        inputs = list(self.inputs)
-        for label in sorted(self._labels.keys() - self._kernel.wanted):
-            generator = self._labels.pop(label)
-            lost.append(generator)
-            self._read_by[generator].remove(label)
-            inputs.remove(generator)
-            if generator not in inputs:
-                del self._read_by[generator]
-                self._subscribed.remove(generator)
-                generator.unsubscribe(self)
-                self._watermarks.pop(generator, None)
-                self._ended.discard(generator)
-        if not lost:
-            return False
-        self.inputs = tuple(inputs)
-        self.sources = tuple(dict.fromkeys(inputs))
-        self._on_inputs(self, (), lost)
-        return True
+        lost = [self._leave(label) for label in sorted(self._labels.keys() - self._kernel.wanted)]
+        if lost:
+            self._on_inputs(self, (), lost)
+        return bool(lost)

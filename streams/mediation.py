@@ -86,15 +86,15 @@ class Mediation:
         self._members_ended = True
 
     def attach(self, label: str) -> None:
-        """The stream of ``label`` is there: what it has not promised is waited for."""
-        self._inputs.setdefault(label, Input())
+        """The stream of ``label`` is there, or another one in its place: what it has not promised
+        is waited for."""
+        self._inputs.setdefault(label, Input()).ended_at = None
 
     def push(self, label: str, batch: SampleBatch) -> None:
         """The next samples of an attached stream; those that were decided already are left out."""
         input = self._inputs[label]
-        # A stream that has gone and come again may repeat what its predecessor had promised.
-        decided = self.done if input.ended_at is None else max(self.done, input.known)
-        batch = batch.take(batch.available > decided)
+        # A stream in another's place may say what that had promised not to.
+        batch = batch.take(batch.available > max(self.done, input.known))
         if len(batch):
             input.push(batch)
 
