@@ -38,10 +38,10 @@ from .network import POLICY, Network, schema_text, sort_name
 from .processes import Processes, SinkImplementation, SourceImplementation, UnitImplementation
 from .sampled_source import SampledSource
 from .sink import Sink
-from .stream_units import AdaptationUnit, PolicyUnit
+from .stream_units import AdaptationUnit
 from .supervision import DIRECT, Runner
 from .unit import ComputationalUnit
-from .violations import SUFFIX, Violations
+from .violations import SUFFIX
 
 BUILT_IN = (POLICY, *PROCESSES)
 """Transformations of the language; nothing else is called so."""
@@ -88,7 +88,6 @@ class Application:
         self._readers: dict[str, Sink | ConfigurationProcess] = {}
         self._news: dict[MediationUnit | ConfigurationProcess, None] = {}
         self._is_new = False
-        configuration.missing = self._missing
 
     # -- what there is -----------------------------------------------------------------------
 
@@ -110,7 +109,7 @@ class Application:
         maker: ComputationalUnit | SampledSource | None = self._configuration.units.get(stream)
         maker = maker or self.sampled.get(stream)
         if maker is None and stream in self._configuration.system:
-            maker = self._units.get(stream.removesuffix(SUFFIX))
+            maker = self._configuration.units.get(stream.removesuffix(SUFFIX))
         return None if maker is None else maker.name
 
     def uses_stream(self, name: str) -> bool:
@@ -339,8 +338,6 @@ class Application:
         key = declaration.key
         unit = self._units.pop(key, None)
         if unit is not None:
-            if isinstance(unit, PolicyUnit) and unit.violations is not None:
-                self._close_violations(unit.violations)
             self._configuration.remove_unit(unit)
             if isinstance(unit, MediationUnit):
                 self._news.pop(unit, None)
@@ -453,20 +450,6 @@ class Application:
                 Role.SINK,
             )
         )
-
-    def _close_violations(self, violations: Violations) -> None:
-        name = violations.name
-        if name is not None:
-            violations.end()
-            self._configuration.system.discard(name)
-            self._configuration.remove_stream(name)
-
-    def _missing(self, name: str) -> StreamGenerator | None:
-        """Somebody asks for the violations of a stream that has none yet."""
-        unit = self._units.get(name.removesuffix(SUFFIX)) if name.endswith(SUFFIX) else None
-        if not isinstance(unit, PolicyUnit) or unit.violations is None:
-            return None
-        return unit.violations.stream
 
 
 def _check_sorts(declaration: CompunitDeclaration, implementation: UnitImplementation) -> None:

@@ -25,9 +25,11 @@ from ..streams.sample import Field, FieldType, Schema
 from ..streams.strings import StringPool
 from .changes import Change, ChangeKind
 from .errors import AlreadyExists, UnknownStream
+from .stream_units import PolicyUnit
 from .transformations import Transformation
 from .unit import ComputationalUnit, FunctionUnit, InputPort, QueryUnit, SelectionUnit
 from .views import Since
+from .violations import SUFFIX, Violations
 
 SELECT_OBJECT = "selectObject"
 """The transformation that selects one object's samples."""
@@ -60,8 +62,7 @@ class Configuration:
     """Streams by name, units by the stream they make, readers (units without output) by name.
 
     ``aliases`` are further names of streams. ``namespaces`` says for a stream in which namespace
-    its id fields name objects. ``system`` names streams that the system makes without a unit;
-    ``missing`` may make a stream that somebody asks for.
+    its id fields name objects. ``system`` names streams that the system makes without a unit.
     """
 
     def __init__(
@@ -77,7 +78,6 @@ class Configuration:
         self.aliases: dict[str, str] = {}
         self.namespaces: dict[str, str] = {}
         self.system: set[str] = set()
-        self.missing: Callable[[str], StreamGenerator | None] = lambda _: None
         self._dictionary = dictionary
         self._transformations = transformations
         self._on_change = on_change
@@ -88,7 +88,7 @@ class Configuration:
 
     def stream(self, name: str) -> StreamGenerator:
         """The generator of ``name``, a stream or an alias of one; raises `UnknownStream`."""
-        found = self.streams.get(self.aliases.get(name, name)) or self.missing(name)
+        found = self.streams.get(self.aliases.get(name, name)) or self._violations_of(name)
         if found is None:
             names = sorted(self.streams)
             known = ", ".join(names[:_NAMED]) + (", …" if len(names) > _NAMED else "")
@@ -98,6 +98,22 @@ class Configuration:
                 f"declare it with PUT /streams/{name} or annotate it; there are: {known}",
             )
         return found
+
+    def _violations_of(self, name: str) -> StreamGenerator | None:
+        """Somebody asks for the violations of a policy that has none yet."""
+        unit = self.units.get(name.removesuffix(SUFFIX)) if name.endswith(SUFFIX) else None
+        if not isinstance(unit, PolicyUnit) or unit.violations is None:
+            return None
+        return unit.violations.stream
+
+    def violations(self, name: str, retention: Retention | None) -> Violations:
+        """Where the unit that makes stream ``name`` tells what its policy refused."""
+
+        def open() -> StreamGenerator:
+            self.system.add(name + SUFFIX)
+            return self.add_stream(name + SUFFIX, Schema(()), retention=retention)
+
+        return Violations(open)
 
     def add_stream(
         self,
@@ -212,6 +228,10 @@ class Configuration:
         """Stop a unit, whoever reads it: its readers are told that their input has ended."""
         unit.users = 0
         unit.stop()
+        violations = unit.violations if isinstance(unit, PolicyUnit) else None
+        if violations is not None and violations.name is not None:
+            self.system.discard(violations.name)
+            self.remove_stream(violations.name)
         del self.units[unit.output.name]
         key = self._keys.pop(unit, None)
         if key is not None and self._shared.get(key) is unit:

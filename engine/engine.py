@@ -56,6 +56,7 @@ from .processes import PROCESSES, Processes
 from .requests import EventRequests
 from .semantics_manager import SemanticsManager
 from .stream_view import stream_view
+from .subscriptions import Subscriptions
 from .supervision import DIRECT, Runner
 from .transformations import Transformation, library
 from .views import (
@@ -65,6 +66,7 @@ from .views import (
     Since,
     StreamDeclaration,
     StreamView,
+    SubscriptionView,
     TemplateView,
 )
 
@@ -123,6 +125,7 @@ class Engine:
             check_name=self._declared.check_name,
         )
         self._kpl = KplDeclarations(self.ontology, self._application, self._changed)
+        self._subscriptions = Subscriptions(self._configuration)
         self._untold: deque[Change] = deque()
         self._keys: OrderedDict[tuple[str, str], tuple[bytes, int]] = OrderedDict()
         self._converters: dict[str, SampleConverter] = {}
@@ -339,6 +342,26 @@ class Engine:
     def cancel_event(self, id: str) -> None:
         """End a request; units without users stop."""
         self._requests.cancel(id)
+
+    # -- subscriptions -----------------------------------------------------------------------
+
+    def subscribe(
+        self, stream: str, policy: str = "", unit: str = "ms", since: Since = Since.NOW
+    ) -> SubscriptionView:
+        """Subscribe to a stream under a policy; see `Subscriptions.start`."""
+        return self._subscriptions.start(stream, policy, unit, since)
+
+    def subscriptions(self) -> tuple[SubscriptionView, ...]:
+        """The subscriptions that run, oldest first."""
+        return self._subscriptions.views()
+
+    def subscription(self, id: str) -> SubscriptionView:
+        """One subscription; raises `UnknownRequest`."""
+        return self._subscriptions.view(id)
+
+    def unsubscribe(self, id: str) -> None:
+        """Give a subscription up; its stream goes with the last of those that share it."""
+        self._subscriptions.cancel(id)
 
     # -- KPL ---------------------------------------------------------------------------------
 

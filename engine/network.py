@@ -38,7 +38,7 @@ from .stream_units import AdaptationUnit, ObjectSelectionUnit, TupleUnit
 from .supervision import Runner
 from .unit import ComputationalUnit
 from .views import Since
-from .violations import SUFFIX, Violations
+from .violations import Violations
 
 POLICY = "policy"
 """The transformation of a subscription with a policy."""
@@ -141,7 +141,8 @@ class Network:
 
     def start_stream(self, declaration: StreamDeclaration) -> AdaptationUnit:
         """Start the subscription that a declared stream is."""
-        unit = self._adaptation(declaration.term, declaration.name, self._violations)
+        violations = self._configuration.violations(declaration.name, self._retention)
+        unit = self._adaptation(declaration.term, declaration.name, violations)
         self._start(unit, format_kpl(declaration), None)
         return unit
 
@@ -151,7 +152,7 @@ class Network:
             return self._configuration.stream(str(term.label))
 
         def build() -> ComputationalUnit:
-            unit = self._adaptation(term, self._configuration.reserved_name(), lambda _: None)
+            unit = self._adaptation(term, self._configuration.reserved_name(), None)
             self._configuration.start(unit, Since.START, after=after)
             return unit
 
@@ -161,22 +162,20 @@ class Network:
         unit.users += 1
         self._configuration.start(unit, Since.START, specification, after)
 
-    def _adaptation(
-        self, term: Term, name: str, violations: Callable[[str], Violations | None]
-    ) -> AdaptationUnit:
+    def _adaptation(self, term: Term, name: str, violations: Violations | None) -> AdaptationUnit:
         source = self._configuration.stream(str(term.label))
         output = self.stream(name, None if source.is_open else source.schema)
         output.stream.pools.update(source.stream.pools)
         return AdaptationUnit(
             *self._configuration.identity(POLICY, [source], output, {"term": format_term(term)}),
             policy=term.policy,
-            violations=violations(name),
+            violations=violations,
         )
 
     def _synchronization(
         self, declaration: GeneratorDeclaration, process: Synchronize, after: int | None
     ) -> TupleUnit:
-        violations = self._violations(declaration.key)
+        violations = self._configuration.violations(declaration.key, self._retention)
         labels = [str(term.label) for term in process.terms]
 
         def late(samples: Late) -> None:
@@ -232,13 +231,6 @@ class Network:
         output = self.stream(declaration.key, schema)
         parameters = {"kpl": format_kpl(declaration)}
         return self._configuration.identity(transformation, inputs, output, parameters)
-
-    def _violations(self, name: str) -> Violations:
-        return Violations(lambda: self._open_violations(name + SUFFIX))
-
-    def _open_violations(self, name: str) -> StreamGenerator:
-        self._configuration.system.add(name)
-        return self._configuration.add_stream(name, Schema(()), retention=self._retention)
 
 
 def _read(declaration: GeneratorDeclaration) -> Sequence[Term]:

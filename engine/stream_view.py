@@ -44,6 +44,7 @@ def stream_view(
         first_number=stream.first_number,
         last_number=stream.last_number,
         watermark=generator.watermark,
+        first_available=stream.first_available,
         last_available=stream.last_available,
         last_valid=last_valid,
         rate=(number - 1) * SECOND / max(span, SECOND) if number else 0.0,

@@ -34,7 +34,7 @@ class StreamDeclaration:
 
 @dataclass(frozen=True, slots=True)
 class StreamView:
-    """A stream as it is now. Times in ns; ``rate`` in samples a second
+    """A stream as it is now. ``first_available`` is how far its history reaches. Times in ns; ``rate`` in samples a second
     of available time (over at least a second)."""
 
     name: str
@@ -49,6 +49,7 @@ class StreamView:
     first_number: int
     last_number: int
     watermark: int | None
+    first_available: int | None
     last_available: int | None
     last_valid: int | None
     rate: float
@@ -147,5 +148,22 @@ class DeclarationView:
     errors: int
     restarts: int
     last_error: str | None
+    counters: Mapping[str, object]
+    violations: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class SubscriptionView:
+    """A subscription to ``source`` under a policy; its samples come on ``stream``.
+
+    ``policy`` is KPL text, integers in ms; empty: the stream as it is. ``counters`` and
+    ``violations`` as in `DeclarationView`.
+    """
+
+    id: str
+    source: str
+    policy: str
+    since: str
+    stream: str
     counters: Mapping[str, object]
     violations: str | None

@@ -29,6 +29,7 @@ from .routes import (
     sparql,
     status,
     streams,
+    subscriptions,
     templates,
 )
 from .settings import Settings
@@ -39,6 +40,7 @@ RESOURCES = (
     events,
     streams,
     samples,
+    subscriptions,
     annotations,
     ontologies,
     kpl,

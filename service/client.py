@@ -254,6 +254,22 @@ class Client:
         """All annotations."""
         return self._list("GET", "/annotations")
 
+    def subscribe(
+        self, stream: str, policy: str = "", *, unit: str = "ms", since: str = "now"
+    ) -> dict[str, Any]:
+        """Subscribe to a stream under a policy as after `with` in KPL; its samples are `events` of
+        the answer's ``stream``. ``since`` "start" begins with what is kept."""
+        body = {"stream": stream, "policy": policy, "unit": unit, "since": since}
+        return self._object("POST", "/subscriptions", json=body)
+
+    def subscriptions(self) -> list[dict[str, Any]]:
+        """The subscriptions that run."""
+        return self._list("GET", "/subscriptions")
+
+    def unsubscribe(self, id: str) -> None:
+        """Give a subscription up."""
+        self._send("DELETE", f"/subscriptions/{_part(id)}")
+
     def declare_kpl(self, text: str, unit: str = "ms") -> list[dict[str, Any]]:
         """Declare processes and streams in KPL; gives what is new. ``unit`` is what integers are
         where the text does not say."""
@@ -266,12 +282,12 @@ class Client:
 
     def kpl_declaration(self, name: str) -> dict[str, Any]:
         """One declaration by name or label, with what cannot be without it."""
-        return self._object("GET", f"/kpl/{quote(name, safe='')}")
+        return self._object("GET", f"/kpl/{_part(name)}")
 
     def remove_kpl(self, name: str, *, cascade: bool = False) -> list[str]:
         """Remove a declaration, with ``cascade`` also what cannot be without it."""
         parameters = {"cascade": str(cascade).lower()}
-        answer = self._object("DELETE", f"/kpl/{quote(name, safe='')}", params=parameters)
+        answer = self._object("DELETE", f"/kpl/{_part(name)}", params=parameters)
         removed: list[str] = answer["removed"]
         return removed
 

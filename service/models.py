@@ -149,6 +149,7 @@ class StreamModel(BaseModel):
     first: int = Field(description="number of the oldest sample kept")
     last: int = Field(description="number of the newest sample; 0 before the first")
     watermark: str | None
+    first_available: str | None = Field(description="how far the kept history reaches")
     last_available: str | None
     last_valid: str | None
     rate: float = Field(description="samples a second of available time, lately")
@@ -185,6 +186,7 @@ class StreamModel(BaseModel):
             first=view.first_number,
             last=view.last_number,
             watermark=_time(view.watermark),
+            first_available=_time(view.first_available),
             last_available=_time(view.last_available),
             last_valid=_time(view.last_valid),
             rate=round(view.rate, 3),
@@ -332,6 +334,48 @@ class MatchModel(BaseModel):
             plan=None if view.plan is None else PlanModel.of(view.plan),
             alternatives=list(view.alternatives),
             reasons=list(view.reasons),
+        )
+
+
+class SubscriptionIn(_Model):
+    """A stream, and what it is to be like."""
+
+    stream: Name
+    policy: str = Field(
+        "",
+        max_length=2000,
+        description="constraints as after `with` in KPL; empty: the stream as it is",
+        examples=["sample every 1s, max delay 200"],
+    )
+    unit: Literal["ns", "us", "ms", "s"] = "ms"
+    """What integers of the policy are."""
+    since: views.Since = views.Since.NOW
+    """``start`` begins with the kept history of the stream."""
+
+
+class SubscriptionModel(BaseModel):
+    """A subscription; its samples come on ``stream``, and as events at ``events``."""
+
+    id: str
+    source: str
+    policy: str = Field(description="as KPL, integers in ms")
+    since: views.Since
+    stream: str
+    counters: dict[str, Any] = Field(description="what became of the samples under the policy")
+    violations: str | None = Field(description="the stream of samples that were not passed on")
+    events: str
+
+    @classmethod
+    def of(cls, view: views.SubscriptionView) -> SubscriptionModel:
+        return cls(
+            id=view.id,
+            source=view.source,
+            policy=view.policy,
+            since=views.Since(view.since),
+            stream=view.stream,
+            counters=dict(view.counters),
+            violations=view.violations,
+            events=f"/subscriptions/{view.id}/events",
         )
 
 

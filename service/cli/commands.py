@@ -17,6 +17,7 @@ from ..client import ServiceError
 from ..problems import problem_of
 from .demo import demo
 from .events import events
+from .follow import follow
 from .knowing import explain, match, sparql
 from .kpl import kpl
 from .ontologies import ontology
@@ -98,6 +99,7 @@ app.command()(replay)
 app.add_typer(template, name="template")
 app.command()(events)
 app.command()(streams)
+app.command()(follow)
 app.command()(annotate)
 app.add_typer(ontology, name="ontology")
 app.command()(sparql)

@@ -67,7 +67,7 @@ def events(
     """Request an event and follow it; without an argument, list the requests that run."""
     if cancel is not None and request is not None:
         raise typer.BadParameter("--cancel takes the id of a request that runs, and nothing else")
-    with connect(url) as client, _stoppable():
+    with connect(url) as client, stoppable():
         if cancel is not None:
             client.cancel_event(cancel)
             if as_json:
@@ -91,7 +91,7 @@ def events(
                 err().print("waiting for events; Ctrl-C ends", markup=False)
             # Others may have asked before: what came until the request is their past.
             begin = "start" if since is Since.START else view["position"]
-            seen = _show(client.events(view["stream"], since=begin), count, as_json)
+            seen = show_events(client.events(view["stream"], since=begin), count, as_json)
             if not seen and since is Since.NOW and not as_json:
                 # It ends at once when what it reads has ended; nothing new will come.
                 hint = "the recording has ended; --since start begins with its past"
@@ -106,7 +106,7 @@ def events(
 
 
 @contextmanager
-def _stoppable() -> Iterator[None]:
+def stoppable() -> Iterator[None]:
     """SIGTERM, and SIGHUP when the terminal closes, stop as Ctrl-C does: a request is given up."""
 
     def stop(number: int, frame: FrameType | None) -> None:
@@ -149,7 +149,7 @@ def _list(client: Client, as_json: bool) -> None:
     )
 
 
-def _show(messages: Iterable[Event], count: int | None, as_json: bool) -> int:
+def show_events(messages: Iterable[Event], count: int | None, as_json: bool) -> int:
     """Show the events until the stream's end, at most ``count``; returns how many."""
     seen = 0
     for message in messages:
