@@ -2,8 +2,10 @@
 
 import gc
 
+import numpy as np
 import pytest
 
+from dyknow.converters.errors import WireError
 from dyknow.converters.ndjson import decode_ndjson
 from dyknow.converters.wire import Incoming
 from dyknow.engine.engine import Engine
@@ -18,7 +20,9 @@ from dyknow.engine.errors import (
 from dyknow.engine.processes import Processes
 from dyknow.engine.views import StreamDeclaration
 from dyknow.languages.errors import LanguageError
+from dyknow.languages.kpl import parse_policy
 from dyknow.streams.sample import Field, FieldType, batch_from_rows
+from dyknow.streams.satisfaction import prove
 from dyknow.streams.time import MILLISECOND as MS
 
 CARS = """
@@ -92,6 +96,38 @@ def test_example_5_5_runs(engine):
     assert users == ()
     assert view.counters["received"] == view.counters["sent"] == 1
     assert view.uses == ("speed[car1]",)
+
+
+F1 = [(250, 200, 1.0), (325, 300, 2.0), (430, 400, 3.0), (505, 500, 4.0)]
+"""pos[car1] in Example 5.6: positions p1 … p4 of the traffic example (Example 5.1)."""
+
+
+def test_example_5_7_values_of_a_source_are_of_its_sort(engine):
+    engine.add_kpl(CARS)
+    generator = engine.generator("pos_car1")
+    assert {field.type for field in generator.schema.fields} == {FieldType.FLOAT}
+    line = b'{"valid": 200, "available": 250, "value": "p1"}'
+    with pytest.raises(WireError, match="'value' is a float"):
+        decode_ndjson(line, generator.schema, generator.stream.pools)
+
+
+def test_example_5_8_a_label_is_what_its_source_gives(engine):
+    engine.add_kpl(CARS)
+    publish(engine, "pos_car1", *F1)
+    assert content(engine, "pos[car1]") == F1
+
+
+def test_example_5_11_is_one_of_the_streams_of_the_term(engine):
+    """What the system makes is another one of them: it sends at once what may be sent."""
+    engine.add_kpl(CARS)
+    engine.add_kpl("stream every200 = pos[car1] with sample every 200")
+    publish(engine, "pos_car1", *F1)
+    assert content(engine, "every200") == [(250, 200, 1.0), (430, 400, 3.0)]
+    whole = engine.generator("pos_car1").stream.all()
+    policy = parse_policy("sample every 200")
+    for times in ([250, 430], [280, 480]):  # ours, and the paper's f
+        made = whole.take(np.array([0, 2])).with_available(np.array(times, np.int64) * MS)
+        assert prove(made, whole, policy) is None
 
 
 def test_a_label_of_a_source_is_its_stream(engine):

@@ -1,6 +1,7 @@
 """``dyknow kpl check`` and ``prove``: Example 5.5 and a flight log ([DyKnow10 §5.2])."""
 
 import json
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -101,3 +102,14 @@ def test_prove_a_flight_log(tmp_path: Path) -> None:
     proofs = [json.loads(line) for line in done.stdout.splitlines()]
     assert [proof["stream"] for proof in proofs] == ["imu50", "ordered", "states"]
     assert all(proof["holds"] and proof["sent"] > 600 for proof in proofs)
+
+
+def test_the_texts_of_the_page_on_kpl_are_kpl(tmp_path):
+    page = (Path(__file__).parents[2] / "docs" / "kpl.md").read_text()
+    texts = re.findall(r"^```\n(.*?)^```", page, re.DOTALL | re.MULTILINE)
+    assert len(texts) == 2
+    for text in texts:
+        file = tmp_path / "text.kpl"
+        file.write_text(text)
+        said = CliRunner().invoke(app, ["kpl", "check", str(file)])
+        assert said.exit_code == 0, said.output
