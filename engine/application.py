@@ -29,6 +29,7 @@ from ..languages.kpl import (
 )
 from ..streams.fluent import Retention
 from ..streams.generator import StreamGenerator
+from ..streams.sample import SampleBatch
 from .changes import Change, ChangeKind, Role
 from .configuration import Configuration
 from .configuration_process import ConfigurationProcess
@@ -99,6 +100,10 @@ class Application:
                 return self._configuration.stream(declaration.key)
             case _:
                 return None
+
+    def samples_of(self, name: str) -> SampleBatch:
+        """All kept samples of a declared stream, a label or a source; raises `UnknownStream`."""
+        return self._configuration.stream(name).stream.all()
 
     def process_of(self, key: str) -> Process | None:
         """What runs for a declaration."""

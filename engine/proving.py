@@ -8,14 +8,26 @@ the streams.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
 
 from ..converters.wire import Incoming
-from ..languages.kpl import Signature, SourceDeclaration, StreamDeclaration, format_term
+from ..languages.kpl import (
+    ForeachDeclaration,
+    Signature,
+    SourceDeclaration,
+    StreamDeclaration,
+    format_term,
+)
 from ..rdf.dictionary import TermDictionary
 from ..streams.fluent import Retention
+from ..streams.generator import StreamGenerator
 from ..streams.policy import Approximation, PolicyCounters
+from ..streams.sample import SampleBatch, concatenate
 from ..streams.satisfaction import Counterexample, prove, satisfies
 from ..streams.time import TIME_MAX
 from .application import Application
@@ -51,20 +63,27 @@ class Proof:
         return self.refutation is None and self.failure is None
 
 
-def prove_specification(
+@dataclass(frozen=True, slots=True)
+class Rehearsal:
+    """An application with a whole recording behind it. ``failures`` are ``(stream, reason)``."""
+
+    application: Application
+    failures: Sequence[tuple[str, str]]
+
+
+def rehearse(
     signature: Signature,
     processes: Processes,
     samples: Iterable[tuple[str, Incoming]],
     runner: Runner = DIRECT,
-) -> tuple[Proof, ...]:
-    """Replay ``samples`` (source and batch, in order of available time) and prove each stream.
+) -> Rehearsal:
+    """Replay ``samples`` (source and batch, in any order) through a specification.
 
-    Samples of streams that are no source are passed over. ``runner`` calls the processes. Raises
-    `UnknownFeature` for a unit without an implementation, `Conflict` where a source's fields are
-    not those of its sort, or two of its samples have one available time.
-    Memory: the whole of every stream.
+    Every sample takes its place by its available time. Samples of streams that are no source are
+    passed over, and no sink is called. ``runner`` calls the processes. Raises `UnknownFeature` for
+    a unit without an implementation, `Conflict` where a source's fields are not those of its sort,
+    or two of its samples have one available time. Memory: the whole of every stream.
     """
-    # However late a sample stands in the recording, it takes its place by its available time.
     failures: list[tuple[str, str]] = []
 
     def told(change: Change) -> None:
@@ -77,6 +96,7 @@ def prove_specification(
         processes,
         runner=runner,
         retention=Retention(samples=2**62),
+        # What a unit makes later than it may is kept for its place, as there is time.
         lateness=TIME_MAX,
         rehearsal=True,
     )
@@ -86,9 +106,43 @@ def prove_specification(
         for declaration in signature.declarations
         if isinstance(declaration, SourceDeclaration)
     }
+    for source in sources.values():
+        source.lateness = 0  # they are given in order
+    recorded = _recorded(samples, sources)
+    # Processes that come and go see what there is when they do, so the sources are mixed in time.
+    is_mixed = any(isinstance(d, ForeachDeclaration) for d in signature.declarations)
+    for name, batch in _runs(recorded) if is_mixed else recorded.items():
+        sources[name].offer(batch)
+        application.settle()
+    for source in sources.values():
+        source.end()
+        application.settle()
+    return Rehearsal(application, failures)
+
+
+def prove_specification(
+    signature: Signature,
+    processes: Processes,
+    samples: Iterable[tuple[str, Incoming]],
+    runner: Runner = DIRECT,
+) -> tuple[Proof, ...]:
+    """Replay a recording and prove each declared stream; arguments and errors as of `rehearse`."""
+    rehearsal = rehearse(signature, processes, samples, runner)
+    return tuple(
+        _proof(rehearsal.application, rehearsal.failures, declaration)
+        for declaration in signature.declarations
+        if isinstance(declaration, StreamDeclaration)
+    )
+
+
+def _recorded(
+    samples: Iterable[tuple[str, Incoming]], sources: Mapping[str, StreamGenerator]
+) -> dict[str, SampleBatch]:
+    """All samples of each source in one batch, by available time."""
+    found: dict[str, list[SampleBatch]] = defaultdict(list)
     for name, incoming in samples:
         source = sources.get(name)
-        if source is None:
+        if source is None or not len(incoming.batch):
             continue
         recorded = tuple(incoming.batch.columns)
         if not source.is_open and recorded != source.schema.names:
@@ -97,28 +151,42 @@ def prove_specification(
                 f"recorded are {', '.join(recorded)}",
                 "give the source a sort with these fields, or one that nobody has declared",
             )
-        source.offer(incoming.batch)
-        application.settle()
-    for source in sources.values():
-        source.end()
-        application.settle()
-        lost = source.counters.duplicate + source.counters.late
+        found[name].append(incoming.batch)
+    whole = {}
+    for name, batches in found.items():
+        batch = concatenate(batches)
+        batch = batch.take(np.argsort(batch.available, kind="stable"))
+        lost = int((np.diff(batch.available) == 0).sum())
         if lost:
             raise Conflict(
-                f"source {source.name!r}: {lost} of {source.counters.accepted} recorded samples "
-                "have the available time of another one",
+                f"source {name!r}: {lost} of {len(batch)} recorded samples have the available "
+                "time of another one",
                 "available times are unique within a stream (Def. 5.4): mend the recording, or "
                 "leave its available times out to have them made from the valid times",
             )
-    return tuple(
-        _proof(application, failures, declaration)
-        for declaration in signature.declarations
-        if isinstance(declaration, StreamDeclaration)
-    )
+        whole[name] = batch
+    return whole
+
+
+def _runs(recorded: Mapping[str, SampleBatch]) -> Iterator[tuple[str, SampleBatch]]:
+    """The samples of all sources in order of available time, as long as one source goes on."""
+    names = list(recorded)
+    times = [batch.available for batch in recorded.values()]
+    owner = np.repeat(np.arange(len(names)), [len(own) for own in times])
+    if not len(owner):
+        return
+    order = np.argsort(np.concatenate(times), kind="stable")
+    owner = owner[order]
+    bounds = np.flatnonzero(np.diff(owner)) + 1
+    done = [0] * len(names)
+    for start, end in pairwise([0, *bounds.tolist(), len(owner)]):
+        i = int(owner[start])
+        yield names[i], recorded[names[i]].take(slice(done[i], done[i] + end - start))
+        done[i] += end - start
 
 
 def _proof(
-    application: Application, failures: list[tuple[str, str]], declaration: StreamDeclaration
+    application: Application, failures: Sequence[tuple[str, str]], declaration: StreamDeclaration
 ) -> Proof:
     policy = declaration.term.policy
     label = str(declaration.term.label)

@@ -34,8 +34,8 @@ class StreamDeclaration:
 
 @dataclass(frozen=True, slots=True)
 class StreamView:
-    """A stream as it is now. ``first_available`` is how far its history reaches. Times in ns; ``rate`` in samples a second
-    of available time (over at least a second)."""
+    """A stream as it is now. Times in ns; ``rate`` in samples a second of available time (over at
+    least a second). ``first_available`` is how far the kept history reaches."""
 
     name: str
     fields: tuple[Field, ...]

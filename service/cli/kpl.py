@@ -1,19 +1,32 @@
-"""``dyknow kpl``: check KPL declarations and prove them on a recording without a server; add, show
-and remove them with one."""
+"""``dyknow kpl``: check KPL declarations, prove and run them on a recording, without a server; add,
+show and remove them with one."""
 
 from __future__ import annotations
 
+import heapq
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import typer
 
+from ...converters.ndjson import sample_json
 from ...converters.recordings import in_order, open_recordings
+from ...converters.wire import Incoming
 from ...engine.errors import DyknowError
 from ...engine.processes import PROCESSES
-from ...engine.proving import Proof, prove_specification
-from ...languages.kpl import Signature, SourceDeclaration, check_kpl, format_kpl, parse_kpl
+from ...engine.proving import Proof, prove_specification, rehearse
+from ...languages.kpl import (
+    Signature,
+    SourceDeclaration,
+    StreamDeclaration,
+    check_kpl,
+    format_kpl,
+    parse_kpl,
+)
 from ...ontology.ontology import Ontology
+from ...streams.time import format_time
 from ..problems import problem_of
 from ..watchdog import Watchdog
 from .output import (
@@ -21,17 +34,19 @@ from .output import (
     Json,
     Url,
     connect,
+    err,
     fail,
     show_json,
     show_lines,
     show_table,
     show_text,
+    show_values,
 )
 from .serve import load
 from .streams import read_text, text_or_file
 
 kpl = typer.Typer(
-    help="KPL, the knowledge processing language: check, prove, add, show, remove.",
+    help="KPL, the knowledge processing language: check, prove, run, add, show, remove.",
     no_args_is_help=True,
 )
 
@@ -54,28 +69,35 @@ def check(file: File, unit: Unit = "ms", as_json: Json = False) -> None:
         show_text(format_kpl(signature.declarations))
 
 
+Recordings = Annotated[
+    list[str],
+    typer.Argument(
+        help="A flight log, a table named like its source, NAME=FILE, or a folder of them.",
+        metavar="RECORDING...",
+    ),
+]
+Modules = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--processes", help="A module or .py file with computational units. May be repeated."
+    ),
+]
+TimeUnit = Annotated[
+    str | None,
+    typer.Option(
+        help="Unit of numeric times in tables: s, ms, us, ns; else by magnitude, and small ones "
+        "are what the text's integers are."
+    ),
+]
+
+
 @kpl.command()
 def prove(
     file: File,
-    recording: Annotated[
-        list[str],
-        typer.Argument(
-            help="A flight log, a table named like its source, NAME=FILE, or a folder of them.",
-            metavar="RECORDING...",
-        ),
-    ],
-    processes: Annotated[
-        list[str] | None,
-        typer.Option(help="A module or .py file with computational units. May be repeated."),
-    ] = None,
+    recording: Recordings,
+    processes: Modules = None,
     unit: Unit = "ms",
-    time_unit: Annotated[
-        str | None,
-        typer.Option(
-            help="Unit of numeric times in tables: s, ms, us, ns; else by magnitude, and small "
-            "ones are what the text's integers are."
-        ),
-    ] = None,
+    time_unit: TimeUnit = None,
     as_json: Json = False,
 ) -> None:
     """Replay a recording and prove that each declared stream is what its policy admits.
@@ -83,6 +105,68 @@ def prove(
     Status 1 if one is not. "as recorded" tells whether the recording itself keeps the policy, and
     the first sample that does not.
     """
+    signature, samples = _recorded(file, recording, processes, unit, time_unit)
+    with _watched() as watchdog:
+        proofs = prove_specification(signature, PROCESSES, samples, watchdog)
+    if as_json:
+        show_lines(_as_json(proof) for proof in proofs)
+    else:
+        _show(proofs)
+    if not all(proof.holds for proof in proofs):
+        raise typer.Exit(1)
+
+
+@kpl.command()
+def run(
+    file: File,
+    recording: Recordings,
+    stream: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="A stream, label or source; else every declared stream. May be repeated."
+        ),
+    ] = None,
+    processes: Modules = None,
+    unit: Unit = "ms",
+    time_unit: TimeUnit = None,
+    as_json: Json = False,
+) -> None:
+    """Replay a recording and print the samples of the declared streams, by available time.
+
+    With --json one a line, as they can be published again.
+    """
+    signature, samples = _recorded(file, recording, processes, unit, time_unit)
+    names = stream or [d.key for d in signature.declarations if isinstance(d, StreamDeclaration)]
+    with _watched() as watchdog:
+        rehearsal = rehearse(signature, PROCESSES, samples, watchdog)
+        made = {name: rehearsal.application.samples_of(name) for name in names}
+    rows = heapq.merge(
+        *([(a, name, v, values) for a, v, values in batch.rows()] for name, batch in made.items()),
+        key=lambda row: row[:2],
+    )
+    if as_json:
+        show_lines(
+            {"stream": name, **sample_json(available, valid, values)}
+            for available, name, valid, values in rows
+        )
+    else:
+        for available, name, valid, values in rows:
+            times = f"{format_time(available)}  {format_time(valid)}"
+            show_text(f"{name}  {times}  {show_values(values)}")
+    for name, reason in rehearsal.failures:
+        err().print(f"{name}: {reason}", markup=False)
+    if rehearsal.failures:
+        raise typer.Exit(1)
+
+
+def _recorded(
+    file: Path,
+    recording: list[str],
+    processes: list[str] | None,
+    unit: str,
+    time_unit: str | None,
+) -> tuple[Signature, Iterator[tuple[str, Incoming]]]:
+    """What was declared, and what was recorded of its sources."""
     signature = _signature(file, unit)
     load(processes or ())
     recordings = open_recordings(
@@ -95,21 +179,20 @@ def prove(
             f"nothing was recorded for source {', '.join(missing)}",
             f"name a file with {missing[0]}=FILE; there are {', '.join(recordings)}",
         )
+    return signature, in_order({name: recordings[name] for name in sources})
+
+
+@contextmanager
+def _watched() -> Iterator[Watchdog]:
+    """A runner of user-written code; refusals of the engine become messages."""
     watchdog = Watchdog()
     try:
-        chosen = {name: recordings[name] for name in sources}
-        proofs = prove_specification(signature, PROCESSES, in_order(chosen), watchdog)
+        yield watchdog
     except DyknowError as error:
         problem = problem_of(error).model().model_dump(exclude_none=True)
         raise fail(str(error), problem=problem) from error
     finally:
         watchdog.close()
-    if as_json:
-        show_lines(_as_json(proof) for proof in proofs)
-    else:
-        _show(proofs)
-    if not all(proof.holds for proof in proofs):
-        raise typer.Exit(1)
 
 
 @kpl.command()
