@@ -12,7 +12,14 @@ import sys
 from pathlib import Path
 
 HERE = Path(__file__).parent
-TABLES = ("speed_query.py", "service.py", "accuracy.py")
+TABLES = (
+    "speed_query.py",
+    "service.py",
+    "accuracy.py",
+    "policies.py",
+    "joining.py",
+    "growth.py",
+)
 
 
 def main() -> int:

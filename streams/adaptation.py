@@ -94,11 +94,11 @@ class Adaptation(ABC):
         dropped = np.flatnonzero(reasons != KEPT)
         if not len(dropped):
             return
-        order = dropped[np.lexsort((batch.available[dropped], at[dropped]))]
-        counts = np.bincount(reasons[order], minlength=len(REASONS))
+        counts = np.bincount(reasons[dropped], minlength=len(REASONS))
         for constraint, count in zip(REASONS, counts.tolist(), strict=True):
             self.counters.drop(constraint, count)
         if self._on_drop is not None:
+            order = dropped[np.lexsort((batch.available[dropped], at[dropped]))]
             self._on_drop(Dropped(batch.take(order), reasons[order], at[order]))
 
     def _sent(self, batch: SampleBatch, delayed: int = 0) -> list[SampleBatch]:
@@ -116,6 +116,7 @@ class Filtering(Adaptation):
 
     def __init__(self, policy: Policy, on_drop: OnDrop | None = None) -> None:
         super().__init__(policy, on_drop)
+        self._passes_all = policy.is_default
         self._greatest: int | None = None
         self._last: SampleBatch | None = None
 
@@ -123,15 +124,8 @@ class Filtering(Adaptation):
         self.counters.received += len(batch)
         if not len(batch):
             return []
-        reasons = self._inadmissible(batch)
-        if self.policy.order is not Order.ANY:
-            self._drop_out_of_order(batch, reasons)
-        if isinstance(self.policy.change, AnyChange):
-            self._drop_unchanged(batch, reasons)
-        kept = reasons == KEPT
-        if not bool(kept.all()):
-            self._drop(batch, reasons, batch.available)
-            batch = batch.take(kept)
+        if not self._passes_all:
+            batch = self._kept(batch)
         self.counters.kept += len(batch)
         return self._sent(batch)
 
@@ -141,12 +135,30 @@ class Filtering(Adaptation):
     def end(self) -> list[SampleBatch]:
         return []
 
+    def _kept(self, batch: SampleBatch) -> SampleBatch:
+        reasons = self._inadmissible(batch)
+        if self.policy.order is not Order.ANY:
+            self._drop_out_of_order(batch, reasons)
+        if isinstance(self.policy.change, AnyChange):
+            self._drop_unchanged(batch, reasons)
+        kept = np.flatnonzero(reasons == KEPT)
+        if len(kept) == len(batch):
+            return batch
+        self._drop(batch, reasons, batch.available)
+        return batch.take(kept)
+
     def _drop_out_of_order(self, batch: SampleBatch, reasons: Reasons) -> None:
         """A sample is in order if no admissible one before it is valid later (or as late)."""
         rows = np.flatnonzero(reasons == KEPT)
         if not len(rows):
             return
-        valid = batch.valid[rows]
+        valid = batch.valid if len(rows) == len(batch) else batch.valid[rows]
+        monotone = self.policy.order is Order.MONOTONE
+        rises = valid[1:] >= valid[:-1] if monotone else valid[1:] > valid[:-1]
+        begin, least = int(valid[0]), self._greatest
+        if (least is None or begin > least or (monotone and begin == least)) and rises.all():
+            self._greatest = int(valid[-1])
+            return
         # What is dropped is below what was sent, so the greatest so far is the last sent.
         greatest = np.maximum.accumulate(valid)
         before = np.concatenate((valid[:1], greatest[:-1]))
@@ -154,7 +166,7 @@ class Filtering(Adaptation):
         if self._greatest is not None:
             np.maximum(before, self._greatest, out=before)
             before[0] = self._greatest
-        wrong = valid < before if self.policy.order is Order.MONOTONE else valid <= before
+        wrong = valid < before if monotone else valid <= before
         if first:
             wrong[0] = False
         reasons[rows[wrong]] = CODES[Constraint.ORDER]
@@ -165,28 +177,31 @@ class Filtering(Adaptation):
         rows = np.flatnonzero(reasons == KEPT)
         if not len(rows):
             return
-        candidates = batch.take(rows)
+        candidates = batch if len(rows) == len(batch) else batch.take(rows)
         # One that is dropped equals the last sent, so each is compared with the one before it.
         unchanged = repeats(candidates, self._last)
         reasons[rows[unchanged]] = CODES[Constraint.CHANGE]
-        self._last = own(candidates.take(slice(len(rows) - 1, None)))
+        self._last = batch.take(rows[-1:])
 
 
 def repeats(batch: SampleBatch, last: SampleBatch | None) -> Mask:
     """Which samples equal the one before them in valid time and all values (no_value equals
     no_value); the first is compared with ``last``, a batch of one."""
-    if last is not None:
-        return repeats(concatenate([last, batch]), None)[1:]
     same = np.zeros(len(batch), np.bool_)
-    same[1:] = batch.valid[1:] == batch.valid[:-1]
+    if last is not None and len(batch) and batch.valid[0] == last.valid[0]:
+        same[0] = repeats(concatenate([last, batch.take(slice(0, 1))]), None)[1]
+    if len(batch) < 2:
+        return same
+    after = same[1:]
+    np.equal(batch.valid[1:], batch.valid[:-1], out=after)
     for column in batch.columns.values():
-        if not bool(same.any()):
+        if not bool(after.any()):
             break
         equal = column.values[1:] == column.values[:-1]
         if column.null is not None:
             both = column.null[1:] & column.null[:-1]
             equal = both | (equal & ~column.null[1:] & ~column.null[:-1])
-        same[1:] &= equal
+        after &= equal
     return same
 
 

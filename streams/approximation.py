@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from .adaptation import Adaptation, OnDrop, joined, own
+from .adaptation import Adaptation, OnDrop, joined
 from .policy import Policy, PolicyError
 from .recent import rows_in_use
 from .sample import SampleBatch
@@ -59,8 +59,7 @@ class Approximating(Adaptation):
         self.counters.received += len(batch)
         if not len(batch):
             return []
-        self._waiting = batch if self._waiting is None else joined([self._waiting, batch])
-        return self._make_until(self._last_decided(int(batch.available[-1])))
+        return self._make_until(self._last_decided(int(batch.available[-1])), batch)
 
     def advance(self, watermark: int) -> list[SampleBatch]:
         if watermark == TIME_MIN:
@@ -83,21 +82,24 @@ class Approximating(Adaptation):
         time = np.maximum(batch.valid, earlier(batch.available, self._delay))
         distance = since(np.maximum(time, self._start), self._start)
         period = np.uint64(self._period)
-        begins: NDArray[np.uint64] = distance // period + (distance % period != 0)
+        # numpy divides by one number fast, but has no fast remainder.
+        begins: NDArray[np.uint64] = distance // period
+        begins += begins * period != distance
         return begins
 
-    def _make_until(self, last: int) -> list[SampleBatch]:
-        """Make the samples of the grid up to number ``last``."""
-        waiting = self._waiting
+    def _make_until(self, last: int, new: SampleBatch | None = None) -> list[SampleBatch]:
+        """Make the samples of the grid up to number ``last``; ``new`` has come."""
+        waiting = [part for part in (self._waiting, new) if part is not None]
         if last < self._next:
-            self.counters.pending = 0 if waiting is None else len(waiting)
+            self._waiting = joined(waiting) if waiting else None
+            self.counters.pending = 0 if self._waiting is None else len(self._waiting)
             return []
-        parts = [part for part in (self._best, waiting) if part is not None]
+        parts = waiting if self._best is None else [self._best, *waiting]
         first, self._next = self._next, last + 1
         if not parts:
             return []
         known = joined(parts)
-        if len(parts) == 2 and known.available[0] > known.available[1]:
+        if len(known) > 1 and known.available[0] > known.available[1]:
             known = known.take(np.argsort(known.available, kind="stable"))
         begins = self._begins(known)
         if self._best is None:
@@ -106,14 +108,15 @@ class Approximating(Adaptation):
         if first <= last:
             if last - first >= self._limit:
                 self._next = first
+                self._waiting = joined(waiting) if waiting else None
                 raise PolicyError(
                     f"`sample every` would make {last - first + 1} samples at once",
                     "choose a longer period, or a `from` and `to` nearer to the data",
                 )
             made = list(self._chunks(known, begins, first, last))
-        still = begins > np.uint64(last)
-        self._waiting = known.take(still) if bool(still.any()) else None
-        pending = int(np.count_nonzero(still))
+        still = np.flatnonzero(begins > np.uint64(last))
+        self._waiting = known.take(still) if len(still) else None
+        pending = len(still)
         self.counters.kept += self.counters.received - self.counters.kept - pending
         self.counters.pending = pending
         return made
@@ -127,7 +130,7 @@ class Approximating(Adaptation):
             rows = rows_in_use(known.available, known.valid, begins, numbers)
             steps = np.arange(high - low + 1) * self._period
             valid = steps + (self._start + low * self._period)
-            self._best = own(known.take(rows[-1:]))
+            self._best = known.take(rows[-1:])
             chosen = known.take(rows)
             exact = chosen.valid == valid
             self.counters.approximated += int(np.count_nonzero(~exact))

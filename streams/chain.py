@@ -7,13 +7,13 @@ import numpy as np
 
 from .adaptation import CODES, KEPT, Adaptation, OnDrop, Reasons, joined
 from .policy import Constraint, Policy
-from .sample import SampleBatch, Times
-from .saturating import since
+from .sample import Mask, SampleBatch, Times
+from .saturating import later, leaving, since
 from .time import TIME_MAX, TIME_MIN
 
 _PERIOD = CODES[Constraint.PERIOD]
 _ORDER = CODES[Constraint.ORDER]
-_DELAY = CODES[Constraint.DELAY]
+_NOTHING: Times = np.empty(0, np.int64)
 
 
 class Chain(Adaptation):
@@ -25,7 +25,7 @@ class Chain(Adaptation):
     policy `use most recent` bridges gaps). With ``max delay oo`` the expected one is awaited for
     ever.
 
-    Cost: O(n) numpy for samples in turn, O(1) Python for each on the grid that is out of turn.
+    Cost: O(n) numpy for samples in turn, O(n log n) for others, n those that are held or come.
     Memory: what is held, one sample a valid time; with a finite delay what came within it.
     """
 
@@ -47,7 +47,7 @@ class Chain(Adaptation):
         reasons = self._inadmissible(batch)
         everything = batch if self._held is None else joined([self._held, batch])
         held = len(everything) - len(batch)
-        why = np.concatenate((np.full(held, KEPT, np.int8), reasons))
+        why = np.concatenate((np.full(held, KEPT, np.int8), reasons)) if held else reasons
         at = everything.available.copy()
         rows, times = self._turns(everything, held, why, at)
         self._known = int(batch.available[-1])
@@ -69,80 +69,72 @@ class Chain(Adaptation):
         held = self._held
         why = np.full(len(held), KEPT, np.int8)
         at = held.available.copy()
-        self._end_of_chain(held, why, at, [], self._known, ended)
-        return self._send(held, why, at, [], [])
+        self._end_of_chain(held, why, at, _NOTHING, self._known, ended)
+        return self._send(held, why, at, _NOTHING, _NOTHING)
 
-    def _turns(
-        self, batch: SampleBatch, held: int, why: Reasons, at: Times
-    ) -> tuple[list[int], list[int]]:
+    def _turns(self, batch: SampleBatch, held: int, why: Reasons, at: Times) -> tuple[Times, Times]:
         """The rows to send, in order, and when; reasons for those that will not be."""
-        rows: list[int] = []
-        times: list[int] = []
         fresh = np.flatnonzero(why[held:] == KEPT) + held
+        first = fresh[:0]
         if self._last is None and len(fresh) and not self._broken:
-            first = int(fresh[0])
-            rows.append(first)
-            times.append(int(batch.available[first]))
-            self._last = (times[0], int(batch.valid[first]))
-            fresh = fresh[1:]
+            first, fresh = fresh[:1], fresh[1:]
+            self._last = int(batch.available[first[0]]), int(batch.valid[first[0]])
         if self._last is None or self._broken:
             why[fresh] = _PERIOD
-            return rows, times
+            return _NOTHING, _NOTHING
         # `a - b` of int64s always fits in uint64; what is behind the chain is told apart first.
-        behind = batch.valid[fresh] <= self._last[1]
-        distance = since(batch.valid[fresh], self._last[1])
-        off = np.where(behind, -distance, distance) % np.uint64(self._period) != 0
-        why[fresh[off]] = _PERIOD
+        valid = batch.valid[fresh]
+        behind = valid <= self._last[1]
+        distance = since(valid, self._last[1])
+        distance = np.where(behind, -distance, distance)
         turn = distance // np.uint64(self._period)
-        on_grid = fresh[~off]
-        behind, turn = behind[~off], turn[~off]
-        in_turn = 0
-        if not held:
-            wanted = np.arange(1, len(on_grid) + 1, dtype=np.uint64)
-            differs = np.flatnonzero(behind | (turn != wanted))
-            in_turn = int(differs[0]) if len(differs) else len(on_grid)
-        if in_turn:
-            chosen = on_grid[:in_turn]
-            rows += chosen.tolist()
-            times += batch.available[chosen].tolist()
-            self._last = (times[-1], int(batch.valid[chosen[-1]]))
-        self._out_of_turn(batch, held, on_grid[in_turn:].tolist(), why, at, rows, times)
+        off = turn * np.uint64(self._period) != distance
+        why[fresh[off]] = _PERIOD
+        on_grid = np.flatnonzero(~off)
+        fresh, behind, turn = fresh[on_grid], behind[on_grid], turn[on_grid]
+        wanted = np.arange(1, len(fresh) + 1, dtype=np.uint64)
+        # The last may have been sent later than it came, after others that came with it.
+        crowded = len(fresh) > 0 and int(batch.available[fresh[0]]) <= self._last[0]
+        if held or crowded or bool((behind | (turn != wanted)).any()):
+            rows, times = self._out_of_turn(batch, held, fresh, behind, why, at)
+        else:
+            rows, times = fresh, batch.available[fresh]
+            if len(rows):
+                self._last = int(times[-1]), int(batch.valid[rows[-1]])
+        if len(first):
+            rows = np.concatenate((first, rows))
+            times = np.concatenate((batch.available[first], times))
         return rows, times
 
     def _out_of_turn(
-        self,
-        batch: SampleBatch,
-        held: int,
-        candidates: list[int],
-        why: Reasons,
-        at: Times,
-        rows: list[int],
-        times: list[int],
-    ) -> None:
-        """What is not simply the next one, sample by sample."""
+        self, batch: SampleBatch, held: int, fresh: Times, behind: Mask, why: Reasons, at: Times
+    ) -> tuple[Times, Times]:
+        """The same for samples on the grid that are not simply the next ones."""
         assert self._last is not None
-        valid, available = batch.valid, batch.available
-        ahead = {int(valid[row]): row for row in range(held)}
         sent_at, last = self._last
-        for row in candidates:
-            now, time = int(available[row]), int(valid[row])
-            if self._break_if_due(now - 1) or self._broken:
-                why[row] = _PERIOD
-                continue
-            if time <= last or time in ahead:
-                why[row] = _ORDER
-                continue
-            ahead[time] = row
-            while (next_row := ahead.pop(last + self._period, None)) is not None:
-                moment = max(now, sent_at + 1)
-                due = last + self._period
-                if self._delay is not None and moment > due + self._delay:
-                    why[next_row], at[next_row] = _DELAY, now
-                    break
-                rows.append(next_row)
-                times.append(moment)
-                sent_at, last = moment, due
-                self._last = (sent_at, last)
+        rows = np.concatenate((np.arange(held), fresh[~behind]))
+        turn = since(batch.valid[rows], last) // np.uint64(self._period)
+        # Of each turn the first that came; they can be sent up to the first turn that lacks.
+        turns, came_first = np.unique(turn, return_index=True)
+        lacks = np.flatnonzero(turns != np.arange(1, len(turns) + 1, dtype=np.uint64))
+        ready = rows[came_first[: lacks[0] if len(lacks) else None]]
+        if self._delay is not None:
+            over = np.flatnonzero(batch.available[ready] > later(batch.valid[ready], self._delay))
+            ready = ready[: over[0] if len(over) else None]
+        # Each has a moment left: the one before kept its deadline, which is a period earlier.
+        moments = leaving(batch.available[ready], sent_at)
+        ready = ready[: len(moments)]
+        if len(ready):
+            self._last = int(moments[-1]), int(batch.valid[ready[-1]])
+        repeated = np.ones(len(rows), np.bool_)
+        repeated[came_first] = False
+        why[rows[repeated]] = _ORDER
+        why[fresh[behind]] = _ORDER
+        if self._delay is not None:
+            after = fresh[batch.available[fresh] > self._deadline()]
+            why[after] = _PERIOD
+            self._broken = len(after) > 0
+        return ready, moments
 
     def _break_if_due(self, known: int) -> bool:
         """Whether the expected sample cannot come any more: all is known up to its deadline."""
@@ -161,7 +153,7 @@ class Chain(Adaptation):
         batch: SampleBatch,
         why: Reasons,
         at: Times,
-        rows: list[int],
+        rows: Times,
         known: int,
         ended: bool = False,
     ) -> None:
@@ -175,7 +167,7 @@ class Chain(Adaptation):
         at[left] = np.maximum(batch.available[left], moment)
 
     def _send(
-        self, batch: SampleBatch, why: Reasons, at: Times, rows: list[int], times: list[int]
+        self, batch: SampleBatch, why: Reasons, at: Times, rows: Times, moments: Times
     ) -> list[SampleBatch]:
         rest = why == KEPT
         rest[rows] = False
@@ -183,9 +175,8 @@ class Chain(Adaptation):
         self.counters.pending = 0 if self._held is None else len(self._held)
         self.counters.kept += len(rows)
         self._drop(batch, why, at)
-        if not rows:
+        if not len(rows):
             return []
-        moments = np.array(times, np.int64)
-        chosen = np.array(rows, np.int64)
-        delayed = int(np.count_nonzero(moments > batch.available[chosen]))
-        return self._sent(batch.take(chosen).with_available(moments), delayed)
+        sent = batch.take(rows)
+        delayed = int(np.count_nonzero(moments > sent.available))
+        return self._sent(sent.with_available(moments), delayed)

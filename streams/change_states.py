@@ -1,6 +1,7 @@
 """When and of what states are made at the inputs' own valid times (SPEC §1).
 
-An exact simulation, event by event: what a late sample does depends on what has left.
+An exact simulation, event by event: what a late sample does depends on what has left. Where no
+input's valid times decrease `MonotoneStates` computes the same at once.
 """
 
 from __future__ import annotations

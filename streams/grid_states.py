@@ -11,14 +11,17 @@ from .inputs import NOTHING_KNOWN
 from .policy import Approximation, Constraint, PolicyError, SynchronizationPolicy
 from .recent import most_recent_rows
 from .sample import Mask, SampleBatch, Times
-from .saturating import later, since
+from .saturating import later, leaving, since
 from .time import TIME_MAX, TIME_MIN
 from .tuples import Rows
 
 CHUNK = 65_536
 Made = tuple[Times, Times, tuple[Rows, ...], Mask]
 """Available times, valid times, a row of each input's table, and whether every input was in."""
+News = tuple[Times, Times]
+"""Available and valid times of an input's new samples."""
 LateRows = tuple[int, Rows, Constraint]
+"""An input, rows of its table, and what they are late for."""
 
 
 class GridStates:
@@ -61,19 +64,19 @@ class GridStates:
         excused: Sequence[int | None],
     ) -> tuple[list[Made], list[LateRows]]:
         """All states that leave by ``until``; rows of table i from ``fresh[i]`` are new."""
-        if self._first is None:
-            new = [
-                (int(table.available[row]), int(table.valid[row]))
-                for table, row in zip(tables, fresh, strict=True)
-                if row < len(table)
-            ]
-            if new:
-                start = min(new)[1]
-                self._begin(start + -start % self._period)
-        reach = [
-            max(self._reach[i], int(table.valid[row:].max()) if row < len(table) else NOTHING_KNOWN)
-            for i, (table, row) in enumerate(zip(tables, fresh, strict=True))
+        news = [
+            (table.available[row:], table.valid[row:])
+            for table, row in zip(tables, fresh, strict=True)
         ]
+        reach = [
+            max(before, int(valid[-1] if monotone else valid.max())) if len(valid) else before
+            for before, monotone, (_, valid) in zip(self._reach, self._monotone, news, strict=True)
+        ]
+        if self._first is None:
+            first = [(int(at[0]), int(valid[0])) for at, valid in news if len(valid)]
+            if first:
+                start = min(first)[1]
+                self._begin(start + -start % self._period)
         needed = [value for value, excuse in zip(reach, excused, strict=True) if excuse is None]
         bound = 0
         delay = self._policy.max_delay
@@ -89,7 +92,7 @@ class GridStates:
         room = max(0, until - max(self._left, self._done))
         self._guard(min(sure - self._next, room))
         before = self._next
-        made = self._make(tables, until, excused, bound)
+        made = self._make(tables, news, until, excused, bound)
         late = self._late(tables, fresh, before, made)
         self._reach, self._done = reach, max(self._done, until)
         return made, late
@@ -121,7 +124,8 @@ class GridStates:
             possible = min(bound, self._index(min(needed)))
         if self._policy.max_delay is not None or all(self._monotone):
             self._guard(possible - self._next)
-        made = self._make(tables, TIME_MAX, excused, possible)
+        nothing = [(table.available[:0], table.valid[:0]) for table in tables]
+        made = self._make(tables, nothing, TIME_MAX, excused, possible)
         return made, max(0, bound - self._next)
 
     def _begin(self, first: int) -> None:
@@ -149,6 +153,7 @@ class GridStates:
     def _make(
         self,
         tables: Sequence[SampleBatch],
+        news: Sequence[News],
         until: int,
         excused: Sequence[int | None],
         bound: int,
@@ -166,7 +171,7 @@ class GridStates:
             count = min(CHUNK, bound - self._next)
             steps = np.arange(self._next - start, self._next - start + count, dtype=np.uint64)
             valid = (first + steps * np.uint64(self._period)).view(np.int64)
-            moment, complete = self._completion(valid, tables, order, excused)
+            moment, complete = self._completion(valid, tables, news, order, excused)
             delay = self._policy.max_delay
             if delay is None:
                 if not complete.all():
@@ -181,7 +186,9 @@ class GridStates:
             if going:
                 leaves, valid = leaves[:going], valid[:going]
                 complete = complete[:going] & (moment[:going] <= leaves)
-                rows = tuple(self._values(table, valid, leaves) for table in tables)
+                rows = tuple(
+                    self._values(i, table, valid, leaves) for i, table in enumerate(tables)
+                )
                 made.append((leaves, valid, rows, complete))
                 self._left = int(leaves[-1])
                 self._next += going
@@ -193,44 +200,41 @@ class GridStates:
         self,
         valid: Times,
         tables: Sequence[SampleBatch],
+        news: Sequence[News],
         order: Sequence[Rows | None],
         excused: Sequence[int | None],
     ) -> tuple[Times, Mask]:
         """The moment each state is complete, and whether it ever is as far as is known."""
         moment = np.full(len(valid), TIME_MIN)
         complete = np.ones(len(valid), np.bool_)
-        for i, table in enumerate(tables):
-            by_valid = order[i]
+        for i, (table, by_valid, excuse) in enumerate(zip(tables, order, excused, strict=True)):
+            excuse = None if excuse is None or excuse > TIME_MAX else excuse
             if by_valid is None:
-                values, available = table.valid, table.available
-            else:
-                values, available = table.valid[by_valid], table.available[by_valid]
+                reached = note_reached(moment, valid, self._reach[i], news[i], excuse)
+                if excuse is None:
+                    complete[reached:] = False
+                continue
             own = np.full(len(valid), TIME_MIN)
             has = np.zeros(len(valid), np.bool_)
-            if len(values):
+            if len(table):
+                values, available = table.valid[by_valid], table.available[by_valid]
                 at = np.searchsorted(values, valid, "left")
                 has = at < len(values)
                 at = np.minimum(at, len(values) - 1)
                 own = available[at]
-                if by_valid is not None:
-                    has &= values[at] == valid
-            if by_valid is None and self._reach[i] >= TIME_MIN:
-                # A sample known before is enough, even one that is kept no more.
-                known = valid <= self._reach[i]
-                own, has = np.where(known, TIME_MIN, own), has | known
-            excuse = excused[i]
-            if excuse is not None and excuse <= TIME_MAX:
+                has &= values[at] == valid
+            if excuse is not None:
                 own = np.where(has, own, excuse)
-            elif not has.all():
+            else:
                 complete &= has
             moment = np.maximum(moment, own)
         return moment, complete
 
-    def _values(self, table: SampleBatch, valid: Times, leaves: Times) -> Rows:
+    def _values(self, input: int, table: SampleBatch, valid: Times, leaves: Times) -> Rows:
+        if self._monotone[input]:
+            return rows_in_order(table, valid, leaves, self._exact)
         rows = most_recent_rows(table.available, table.valid, valid, leaves)
-        if self._exact and len(table):
-            rows = np.where((rows >= 0) & (table.valid[rows] == valid), rows, -1)
-        return rows
+        return _exact(table, rows, valid) if self._exact else rows
 
     def _late(
         self,
@@ -245,9 +249,12 @@ class GridStates:
             return late
         leaves = np.concatenate([part[0] for part in made]) if made else np.empty(0, np.int64)
         period = np.uint64(self._period)
+        latest = self._time(self._next - 1)
         for i, table in enumerate(tables):
-            rows = np.arange(fresh[i], len(table))
-            rows = rows[table.valid[rows] <= self._time(self._next - 1)]
+            if self._monotone[i]:
+                rows = np.arange(fresh[i], max(fresh[i], up_to(table.valid, latest)))
+            else:
+                rows = np.flatnonzero(table.valid[fresh[i] :] <= latest) + fresh[i]
             if self._exact:
                 rows = rows[table.valid[rows] >= self._first]
             if not len(rows):
@@ -275,21 +282,36 @@ class GridStates:
         return late
 
 
-def leaving(due: Times, previous: int) -> Times:
-    """L_k = max(due_k, L_{k-1} + 1), after one that left at ``previous``; cut where time ends."""
-    count = len(due)
-    if not count or previous >= TIME_MAX:
-        return due[:0]
-    if previous >= TIME_MIN:
-        due = np.maximum(due, previous + 1)
-    if int(due.min()) > TIME_MIN + count and max(int(due.max()), previous) < TIME_MAX - count:
-        steps = np.arange(count)
-        result: Times = np.maximum.accumulate(due - steps) + steps
-        return result
-    exact = []
-    for moment in due.tolist():
-        previous = max(moment, previous + 1)
-        if previous > TIME_MAX:
-            break
-        exact.append(previous)
-    return np.array(exact, np.int64)
+def note_reached(moment: Times, valid: Times, reach: int, news: News, excuse: int | None) -> int:
+    """How many of ``valid``, which increase, a monotone input has reached, whose samples before
+    ``news`` reached ``reach``. Into ``moment`` goes when, if that is later; for the others the
+    moment of its end, ``excuse``. Cost: O(m log n)."""
+    known = up_to(valid, reach)
+    reached = known
+    available, times = news
+    if len(times):
+        reached = max(known, up_to(valid, int(times[-1])))
+        own = available[np.searchsorted(times, valid[known:reached], "left")]
+        np.maximum(moment[known:reached], own, out=moment[known:reached])
+    if excuse is not None:
+        np.maximum(moment[reached:], excuse, out=moment[reached:])
+    return reached
+
+
+def up_to(times: Times, time: int) -> int:
+    """How many of ``times``, which do not decrease, are at or before ``time``."""
+    return int(times.searchsorted(time, "right")) if time >= TIME_MIN else 0
+
+
+def rows_in_order(table: SampleBatch, valid: Times, leaves: Times, exact: bool) -> Rows:
+    """The most recent row at each of ``valid`` by ``leaves``, -1 for none, where the valid times of
+    ``table`` do not decrease; with ``exact`` only if it is valid then. Cost: O(m log n)."""
+    by_then = np.searchsorted(table.available, leaves, "right")
+    rows = np.minimum(by_then, np.searchsorted(table.valid, valid, "right")) - 1
+    return _exact(table, rows, valid) if exact else rows
+
+
+def _exact(table: SampleBatch, rows: Rows, valid: Times) -> Rows:
+    if not len(table):
+        return rows
+    return np.where((rows >= 0) & (table.valid[rows] == valid), rows, -1)

@@ -49,7 +49,8 @@ class Input:
         of this input or at or before ``after``, up to which the process has given its output.
         """
         if self.like is None:
-            self.like = batch.take(slice(0, 0))
+            # Indices, not a slice: a view would keep the first batch in memory for ever.
+            self.like = batch.take(np.arange(0))
         if not len(batch):
             return
         first = int(batch.available[0])

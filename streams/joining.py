@@ -93,12 +93,15 @@ class Join:
 
 def union(increasing: Sequence[Times]) -> Times:
     """The union of increasing times, increasing. Cost: O(n log k) for k arrays."""
-    if len(increasing) == 1:
-        return increasing[0]
+    return increasing[0] if len(increasing) == 1 else distinct(np.concatenate(increasing))
+
+
+def distinct(runs: Times) -> Times:
+    """The times of some runs that do not decrease, each once, increasing."""
     # Runs in order are what numpy's stable sort merges fast.
-    every = np.sort(np.concatenate(increasing), kind="stable")
+    every = np.sort(runs, kind="stable")
     new = np.empty(len(every), np.bool_)
-    new[0] = True
+    new[:1] = True
     np.not_equal(every[1:], every[:-1], out=new[1:])
     return every[new]
 

@@ -154,6 +154,10 @@ class SampleBatch:
 
     def take(self, rows: NDArray[Any] | slice) -> SampleBatch:
         """The samples at ``rows`` (a mask, indices or a slice), in that order."""
+        if not isinstance(rows, slice) and rows.dtype == np.bool_:
+            # Searched once instead of once a column.
+            assert len(rows) == len(self)
+            rows = np.flatnonzero(rows)
         columns = {name: column.take(rows) for name, column in self.columns.items()}
         return SampleBatch(self.available[rows], self.valid[rows], columns)
 

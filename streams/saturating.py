@@ -10,11 +10,15 @@ from .time import TIME_MAX, TIME_MIN
 
 def later(times: Times, duration: int) -> Times:
     """``times + duration``, at most `TIME_MAX`; ``duration`` ≥ 0. Shape kept."""
+    if not len(times) or int(np.maximum.reduce(times)) <= TIME_MAX - duration:
+        return times + np.int64(duration)
     return np.where(times > TIME_MAX - duration, TIME_MAX, times + np.int64(duration))
 
 
 def earlier(times: Times, duration: int) -> Times:
     """``times - duration``, at least `TIME_MIN`; ``duration`` ≥ 0. Shape kept."""
+    if not len(times) or int(np.minimum.reduce(times)) >= TIME_MIN + duration:
+        return times - np.int64(duration)
     return np.where(times < TIME_MIN + duration, TIME_MIN, times - np.int64(duration))
 
 
@@ -22,3 +26,23 @@ def since(times: Times, start: int) -> np.ndarray[tuple[int], np.dtype[np.uint64
     """``times - start`` for times ≥ ``start``, which always fits in unsigned 64 bits."""
     base = np.uint64(start % 2**64)
     return times.astype(np.uint64) - base
+
+
+def leaving(due: Times, previous: int) -> Times:
+    """L_k = max(due_k, L_{k-1} + 1), after one that left at ``previous``; cut where time ends."""
+    count = len(due)
+    if not count or previous >= TIME_MAX:
+        return due[:0]
+    if previous >= TIME_MIN:
+        due = np.maximum(due, previous + 1)
+    if int(due.min()) > TIME_MIN + count and max(int(due.max()), previous) < TIME_MAX - count:
+        steps = np.arange(count)
+        result: Times = np.maximum.accumulate(due - steps) + steps
+        return result
+    exact = []
+    for moment in due.tolist():
+        previous = max(moment, previous + 1)
+        if previous > TIME_MAX:
+            break
+        exact.append(previous)
+    return np.array(exact, np.int64)

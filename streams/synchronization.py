@@ -10,8 +10,10 @@ import numpy as np
 from .change_states import ChangeStates
 from .grid_states import GridStates, LateRows, Made
 from .inputs import NOTHING_KNOWN, Input, known_of
+from .monotone_states import MonotoneStates
 from .policy import Constraint, Order, SynchronizationPolicy
-from .sample import SampleBatch, Times, concatenate
+from .sample import Mask, SampleBatch, Times, concatenate
+from .time import TIME_MIN
 from .tuples import TupleBatch
 
 
@@ -60,8 +62,8 @@ class Synchronization:
     Monotone inputs (``monotone[i]``, or all by the policy's order) lose samples that decrease.
 
     Law: what is given does not depend on how inputs were cut or interleaved, and everything that
-    leaves by `known` has been given. Cost: `GridStates`, `ChangeStates`; each push that moves
-    `known` copies what is kept. Memory: the samples that a state to come may use.
+    leaves by `known` has been given. Cost: `GridStates`, `MonotoneStates`, `ChangeStates`; each
+    push that moves `known` copies what is kept. Memory: the samples that a state to come may use.
     """
 
     def __init__(
@@ -81,11 +83,13 @@ class Synchronization:
         self._reach = [NOTHING_KNOWN] * len(monotone)
         self._news: list[tuple[int, int] | None] = [None] * len(monotone)
         self._on_late = on_late
-        self._states: GridStates | ChangeStates
-        if policy.period is None:
-            self._states = ChangeStates(policy, self._monotone)
-        else:
+        self._states: GridStates | ChangeStates | MonotoneStates
+        if policy.period is not None:
             self._states = GridStates(policy, self._monotone, limit)
+        elif all(self._monotone):
+            self._states = MonotoneStates(policy, len(monotone))
+        else:
+            self._states = ChangeStates(policy, self._monotone)
         self._done = NOTHING_KNOWN
         self._finished = False
         self.counters = StateCounters()
@@ -159,21 +163,24 @@ class Synchronization:
                 continue
             new = concatenate(parts)
             if self._monotone[i]:
-                highest = np.maximum.accumulate(new.valid)
-                if self._reach[i] > highest[0]:
-                    highest = np.maximum(highest, self._reach[i])
-                falls = new.valid < highest
-                if falls.any():
+                falls = falling(new.valid, self._reach[i])
+                if falls is not None:
                     lost = new.take(falls)
                     dropped.append(Late(i, lost, Constraint.ORDER, lost.available))
                     new = new.take(~falls)
             if len(new):
-                self._reach[i] = max(self._reach[i], int(new.valid.max()))
-                newest = int(new.valid.max())
-                at = int(new.available[np.flatnonzero(new.valid == newest)[-1]])
+                newest, at = self._newest(i, new)
+                self._reach[i] = max(self._reach[i], newest)
                 self._news[i] = max((newest, at), self._news[i] or (newest, at))
             tables.append(new if kept is None else concatenate([kept, new]))
         return tables, fresh, dropped
+
+    def _newest(self, input: int, batch: SampleBatch) -> tuple[int, int]:
+        """The greatest valid time, and the last available time of a sample with it."""
+        if self._monotone[input]:
+            return int(batch.valid[-1]), int(batch.available[-1])
+        newest = int(batch.valid.max())
+        return newest, int(batch.available[np.flatnonzero(batch.valid == newest)[-1]])
 
     def _tell(
         self, tables: Sequence[SampleBatch], late: Sequence[LateRows], dropped: Sequence[Late]
@@ -203,21 +210,9 @@ class Synchronization:
         """Keep what a state to come may use: later samples, and the most recent before them."""
         floor, last = self._states.floor, self._policy.duration.last
         for i, table in enumerate(tables):
-            if not len(table):
-                continue
-            rows = np.arange(len(table))
-            if not self._monotone[i]:
-                rows = np.lexsort((table.available, table.valid))
-            valid = table.valid[rows]
-            final = np.ones(len(valid), np.bool_)
-            final[:-1] = valid[1:] != valid[:-1]
-            past = int(np.searchsorted(valid, floor, "right")) if floor >= -(2**63) else 0
-            final[: max(0, past - 1)] = False
-            final &= valid <= last
-            if not final.all():
-                self._kept[i] = table.take(np.sort(rows[final]))
-            else:
-                self._kept[i] = table
+            if len(table):
+                of_use = of_use_in_order if self._monotone[i] else of_use_in_any_order
+                self._kept[i] = of_use(table, floor, last)
 
     def _state_batch(self, part: Made, tables: Sequence[SampleBatch]) -> TupleBatch:
         available, valid, rows, complete = part
@@ -232,3 +227,42 @@ class Synchronization:
                 other = (table.valid[chosen] != valid) & ~absent
                 counters.approximated += int(other.sum())
         return TupleBatch(available, valid, tuple(tables), rows)
+
+
+def falling(valid: Times, reach: int) -> Mask | None:
+    """Which of ``valid`` are less than one before or than ``reach``; None for none."""
+    if valid[0] >= reach and (len(valid) == 1 or bool((valid[1:] >= valid[:-1]).all())):
+        return None
+    highest = np.maximum.accumulate(valid)
+    if reach > highest[0]:
+        highest = np.maximum(highest, reach)
+    return valid < highest
+
+
+def of_use_in_order(table: SampleBatch, floor: int, last: int) -> SampleBatch:
+    """The last sample of each valid time up to ``last``, from the last one valid at ``floor`` or
+    before on; valid times do not decrease."""
+    valid = table.valid
+    start, stop = 0, len(valid)
+    if floor >= TIME_MIN:
+        start = max(0, int(valid.searchsorted(floor, "right")) - 1)
+    if valid[-1] > last:
+        stop = max(start, int(valid.searchsorted(last, "right")))
+    if stop - start > 1:
+        repeated = valid[start + 1 : stop] == valid[start : stop - 1]
+        if bool(repeated.any()):
+            return table.take(np.append(np.flatnonzero(~repeated) + start, stop - 1))
+    # Indices, not a slice: a view would keep the whole table in memory.
+    return table if stop - start == len(valid) else table.take(np.arange(start, stop))
+
+
+def of_use_in_any_order(table: SampleBatch, floor: int, last: int) -> SampleBatch:
+    """The same where valid times may decrease; in order of available time."""
+    rows = np.lexsort((table.available, table.valid))
+    valid = table.valid[rows]
+    final = np.ones(len(valid), np.bool_)
+    final[:-1] = valid[1:] != valid[:-1]
+    past = int(np.searchsorted(valid, floor, "right")) if floor >= TIME_MIN else 0
+    final[: max(0, past - 1)] = False
+    final &= valid <= last
+    return table if bool(final.all()) else table.take(np.sort(rows[final]))

@@ -127,3 +127,12 @@ def test_one_input_far_ahead_is_not_copied_at_every_step():
         assert len(join.push(1, make((t, 0, "y")))) == 1
     assert join.retained == many - 50 + 2
     assert join._inputs[0]._waiting[0].available.base is not None  # a view, no copy
+
+
+def test_the_first_batch_is_not_kept_for_its_fields():
+    join = Join(2)
+    join.push(0, make((1, 0, "x"), (2, 0, "y")))
+    like = join._inputs[0].empty()
+    assert list(like.columns) == ["v"]
+    assert like.available.base is None
+    assert like.columns["v"].values.base is None

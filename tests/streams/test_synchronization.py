@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from dyknow.streams.change_states import ChangeStates
+from dyknow.streams.monotone_states import MonotoneStates
 from dyknow.streams.policy import (
     AnyChange,
     Approximation,
@@ -121,3 +123,37 @@ def test_most_recent_rows_by_hand():
     assert most_recent_rows(available, valid, points, known).tolist() == [-1, -1, 1, 2, 2]
     none = np.empty(0, np.int64)
     assert most_recent_rows(none, none, points, known).tolist() == [-1] * 5
+
+
+@pytest.mark.parametrize("approximation", Approximation)
+@pytest.mark.parametrize("delay", [None, 3, 40])
+def test_states_of_monotone_inputs_are_those_of_the_simulation(approximation, delay):
+    """Computed at once or event by event: long streams with gaps, repeated times and late ones."""
+    random = np.random.default_rng(5)
+    policy = SynchronizationPolicy(
+        AnyChange(), delay, Duration(100, 3_000), approximation=approximation
+    )
+    inputs = []
+    for _ in range(3):
+        available = np.cumsum(random.choice([1, 2, 5, 60], 400, p=[0.5, 0.3, 0.15, 0.05]))
+        valid = np.maximum.accumulate(available - random.integers(0, 9, 400))
+        inputs.append(SampleBatch(available, valid, {}))
+    results = []
+    for states in (MonotoneStates(policy, 3), ChangeStates(policy, [True] * 3)):
+        told = []
+        sync = Synchronization(
+            policy,
+            [True] * 3,
+            lambda late, told=told: told.append((late.input, late.constraint, late.at.tolist())),
+        )
+        sync._states = states
+        made = []
+        for start in range(0, 400, 50):
+            for i, batch in enumerate(inputs):
+                made += shown(sync.push(i, batch.take(slice(start, start + 50))))
+        for i in (1, 0, 2):
+            made += shown(sync.end(i))
+        results.append((made, told, sync.counters, sync.retained))
+    assert results[0] == results[1]
+    assert results[0][2].states > 300
+    assert results[0][2].late > 10 or delay != 3
