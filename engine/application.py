@@ -16,7 +16,6 @@ from ..languages.kpl import (
     PROCESSES,
     CheckedDeclaration,
     CompunitDeclaration,
-    Compute,
     ForeachDeclaration,
     GeneratorDeclaration,
     Signature,
@@ -30,16 +29,16 @@ from ..languages.kpl import (
 from ..streams.fluent import Retention
 from ..streams.generator import StreamGenerator
 from ..streams.sample import SampleBatch
+from .admission import Admission
 from .changes import Change, ChangeKind, Role
-from .configuration import Configuration
+from .configuration import POLICY, Configuration
 from .configuration_process import ConfigurationProcess
-from .errors import AlreadyExists, Conflict, Refused, UnknownDeclaration, UnknownFeature
+from .errors import Conflict, UnknownDeclaration
 from .mediation_unit import MediationUnit
-from .network import POLICY, Network, schema_text, sort_name
-from .processes import Processes, SinkImplementation, SourceImplementation, UnitImplementation
+from .network import Network
+from .processes import Processes, SourceImplementation
 from .sampled_source import SampledSource
 from .sink import Sink
-from .stream_units import AdaptationUnit
 from .supervision import DIRECT, Runner
 from .unit import ComputationalUnit
 from .violations import SUFFIX
@@ -56,7 +55,8 @@ class Application:
     ``processes`` implements computational units (Def. 5.28), sampled sources and sinks, ``runner``
     calls them. ``retention`` and ``lateness`` (ns) are those of the streams that it makes. A
     ``rehearsal`` has no world around it: every source is published to, as a recording is, and no
-    sink is called. ``check_name`` raises `Refused` for names that are the system's own.
+    sink is called. ``check_name`` raises `Refused` for names that are the system's own; ``forget``
+    hears of streams that are no more.
 
     `add` takes all of its declarations or none; `remove` likewise. Whoever feeds the streams calls
     `settle` afterwards: only then configuration and mediation processes act.
@@ -72,6 +72,7 @@ class Application:
         lateness: int = 0,
         rehearsal: bool = False,
         check_name: Callable[[str], None] = lambda _: None,
+        forget: Callable[[str], None] = lambda _: None,
     ) -> None:
         self.signature = Signature()
         self.sampled: dict[str, SampledSource] = {}
@@ -80,9 +81,12 @@ class Application:
         self._processes = processes
         self._runner = runner
         self._rehearsal = rehearsal
-        self._check_name = check_name
+        self._forget = forget
         self._network = Network(
             configuration, processes, runner, retention, lateness, self._has_news
+        )
+        self._admission = Admission(
+            configuration, processes, self._network, check_name, rehearsal=rehearsal
         )
         self._own: set[str] = set()
         self._units: dict[str, ComputationalUnit] = {}
@@ -143,7 +147,7 @@ class Application:
         """
         new = tuple(declarations)
         for declaration in new:
-            self._check(declaration)
+            self._admission.check(declaration, self.signature)
         self.signature = self.signature.with_declarations(new)
         for declaration in new:
             self._start(declaration)
@@ -165,51 +169,78 @@ class Application:
                 "remove these first, or all together with cascade",
             )
         keys = (*dependents, found.key)
-        made = {key for key in keys if key in self._configuration.streams}
-        for stream in sorted(made):
-            outside = self._readers_outside(stream, made)
-            if outside:
-                raise Conflict(
-                    f"stream {stream!r} is read by {_some(outside)}",
-                    "cancel the requests that need it first",
-                )
+        made = {key for key in keys if key in self._units or key in self._own}
+        outside = self._configuration.readers_outside(made, self._is_ours)
+        if outside:
+            stream, reader = outside
+            raise Conflict(
+                f"stream {stream!r} is read by {reader}", "cancel the requests that need it first"
+            )
         for key in keys:
-            self._stop(self.signature.by_key[key])
+            self.stop(self.signature.by_key[key])
         self.signature = self.signature.without(keys)
         self._is_new = True
         self.settle()
         return keys
 
+    def _is_ours(self, unit: ComputationalUnit) -> bool:
+        """Whether a unit is KPL's own and does without a stream: another object's is left."""
+        return unit.output.name in self._units
+
     def settle(self) -> None:
         """Let configuration and mediation processes act on what has come.
 
-        First generators come and go, set by set, then mediations take what is decided; as long as
-        one has something to do. They read each other in no circle, so this ends.
+        In rounds, as long as one has something to do: what is over goes, every ``foreach`` acts on
+        one set, and mediations take the streams that came. Once no set is left they pass on what
+        is decided. They read each other in no circle, and none reads the status stream that hears
+        of what they do, so this ends.
         """
-        while self._news or self._is_new:
+        while True:
+            acted = self._reap()
+            for process in [p for p in self._news if isinstance(p, ConfigurationProcess)]:
+                if process.step():
+                    acted = self._is_new = True
+                else:
+                    self._news.pop(process, None)
             self._review()
-            news, self._news = self._news, {}
-            for process in news:
-                if isinstance(process, ConfigurationProcess) and process.settle():
-                    self._is_new = True
-            mediations = [unit for unit in news if isinstance(unit, MediationUnit)]
-            if self._is_new:  # whoever waits for a stream may find it now
-                self._news = {**dict.fromkeys(mediations), **self._news}
-                continue
+            mediations = [
+                p
+                for p in self._news
+                if isinstance(p, MediationUnit) and self._units.get(p.output.name) is p
+            ]
             for unit in mediations:
-                if self._units.get(unit.output.name) is unit:
-                    unit.settle()
+                unit.connect_inputs()
+            if acted:
+                continue
+            if not mediations:
+                self._news.clear()
+                return
+            for unit in mediations:
+                self._news.pop(unit, None)
+                unit.pass_on()
+
+    def _reap(self) -> bool:
+        """Take away generators of objects that have left, once they have seen the last of them."""
+        acted = False
+        for process in self._configuring:
+            if process.leaving and process.reap():
+                acted = self._is_new = True
+        return acted
 
     def _review(self) -> None:
         """Streams came or went: whoever waits for one looks again, until that changes nothing."""
         while self._is_new:
             self._is_new = False
-            for reader in self._readers.values():
-                if isinstance(reader, ConfigurationProcess) and reader.review():
+            for process in self._configuring:
+                if process.review():
                     self._is_new = True
             for unit in self._units.values():
                 if isinstance(unit, MediationUnit) and unit.may_find:
                     unit.look_again()
+
+    @property
+    def _configuring(self) -> list[ConfigurationProcess]:
+        return [p for p in self._readers.values() if isinstance(p, ConfigurationProcess)]
 
     def _has_news(self, process: MediationUnit | ConfigurationProcess) -> None:
         self._news[process] = None
@@ -218,105 +249,6 @@ class Application:
         """The time is ``now`` (ns): read the sources that are due."""
         for source in list(self.sampled.values()):
             source.tick(now)
-
-    # -- checks ------------------------------------------------------------------------------
-
-    def _check(self, declaration: CheckedDeclaration) -> None:
-        match declaration:
-            case SourceDeclaration(name, sort):
-                self._check_source(name, sort)
-            case GeneratorDeclaration():
-                self._check_free(declaration.key)
-                self._check_code(declaration)
-            case StreamDeclaration(name):
-                self._check_free(name)
-            case CompunitDeclaration(name):
-                implementation = self._processes.units.get(name)
-                if implementation is not None:
-                    _check_sorts(declaration, implementation)
-            case ForeachDeclaration(_, _, generators):
-                for generator in generators:
-                    self._check_code(generator)
-            case SinkDeclaration():
-                self._sink_implementation(declaration)
-            case SortDeclaration():
-                pass
-            case _:
-                assert_never(declaration)
-
-    def _check_source(self, name: str, sort: ValueSort) -> None:
-        implementation = self._processes.sources.get(name)
-        if implementation is not None and sort_name(implementation.sort) != sort.name:
-            raise Conflict(
-                f"source {name!r} is declared with values of sort {sort.name}, "
-                f"its code gives {implementation.sort}",
-                f"declare `source {sort_name(implementation.sort)} {name}`, "
-                "or change its decorator",
-            )
-        existing = self._configuration.streams.get(name)
-        if existing is None:
-            self._check_free(name)
-            return
-        if name in self._configuration.units or name in self._configuration.system:
-            raise Refused(
-                f"stream {name!r} is made by the system, so it is no source",
-                "a source is a stream that you publish to, or a process with @dyknow.source",
-            )
-        if not existing.is_open and sort.schema is not None and sort.schema != existing.schema:
-            raise Conflict(
-                f"stream {name!r} has the fields {schema_text(existing.schema)}; "
-                f"the sort {sort.name} has {schema_text(sort)}",
-                "declare a sort with the fields of the stream: "
-                f"sort {sort.name} = ({schema_text(existing.schema)})",
-            )
-
-    def _check_free(self, name: str) -> None:
-        if self._configuration.has(name):
-            raise AlreadyExists(
-                f"there is a stream called {name!r} that KPL did not declare",
-                "choose another name, or declare it as a source",
-            )
-        self._check_name(name)
-
-    def _check_code(self, declaration: GeneratorDeclaration) -> None:
-        if isinstance(declaration.process, Compute):
-            name = declaration.process.unit
-            implementation = self._network.implementation(name, declaration.key)
-            compunit = self.signature.compunit(name)
-            if compunit is not None:
-                _check_sorts(compunit, implementation)
-
-    def _sink_implementation(self, declaration: SinkDeclaration) -> SinkImplementation | None:
-        if self._rehearsal:
-            return None
-        found = self._processes.sinks.get(declaration.name)
-        if found is None:
-            known = ", ".join(self._processes.sinks) or "none"
-            raise UnknownFeature(
-                f"sink {declaration.name!r} has no implementation",
-                f"write it with @dyknow.sink and load its module; there are: {known}",
-            )
-        if len(found.inputs) != len(declaration.terms):
-            raise Conflict(
-                f"sink {found.name!r} is declared with {len(declaration.terms)} inputs, "
-                f"its code takes {len(found.inputs)}",
-                "make the declaration and the decorator the same",
-            )
-        return found
-
-    def _readers_outside(self, stream: str, ours: set[str]) -> tuple[str, ...]:
-        """Who reads ``stream`` and is not itself to be removed."""
-        outside: list[str] = []
-        for unit in self._configuration.units.values():
-            if all(source.name != stream for source in unit.inputs) or unit.output.name in ours:
-                continue
-            if isinstance(unit, MediationUnit) or unit.output.name in self._units:
-                continue  # it does without: another object's stream is left
-            if isinstance(unit, AdaptationUnit):  # it goes with its own readers
-                outside += self._readers_outside(unit.output.name, ours)
-            else:
-                outside.append(unit.name)
-        return tuple(outside)
 
     # -- starting and stopping ---------------------------------------------------------------
 
@@ -338,29 +270,6 @@ class Application:
                 pass
             case _:
                 assert_never(declaration)
-
-    def _stop(self, declaration: CheckedDeclaration) -> None:
-        key = declaration.key
-        unit = self._units.pop(key, None)
-        if unit is not None:
-            self._configuration.remove_unit(unit)
-            if isinstance(unit, MediationUnit):
-                self._news.pop(unit, None)
-        self._configuration.aliases.pop(key, None)
-        sampled = self.sampled.pop(key, None)
-        if sampled is not None:
-            sampled.stop()
-            self._configuration.system.discard(key)
-            self._tell_source(ChangeKind.UNIT_STOPPED, sampled)
-        reader = self._readers.pop(key, None)
-        if reader is not None:
-            self._configuration.detach(reader)
-            self._tell_reader(ChangeKind.UNIT_STOPPED, reader)
-            if isinstance(reader, ConfigurationProcess):
-                self._news.pop(reader, None)
-        if key in self._own:
-            self._own.discard(key)
-            self._configuration.remove_stream(key)
 
     def _start_source(self, name: str, sort: ValueSort) -> None:
         implementation = self._processes.sources.get(name)
@@ -388,9 +297,7 @@ class Application:
             self._configuration.unit_name(),
             declaration,
             self._network.term(declaration.members),
-            start=self._start_instance,
-            stop=self._stop,
-            is_there=self._network.is_there,
+            self,
             on_event=lambda process, event, text: self._tell_reader(
                 ChangeKind(event), process, text
             ),
@@ -399,7 +306,9 @@ class Application:
         self._attach(declaration.key, process, format_kpl(declaration))
         process.begin()
 
-    def _start_instance(self, declaration: GeneratorDeclaration, after: int) -> str | None:
+    # For configuration processes: see `Generators`.
+
+    def start(self, declaration: GeneratorDeclaration, after: int) -> str | None:
         """Start a generator of one object; why not, if that cannot be."""
         key = declaration.key
         missing = self._network.missing(declaration)
@@ -413,8 +322,47 @@ class Application:
         self._is_new = True
         return None
 
+    def end(self, declaration: GeneratorDeclaration, until: int) -> None:
+        """Let a generator see nothing that is available later than ``until``."""
+        self._units[declaration.key].end_after(until)
+
+    def is_over(self, declaration: GeneratorDeclaration) -> bool:
+        """Whether a generator has seen all that it is to see."""
+        unit = self._units[declaration.key]
+        return unit.output.is_ended or unit.failure is not None
+
+    def has_inputs(self, declaration: GeneratorDeclaration) -> bool:
+        """Whether the streams that a generator reads are there still."""
+        return self._configuration.reads_what_is_there(self._units[declaration.key])
+
+    def stop(self, declaration: CheckedDeclaration) -> None:
+        """Stop what runs for a declaration."""
+        key = declaration.key
+        unit = self._units.pop(key, None)
+        if unit is not None:
+            self._configuration.remove_unit(unit)
+            if isinstance(unit, MediationUnit):
+                self._news.pop(unit, None)
+        self._configuration.aliases.pop(key, None)
+        sampled = self.sampled.pop(key, None)
+        if sampled is not None:
+            sampled.stop()
+            self._configuration.system.discard(key)
+            self._tell_source(ChangeKind.UNIT_STOPPED, sampled)
+        reader = self._readers.pop(key, None)
+        if reader is not None:
+            self._configuration.detach(reader)
+            self._tell_reader(ChangeKind.UNIT_STOPPED, reader)
+            if isinstance(reader, ConfigurationProcess):
+                self._news.pop(reader, None)
+        if key in self._own:
+            self._own.discard(key)
+            self._configuration.remove_stream(key)
+        if not self._configuration.has(key):
+            self._forget(key)
+
     def _start_sink(self, declaration: SinkDeclaration) -> None:
-        implementation = self._sink_implementation(declaration)
+        implementation = self._admission.sink_implementation(declaration)
         if implementation is None:
             return
         sink = Sink(
@@ -454,19 +402,6 @@ class Application:
                 text,
                 Role.SINK,
             )
-        )
-
-
-def _check_sorts(declaration: CompunitDeclaration, implementation: UnitImplementation) -> None:
-    """What KPL says of a unit's value sorts (Def. 5.16) is what its decorator says."""
-    declared = (declaration.sort.name, *(sort.name for sort in declaration.inputs))
-    coded = tuple(map(sort_name, (implementation.output, *implementation.inputs)))
-    if declared != coded:
-        text = f"compunit {coded[0]} {implementation.name}({', '.join(coded[1:])})"
-        raise Conflict(
-            f"computational unit {implementation.name!r} is declared as "
-            f"`{format_kpl(declaration)}`, its code as `{text}`",
-            "make the declaration and the decorator the same",
         )
 
 

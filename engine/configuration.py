@@ -7,7 +7,9 @@ shares it, and it stops when the last user leaves. Every change is told to one l
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from typing import Protocol, assert_never
 
 from pyoxigraph import NamedNode
@@ -31,6 +33,8 @@ from .unit import ComputationalUnit, FunctionUnit, InputPort, QueryUnit, Selecti
 from .views import Since
 from .violations import SUFFIX, Violations
 
+POLICY = "policy"
+"""The transformation of a subscription with a policy ([DyKnow10 Def. 5.35])."""
 SELECT_OBJECT = "selectObject"
 """The transformation that selects one object's samples."""
 C_SPARQL = "cSparql"
@@ -146,6 +150,8 @@ class Configuration:
         """Forget a stream that no unit makes and none reads."""
         generator = self.streams.pop(name)
         del self.namespaces[name]
+        if not generator.is_ended:
+            generator.end()  # whoever follows it hears that nothing more comes
         generator.close()
         self._on_change(Change(ChangeKind.STREAM_REMOVED, name))
 
@@ -155,10 +161,29 @@ class Configuration:
 
     def readers_of(self, name: str) -> tuple[str, ...]:
         """The names of the units and readers that read stream ``name``."""
+        stream = self.streams[name]
         everybody = (*self.units.values(), *self.readers.values())
-        return tuple(
-            one.name for one in everybody if any(source.name == name for source in one.inputs)
-        )
+        return tuple(one.name for one in everybody if stream in one.inputs)
+
+    def readers_outside(
+        self, streams: AbstractSet[str], are_ours: Callable[[ComputationalUnit], bool]
+    ) -> tuple[str, str] | None:
+        """A unit that reads one of ``streams``, makes none of them and is not ours, after the
+        stream; None if there is none. A policy's unit is its readers'. Cost: O(units)."""
+        readers: dict[StreamGenerator, list[ComputationalUnit]] = defaultdict(list)
+        for unit in self.units.values():
+            for source in unit.sources:
+                readers[source].append(unit)
+        for name in sorted(streams):
+            todo = [self.streams[name]]
+            while todo:
+                for unit in readers.get(todo.pop(), ()):
+                    if unit.output.name in streams or are_ours(unit):
+                        continue
+                    if unit.transformation != POLICY:
+                        return name, unit.name
+                    todo.append(unit.output)
+        return None
 
     def reserved_name(self) -> str:
         """The next free ``dyknow_reserved<N>``."""
@@ -185,14 +210,23 @@ class Configuration:
         one of its inputs was removed.
         """
         unit = self._shared.get(key)
-        if unit is None or self.is_broken(unit) or not self._reads_what_is_there(unit):
+        if unit is None or self.is_broken(unit) or not self.reads_what_is_there(unit):
             unit = build()
             self._shared[key] = unit
             self._keys[unit] = key
         return unit
 
-    def _reads_what_is_there(self, unit: ComputationalUnit) -> bool:
-        return all(self.streams.get(source.name) is source for source in unit.inputs)
+    def reads_what_is_there(self, unit: ComputationalUnit) -> bool:
+        """Whether its inputs are the streams of their names still, behind policies too."""
+        for source in unit.inputs:
+            if self.streams.get(source.name) is not source:
+                return False
+            producer = self.units.get(source.name)
+            if producer is None or producer.transformation != POLICY:
+                continue
+            if not self.reads_what_is_there(producer):
+                return False
+        return True
 
     def start_query(
         self,
@@ -254,21 +288,35 @@ class Configuration:
     def units_behind(self, unit: ComputationalUnit) -> tuple[ComputationalUnit, ...]:
         """The units whose samples reach ``unit``, inputs first, and ``unit`` itself, each once."""
         found: dict[ComputationalUnit, None] = {}
+        self._gather(unit, found, set())
+        return tuple(found)
+
+    def _gather(
+        self,
+        unit: ComputationalUnit,
+        found: dict[ComputationalUnit, None],
+        seen: set[ComputationalUnit],
+    ) -> None:
+        if unit in seen:
+            return
+        seen.add(unit)
         for source in unit.inputs:
             producer = self.units.get(source.name)
             if producer is not None:
-                found.update(dict.fromkeys(self.units_behind(producer)))
+                self._gather(producer, found, seen)
         found[unit] = None
-        return tuple(found)
 
     def is_stamped(self, generator: StreamGenerator) -> bool | None:
         """Whether the samples were stamped on arrival, here or where they come from; None before
         the first one."""
         unit = self.units.get(generator.name)
-        if unit is None:
-            return True if generator.name in self.system else generator.stamped
-        known = {self.is_stamped(source) for source in unit.inputs}
+        made = () if unit is None else self.units_behind(unit)
+        read = {source for part in made for source in part.inputs} or {generator}
+        known = {self._is_stamped(source) for source in read if source.name not in self.units}
         return False if False in known else (True if True in known else None)
+
+    def _is_stamped(self, generator: StreamGenerator) -> bool | None:
+        return True if generator.name in self.system else generator.stamped
 
     def is_broken(self, unit: ComputationalUnit) -> bool:
         """``unit``, or one whose samples reach it, has failed: nothing more comes of it."""

@@ -2,46 +2,74 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Final, Protocol
 
 from ..languages.kpl import ForeachDeclaration, GeneratorDeclaration, instantiate
 from ..streams.generator import StreamGenerator
 from ..streams.sample import SampleBatch
 from ..streams.time import TIME_MIN
 from .object_sets import sets_of
-from .supervision import ErrorCounters, ProcessEvent, describe
+from .supervision import ErrorCounters, ProcessEvent
 
 
-@dataclass(frozen=True, slots=True)
-class _Instance:
-    """A generator of one object; it sees what is available after ``after`` (ns)."""
+@dataclass(slots=True, eq=False)
+class _Life:
+    """A generator of one object; it sees what is available after ``after`` and up to ``until``
+    (ns; None: it goes on). ``reason`` says why it is not there."""
 
     declaration: GeneratorDeclaration
     after: int
+    until: int | None = None
+    reason: str = ""
+
+    @property
+    def key(self) -> str:
+        return self.declaration.key
+
+
+class Generators(Protocol):
+    """Whoever makes generators and takes them away."""
+
+    def start(self, declaration: GeneratorDeclaration, after: int) -> str | None:
+        """Make one that sees what is available after ``after``, or say why that cannot be."""
+
+    def end(self, declaration: GeneratorDeclaration, until: int) -> None:
+        """It is to see nothing that is available later than ``until``."""
+
+    def is_over(self, declaration: GeneratorDeclaration) -> bool:
+        """Whether it has seen all that it is to see."""
+
+    def has_inputs(self, declaration: GeneratorDeclaration) -> bool:
+        """Whether what it reads is there still."""
+
+    def stop(self, declaration: GeneratorDeclaration) -> None:
+        """Take it away."""
 
 
 class ConfigurationProcess:
     """Keeps the generators of a ``foreach`` equal to the set of objects that its input names.
 
-    What it makes for an object sees the samples that become available from the moment of the set
-    on, and is gone when the set does not name the object any more. ``start`` makes a generator, or
-    says why it cannot; it is tried again when `review` says that streams came or went. ``stop``
-    takes one away.
+    What it makes for an object sees the samples that are available from the moment of the set on,
+    until that of the first set without the object; when all its inputs have got so far, it is
+    gone. A generator that cannot be made is tried again when `review` says that streams came or
+    went.
 
-    What comes is only noted; `settle` acts on it, set by set. A sample that names objects in no
-    way that is known is counted, told and left out.
+    What comes is only noted; `step` acts on it, one set at a time, and `reap` takes away what is
+    over. A sample that names objects in no way that is known is counted, told and left out.
     """
+
+    transformation: Final = "foreach"
 
     def __init__(
         self,
         name: str,
         declaration: ForeachDeclaration,
         members: StreamGenerator,
+        generators: Generators,
         *,
-        start: Callable[[GeneratorDeclaration, int], str | None],
-        stop: Callable[[GeneratorDeclaration], None],
-        is_there: Callable[[GeneratorDeclaration], bool],
         on_event: Callable[[ConfigurationProcess, ProcessEvent, str], None],
         on_news: Callable[[ConfigurationProcess], None],
     ) -> None:
@@ -50,33 +78,36 @@ class ConfigurationProcess:
         self.inputs = (members,)
         self.counters = ErrorCounters()
         self.failure: str | None = None
-        self._start = start
-        self._stop = stop
-        self._is_there = is_there
+        self._generators = generators
         self._on_event = on_event
         self._on_news = on_news
-        self._pending: list[tuple[int, tuple[str, ...]]] = []
-        self._instances: dict[str, tuple[_Instance, ...]] = {}
-        self._running: dict[str, _Instance] = {}
-        self._waiting: dict[str, tuple[_Instance, str]] = {}
+        self._pending: deque[tuple[int, tuple[str, ...]]] = deque()
+        self._lives: dict[str, tuple[_Life, ...]] = {}
+        self._running: dict[str, _Life] = {}
+        self._waiting: list[_Life] = []
+        self._leaving: dict[str, _Life] = {}
         self._is_subscribed = False
 
     @property
     def objects(self) -> tuple[str, ...]:
         """The objects that there are generators for."""
-        return tuple(self._instances)
+        return tuple(self._lives)
 
     @property
     def waiting(self) -> dict[str, str]:
         """Labels that could not be made, and why."""
-        return {key: reason for key, (_, reason) in self._waiting.items()}
+        return {life.key: life.reason for life in self._waiting}
+
+    @property
+    def leaving(self) -> tuple[str, ...]:
+        """Labels of objects that have left, whose inputs have not got so far."""
+        return tuple(self._leaving)
 
     def begin(self) -> None:
-        """Subscribe to the sets; the one that holds now is the beginning."""
+        """Subscribe to the sets, with those that are kept."""
         (members,) = self.inputs
-        newest = members.stream.newest(1)
-        if len(newest):
-            self.receive(members, newest)
+        for segment in members.stream.since(0):
+            self.receive(members, segment.batch)
         members.subscribe(self)
         self._is_subscribed = True
 
@@ -85,20 +116,22 @@ class ConfigurationProcess:
         if self._is_subscribed:
             self.inputs[0].unsubscribe(self)
             self._is_subscribed = False
-        for object in list(self._instances):
-            self._remove(object)
+        for life in reversed([*self._leaving.values(), *self._running.values()]):
+            self._generators.stop(life.declaration)
+        self._pending.clear()
+        self._lives.clear()
+        self._running.clear()
+        self._waiting.clear()
+        self._leaving.clear()
 
     def receive(self, source: StreamGenerator, batch: SampleBatch) -> None:
         """Samples of the sets."""
-        try:
-            self._pending += zip(batch.available.tolist(), sets_of(batch), strict=True)
-        except ValueError as error:
-            if len(batch) > 1:  # the others are good
-                for row in range(len(batch)):
-                    self.receive(source, batch.take(slice(row, row + 1)))
-                return
-            self.counters.note(describe(error), int(batch.available[0]))
-            self._on_event(self, ProcessEvent.FAILED, str(error))
+        for time, labels in sets_of(batch):
+            if isinstance(labels, str):
+                self.counters.note(labels, time)
+                self._on_event(self, ProcessEvent.FAILED, labels)
+            else:
+                self._pending.append((time, labels))
         self._on_news(self)
 
     def advance(self, source: StreamGenerator, watermark: int) -> None:
@@ -107,49 +140,79 @@ class ConfigurationProcess:
     def ended(self, source: StreamGenerator) -> None:
         """The last set stays."""
 
-    def settle(self) -> bool:
-        """Make and take away what the sets since the last time ask for; tells whether any did."""
-        pending, self._pending = self._pending, []
-        for time, labels in pending:
-            for object in [known for known in self._instances if known not in labels]:
-                self._remove(object)
-            for object in labels:
-                if object not in self._instances:
-                    self._add(object, max(time, TIME_MIN + 1) - 1)
-        return bool(pending)
+    def resumed(self, source: StreamGenerator) -> None:
+        """Sets go on."""
+
+    def step(self) -> bool:
+        """Act on the next set that changes anything; tells whether there was one."""
+        while self._pending:
+            time, labels = self._pending.popleft()
+            gone = [known for known in self._lives if known not in labels]
+            new = [label for label in labels if label not in self._lives]
+            until = max(time, TIME_MIN + 1) - 1
+            for object in gone:
+                self._end(object, until)
+            for object in new:
+                made = instantiate(self.declaration, object)
+                self._lives[object] = tuple(_Life(declaration, until) for declaration in made)
+                for life in self._lives[object]:
+                    self._try(life)
+            if gone or new:
+                return True
+        return False
+
+    def reap(self) -> bool:
+        """Take away what is over; tells whether anything was."""
+        over = [
+            life for life in self._leaving.values() if self._generators.is_over(life.declaration)
+        ]
+        for life in reversed(over):
+            del self._leaving[life.key]
+            self._generators.stop(life.declaration)
+        return bool(over)
 
     def review(self) -> bool:
         """Streams came or went: make what could not be made, stop what lost its inputs."""
         acted = False
-        for key, instance in list(self._running.items()):
-            if not self._is_there(instance.declaration):
-                self._stop(instance.declaration)
-                del self._running[key]
-                self._waiting[key] = (instance, "")
+        for life in list(self._running.values()):
+            if not self._generators.has_inputs(life.declaration):
+                self._generators.stop(life.declaration)
+                del self._running[life.key]
+                self._waiting.append(life)
                 acted = True
-        for instance, _ in list(self._waiting.values()):
-            acted = self._try(instance) or acted
+        for life in list(self._waiting):
+            acted = self._try(life) or acted
         return acted
 
-    def _add(self, object: str, after: int) -> None:
-        made = instantiate(self.declaration, object)
-        self._instances[object] = tuple(_Instance(declaration, after) for declaration in made)
-        for instance in self._instances[object]:
-            self._try(instance)
+    def _end(self, object: str, until: int) -> None:
+        lives = self._lives.pop(object)
+        # Its turn comes when what is there of an earlier life has gone.
+        has_earlier = any(
+            life.key in self._leaving
+            or any(other.key == life.key and other is not life for other in self._waiting)
+            for life in lives
+        )
+        for life in lives:
+            life.until = until
+            if self._running.pop(life.key, None) is not None:
+                self._generators.end(life.declaration, until)
+                self._leaving[life.key] = life
+            elif not has_earlier:
+                self._waiting.remove(life)
 
-    def _remove(self, object: str) -> None:
-        for instance in reversed(self._instances.pop(object)):
-            key = instance.declaration.key
-            if self._running.pop(key, None) is not None:
-                self._stop(instance.declaration)
-            self._waiting.pop(key, None)
-
-    def _try(self, instance: _Instance) -> bool:
-        key = instance.declaration.key
-        reason = self._start(instance.declaration, instance.after)
+    def _try(self, life: _Life) -> bool:
+        """Make a generator if that can be; one whose time is over already sees it all at once."""
+        reason = self._generators.start(life.declaration, life.after)
         if reason is not None:
-            self._waiting[key] = (instance, reason)
+            life.reason = reason
+            if life not in self._waiting:
+                self._waiting.append(life)
             return False
-        self._waiting.pop(key, None)
-        self._running[key] = instance
+        if life in self._waiting:
+            self._waiting.remove(life)
+        if life.until is None:
+            self._running[life.key] = life
+        else:
+            self._generators.end(life.declaration, life.until)
+            self._leaving[life.key] = life
         return True

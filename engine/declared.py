@@ -86,6 +86,8 @@ class DeclaredStreams:
                 f"the namespace {declaration.namespace!r} is no IRI: {error}",
                 f"objects of an id field are named in it, for example {DYKNOW}",
             ) from error
+        if declaration.name in self._configuration.units:
+            raise Refused(f"stream {declaration.name!r} is made by the system")
         existing = self._configuration.streams.get(declaration.name)
         if existing is not None and self._declaration(existing) == declaration:
             return existing
@@ -108,11 +110,15 @@ class DeclaredStreams:
                 f"stream {name!r} is read by {', '.join(readers)}",
                 "cancel the requests that need it first",
             )
-        if self._annotations.pop(name, None) is not None:
-            self._ontology.remove_annotation(name)
+        self.forget_annotation(name)
         if name in self._ontology.streams():
             self._ontology.remove_stream(name)
         self._configuration.remove_stream(name)
+
+    def forget_annotation(self, name: str) -> None:
+        """A stream is no more, and so is what it meant."""
+        if self._annotations.pop(name, None) is not None:
+            self._ontology.remove_annotation(name)
 
     def annotate(self, ssl: str) -> tuple[CheckedAnnotation, ...]:
         """Annotate streams and transformations by an SSL text; all of it or nothing.
@@ -247,7 +253,16 @@ class DeclaredStreams:
         match annotation:
             case StreamAnnotation():
                 self.check_stream_name(annotation.stream)
-                existing = self._configuration.streams.get(annotation.stream)
+                name = annotation.stream
+                other = self._configuration.aliases.get(name)
+                if other is not None:
+                    raise Refused(f"{name!r} is another name of {other!r}", "annotate that")
+                existing = self._configuration.streams.get(name)
+                if existing is not None and existing.is_open and name in self._configuration.units:
+                    raise Conflict(
+                        f"the fields of stream {name!r} are not known before its first sample",
+                        "declare the sort of its values, or annotate it later",
+                    )
                 if existing is None or existing.is_open:
                     schema = Schema(self._inferred(annotation))
                 else:

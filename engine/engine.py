@@ -123,11 +123,13 @@ class Engine:
             processes,
             runner=runner,
             check_name=self._declared.check_name,
+            forget=self._declared.forget_annotation,
         )
         self._kpl = KplDeclarations(self.ontology, self._application, self._changed)
         self._subscriptions = Subscriptions(self._configuration)
         self._untold: deque[Change] = deque()
         self._keys: OrderedDict[tuple[str, str], tuple[bytes, int]] = OrderedDict()
+        self._keyed: set[str] = set()
         self._converters: dict[str, SampleConverter] = {}
         self._status: StreamGenerator | None = None
         self._status = self._configuration.add_stream(
@@ -190,8 +192,6 @@ class Engine:
         name = self.accepting(name).name
         self._refuse_if_source(name)
         self._declared.remove(name)
-        for key in [key for key in self._keys if key[0] == name]:
-            del self._keys[key]
 
     def publish(
         self,
@@ -209,6 +209,7 @@ class Engine:
         would make all of the other late.
         """
         generator = self.accepting(name)
+        name = generator.name
         key = (name, idempotency_key or "")
         if idempotency_key is not None and key in self._keys:
             sent, accepted = self._keys[key]
@@ -230,18 +231,19 @@ class Engine:
             )
         self._now = max(self._now, now)
         accepted = generator.offer(incoming.batch, now if incoming.stamped else None)
-        self._application.settle()
         if idempotency_key is not None:
             self._keys[key] = (digest, accepted)
+            self._keyed.add(name)
             if len(self._keys) > _KEYS_KEPT:
                 self._keys.popitem(last=False)
+        self._settle()
         return accepted
 
     def end(self, name: str) -> None:
         """A recording has come to its end: what waits for more samples is decided now."""
         generator = self.accepting(name)
         generator.end()
-        self._application.settle()
+        self._settle()
         self._changed(Change(ChangeKind.STREAM_ENDED, generator.name))
 
     def tick(self, now: int) -> None:
@@ -261,7 +263,7 @@ class Engine:
             if begun and all(self._configuration.is_stamped(source) for source in begun):
                 for source in waiting:
                     unit.advance(source, now)
-        self._application.settle()
+        self._settle()
 
     def rdf_of(self, name: str, batch: SampleBatch) -> list[str]:
         """Each sample of stream ``name`` as N-Triples; empty text where it says nothing."""
@@ -471,8 +473,16 @@ class Engine:
                 f"remove these first: DELETE /kpl/{name}",
             )
 
+    def _settle(self) -> None:
+        with self._manager.together():
+            self._application.settle()
+
     def _tell(self, change: Change) -> None:
         self._manager.changed(change)
+        if change.kind is ChangeKind.STREAM_REMOVED and change.stream in self._keyed:
+            self._keyed.discard(change.stream)
+            for key in [key for key in self._keys if key[0] == change.stream]:
+                del self._keys[key]
         self._converters.pop(change.stream, None)
         status = self._status
         if status is None or change.stream == STATUS:

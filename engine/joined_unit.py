@@ -77,7 +77,14 @@ class FunctionProcess(ComputationalUnit):
         )
 
     def process(self, source: StreamGenerator, batch: SampleBatch) -> None:
-        self._apply(self._join.push(self._index[source], batch))
+        input = self._index[source]
+        batch = self.in_time(batch, self._join.decided(input))
+        if len(batch):
+            self._apply(self._join.push(input, batch))
+
+    def resume(self, source: StreamGenerator) -> None:
+        super().resume(source)
+        self._join.resume(self._index[source])
 
     def progress(self, source: StreamGenerator, watermark: int) -> None:
         self._apply(self._join.advance(self._index[source], watermark))

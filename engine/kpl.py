@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict
 
 from ..languages.errors import LanguageError
 from ..languages.kpl import (
@@ -22,14 +21,14 @@ from ..languages.kpl import (
     parse_kpl,
 )
 from ..ontology.ontology import Ontology
-from ..streams.policy import PolicyCounters
 from .application import Application, Process
 from .changes import Change, ChangeKind
 from .configuration_process import ConfigurationProcess
 from .errors import DyknowError
 from .mediation_unit import MediationUnit
 from .sampled_source import SampledSource
-from .stream_units import PolicyUnit
+from .stream_units import PolicyUnit, counts_of
+from .unit import ComputationalUnit
 from .views import DeclarationView
 
 _SEPARATOR = "\n\n"
@@ -60,7 +59,7 @@ class KplDeclarations:
         self._application = application
         self._changed = changed
         self._texts: dict[str, str] = {}
-        self._not_restored: list[str] = []
+        self._not_restored: dict[str, str] = {}
 
     @property
     def signature(self) -> Signature:
@@ -79,7 +78,12 @@ class KplDeclarations:
         return tuple(declaration.key for declaration in new)
 
     def remove(self, name: str, *, cascade: bool = False) -> tuple[str, ...]:
-        """See `Application.remove`."""
+        """See `Application.remove`. What was not restored is forgotten by its first line."""
+        for text in self._not_restored:
+            if text.partition("\n")[0] == name:
+                del self._not_restored[text]
+                self._keep()
+                return (name,)
         removed = self._application.remove(name, cascade=cascade)
         for key in removed:
             del self._texts[key]
@@ -88,11 +92,12 @@ class KplDeclarations:
 
     def text(self) -> str:
         """All declarations in their one spelling; declared in this order they give the same."""
-        return "".join(f"{text}\n" for text in self._texts.values())
+        return "".join(f"{text}\n" for text in self._in_order())
 
     def views(self) -> tuple[DeclarationView, ...]:
-        """All declarations, in order."""
-        return tuple(self._view(declaration) for declaration in self.signature.declarations)
+        """All declarations, in order; then those of an earlier run that do not hold any more."""
+        views = [self._view(declaration) for declaration in self.signature.declarations]
+        return (*views, *(_lost(text, why) for text, why in self._not_restored.items()))
 
     def view(self, name: str) -> DeclarationView:
         """One, by name, label or key; raises `UnknownDeclaration`."""
@@ -115,7 +120,7 @@ class KplDeclarations:
                 try:
                     self._declare(text)
                 except (LanguageError, DyknowError) as error:
-                    self._not_restored.append(text)
+                    self._not_restored[text] = str(error)
                     reason = f"{error}\n{text}"
                     self._changed(Change(ChangeKind.NOT_RESTORED, specification=reason))
 
@@ -124,10 +129,16 @@ class KplDeclarations:
         new, _ = check_kpl(parse_kpl(text), text, vocabulary, self.signature, unit)
         self._application.add(new)
         self._texts.update((declaration.key, format_kpl(declaration)) for declaration in new)
+        for declaration in new:
+            self._not_restored.pop(self._texts[declaration.key], None)
         return new
 
     def _keep(self) -> None:
-        self._ontology.set_kpl(_SEPARATOR.join((*self._texts.values(), *self._not_restored)))
+        self._ontology.set_kpl(_SEPARATOR.join((*self._in_order(), *self._not_restored)))
+
+    def _in_order(self) -> list[str]:
+        """Each behind what it uses: a removal may have changed the order of declaration."""
+        return [self._texts[declaration.key] for declaration in self.signature.declarations]
 
     def _view(self, declaration: CheckedDeclaration) -> DeclarationView:
         key = declaration.key
@@ -150,22 +161,40 @@ class KplDeclarations:
         )
 
 
+def _lost(text: str, reason: str) -> DeclarationView:
+    """A declaration of an earlier run that does not hold any more."""
+    return DeclarationView(
+        name=text.partition("\n")[0],
+        kind="not restored",
+        text=text,
+        stream=None,
+        unit=None,
+        uses=(),
+        failure=reason,
+        errors=0,
+        restarts=0,
+        last_error=None,
+        counters={},
+        violations=None,
+    )
+
+
 def _counters(process: Process | None) -> dict[str, object]:
     """What a process counts, beside its errors."""
     match process:
         case PolicyUnit():
-            counters = process.policy_counters
-            if counters is None:
-                return {}
-            counted: dict[str, object] = asdict(counters)
-            if isinstance(counters, PolicyCounters):
-                counted["dropped"] = {str(kind): n for kind, n in counters.dropped.items()}
-            return counted
+            return counts_of(process)
         case SampledSource():
             return {"missed": process.missed}
         case ConfigurationProcess():
-            return {"objects": len(process.objects), "waiting": process.waiting}
+            return {
+                "objects": len(process.objects),
+                "waiting": process.waiting,
+                "leaving": len(process.leaving),
+            }
         case MediationUnit():
             return {"inputs": len(process.inputs) - 1, "without stream": list(process.unmet)}
+        case ComputationalUnit():
+            return {"late": process.late}
         case _:
             return {}

@@ -9,6 +9,7 @@ from ..streams.generator import StreamGenerator
 from ..streams.mediation import Mediation
 from ..streams.sample import SampleBatch
 from .object_sets import sets_of
+from .supervision import ProcessEvent
 from .unit import ComputationalUnit
 
 Inputs = Sequence[StreamGenerator]
@@ -21,8 +22,10 @@ class MediationUnit(ComputationalUnit):
     which inputs came and went, ``on_news`` that there is something to settle. With ``select`` only
     the object named last in a set is in it.
 
-    What comes is only noted; `settle` acts on it, once every process that makes or removes streams
-    has done so. So what is passed on does not depend on who hears of a set first.
+    What comes is only noted. `connect_inputs` follows the sets while other processes make and
+    remove streams; `pass_on` is for when they have done so. So what is passed on does not depend
+    on who hears of a set first. A sample that names objects in no way that is known is counted,
+    told by ``on_event`` and left out.
     """
 
     def __init__(
@@ -33,6 +36,7 @@ class MediationUnit(ComputationalUnit):
         stream_of: Callable[[str], StreamGenerator | None],
         on_inputs: Callable[[MediationUnit, Inputs, Inputs], None],
         on_news: Callable[[MediationUnit], None],
+        on_event: Callable[[ComputationalUnit, ProcessEvent, str], None],
     ) -> None:
         super().__init__(*args)
         self._members = self.inputs[0]
@@ -41,6 +45,7 @@ class MediationUnit(ComputationalUnit):
         self._stream_of = stream_of
         self._on_inputs = on_inputs
         self._on_news = on_news
+        self._on_event = on_event
         self._labels: dict[str, StreamGenerator] = {}
         self._read_by: dict[StreamGenerator, list[str]] = {}
         self._is_news = False
@@ -50,14 +55,22 @@ class MediationUnit(ComputationalUnit):
 
     def process(self, source: StreamGenerator, batch: SampleBatch) -> None:
         if source is self._members:
-            sets = sets_of(batch)
-            if self._select:
-                sets = [labels[-1:] for labels in sets]
-            self._kernel.push_members(batch.available.tolist(), sets)
-            self._is_news = True
+            self._note_sets(batch)
         for label in self._read_by.get(source, ()):
             self._kernel.push(label, batch)
         self._on_news(self)
+
+    def _note_sets(self, batch: SampleBatch) -> None:
+        times, sets = [], []
+        for time, labels in sets_of(batch):
+            if isinstance(labels, str):
+                self.counters.note(labels, time)
+                self._on_event(self, ProcessEvent.FAILED, labels)
+                continue
+            times.append(time)
+            sets.append(labels[-1:] if self._select else labels)
+        self._kernel.push_members(times, sets)
+        self._is_news = True
 
     def progress(self, source: StreamGenerator, watermark: int) -> None:
         if source is self._members:
@@ -70,8 +83,19 @@ class MediationUnit(ComputationalUnit):
         if source is self._members:
             self._kernel.end_members()
         for label in self._read_by.get(source, ()):
-            self._kernel.end(label)
+            self._end(label, source)
         self._on_news(self)
+
+    def _end(self, label: str, source: StreamGenerator) -> None:
+        if source.ends_at is None:
+            self._kernel.end(label)
+        else:
+            self._kernel.cut(label, source.ends_at)
+
+    def resume(self, source: StreamGenerator) -> None:
+        super().resume(source)
+        for label in self._read_by.get(source, ()):
+            self._kernel.resume(label)
 
     @property
     def may_find(self) -> bool:
@@ -79,31 +103,28 @@ class MediationUnit(ComputationalUnit):
         return bool(self.unmet or self._ended)
 
     def look_again(self) -> None:
-        """Streams came or went: with the next `settle` it looks for those of its objects."""
+        """Streams came or went: the next `connect_inputs` looks for those of its objects."""
         self._is_news = True
         self._on_news(self)
 
-    def settle(self) -> bool:
-        """Take the streams of objects that came, leave those of objects that went, pass on what is
-        decided; tells whether anything was done."""
-        acted = False
+    def connect_inputs(self) -> None:
+        """Take the streams of objects that came. What they keep waits for `pass_on`."""
+        self._guarded(self._connect)
 
-        def act() -> None:
-            nonlocal acted
-            acted = self._connect()
-            made = self._kernel.take()
-            if made is not None:
-                self.output.offer(made)
-                acted = True
-            acted = self._disconnect() or acted
-            self.output.advance(self._kernel.done + 1)
-            if self._kernel.has_ended and not self.output.is_ended:
-                self.output.end()
+    def pass_on(self) -> None:
+        """Send what is decided, and leave the streams of objects that went."""
+        self._guarded(self._pass_on)
 
-        self._guarded(act)
-        return acted
+    def _pass_on(self) -> None:
+        made = self._kernel.take()
+        if made is not None:
+            self.output.offer(made)
+        self._disconnect()
+        self.output.advance(self._kernel.done + 1)
+        if self._kernel.has_ended and not self.output.is_ended:
+            self.output.end()
 
-    def _connect(self) -> bool:
+    def _connect(self) -> None:
         missing: Iterable[str] = self.unmet
         if self._is_news:
             self._is_news = False
@@ -113,13 +134,12 @@ class MediationUnit(ComputationalUnit):
         self.unmet = tuple(label for label, generator in found.items() if generator is None)
         gained = {label: stream for label, stream in found.items() if stream is not None}
         if not gained:
-            return False
+            return
         self.inputs += tuple(gained.values())
         self.sources = tuple(dict.fromkeys(self.inputs))
         self._on_inputs(self, tuple(gained.values()), ())
         for label, generator in gained.items():
             self._read(label, generator)
-        return True
 
     def _leave_replaced(self) -> None:
         """Leave streams that have ended where objects have others by now."""
@@ -152,16 +172,15 @@ class MediationUnit(ComputationalUnit):
         if generator.watermark is not None:
             self._kernel.advance(label, generator.watermark)
         if generator.is_ended:
-            self._kernel.end(label)
+            self._end(label, generator)
         self._read_by.setdefault(generator, []).append(label)
         if generator not in self._subscribed:
             self.connect(generator)
 
-    def _disconnect(self) -> bool:
+    def _disconnect(self) -> None:
         if self._kernel.wanted is self._seen:
-            return False
+            return
         self._seen = self._kernel.wanted
         lost = [self._leave(label) for label in sorted(self._labels.keys() - self._kernel.wanted)]
         if lost:
             self._on_inputs(self, (), lost)
-        return bool(lost)

@@ -29,27 +29,23 @@ from ..streams.policy import Order
 from ..streams.sample import Schema
 from ..streams.synchronization import Late, Synchronization
 from .changes import ChangeKind
-from .configuration import Configuration
+from .configuration import POLICY, Configuration
 from .errors import UnknownFeature
 from .joined_unit import FunctionProcess
 from .mediation_unit import MediationUnit
 from .processes import Processes, UnitImplementation
 from .stream_units import AdaptationUnit, ObjectSelectionUnit, TupleUnit
-from .supervision import Runner
+from .supervision import ProcessEvent, Runner
 from .unit import ComputationalUnit
 from .views import Since
 from .violations import Violations
-
-POLICY = "policy"
-"""The transformation of a subscription with a policy."""
 
 
 class Network:
     """Starts the units of generators and streams over a configuration's streams.
 
     What is made is used once, by its declaration; equal terms share one adapted stream, which is
-    there as long as somebody reads it. ``settle`` is called by whoever feeds the streams, for
-    units that act only then.
+    there as long as somebody reads it. ``on_news`` hears of mediations that have something to do.
     """
 
     def __init__(
@@ -73,10 +69,6 @@ class Network:
         return self._configuration.add_stream(
             name, schema or Schema(()), lateness=self._lateness, retention=self._retention
         )
-
-    def is_there(self, declaration: GeneratorDeclaration) -> bool:
-        """Whether all that a generator reads is there."""
-        return all(self._configuration.has(str(term.label)) for term in _read(declaration))
 
     def missing(self, declaration: GeneratorDeclaration) -> str | None:
         """The first label that a generator reads and that is not there."""
@@ -111,9 +103,7 @@ class Network:
                 unit = FunctionProcess(
                     *self._identity(name, terms, declaration, declaration.sort.schema, after),
                     implementation=self.implementation(name, key),
-                    on_event=lambda unit, event, text: self._configuration.tell(
-                        ChangeKind(event), unit, text
-                    ),
+                    on_event=self._told,
                     runner=self._runner,
                 )
             case JoinOf(terms):
@@ -217,7 +207,11 @@ class Network:
             stream_of=stream_of,
             on_inputs=changed,
             on_news=self._on_news,
+            on_event=self._told,
         )
+
+    def _told(self, unit: ComputationalUnit, event: ProcessEvent, text: str) -> None:
+        self._configuration.tell(ChangeKind(event), unit, text)
 
     def _identity(
         self,

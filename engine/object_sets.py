@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator
 from typing import Final
 
 from ..streams.sample import Column, FieldType, SampleBatch
@@ -13,40 +13,54 @@ _SEPARATORS: Final = re.compile(r"[\s,]+")
 _PREFERRED: Final = ("objects", "object", "id")
 
 
-def sets_of(batch: SampleBatch) -> list[tuple[str, ...]]:
-    """The objects that each sample names, in their order, each once.
+def sets_of(batch: SampleBatch) -> Iterator[tuple[int, tuple[str, ...] | str]]:
+    """For each sample its available time, and the objects that it names, in their order, each
+    once; a text instead says why it names objects in no way that is known.
 
     They stand in the text field ``objects``, ``object`` or ``id``, else in the first text field;
     in an integer field, as one number, if there is no text. A text is names with blanks or commas
     between them, or a JSON list of names, which may then have anything in them. no_value is the
-    empty set. Raises `ValueError` for a sample that names objects in no such way.
+    empty set.
     """
     column = _column(batch)
-    return [_set(value) for value in column.tolist()]
+    if column is None:
+        fields = ", ".join(batch.columns) or "none"
+        values: list[object] = []
+        reason = f"no field names objects: there is no text among {fields}"
+    else:
+        values, reason = list(column.tolist()), ""
+    for row, time in enumerate(batch.available.tolist()):
+        yield time, _set(values[row]) if values else reason
 
 
-def _column(batch: SampleBatch) -> Column:
+def _column(batch: SampleBatch) -> Column | None:
     texts = [n for n, column in batch.columns.items() if column.type is FieldType.STRING]
     numbers = [n for n, column in batch.columns.items() if column.type is FieldType.INTEGER]
     for names in (texts, numbers):
         if names:
             return batch.columns[next((n for n in _PREFERRED if n in names), names[0])]
-    fields = ", ".join(batch.columns) or "none"
-    raise ValueError(f"no field names objects: there is no text among {fields}")
+    return None
 
 
-def _set(value: object) -> tuple[str, ...]:
-    names: Sequence[str]
+def _set(value: object) -> tuple[str, ...] | str:
     if value is None:
-        names = ()
-    elif isinstance(value, str) and value.lstrip().startswith("["):
+        return ()
+    text = str(value)
+    if text.lstrip().startswith("["):
         try:
-            found = json.loads(value)
-        except ValueError as error:
-            raise ValueError(f"{value!r} is no JSON list of names: {error}") from None
-        if not all(isinstance(name, str) for name in found):
-            raise ValueError(f"{value!r} is no JSON list of names: write them in quotes")
-        names = found
+            names = json.loads(text)
+        except (ValueError, RecursionError):
+            names = None
+        if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+            return f"{_short(text)} is no JSON list of names: write each name in quotes"
     else:
-        names = [name for name in _SEPARATORS.split(str(value)) if name]
+        names = [name for name in _SEPARATORS.split(text) if name]
+    for name in names:
+        if not name or any("\ud800" <= c <= "\udfff" for c in name):
+            return f"{_short(text)} has a name that is empty or no Unicode text"
     return tuple(dict.fromkeys(names))
+
+
+def _short(text: str) -> str:
+    shown = ascii(text)
+    return shown if len(shown) <= 60 else f"{shown[:57]}…"

@@ -9,15 +9,13 @@ the streams.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
 from ..converters.wire import Incoming
 from ..languages.kpl import (
-    ForeachDeclaration,
     Signature,
     SourceDeclaration,
     StreamDeclaration,
@@ -26,14 +24,15 @@ from ..languages.kpl import (
 from ..rdf.dictionary import TermDictionary
 from ..streams.fluent import Retention
 from ..streams.generator import StreamGenerator
-from ..streams.policy import Approximation, PolicyCounters
-from ..streams.sample import SampleBatch, concatenate
+from ..streams.policy import Approximation, PolicyCounters, PolicyError
+from ..streams.sample import Column, Field, FieldType, SampleBatch, Schema, concatenate
 from ..streams.satisfaction import Counterexample, prove, satisfies
 from ..streams.time import TIME_MAX
 from .application import Application
 from .changes import Change, ChangeKind
 from .configuration import Configuration
 from .errors import Conflict
+from .network import schema_text
 from .processes import Processes
 from .stream_units import AdaptationUnit
 from .supervision import DIRECT, Runner
@@ -47,7 +46,8 @@ class Proof:
 
     ``refutation`` None: the stream is a maximal satisfying substream, as Def. 5.35 asks.
     ``as_recorded`` is the first place where the label's own stream would have broken the policy,
-    None where it holds of the recording as it is. ``failure``: a unit behind the stream failed.
+    None where it holds of the recording as it is. ``failure``: a unit behind the stream failed, or
+    the grid of the policy is too long; then nothing was proved.
     """
 
     stream: str
@@ -65,10 +65,15 @@ class Proof:
 
 @dataclass(frozen=True, slots=True)
 class Rehearsal:
-    """An application with a whole recording behind it. ``failures`` are ``(stream, reason)``."""
+    """An application with a whole recording behind it.
+
+    ``failures`` are ``(stream, reason)``; ``broken`` says of each stream that has a failed unit
+    behind it why the first of these failed.
+    """
 
     application: Application
     failures: Sequence[tuple[str, str]]
+    broken: Mapping[str, str]
 
 
 def rehearse(
@@ -109,15 +114,13 @@ def rehearse(
     for source in sources.values():
         source.lateness = 0  # they are given in order
     recorded = _recorded(samples, sources)
-    # Processes that come and go see what there is when they do, so the sources are mixed in time.
-    is_mixed = any(isinstance(d, ForeachDeclaration) for d in signature.declarations)
-    for name, batch in _runs(recorded) if is_mixed else recorded.items():
+    for name, batch in recorded.items():
         sources[name].offer(batch)
         application.settle()
     for source in sources.values():
         source.end()
         application.settle()
-    return Rehearsal(application, failures)
+    return Rehearsal(application, failures, _broken(configuration, failures))
 
 
 def prove_specification(
@@ -129,10 +132,25 @@ def prove_specification(
     """Replay a recording and prove each declared stream; arguments and errors as of `rehearse`."""
     rehearsal = rehearse(signature, processes, samples, runner)
     return tuple(
-        _proof(rehearsal.application, rehearsal.failures, declaration)
+        _proof(rehearsal.application, rehearsal.broken, declaration)
         for declaration in signature.declarations
         if isinstance(declaration, StreamDeclaration)
     )
+
+
+def _broken(configuration: Configuration, failures: Sequence[tuple[str, str]]) -> Mapping[str, str]:
+    """Of each stream that has a failed unit behind it, why the first of these failed."""
+    if not failures:
+        return {}
+    broken: dict[str, str] = {}
+    for unit in configuration.units.values():
+        parts = configuration.units_behind(unit)
+        names = {part.output.name for part in parts}
+        names.update(source.name for part in parts for source in part.inputs)
+        reasons = [reason for name, reason in failures if name in names]
+        if reasons:
+            broken[unit.output.name] = reasons[0]
+    return broken
 
 
 def _recorded(
@@ -144,14 +162,7 @@ def _recorded(
         source = sources.get(name)
         if source is None or not len(incoming.batch):
             continue
-        recorded = tuple(incoming.batch.columns)
-        if not source.is_open and recorded != source.schema.names:
-            raise Conflict(
-                f"source {name!r} has the fields {', '.join(source.schema.names)}; "
-                f"recorded are {', '.join(recorded)}",
-                "give the source a sort with these fields, or one that nobody has declared",
-            )
-        found[name].append(incoming.batch)
+        found[name].append(incoming.batch if source.is_open else _of_sort(source, incoming.batch))
     whole = {}
     for name, batches in found.items():
         batch = concatenate(batches)
@@ -168,25 +179,26 @@ def _recorded(
     return whole
 
 
-def _runs(recorded: Mapping[str, SampleBatch]) -> Iterator[tuple[str, SampleBatch]]:
-    """The samples of all sources in order of available time, as long as one source goes on."""
-    names = list(recorded)
-    times = [batch.available for batch in recorded.values()]
-    owner = np.repeat(np.arange(len(names)), [len(own) for own in times])
-    if not len(owner):
-        return
-    order = np.argsort(np.concatenate(times), kind="stable")
-    owner = owner[order]
-    bounds = np.flatnonzero(np.diff(owner)) + 1
-    done = [0] * len(names)
-    for start, end in pairwise([0, *bounds.tolist(), len(owner)]):
-        i = int(owner[start])
-        yield names[i], recorded[names[i]].take(slice(done[i], done[i] + end - start))
-        done[i] += end - start
+def _of_sort(source: StreamGenerator, batch: SampleBatch) -> SampleBatch:
+    """Recorded samples as values of the source's sort (Def. 5.31): whole numbers are floats too."""
+    names = [name for name in source.schema.names if name in batch.columns]
+    columns = {name: batch.columns[name] for name in dict.fromkeys([*names, *batch.columns])}
+    for field in source.schema.fields:
+        column = columns.get(field.name)
+        if column is not None and (column.type, field.type) == (FieldType.INTEGER, FieldType.FLOAT):
+            columns[field.name] = Column(field.type, column.values.astype(np.float64), column.null)
+    recorded = Schema(tuple(Field(name, column.type) for name, column in columns.items()))
+    if recorded != source.schema:
+        raise Conflict(
+            f"source {source.name!r} has the fields {schema_text(source.schema)}; "
+            f"recorded are {schema_text(recorded)}",
+            "give the source a sort with these fields, or one that nobody has declared",
+        )
+    return SampleBatch(batch.available, batch.valid, columns)
 
 
 def _proof(
-    application: Application, failures: Sequence[tuple[str, str]], declaration: StreamDeclaration
+    application: Application, broken: Mapping[str, str], declaration: StreamDeclaration
 ) -> Proof:
     policy = declaration.term.policy
     label = str(declaration.term.label)
@@ -196,14 +208,19 @@ def _proof(
     assert output is not None
     assert isinstance(unit, AdaptationUnit)
     whole, made = source.stream.all(), output.stream.all()
-    failed = [reason for name, reason in failures if name in (source.name, output.name)]
+    failure, refutation = broken.get(output.name), None
+    if failure is None:
+        try:
+            refutation = prove(made, whole, policy)
+        except PolicyError as error:
+            failure = f"PolicyError: {error}"
     approximates = policy.approximation is Approximation.MOST_RECENT
     return Proof(
         stream=declaration.name,
         term=format_term(declaration.term),
         received=len(whole),
         counters=unit.policy_counters,
-        refutation=prove(made, whole, policy),
+        refutation=refutation,
         as_recorded=None if approximates and not len(whole) else satisfies(whole, policy),
-        failure=failed[0] if failed else None,
+        failure=failure,
     )

@@ -59,10 +59,11 @@ class SemanticsManager:
             yield
         finally:
             self._held = None
-            self._ontology.mirror(
-                {triple for triple, there in held.items() if there},
-                {triple for triple, there in held.items() if not there},
-            )
+            if held:
+                self._ontology.mirror(
+                    {triple for triple, there in held.items() if there},
+                    {triple for triple, there in held.items() if not there},
+                )
 
     def changed(self, change: Change) -> None:
         """Mirror one change."""

@@ -79,6 +79,9 @@ class Sink:
     def ended(self, source: StreamGenerator) -> None:
         """The stream may be taken up again; the sink stays."""
 
+    def resumed(self, source: StreamGenerator) -> None:
+        """It is taken up again."""
+
     def _stop_by_rule(self, reason: str) -> None:
         self.failure = reason
         self.stop()

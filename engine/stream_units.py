@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Sequence
+from dataclasses import asdict
 from typing import Any
 
 from ..languages.kpl import OBJECT_FIELD
@@ -43,6 +44,20 @@ class PolicyUnit(ComputationalUnit):
         super().finish(source)
         if self.violations is not None and self.all_ended:
             self.violations.end()
+
+
+def counts_of(unit: PolicyUnit) -> dict[str, object]:
+    """What a unit counts, by name: of samples dropped by the kind of constraint, of those that
+    came after what they belong to was decided, in all."""
+    counters = unit.policy_counters
+    if counters is None:
+        return {"late": unit.late}
+    counted: dict[str, object] = asdict(counters)
+    if isinstance(counters, PolicyCounters):
+        counted["dropped"] = {str(kind): count for kind, count in counters.dropped.items()}
+    else:
+        counted["late"] = counters.late + unit.late
+    return counted
 
 
 class AdaptationUnit(PolicyUnit):
@@ -98,7 +113,14 @@ class TupleUnit(PolicyUnit):
 
     def process(self, source: StreamGenerator, batch: SampleBatch) -> None:
         for place in self._places(source):
-            self._offer(self._kernel.push(place, batch))
+            timely = self.in_time(batch, self._kernel.decided(place))
+            if len(timely):
+                self._offer(self._kernel.push(place, timely))
+
+    def resume(self, source: StreamGenerator) -> None:
+        super().resume(source)
+        for place in self._places(source):
+            self._kernel.resume(place)
 
     def progress(self, source: StreamGenerator, watermark: int) -> None:
         for place in self._places(source):

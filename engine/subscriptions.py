@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 from ..languages.kpl import format_policy, parse_policy
 from ..streams.generator import StreamGenerator
 from ..streams.policy import Policy
 from ..streams.sample import Schema
-from .configuration import Configuration
+from .configuration import POLICY, Configuration
 from .errors import UnknownRequest
-from .network import POLICY
-from .stream_units import AdaptationUnit
+from .stream_units import AdaptationUnit, counts_of
 from .views import Since, SubscriptionView
 
 
@@ -77,9 +76,7 @@ class Subscriptions:
         counters: dict[str, object] = {}
         violations = None
         if unit is not None:
-            counters = asdict(unit.policy_counters)
-            dropped = unit.policy_counters.dropped
-            counters["dropped"] = {str(kind): count for kind, count in dropped.items()}
+            counters = counts_of(unit)
             violations = None if unit.violations is None else unit.violations.name
         return SubscriptionView(
             id=id,

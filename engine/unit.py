@@ -22,6 +22,7 @@ from ..converters.to_triples import SampleConverter
 from ..ontology.units import Conversion
 from ..streams.generator import StreamGenerator
 from ..streams.sample import Column, FieldType, Mask, SampleBatch, Times
+from ..streams.time import TIME_MIN
 from .supervision import ErrorCounters
 from .views import Since
 
@@ -59,7 +60,10 @@ class ComputationalUnit(ABC):
         self.users = 0
         self.failure: str | None = None
         self.counters = ErrorCounters()
+        self.late = 0
+        """Samples that came after what they belong to was decided, and were left out."""
         self._after: int | None = None
+        self._until: int | None = None
         self._on_failure = on_failure
         self._watermarks: dict[StreamGenerator, int] = {}
         self._ended: set[StreamGenerator] = set()
@@ -95,17 +99,33 @@ class ComputationalUnit(ABC):
         self.output.end()
         self.output.close()
 
+    def end_after(self, until: int) -> None:
+        """What is available later than ``until`` (ns) is not for this unit: its inputs end there.
+
+        The output ends when all inputs have got so far; what was made of later samples stands.
+        """
+        self._until = self.output.ends_at = until
+        for source in self.sources:
+            if source not in self._ended and self._watermarks.get(source, TIME_MIN) > until:
+                self.ended(source)
+
     def receive(self, source: StreamGenerator, batch: SampleBatch) -> None:
         """Samples of an input."""
-        self._ended.discard(source)
         if self._after is not None and batch.available[0] <= self._after:
             batch = batch.take(batch.available > self._after)
-            if not len(batch):
-                return
+        if self._until is not None and len(batch) and batch.available[-1] > self._until:
+            batch = batch.take(batch.available <= self._until)
+        if not len(batch):
+            return
+        self._ended.discard(source)
         self._guarded(lambda: self.process(source, batch))
 
     def advance(self, source: StreamGenerator, watermark: int) -> None:
         """An input promises to send nothing before ``watermark`` any more."""
+        if self._until is not None and watermark > self._until:
+            if source not in self._ended:
+                self.ended(source)
+            return
         self._watermarks[source] = watermark
         self._guarded(lambda: self.progress(source, watermark))
 
@@ -113,6 +133,18 @@ class ComputationalUnit(ABC):
         """An input has come to its end; with the last one so does the output."""
         self._ended.add(source)
         self._guarded(lambda: self.finish(source))
+
+    def resumed(self, source: StreamGenerator) -> None:
+        """An input goes on after its end, and so does the output: whoever reads it waits again."""
+        if self._until is not None:
+            return
+        self._guarded(lambda: self.resume(source))
+        if self.failure is None:
+            self.output.resume()
+
+    def resume(self, source: StreamGenerator) -> None:
+        """Wait for an input again that had ended."""
+        self._ended.discard(source)
 
     @property
     def least_watermark(self) -> int | None:
@@ -144,8 +176,11 @@ class ComputationalUnit(ABC):
             self.output.advance(least)
 
     def finish(self, source: StreamGenerator) -> None:
-        """An input ended; by default the output ends with the last of them."""
+        """An input ended; by default the output ends with the last of them, at the moment up to
+        which one of them was known: whichever was told first."""
         if self.all_ended:
+            if self._watermarks:
+                self.output.advance(max(self._watermarks.values()))
             self.output.end()
 
     def _guarded(self, work: Callable[[], None]) -> None:
@@ -158,6 +193,14 @@ class ComputationalUnit(ABC):
             self.counters.note(self.failure, None)
             self._leave_inputs()
             self._on_failure(self)
+
+    def in_time(self, batch: SampleBatch, decided: int) -> SampleBatch:
+        """The samples available after ``decided``; the others are late, and counted."""
+        if batch.available[0] > decided:
+            return batch
+        kept = batch.available > decided
+        self.late += len(batch) - int(kept.sum())
+        return batch.take(kept)
 
     def cut_off(self, reason: str) -> None:
         """It stops for good without an error of the system: its own rule says so."""

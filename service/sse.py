@@ -108,6 +108,9 @@ class Feed:
     def ended(self, source: StreamGenerator) -> None:
         self.wake()
 
+    def resumed(self, source: StreamGenerator) -> None:
+        """Clients were told of the end and have left."""
+
     def wake(self) -> None:
         """Let every waiting cursor look again. Several wakes before they run are one."""
         self.changed.set()

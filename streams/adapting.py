@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from .adaptation import Adaptation, Filtering, OnDrop
-from .approximation import LIMIT, Approximating
+from .approximation import Approximating
 from .chain import Chain
-from .policy import Approximation, Order, Policy
+from .policy import GRID_LIMIT, Approximation, Order, Policy
 from .reordering import Reordering
 
 
-def adapt(policy: Policy, on_drop: OnDrop | None = None, *, limit: int = LIMIT) -> Adaptation:
+def adapt(policy: Policy, on_drop: OnDrop | None = None, *, limit: int = GRID_LIMIT) -> Adaptation:
     """Adapts one stream to ``policy``, from now on; ``on_drop`` is told what is not passed on.
 
     ``limit``: how many samples ``use most recent`` may make at once before it raises

@@ -9,8 +9,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from .adaptation import Adaptation, OnDrop, joined
-from .policy import Policy, PolicyError
+from .adaptation import CODES, KEPT, Adaptation, OnDrop, joined
+from .policy import GRID_LIMIT, Constraint, Policy, PolicyError
 from .recent import rows_in_use
 from .sample import SampleBatch
 from .saturating import earlier, since
@@ -18,8 +18,6 @@ from .time import TIME_MAX, TIME_MIN
 
 CHUNK: Final = 65_536
 """So many samples of the grid are made at a time."""
-LIMIT: Final = 10_000_000
-"""More samples of a grid than this at once are refused: a period or a time is mistaken."""
 
 
 class Approximating(Adaptation):
@@ -29,8 +27,9 @@ class Approximating(Adaptation):
     The grid begins where there is a most recent sample (no_sample is never part of a stream). At
     the end of the input it goes on to e, or with ``to oo`` until the last news is in it.
 
-    No sample is dropped: each may be the most recent one. ``kept`` counts those in use by now or
-    passed by, ``pending`` those that are not in use yet.
+    Each sample may be the most recent one, so none is dropped but those that could come into use
+    only after the last of the grid (duration; available time where that is the end of time).
+    ``kept`` counts those in use by now or passed by, ``pending`` those that are not in use yet.
 
     Cost: O(n + grid) numpy where valid times do not decrease, else O(n log n + grid). Memory: the
     most recent sample and those not in use yet. Raises `PolicyError` for more than ``limit``
@@ -38,7 +37,7 @@ class Approximating(Adaptation):
     """
 
     def __init__(
-        self, policy: Policy, on_drop: OnDrop | None = None, *, limit: int = LIMIT
+        self, policy: Policy, on_drop: OnDrop | None = None, *, limit: int = GRID_LIMIT
     ) -> None:
         super().__init__(policy, on_drop)
         assert policy.period is not None
@@ -51,7 +50,9 @@ class Approximating(Adaptation):
         # No sample of the grid can be available after the end of 64-bit time.
         end = min(policy.duration.last, TIME_MAX - self._delay)
         self._final = (end - self._start) // self._period
+        self._last = self._start + self._final * self._period
         self._next = 0
+        self._goes_to_the_end = not policy.duration.to_oo
         self._best: SampleBatch | None = None
         self._waiting: SampleBatch | None = None
 
@@ -59,7 +60,9 @@ class Approximating(Adaptation):
         self.counters.received += len(batch)
         if not len(batch):
             return []
-        return self._make_until(self._last_decided(int(batch.available[-1])), batch)
+        known = int(batch.available[-1])
+        batch = self._usable(batch, known)
+        return self._make_until(self._last_decided(known), batch)
 
     def advance(self, watermark: int) -> list[SampleBatch]:
         if watermark == TIME_MIN:
@@ -67,11 +70,26 @@ class Approximating(Adaptation):
         return self._make_until(self._last_decided(watermark - 1))
 
     def end(self) -> list[SampleBatch]:
-        if not self.policy.duration.to_oo:
+        if self._goes_to_the_end:
             return self._make_until(self._final)
         if self._waiting is None:
             return []
         return self._make_until(min(int(self._begins(self._waiting).max()), self._final))
+
+    def _usable(self, batch: SampleBatch, known: int) -> SampleBatch:
+        """Without those that come into use only after the grid has ended."""
+        last = self._last
+        if self._final < 0:
+            usable = np.zeros(len(batch), np.bool_)
+        elif known <= last + self._delay and np.maximum.reduce(batch.valid) <= last:
+            return batch
+        else:
+            usable = (batch.available <= last + self._delay) & (batch.valid <= last)
+        self._goes_to_the_end = True
+        why = Constraint.AVAILABLE if self.policy.duration.to_oo else Constraint.DURATION
+        reasons = np.where(usable, KEPT, CODES[why]).astype(np.int8)
+        self._drop(batch, reasons, batch.available)
+        return batch.take(usable)
 
     def _last_decided(self, known: int) -> int:
         """The number of the last sample of the grid that is available by ``known``."""
@@ -89,7 +107,7 @@ class Approximating(Adaptation):
 
     def _make_until(self, last: int, new: SampleBatch | None = None) -> list[SampleBatch]:
         """Make the samples of the grid up to number ``last``; ``new`` has come."""
-        waiting = [part for part in (self._waiting, new) if part is not None]
+        waiting = [part for part in (self._waiting, new) if part is not None and len(part)]
         if last < self._next:
             self._waiting = joined(waiting) if waiting else None
             self.counters.pending = 0 if self._waiting is None else len(self._waiting)
@@ -116,9 +134,9 @@ class Approximating(Adaptation):
             made = list(self._chunks(known, begins, first, last))
         still = np.flatnonzero(begins > np.uint64(last))
         self._waiting = known.take(still) if len(still) else None
-        pending = len(still)
-        self.counters.kept += self.counters.received - self.counters.kept - pending
-        self.counters.pending = pending
+        counters = self.counters
+        counters.pending = len(still)
+        counters.kept = counters.received - sum(counters.dropped.values()) - counters.pending
         return made
 
     def _chunks(

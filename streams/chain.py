@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .adaptation import CODES, KEPT, Adaptation, OnDrop, Reasons, joined
+from .adaptation import CODES, KEPT, Adaptation, OnDrop, Reasons, joined, own
 from .policy import Constraint, Policy
 from .sample import Mask, SampleBatch, Times
 from .saturating import later, leaving, since
@@ -19,11 +19,11 @@ _NOTHING: Times = np.empty(0, np.int64)
 class Chain(Adaptation):
     """Passes on the samples valid at v, v + s, v + 2s … where v is the first admissible one.
 
-    Each is sent as soon as it is there and its turn has come. One that is ahead of its turn is
-    held, the first of each valid time; when the expected one cannot come any more within its
-    delay, the chain is at its end for good: the definition admits no sample after a gap (the
-    policy `use most recent` bridges gaps). With ``max delay oo`` the expected one is awaited for
-    ever.
+    Each is sent as soon as it is there and its turn has come; of several whose turn comes at once
+    each a ns after the one before. One that is ahead of its turn is held, the first of each valid
+    time; when the expected one cannot come any more within its delay, the chain is at its end for
+    good: the definition admits no sample after a gap (the policy `use most recent` bridges gaps).
+    With ``max delay oo`` the expected one is awaited for ever.
 
     Cost: O(n) numpy for samples in turn, O(n log n) for others, n those that are held or come.
     Memory: what is held, one sample a valid time; with a finite delay what came within it.
@@ -38,6 +38,8 @@ class Chain(Adaptation):
         self._last: tuple[int, int] | None = None
         """Available and valid time of the last sample sent."""
         self._held: SampleBatch | None = None
+        self._due: SampleBatch | None = None
+        """Decided, and already with the available times they will have, which are not known yet."""
         self._broken = False
 
     def push(self, batch: SampleBatch) -> list[SampleBatch]:
@@ -52,7 +54,7 @@ class Chain(Adaptation):
         rows, times = self._turns(everything, held, why, at)
         self._known = int(batch.available[-1])
         self._end_of_chain(everything, why, at, rows, self._known)
-        return self._send(everything, why, at, rows, times)
+        return self._send(everything, why, at, rows, times, self._known)
 
     def advance(self, watermark: int) -> list[SampleBatch]:
         self._known = max(self._known, watermark - 1 if watermark > TIME_MIN else TIME_MIN)
@@ -63,14 +65,15 @@ class Chain(Adaptation):
 
     def _settle(self, ended: bool = False) -> list[SampleBatch]:
         """Time has passed and nothing has come; or nothing will."""
+        known = TIME_MAX if ended else self._known
         if self._held is None:
             self._break_if_due(self._known)
-            return []
+            return [] if self._due is None else self._give(self._due.take(slice(0)), 0, known)
         held = self._held
         why = np.full(len(held), KEPT, np.int8)
         at = held.available.copy()
         self._end_of_chain(held, why, at, _NOTHING, self._known, ended)
-        return self._send(held, why, at, _NOTHING, _NOTHING)
+        return self._send(held, why, at, _NOTHING, _NOTHING, known)
 
     def _turns(self, batch: SampleBatch, held: int, why: Reasons, at: Times) -> tuple[Times, Times]:
         """The rows to send, in order, and when; reasons for those that will not be."""
@@ -167,16 +170,39 @@ class Chain(Adaptation):
         at[left] = np.maximum(batch.available[left], moment)
 
     def _send(
-        self, batch: SampleBatch, why: Reasons, at: Times, rows: Times, moments: Times
+        self,
+        batch: SampleBatch,
+        why: Reasons,
+        at: Times,
+        rows: Times,
+        moments: Times,
+        known: int,
     ) -> list[SampleBatch]:
         rest = why == KEPT
         rest[rows] = False
         self._held = batch.take(rest) if bool(rest.any()) else None
-        self.counters.pending = 0 if self._held is None else len(self._held)
-        self.counters.kept += len(rows)
         self._drop(batch, why, at)
-        if not len(rows):
+        if not len(rows) and self._due is None:
+            self.counters.pending = 0 if self._held is None else len(self._held)
             return []
         sent = batch.take(rows)
         delayed = int(np.count_nonzero(moments > sent.available))
-        return self._sent(sent.with_available(moments), delayed)
+        return self._give(sent.with_available(moments), delayed, known)
+
+    def _give(self, fresh: SampleBatch, delayed: int, known: int) -> list[SampleBatch]:
+        """Of what is decided all that is available by ``known``. The rest waits for its time: the
+        output must not be ahead of what its readers may take as known."""
+        waits = 0
+        if self._due is not None:
+            delayed += len(self._due)
+            fresh = joined([self._due, fresh])
+            self._due = None
+        if len(fresh) and fresh.available[-1] > known:
+            count = int(np.searchsorted(fresh.available, known, "right"))
+            waits = len(fresh) - count
+            self._due = own(fresh.take(slice(count, None)))
+            fresh = fresh.take(slice(0, count))
+        self.counters.pending = waits + (0 if self._held is None else len(self._held))
+        self.counters.kept += len(fresh)
+        # What waits is sent after what came last, so all of it is delayed.
+        return self._sent(fresh, delayed - waits)

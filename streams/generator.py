@@ -35,6 +35,9 @@ class Receiver(Protocol):
     def ended(self, source: StreamGenerator) -> None:
         """``source`` has come to its end (it may be taken up again by a later sample)."""
 
+    def resumed(self, source: StreamGenerator) -> None:
+        """``source`` had ended and goes on; told to everybody before its samples are."""
+
 
 @dataclass(slots=True)
 class Counters:
@@ -79,6 +82,8 @@ class StreamGenerator:
         self.watermark: int | None = None
         """None until the stream has begun: a stream that never spoke holds nobody back."""
         self.is_ended = False
+        self.ends_at: int | None = None
+        """What is available later (ns) does not belong to it: what made it was to end there."""
         self._greatest: int | None = None
         self._pending: SampleBatch | None = None
         self._receivers: list[Receiver] = []
@@ -134,7 +139,7 @@ class StreamGenerator:
         if self.is_open:
             self._adopt_from(batch)
         self.stamped = stamps is not None
-        self.is_ended = False
+        self.resume()
         self.counters.accepted += len(batch)
         if stamps is not None:
             self._release(batch.with_available(stamps))
@@ -165,6 +170,13 @@ class StreamGenerator:
         self.is_ended = True
         for receiver in tuple(self._receivers):
             receiver.ended(self)
+
+    def resume(self) -> None:
+        """The stream goes on after its end: whoever reads it waits for it again."""
+        if self.is_ended:
+            self.is_ended = False
+            for receiver in tuple(self._receivers):
+                receiver.resumed(self)
 
     def close(self) -> None:
         """The stream is removed: what is still pending is counted as expired."""

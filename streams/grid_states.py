@@ -75,7 +75,10 @@ class GridStates:
         if self._first is None:
             first = [(int(at[0]), int(valid[0])) for at, valid in news if len(valid)]
             if first:
-                start = min(first)[1]
+                at, start = min(first)
+                if self._policy.max_delay is not None:
+                    # A state for an earlier time would be late before anything was there.
+                    start = max(start, at - self._policy.max_delay)
                 self._begin(start + -start % self._period)
         needed = [value for value, excuse in zip(reach, excused, strict=True) if excuse is None]
         bound = 0

@@ -70,6 +70,10 @@ class Input:
         if self.ended_at is None:
             self.known = max(self.known, watermark - 1)
 
+    def resume(self) -> None:
+        """It had ended, and goes on: it is waited for again."""
+        self.ended_at = None
+
     def end(self) -> None:
         """No sample follows, unless a later push continues the input."""
         self.begun = True

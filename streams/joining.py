@@ -57,6 +57,15 @@ class Join:
         self._inputs[input].advance(watermark)
         return self._proceed()
 
+    def decided(self, input: int) -> int:
+        """A sample of ``input`` that is available by then comes too late: tuples were given
+        without it, or it was promised not to come."""
+        return max(self._inputs[input].known, self._done)
+
+    def resume(self, input: int) -> None:
+        """``input`` had ended and goes on: it is waited for again."""
+        self._inputs[input].resume()
+
     def end(self, input: int) -> TupleBatch | None:
         """``input`` has no more samples: its last one stands from here on."""
         self._inputs[input].end()

@@ -29,13 +29,13 @@ class Mediation:
     sample it is. Text is encoded with ``pools`` (by field; made where one lacks).
 
     What is decided when: all up to the least of what is known of the set and of the streams of
-    the objects in it. A stream that is not there yet (`attach`) has no samples and holds nobody
-    back; nor does one whose object has left.
+    the objects in it; of an object that has left, up to when it did. A stream that is not there
+    yet (`attach`) has no samples and holds nobody back.
 
     Law: the output does not depend on how inputs were cut or interleaved, as long as streams are
-    there when their objects enter, and an object leaves after what it said before (tests/laws).
-    Cost of a `take`: O(n log n) numpy for n samples, and Python per object; O(1) while the object
-    that held it up the last time still does. Memory: what waits, and the sets that it needs.
+    there when their objects enter (tests/laws). Cost of a `take`: O(n log n) numpy for n samples,
+    and Python per object; O(1) while the object that held it up the last time still does. Memory:
+    what waits, and the sets that it needs.
     """
 
     def __init__(self, tag: str | None = None, pools: dict[str, StringPool] | None = None) -> None:
@@ -88,7 +88,7 @@ class Mediation:
     def attach(self, label: str) -> None:
         """The stream of ``label`` is there, or another one in its place: what it has not promised
         is waited for."""
-        self._inputs.setdefault(label, Input()).ended_at = None
+        self._inputs.setdefault(label, Input()).resume()
 
     def push(self, label: str, batch: SampleBatch) -> None:
         """The next samples of an attached stream; those that were decided already are left out."""
@@ -105,6 +105,20 @@ class Mediation:
     def end(self, label: str) -> None:
         """No more samples of ``label``."""
         self._inputs[label].end()
+
+    def resume(self, label: str) -> None:
+        """The stream of ``label`` had ended, and goes on."""
+        self._inputs[label].resume()
+
+    def cut(self, label: str, until: int) -> None:
+        """What waits of ``label`` and is available later than ``until`` is of no life of it."""
+        input = self._inputs[label]
+        whole = Input()
+        for batch in input.take(until):
+            whole.push(batch)
+        whole.advance(min(input.known, until) + 1)
+        whole.end()
+        self._inputs[label] = whole
 
     def take(self) -> SampleBatch | None:
         """What is decided by now; None if that is nothing."""
@@ -123,19 +137,23 @@ class Mediation:
 
     def _known(self) -> int:
         """Up to when everything is decided."""
-        members = self.members
         # Whoever held everybody back the last time mostly does so still: that is a quick answer.
-        if self._blocker in members and self._known_of(self._blocker) <= self.done:
+        if self._blocker in self.wanted and self._known_of(self._blocker) <= self.done:
             return self.done
         known, self._blocker = TIME_MAX if self._members_ended else self._members_known, None
-        for label in members:
+        for label in self.wanted:
             own = self._known_of(label)
-            if own < known:
+            if own < known and (label in self.members or own < self._left(label) - 1):
                 known, self._blocker = own, label
         if known == TIME_MAX:
             # All that is there has ended. It may be taken up again, and others may come.
             known = max((self.done, *(input.known for input in self._inputs.values())))
         return known
+
+    def _left(self, label: str) -> int:
+        """When an object that is not in the set any more left it."""
+        place = max(i for i, labels in enumerate(self._sets) if label in labels)
+        return self._since[place + 1]
 
     def _known_of(self, label: str | None) -> int:
         input = self._inputs.get(label or "")

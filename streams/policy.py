@@ -9,9 +9,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import TypeAlias
+from typing import Final, TypeAlias
 
 from .time import TIME_MAX, TIME_MIN
+
+GRID_LIMIT: Final = 10_000_000
+"""More of a grid than this at once is refused: a period or a time is mistaken."""
 
 
 class PolicyError(ValueError):

@@ -28,7 +28,8 @@ class Reordering(Adaptation):
     Available times are unique, so the latest moments of held samples are
     ``L_i = min(v_i + d, L_{i+1} - 1)``. A sample is sent at L_i once all is known up to L_i. One
     for which no moment is left is dropped; so is one that belongs before the last sent. In strict
-    order the newest sample of a valid time replaces the others.
+    order the newest sample of a valid time replaces the others, equal ones too: what repeats
+    (``any change``) is judged among those that are sent, one after the other.
 
     Cost: O(n log n) numpy a batch; where latest moments meet (equal valid times that come up to
     the last moment, or the end of 64 bits) O(held) a sample. Memory: what came within the delay.
@@ -39,6 +40,7 @@ class Reordering(Adaptation):
         assert policy.max_delay is not None
         self._delay = policy.max_delay
         self._strict = policy.order is Order.STRICT
+        self._drops_repeated = isinstance(policy.change, AnyChange) and not self._strict
         self._known = TIME_MIN
         self._held: SampleBatch | None = None
         self._last: SampleBatch | None = None
@@ -104,7 +106,7 @@ class Reordering(Adaptation):
             why[order[replaced]] = _ORDER
             at[order[replaced]] = batch.available[order[replaced + 1]]
             order = np.delete(order, replaced)
-        elif isinstance(self.policy.change, AnyChange) and len(order):
+        elif self._drops_repeated and len(order):
             same = repeats(batch.take(order), self._last)
             why[order[same]] = _CHANGE
             order = order[~same]
@@ -178,7 +180,7 @@ class Reordering(Adaptation):
             ):
                 why[row] = _ORDER
                 continue
-            if isinstance(self.policy.change, AnyChange) and is_repeated(row):
+            if self._drops_repeated and is_repeated(row):
                 why[row] = _CHANGE
                 continue
             if self._strict:

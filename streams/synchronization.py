@@ -11,7 +11,7 @@ from .change_states import ChangeStates
 from .grid_states import GridStates, LateRows, Made
 from .inputs import NOTHING_KNOWN, Input, known_of
 from .monotone_states import MonotoneStates
-from .policy import Constraint, Order, SynchronizationPolicy
+from .policy import GRID_LIMIT, Constraint, Order, SynchronizationPolicy
 from .sample import Mask, SampleBatch, Times, concatenate
 from .time import TIME_MIN
 from .tuples import TupleBatch
@@ -51,8 +51,9 @@ class StateCounters:
 class Synchronization:
     """States of n inputs under a policy.
 
-    ``sample every s`` makes a state at every ``from + k*s`` (without ``from``: at multiples of s
-    from the first sample on), any other change at every valid time of a sample in the duration.
+    ``sample every s`` makes a state at every ``from + k*s``, any other change at every valid time
+    of a sample in the duration. Without ``from`` the grid are the multiples of s from the valid
+    time of the first sample that arrives, but from none whose deadline had passed before it came.
     The state for t leaves at L_t = max(c_t, L_before + 1), in order of t. c_t is t + max delay, or
     the moment before at which every input not ended has a sample valid at t, or at t or later
     where its valid times do not decrease. An input ends the moment after all it has promised; at
@@ -72,7 +73,7 @@ class Synchronization:
         monotone: Sequence[bool],
         on_late: Callable[[Late], None] | None = None,
         *,
-        limit: int = 10_000_000,
+        limit: int = GRID_LIMIT,
     ) -> None:
         if not monotone:
             raise ValueError("a synchronization has at least one input")
@@ -115,6 +116,15 @@ class Synchronization:
         """Every later sample of ``input`` is available at ``watermark`` or later."""
         self._inputs[input].advance(watermark)
         return self._proceed()
+
+    def decided(self, input: int) -> int:
+        """A sample of ``input`` that is available by then comes too late: states were given
+        without it, or it was promised not to come."""
+        return max(self._inputs[input].known, self._done)
+
+    def resume(self, input: int) -> None:
+        """``input`` had ended and goes on: it is waited for again."""
+        self._inputs[input].resume()
 
     def end(self, input: int) -> list[TupleBatch]:
         """``input`` has no more samples."""

@@ -169,17 +169,26 @@ def _recorded(
     """What was declared, and what was recorded of its sources."""
     signature = _signature(file, unit)
     load(processes or ())
+    types = {
+        one.name: {field.name: field.type for field in one.sort.fields or ()}
+        for one in signature.declarations
+        if isinstance(one, SourceDeclaration)
+    }
     recordings = open_recordings(
-        recording, time_unit=time_unit, abstract_unit=_unit_of(read_text(file), unit)
+        recording,
+        time_unit=time_unit,
+        types=types,
+        abstract_unit=_unit_of(read_text(file), unit),
     )
     sources = [one.name for one in signature.declarations if isinstance(one, SourceDeclaration)]
     missing = [name for name in sources if name not in recordings]
     if missing:
-        raise fail(
-            f"nothing was recorded for source {', '.join(missing)}",
-            f"name a file with {missing[0]}=FILE; there are {', '.join(recordings)}",
-        )
-    return signature, in_order({name: recordings[name] for name in sources})
+        said = f"nothing was recorded for source {', '.join(missing)}"
+        hint = f"name a file with {missing[0]}=FILE; there are {', '.join(recordings)}"
+        if len(missing) == len(sources):
+            raise fail(said, hint)
+        err().print(f"{said}, so it is silent ({hint})", markup=False)
+    return signature, in_order({n: recordings[n] for n in sources if n in recordings})
 
 
 @contextmanager
@@ -316,7 +325,7 @@ def _show(proofs: tuple[Proof, ...]) -> None:
     )
     for proof in proofs:
         if proof.failure is not None:
-            show_text(f"{proof.stream}: a unit failed: {proof.failure}")
+            show_text(f"{proof.stream}: not proved: {proof.failure}")
         if proof.refutation is not None:
             refuted = proof.refutation
             show_text(f"{proof.stream}: row {refuted.row + 1}: {refuted.message}")

@@ -94,7 +94,9 @@ def synchronize(streams, promised, monotone, period, delay, start, end, exact):
             ]
             news = max(v for v, _ in newest), max(a for _, a in newest)
         if start is None and arrivals:
-            least = min((a, v) for a, _, _, v in arrivals)[1]
+            a, least = min((a, v) for a, _, _, v in arrivals)
+            if delay is not None:
+                least = max(least, a - delay)
             start = -(-least // period) * period
         t = start
         blocked = False

@@ -47,29 +47,26 @@ def worlds(draw):
 
 @st.composite
 def feedings(draw, members, streams):
-    """One way to tell a world in time: slices of time, in each the streams before the sets.
+    """One way to tell a world, the inputs mixed anyhow: [(input, samples, watermark or None)].
 
-    [(input, samples or watermark)], an input without more samples ends before the slice's sets.
+    Everything is told in the end, by watermarks or by ends.
     """
-    bounds = [*sorted(draw(st.sets(TIMES, max_size=6))), 15]
-    steps, start = [], -1
-    for bound in bounds:
-        for label in draw(st.permutations(sorted(streams))):
-            samples = [(t, v) for t, v in streams[label] if start < t <= bound]
-            cut = draw(st.integers(0, len(samples)))
-            steps += [(label, part) for part in (samples[:cut], samples[cut:]) if part]
-            if draw(st.booleans()) or bound == bounds[-1]:
-                steps.append((label, bound + 1))
-            if all(t <= bound for t, _ in streams[label]) and draw(st.booleans()):
-                steps.append((label, None))
-        sets = [(t, labels) for t, labels in members if start < t <= bound]
-        cut = draw(st.integers(0, len(sets)))
-        steps += [("members", part) for part in (sets[:cut], sets[cut:]) if part]
-        if draw(st.booleans()) or bound == bounds[-1]:
-            steps.append(("members", bound + 1))
-        start = bound
-    if draw(st.booleans()):
-        steps += [(label, None) for label in sorted(streams)] + [("members", None)]
+    queues = {}
+    for name, samples in {"members": members, **streams}.items():
+        rest, told = list(samples), []
+        while rest:
+            cut = draw(st.integers(1, len(rest)))
+            if draw(st.booleans()):
+                told.append(draw(st.integers(-1, rest[0][0])))
+            told.append(rest[:cut])
+            rest = rest[cut:]
+        queues[name] = [*told, draw(st.sampled_from([None, 100]))]
+    steps = []
+    while queues:
+        name = draw(st.sampled_from(sorted(queues)))
+        steps.append((name, queues[name].pop(0)))
+        if not queues[name]:
+            del queues[name]
     return steps
 
 
@@ -174,7 +171,7 @@ def test_members_that_come_later_take_from_then_on():
     assert mediation.done == 9
 
 
-def test_an_object_that_left_holds_nobody_back():
+def test_an_object_that_left_is_waited_for_up_to_then():
     mediation = Mediation("object")
     pool = StringPool()
     mediation.push_members([1], [("a", "b")])
@@ -183,6 +180,23 @@ def test_an_object_that_left_holds_nobody_back():
     mediation.push("a", batch_of([(1, "x"), (7, "y")], pool))
     mediation.push_members([5], [("a",)])
     mediation.advance_members(20)
+    assert mediation.take() is None  # b may have said something before 5
+    mediation.advance("b", 5)
     made = mediation.take()
     assert made is not None
     assert made.available.tolist() == [1, 7]
+
+
+def test_a_life_that_was_cut_leaves_nothing_behind():
+    mediation = Mediation()
+    pool = StringPool()
+    mediation.push_members([1, 5, 8], [("a",), (), ("a",)])
+    mediation.attach("a")
+    mediation.push("a", batch_of([(2, "x"), (9, "y")], pool))
+    mediation.cut("a", 4)
+    mediation.attach("a")  # its second life
+    mediation.push("a", batch_of([(8, "z"), (10, "u")], pool))
+    mediation.advance_members(20)
+    made = mediation.take()
+    assert made is not None
+    assert made.available.tolist() == [2, 8, 10]

@@ -199,6 +199,9 @@ class Recorder:
         assert self.watermark is None or watermark > self.watermark
         self.watermark = watermark
 
+    def resumed(self, source):
+        pass
+
     def ended(self, source):
         self.ends += 1
 

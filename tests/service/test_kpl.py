@@ -179,3 +179,33 @@ def test_prove_follows_objects_that_come_and_go(tmp_path):
     assert ran.exit_code == proved.exit_code == 0, ran.output
     # Positions 1, 4, 9 in its first life, 36, 49, 64 in its second.
     assert [json.loads(line)["value"] for line in ran.output.splitlines()] == [3, 5, 13, 15]
+
+
+@pytest.mark.parametrize(
+    ("sort", "value", "words"),
+    [
+        ("float", "hello", "is float"),
+        ("integer", "1.5", "is integer"),
+        ("boolean", "7", "is boolean"),
+    ],
+)
+def test_recorded_values_are_of_their_sort(tmp_path, sort, value, words):
+    (tmp_path / "app.kpl").write_text(f"source {sort} p\nstrmgen f = p\nstream s = f\n")
+    (tmp_path / "p.csv").write_text(f"available,valid,value\n250,200,{value}\n")
+    said = CliRunner().invoke(
+        app, ["kpl", "run", str(tmp_path / "app.kpl"), str(tmp_path / "p.csv")]
+    )
+    assert said.exit_code == 1, said.output
+    assert words in said.output
+
+
+def test_columns_in_another_order_and_values_that_lack(tmp_path):
+    (tmp_path / "app.kpl").write_text(
+        "sort two = (x float, y string)\nsource two p\nstrmgen f = p\nstream s = f\n"
+    )
+    (tmp_path / "p.csv").write_text("available,valid,y,x\n250,200,a,\n260,210,b,\n")
+    arguments = ["kpl", "run", str(tmp_path / "app.kpl"), str(tmp_path / "p.csv"), "--json"]
+    said = CliRunner().invoke(app, arguments)
+    assert said.exit_code == 0, said.output
+    made = [json.loads(line) for line in said.output.splitlines()]
+    assert [(one["x"], one["y"]) for one in made] == [(None, "a"), (None, "b")]

@@ -57,3 +57,30 @@ def test_one_in_turn_is_sent_after_those_that_waited():
         sent, drops, _ = run(Policy(SampleEvery(10)), available, valid, size)
         assert sent == [(0, 0), (7, 10), (8, 20), (9, 30), (10, 40)]
         assert drops == []
+
+
+@pytest.mark.parametrize("delay", [None, 20])
+@pytest.mark.parametrize(
+    "ending", [lambda adaptation: adaptation.advance(11), lambda adaptation: adaptation.end()]
+)
+def test_what_must_wait_for_its_available_time_is_not_given_before(delay, ending):
+    """When 4 has come at 9, 6 can follow, but at 10: before 10 is known it is no one's to see."""
+    adaptation = adapt(Policy(SampleEvery(2), delay))
+    made = adaptation.push(SampleBatch(np.array([5, 6, 9]), np.array([2, 6, 4]), {}))
+    assert [time for batch in made for time in batch.available.tolist()] == [5, 9]
+    counters = adaptation.counters
+    assert (counters.kept, counters.delayed, counters.pending) == (2, 0, 1)
+    assert adaptation.advance(10) == []
+    assert [time for batch in ending(adaptation) for time in batch.available.tolist()] == [10]
+    assert (counters.kept, counters.delayed, counters.pending) == (3, 1, 0)
+
+
+def test_those_that_wait_for_their_time_are_followed_by_the_next():
+    adaptation = adapt(Policy(SampleEvery(1)))
+    adaptation.push(SampleBatch(np.array([0, 1, 2, 3]), np.array([0, 2, 3, 4]), {}))
+    made = adaptation.push(SampleBatch(np.array([4]), np.array([1]), {}))
+    made += adaptation.push(SampleBatch(np.array([6]), np.array([5]), {}))
+    assert [time for batch in made for time in batch.available.tolist()] == [4, 5, 6]
+    made = adaptation.advance(9)
+    assert [time for batch in made for time in batch.available.tolist()] == [7, 8]
+    assert adaptation.counters.delayed == 4

@@ -14,6 +14,7 @@ from dyknow.streams.policy import (
 from dyknow.streams.sample import Field, FieldType, SampleBatch, Schema, batch_from_rows
 from dyknow.streams.satisfaction import extend, is_substream, prove, satisfies
 from dyknow.streams.strings import StringPool
+from dyknow.streams.time import TIME_MAX, TIME_MIN
 
 POOL = StringPool()
 SCHEMA = Schema((Field("value", FieldType.STRING),))
@@ -80,3 +81,32 @@ def test_a_grid_that_is_far_too_long_is_refused() -> None:
     adaptation.push(stream((1, 1, "p1")))
     with pytest.raises(PolicyError, match="samples at once"):
         adaptation.push(stream((5_000, 5_000, "p2")))
+
+
+def test_what_proves_refuses_a_grid_that_is_far_too_long() -> None:
+    policy = Policy(SampleEvery(1), 5, Duration(0, 10**15), approximation=Approximation.MOST_RECENT)
+    with pytest.raises(PolicyError, match="more than 10000000") as caught:
+        extend(F1, policy)
+    assert "longer period" in caught.value.hint
+    with pytest.raises(PolicyError, match="grid"):
+        prove(stream(), F1, policy)
+
+
+def test_a_grid_over_all_of_time_has_its_points() -> None:
+    policy = Policy(
+        SampleEvery(2**62),
+        0,
+        Duration(TIME_MIN, TIME_MAX),
+        approximation=Approximation.MOST_RECENT,
+    )
+    recorded = stream((TIME_MIN, TIME_MIN, "p1"), (1, 0, "p2"))
+    expected = [
+        (-(2**63), -(2**63), "p1"),
+        (-(2**62), -(2**62), "p1"),
+        (0, 0, "p1"),
+        (2**62, 2**62, "p2"),
+    ]
+    assert rows(extend(recorded, policy)) == expected
+    assert prove(stream(*expected), recorded, policy) is None
+    assert prove(stream(*expected[:-1]), recorded, policy) is not None
+    assert prove(stream(*expected[:-1], (2**62, 2**62, "p1")), recorded, policy) is not None

@@ -87,6 +87,24 @@ def test_waiting_for_ever_is_counted_at_the_end():
     assert (counters.states + counters.incomplete, counters.pending) == (2, 0)
 
 
+def test_a_grid_does_not_begin_before_what_is_known():
+    """Without `from` the first state is one that the first sample came in time for."""
+    for delay, states in ((0, [(20, 20, (None,))]), (5, []), (None, [])):
+        sync = Synchronization(SynchronizationPolicy(SampleEvery(2), delay), [False])
+        sync.advance(0, 20)
+        assert sync.known == 19
+        assert shown(sync.push(0, make((20, 3)))) == states
+    sync = Synchronization(SynchronizationPolicy(SampleEvery(2), 5), [False])
+    assert shown([*sync.push(0, make((20, 3))), *sync.advance(0, 23)]) == [(21, 16, (None,))]
+
+
+def test_a_very_old_first_sample_makes_no_flood_of_states():
+    policy = SynchronizationPolicy(SampleEvery(1), 5, approximation=RECENT)
+    now = 10**18
+    sync = Synchronization(policy, [True], limit=1000)
+    assert shown(sync.push(0, make((now, 3)))) == [(now, now - 5, (3,))]
+
+
 def test_too_many_states_at_once_are_refused():
     policy = SynchronizationPolicy(SampleEvery(1), 0, Duration(0))
     with pytest.raises(PolicyError, match="more than 1000") as caught:

@@ -6,7 +6,7 @@ with the product but the names of the constraints in a `Policy`.
 
 from __future__ import annotations
 
-from itertools import pairwise
+from itertools import combinations, pairwise
 
 from dyknow.streams.policy import AnyChange, Approximation, Order, Policy
 
@@ -81,15 +81,27 @@ def origins(part: list[Sample], whole: list[Sample]) -> list[int] | None:
     return [next(i for i, r in chosen.items() if r == row) for row in range(len(part))]
 
 
+def unused(part: list[Sample], whole: list[Sample]) -> list[Sample]:
+    """What ``part`` leaves where each of its samples comes from the oldest equal one of ``whole``;
+    any other choice leaves an older one instead, which can be added wherever this one can."""
+    left = list(whole)
+    for sample in part:
+        left.remove(next(s for s in left if s[1:] == sample[1:]))
+    return left
+
+
 def addable(part: list[Sample], whole: list[Sample], policy: Policy) -> Sample | None:
     """A sample of ``whole`` that can still be added to ``part``, with the available time at which;
-    None if ``part`` is maximal. One that repeats what is kept does not count for `any change`.
+    None if ``part`` is maximal.
 
     All times at which something could differ are tried: next to its own and to those of ``part``.
+    For `any change` one that repeats what is kept counts only undelayed: by itself, or with another
+    such; where samples wait, only after the last one like it.
     """
+    repeats = isinstance(policy.change, AnyChange)
     kept = {s[1:] for s in part}
-    for sample in whole:
-        if isinstance(policy.change, AnyChange) and sample[1:] in kept:
+    for sample in unused(part, whole):
+        if repeats and sample[1:] in kept:
             continue
         times = {sample[0]} | {s[0] + step for s in part for step in (-1, 1)}
         if policy.max_delay is not None:
@@ -98,7 +110,16 @@ def addable(part: list[Sample], whole: list[Sample], policy: Policy) -> Sample |
             if time < sample[0] or any(s[0] == time for s in part):
                 continue
             added = (time, *sample[1:])
-            more = sorted([*part, added])
+            more = sorted([*part, added], key=lambda s: s[0])
             if satisfies(more, policy) and origins(more, whole) is not None:
                 return added
+    if not repeats:
+        return None
+    copies = [s for s in whole if s[1:] in kept and all(s[0] != other[0] for other in part)]
+    if policy.order is not Order.ANY and policy.max_delay is not None:
+        copies = [s for s in copies if all(s[0] > o[0] for o in part if o[1:] == s[1:])]
+    for added in [(one,) for one in copies] + list(combinations(copies, 2)):
+        more = sorted([*part, *added], key=lambda s: s[0])
+        if satisfies(more, policy) and origins(more, whole) is not None:
+            return added[0]
     return None
