@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from typing import Any
 
 import httpx
@@ -28,6 +29,8 @@ from .serve import serve
 from .streams import annotate, streams
 from .templates import template
 
+RECURSION_LIMIT = 20_000
+"""Calls inside each other: enough for chains of some two thousand units."""
 USAGE: Any = typer.BadParameter.__base__
 """Every wrong use of an option, an argument or a command; typer has no public name for it."""
 
@@ -111,4 +114,6 @@ app.add_typer(kpl, name="kpl")
 
 def main() -> None:
     """The entry point of the installed command."""
+    # A sample passes from unit to unit by calls: a chain is as long as the interpreter allows.
+    sys.setrecursionlimit(RECURSION_LIMIT)
     app()
