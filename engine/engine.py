@@ -6,13 +6,10 @@ Time comes in as an argument (`publish`, `tick`); nothing here reads a clock.
 
 from __future__ import annotations
 
-import re
 import secrets
-from collections import OrderedDict, deque
+from collections import deque
 from collections.abc import Sequence
 from pathlib import Path
-
-from pyoxigraph import NamedNode, Variable
 
 from ..converters.to_triples import SampleConverter
 from ..converters.wire import Incoming
@@ -22,12 +19,10 @@ from ..languages.ssl.annotation import (
     CheckedAnnotation,
     StreamAnnotation,
 )
-from ..matching.match import Match, UnknownStrategy, match
-from ..matching.want import Want
 from ..ontology.ontology import Ontology
 from ..ontology.reading import TextFormat
-from ..rdf.dictionary import Term, TermDictionary
-from ..rdf.namespaces import DYKNOW, PREFIXES, shorten
+from ..rdf.dictionary import TermDictionary
+from ..rdf.namespaces import PREFIXES, shorten
 from ..streams.fluent import Retention
 from ..streams.generator import StreamGenerator
 from ..streams.sample import Field, FieldType, SampleBatch, Schema, batch_from_rows
@@ -48,9 +43,10 @@ from .errors import (
     Conflict,
     Refused,
     UnknownEvent,
-    UnknownFeature,
     UnknownTemplate,
 )
+from .intake import Intake
+from .knowing import did_you_mean, iri_of, matched
 from .kpl import KplDeclarations
 from .processes import PROCESSES, Processes
 from .requests import EventRequests
@@ -71,7 +67,6 @@ from .views import (
 )
 
 _STATUS_FIELDS = ("change", "stream", "unit", "transformation", "inputs", "specification")
-_KEYS_KEPT = 10_000
 
 
 class Engine:
@@ -128,8 +123,7 @@ class Engine:
         self._kpl = KplDeclarations(self.ontology, self._application, self._changed)
         self._subscriptions = Subscriptions(self._configuration)
         self._untold: deque[Change] = deque()
-        self._keys: OrderedDict[tuple[str, str], tuple[bytes, int]] = OrderedDict()
-        self._keyed: set[str] = set()
+        self._intake = Intake(self._configuration)
         self._converters: dict[str, SampleConverter] = {}
         self._status: StreamGenerator | None = None
         self._status = self._configuration.add_stream(
@@ -178,13 +172,7 @@ class Engine:
     def accepting(self, name: str) -> StreamGenerator:
         """The generator of a stream that takes samples; raises `UnknownStream`, and `Refused` for
         a stream that the system makes."""
-        generator = self._configuration.stream(name)
-        made = (self._configuration.units, self._configuration.system, (STATUS,))
-        if any(generator.name in names for names in made):
-            raise Refused(
-                f"stream {name!r} is made by the system", "publish to a stream that you declared"
-            )
-        return generator
+        return self._intake.accepting(name)
 
     def remove_stream(self, name: str) -> None:
         """Forget a declared stream and its annotation; raises `UnknownStream`, `Refused` for a
@@ -208,34 +196,8 @@ class Engine:
         arrival where samples brought their own available times, and the other way round: the one
         would make all of the other late.
         """
-        generator = self.accepting(name)
-        name = generator.name
-        key = (name, idempotency_key or "")
-        if idempotency_key is not None and key in self._keys:
-            sent, accepted = self._keys[key]
-            if sent != digest:
-                raise Conflict(
-                    f"key {idempotency_key!r} was used for other samples of stream {name!r}",
-                    "use a key once; the same samples may be sent under it again",
-                )
-            return accepted
-        if len(incoming.batch) and generator.stamped not in (None, incoming.stamped):
-            has, lacks = (
-                ("are stamped on arrival", "bring")
-                if generator.stamped
-                else ("bring their own available times", "lack")
-            )
-            raise Conflict(
-                f"the samples of stream {name!r} {has}; these {lacks} them",
-                "a stream is one or the other, from its first sample on",
-            )
+        accepted = self._intake.publish(name, incoming, now, idempotency_key, digest)
         self._now = max(self._now, now)
-        accepted = generator.offer(incoming.batch, now if incoming.stamped else None)
-        if idempotency_key is not None:
-            self._keys[key] = (digest, accepted)
-            self._keyed.add(name)
-            if len(self._keys) > _KEYS_KEPT:
-                self._keys.popitem(last=False)
         self._settle()
         return accepted
 
@@ -320,7 +282,7 @@ class Engine:
     def make_request(self, event: str, arguments: Sequence[str]) -> EventRequest:
         """The same from parts, each argument as text; raises `LanguageError`."""
         parsed = tuple(parse_argument(argument, PREFIXES) for argument in arguments)
-        return EventRequest(self._iri(event), parsed, f"{event}({', '.join(arguments)})")
+        return EventRequest(iri_of(event), parsed, f"{event}({', '.join(arguments)})")
 
     def request_event(
         self, request: EventRequest, strategy: str = "fast", since: Since = Since.NOW
@@ -414,27 +376,8 @@ class Engine:
         strategy: str = "fast",
     ) -> MatchView:
         """Semantic matching without executing: what would give ``feature``, and why."""
-        vocabulary = self.ontology.vocabulary
-        iri = self._iri(feature)
-        if not vocabulary.is_feature(iri):
-            raise UnknownFeature(
-                f"the ontology knows no feature {shorten(iri)}",
-                _did_you_mean(vocabulary.suggest(feature, "feature")),
-            )
-        sort_iri = None if sort is None else self._iri(sort)
-        if sort_iri is not None and not vocabulary.is_sort(sort_iri):
-            raise UnknownFeature(
-                f"the ontology knows no sort {shorten(sort_iri)}",
-                _did_you_mean(vocabulary.suggest(sort or "", "sort")),
-            )
-        if len(objects) > 1:
-            raise Refused("features of one object are matched so far", "name one object, or a sort")
-        want = Want(iri, sort_iri, self._iri(objects[0]) if objects else None)
-        try:
-            found: Match = match(want, self._declared.space(), vocabulary, strategy)
-        except UnknownStrategy as error:
-            raise BadArguments(str(error)) from error
-        return explanations.match_view(want, found, strategy)
+        vocabulary, space = self.ontology.vocabulary, self._declared.space()
+        return matched(vocabulary, space, feature, sort, objects, strategy)
 
     def explain(
         self, *, event: str | None = None, template: str | None = None, query: str | None = None
@@ -479,10 +422,8 @@ class Engine:
 
     def _tell(self, change: Change) -> None:
         self._manager.changed(change)
-        if change.kind is ChangeKind.STREAM_REMOVED and change.stream in self._keyed:
-            self._keyed.discard(change.stream)
-            for key in [key for key in self._keys if key[0] == change.stream]:
-                del self._keys[key]
+        if change.kind is ChangeKind.STREAM_REMOVED:
+            self._intake.forget(change.stream)
         self._converters.pop(change.stream, None)
         status = self._status
         if status is None or change.stream == STATUS:
@@ -528,7 +469,7 @@ class Engine:
             return self._templates.get(name)
         except NoSuchTemplate as error:
             raise UnknownTemplate(
-                f"there is no template {name!r}", _did_you_mean(error.suggestions)
+                f"there is no template {name!r}", did_you_mean(error.suggestions)
             ) from error
 
     def _template_view(self, template: Template) -> TemplateView:
@@ -547,27 +488,6 @@ class Engine:
             known = ", ".join(shorten(name) for name in self._templates.names())
             raise UnknownEvent(
                 f"the ontology knows no event {shorten(request.event)} with a template",
-                _did_you_mean(error.suggestions)
+                did_you_mean(error.suggestions)
                 or (f"there are {known}" if known else "register one with POST /templates"),
             ) from error
-
-    def _iri(self, text: str) -> str:
-        """A name as people write it: an IRI, ``<iri>``, a prefixed name, or a local name."""
-        argument: Term | Variable
-        if re.fullmatch(r"[A-Za-z_][\w\-]*", text):
-            return DYKNOW + text
-        if re.match(r"(https?|urn|tag):", text):
-            text = f"<{text}>"
-        argument = parse_argument(text, PREFIXES)
-        if not isinstance(argument, NamedNode):
-            raise UnknownFeature(f"{text!r} is no name of a term", "write dyknow:speed or an IRI")
-        return argument.value
-
-
-def _did_you_mean(names: Sequence[str]) -> str:
-    return f"did you mean {', '.join(_short(name) for name in names)}?" if names else ""
-
-
-def _short(name: str) -> str:
-    """A name as people write it, whether it is an IRI or short already."""
-    return shorten(name) if "://" in name else name

@@ -1,0 +1,72 @@
+"""Taking samples in: which streams accept them, each batch once ([DyKnow10 Def. 4.4])."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+
+from ..converters.wire import Incoming
+from ..streams.generator import StreamGenerator
+from .configuration import STATUS, Configuration
+from .errors import Conflict, Refused
+
+_KEYS_KEPT = 10_000
+
+
+class Intake:
+    """Offers published batches to their streams. Remembers the last 10,000 idempotency keys."""
+
+    def __init__(self, configuration: Configuration) -> None:
+        self._configuration = configuration
+        self._keys: OrderedDict[tuple[str, str], tuple[bytes, int]] = OrderedDict()
+        self._keyed: set[str] = set()
+
+    def accepting(self, name: str) -> StreamGenerator:
+        """The generator of a stream that takes samples; raises `UnknownStream`, and `Refused` for
+        a stream that the system makes."""
+        generator = self._configuration.stream(name)
+        made = (self._configuration.units, self._configuration.system, (STATUS,))
+        if any(generator.name in names for names in made):
+            raise Refused(
+                f"stream {name!r} is made by the system", "publish to a stream that you declared"
+            )
+        return generator
+
+    def publish(
+        self, name: str, incoming: Incoming, now: int, idempotency_key: str | None, digest: bytes
+    ) -> int:
+        """See `Engine.publish`."""
+        generator = self.accepting(name)
+        name = generator.name
+        key = (name, idempotency_key or "")
+        if idempotency_key is not None and key in self._keys:
+            sent, accepted = self._keys[key]
+            if sent != digest:
+                raise Conflict(
+                    f"key {idempotency_key!r} was used for other samples of stream {name!r}",
+                    "use a key once; the same samples may be sent under it again",
+                )
+            return accepted
+        if len(incoming.batch) and generator.stamped not in (None, incoming.stamped):
+            has, lacks = (
+                ("are stamped on arrival", "bring")
+                if generator.stamped
+                else ("bring their own available times", "lack")
+            )
+            raise Conflict(
+                f"the samples of stream {name!r} {has}; these {lacks} them",
+                "a stream is one or the other, from its first sample on",
+            )
+        accepted = generator.offer(incoming.batch, now if incoming.stamped else None)
+        if idempotency_key is not None:
+            self._keys[key] = (digest, accepted)
+            self._keyed.add(name)
+            if len(self._keys) > _KEYS_KEPT:
+                self._keys.popitem(last=False)
+        return accepted
+
+    def forget(self, name: str) -> None:
+        """A stream was removed, and with it the keys that were used for it."""
+        if name in self._keyed:
+            self._keyed.discard(name)
+            for key in [key for key in self._keys if key[0] == name]:
+                del self._keys[key]
