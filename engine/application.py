@@ -308,7 +308,7 @@ class Application:
 
     # For configuration processes: see `Generators`.
 
-    def start(self, declaration: GeneratorDeclaration, after: int) -> str | None:
+    def start(self, declaration: GeneratorDeclaration, after: int, until: int | None) -> str | None:
         """Start a generator of one object; why not, if that cannot be."""
         key = declaration.key
         missing = self._network.missing(declaration)
@@ -316,7 +316,7 @@ class Application:
             return f"there is no {missing}"
         if self._configuration.has(key):
             return f"there is another {key}"
-        unit = self._network.start_generator(declaration, after)
+        unit = self._network.start_generator(declaration, after, until)
         assert unit is not None, "a foreach has no generators of sources"
         self._units[key] = unit
         self._is_new = True
@@ -325,6 +325,15 @@ class Application:
     def end(self, declaration: GeneratorDeclaration, until: int) -> None:
         """Let a generator see nothing that is available later than ``until``."""
         self._units[declaration.key].end_after(until)
+
+    def has_seen(self, declaration: GeneratorDeclaration) -> int:
+        """Up to when a generator has seen samples."""
+        return self._units[declaration.key].seen
+
+    def void(self, declaration: GeneratorDeclaration) -> None:
+        """Take a generator away that another one takes the place of, from its beginning."""
+        self._units[declaration.key].output.is_void = True
+        self.stop(declaration)
 
     def is_over(self, declaration: GeneratorDeclaration) -> bool:
         """Whether a generator has seen all that it is to see."""
@@ -340,6 +349,8 @@ class Application:
         key = declaration.key
         unit = self._units.pop(key, None)
         if unit is not None:
+            if any(self._configuration.is_void(source) for source in unit.inputs):
+                unit.output.is_void = True
             self._configuration.remove_unit(unit)
             if isinstance(unit, MediationUnit):
                 self._news.pop(unit, None)

@@ -216,6 +216,20 @@ class Configuration:
             self._keys[unit] = key
         return unit
 
+    def ends_at(self, generator: StreamGenerator) -> int | None:
+        """When the object's life is over that a stream is of, behind a policy too; None: never."""
+        unit = self.units.get(generator.name)
+        if unit is not None and unit.output is generator and unit.transformation == POLICY:
+            return self.ends_at(unit.inputs[0])
+        return generator.ends_at
+
+    def is_void(self, generator: StreamGenerator) -> bool:
+        """Whether another stream takes its place and says all anew, behind a policy too."""
+        unit = self.units.get(generator.name)
+        if unit is not None and unit.output is generator and unit.transformation == POLICY:
+            return self.is_void(unit.inputs[0])
+        return generator.is_void
+
     def reads_what_is_there(self, unit: ComputationalUnit) -> bool:
         """Whether its inputs are the streams of their names still, behind policies too."""
         for source in unit.inputs:
@@ -403,13 +417,14 @@ class Configuration:
         since: Since = Since.NOW,
         specification: str = "",
         after: int | None = None,
+        until: int | None = None,
     ) -> None:
         """Connect a unit to its inputs, and tell; see `ComputationalUnit.start`."""
         self.units[unit.output.name] = unit
         self._use(unit.inputs)
         text = ", ".join(f"{key}={value}" for key, value in unit.parameters.items())
         self.tell(ChangeKind.UNIT_STARTED, unit, specification or f"{unit.transformation}({text})")
-        unit.start(since, after)
+        unit.start(since, after, until)
 
     def change_inputs(
         self,

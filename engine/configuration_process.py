@@ -18,11 +18,13 @@ from .supervision import ErrorCounters, ProcessEvent
 @dataclass(slots=True, eq=False)
 class _Life:
     """A generator of one object; it sees what is available after ``after`` and up to ``until``
-    (ns; None: it goes on). ``reason`` says why it is not there."""
+    (ns; None: it goes on). ``end`` is what ``until`` will be, where a set is known already that
+    leaves the object out. ``reason`` says why it is not there."""
 
     declaration: GeneratorDeclaration
     after: int
     until: int | None = None
+    end: int | None = None
     reason: str = ""
 
     @property
@@ -33,8 +35,15 @@ class _Life:
 class Generators(Protocol):
     """Whoever makes generators and takes them away."""
 
-    def start(self, declaration: GeneratorDeclaration, after: int) -> str | None:
-        """Make one that sees what is available after ``after``, or say why that cannot be."""
+    def start(self, declaration: GeneratorDeclaration, after: int, until: int | None) -> str | None:
+        """Make one that sees what is available after ``after`` and up to ``until`` (None: it goes
+        on), or say why that cannot be."""
+
+    def has_seen(self, declaration: GeneratorDeclaration) -> int:
+        """The available time of the latest sample that it has seen."""
+
+    def void(self, declaration: GeneratorDeclaration) -> None:
+        """Take it away: it will be started anew, from its beginning."""
 
     def end(self, declaration: GeneratorDeclaration, until: int) -> None:
         """It is to see nothing that is available later than ``until``."""
@@ -155,7 +164,10 @@ class ConfigurationProcess:
             for object in new:
                 made = instantiate(self.declaration, object)
                 self._lives[object] = tuple(_Life(declaration, until) for declaration in made)
+                ahead = (at for at, later in self._pending if object not in later)
+                end = next(ahead, None)
                 for life in self._lives[object]:
+                    life.end = None if end is None else end - 1
                     self._try(life)
             if gone or new:
                 return True
@@ -192,17 +204,27 @@ class ConfigurationProcess:
             or any(other.key == life.key and other is not life for other in self._waiting)
             for life in lives
         )
+        running = []
         for life in lives:
-            life.until = until
+            life.until = life.end = until
             if self._running.pop(life.key, None) is not None:
-                self._generators.end(life.declaration, until)
-                self._leaving[life.key] = life
+                running.append(life)
             elif not has_earlier:
                 self._waiting.remove(life)
+        if all(self._generators.has_seen(life.declaration) <= until for life in running):
+            for life in running:
+                self._generators.end(life.declaration, until)
+                self._leaving[life.key] = life
+            return
+        # The set came after samples that it cuts off: what they have done is undone.
+        for life in reversed(running):
+            self._generators.void(life.declaration)
+        for life in running:
+            self._try(life)
 
     def _try(self, life: _Life) -> bool:
         """Make a generator if that can be; one whose time is over already sees it all at once."""
-        reason = self._generators.start(life.declaration, life.after)
+        reason = self._generators.start(life.declaration, life.after, life.end)
         if reason is not None:
             life.reason = reason
             if life not in self._waiting:
@@ -213,6 +235,5 @@ class ConfigurationProcess:
         if life.until is None:
             self._running[life.key] = life
         else:
-            self._generators.end(life.declaration, life.until)
             self._leaving[life.key] = life
         return True

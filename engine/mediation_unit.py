@@ -18,9 +18,11 @@ Inputs = Sequence[StreamGenerator]
 class MediationUnit(ComputationalUnit):
     """The streams of the objects that its first input names, as one.
 
-    ``stream_of`` gives the stream of an object, or None while there is none; ``on_inputs`` hears
-    which inputs came and went, ``on_news`` that there is something to settle. With ``select`` only
-    the object named last in a set is in it.
+    ``stream_of`` gives the stream of an object, or None while there is none; ``ends_at`` tells when
+    the life is over that a stream is of (None: never), ``is_void`` whether what it has said is
+    said anew by the one in its place; ``on_inputs`` hears which inputs came and went, ``on_news``
+    that there is something to settle. With ``select`` only the object named last in a set is in
+    it.
 
     What comes is only noted. `connect_inputs` follows the sets while other processes make and
     remove streams; `pass_on` is for when they have done so. So what is passed on does not depend
@@ -34,6 +36,8 @@ class MediationUnit(ComputationalUnit):
         kernel: Mediation,
         select: bool,
         stream_of: Callable[[str], StreamGenerator | None],
+        ends_at: Callable[[StreamGenerator], int | None],
+        is_void: Callable[[StreamGenerator], bool],
         on_inputs: Callable[[MediationUnit, Inputs, Inputs], None],
         on_news: Callable[[MediationUnit], None],
         on_event: Callable[[ComputationalUnit, ProcessEvent, str], None],
@@ -43,6 +47,8 @@ class MediationUnit(ComputationalUnit):
         self._kernel = kernel
         self._select = select
         self._stream_of = stream_of
+        self._ends_at = ends_at
+        self._is_void = is_void
         self._on_inputs = on_inputs
         self._on_news = on_news
         self._on_event = on_event
@@ -87,10 +93,11 @@ class MediationUnit(ComputationalUnit):
         self._on_news(self)
 
     def _end(self, label: str, source: StreamGenerator) -> None:
-        if source.ends_at is None:
+        until = self._ends_at(source)
+        if until is None:
             self._kernel.end(label)
         else:
-            self._kernel.cut(label, source.ends_at)
+            self._kernel.end_at(label, until)
 
     def resume(self, source: StreamGenerator) -> None:
         super().resume(source)
@@ -146,6 +153,8 @@ class MediationUnit(ComputationalUnit):
         for generator in [ended for ended in self._ended if ended in self._read_by]:
             for label in list(self._read_by[generator]):
                 if self._stream_of(label) not in (None, generator):
+                    if self._is_void(generator):
+                        self._kernel.forget(label)
                     self._on_inputs(self, (), (self._leave(label),))
 
     def _leave(self, label: str) -> StreamGenerator:

@@ -87,11 +87,15 @@ class Network:
         return found
 
     def start_generator(
-        self, declaration: GeneratorDeclaration, after: int | None = None
+        self,
+        declaration: GeneratorDeclaration,
+        after: int | None = None,
+        until: int | None = None,
     ) -> ComputationalUnit | None:
         """Start what a label stands for; None for a source's, which is its stream.
 
-        With ``after`` (ns) it sees nothing that was available by then.
+        With ``after`` (ns) it sees nothing that was available by then, with ``until`` nothing that
+        is available later.
         """
         unit: ComputationalUnit
         key, process = declaration.key, declaration.process
@@ -126,14 +130,14 @@ class Network:
                 unit = self._mediation(declaration, process, after)
             case _:
                 assert_never(process)
-        self._start(unit, unit.parameters["kpl"], after)
+        self._start(unit, unit.parameters["kpl"], after, until)
         return unit
 
     def start_stream(self, declaration: StreamDeclaration) -> AdaptationUnit:
         """Start the subscription that a declared stream is."""
         violations = self._configuration.violations(declaration.name, self._retention)
         unit = self._adaptation(declaration.term, declaration.name, violations)
-        self._start(unit, format_kpl(declaration), None)
+        self._start(unit, format_kpl(declaration))
         return unit
 
     def term(self, term: Term, after: int | None = None) -> StreamGenerator:
@@ -148,9 +152,15 @@ class Network:
 
         return self._configuration.share((term, after), build).output
 
-    def _start(self, unit: ComputationalUnit, specification: str, after: int | None) -> None:
+    def _start(
+        self,
+        unit: ComputationalUnit,
+        specification: str,
+        after: int | None = None,
+        until: int | None = None,
+    ) -> None:
         unit.users += 1
-        self._configuration.start(unit, Since.START, specification, after)
+        self._configuration.start(unit, Since.START, specification, after, until)
 
     def _adaptation(self, term: Term, name: str, violations: Violations | None) -> AdaptationUnit:
         source = self._configuration.stream(str(term.label))
@@ -205,6 +215,8 @@ class Network:
             kernel=Mediation(OBJECT_FIELD if is_aggregate else None, pools),
             select=not is_aggregate,
             stream_of=stream_of,
+            ends_at=self._configuration.ends_at,
+            is_void=self._configuration.is_void,
             on_inputs=changed,
             on_news=self._on_news,
             on_event=self._told,

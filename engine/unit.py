@@ -60,6 +60,8 @@ class ComputationalUnit(ABC):
         self.users = 0
         self.failure: str | None = None
         self.counters = ErrorCounters()
+        self.seen = TIME_MIN
+        """The available time (ns) of the latest sample that it has processed."""
         self.late = 0
         """Samples that came after what they belong to was decided, and were left out."""
         self._after: int | None = None
@@ -69,14 +71,18 @@ class ComputationalUnit(ABC):
         self._ended: set[StreamGenerator] = set()
         self._subscribed: list[StreamGenerator] = []
 
-    def start(self, since: Since = Since.NOW, after: int | None = None) -> None:
+    def start(
+        self, since: Since = Since.NOW, after: int | None = None, until: int | None = None
+    ) -> None:
         """Subscribe to the inputs; from the start of what they keep, if asked.
 
         The past of all inputs comes first, then how far each of them is: a unit of several inputs
         sees the same as if it had been there when their samples came. With ``after`` (ns) it sees
-        nothing that was available by then, whether that has come already or not.
+        nothing that was available by then, whether that has come already or not; with ``until``
+        nothing that is available later.
         """
         self._after = after
+        self._until = self.output.ends_at = until
         if since is Since.START or after is not None:
             for source in self.sources:
                 for segment in source.stream.since(0):
@@ -102,7 +108,7 @@ class ComputationalUnit(ABC):
     def end_after(self, until: int) -> None:
         """What is available later than ``until`` (ns) is not for this unit: its inputs end there.
 
-        The output ends when all inputs have got so far; what was made of later samples stands.
+        The output ends when all inputs have got so far. Contract: `seen` is not later.
         """
         self._until = self.output.ends_at = until
         for source in self.sources:
@@ -118,6 +124,7 @@ class ComputationalUnit(ABC):
         if not len(batch):
             return
         self._ended.discard(source)
+        self.seen = max(self.seen, int(batch.available[-1]))
         self._guarded(lambda: self.process(source, batch))
 
     def advance(self, source: StreamGenerator, watermark: int) -> None:

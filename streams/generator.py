@@ -83,7 +83,9 @@ class StreamGenerator:
         """None until the stream has begun: a stream that never spoke holds nobody back."""
         self.is_ended = False
         self.ends_at: int | None = None
-        """What is available later (ns) does not belong to it: what made it was to end there."""
+        """What is available later (ns) is not for those who follow the object that it is of."""
+        self.is_void = False
+        """Whether another stream takes its place and says all of it anew."""
         self._greatest: int | None = None
         self._pending: SampleBatch | None = None
         self._receivers: list[Receiver] = []

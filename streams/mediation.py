@@ -110,15 +110,18 @@ class Mediation:
         """The stream of ``label`` had ended, and goes on."""
         self._inputs[label].resume()
 
-    def cut(self, label: str, until: int) -> None:
-        """What waits of ``label`` and is available later than ``until`` is of no life of it."""
+    def end_at(self, label: str, until: int) -> None:
+        """No more samples of ``label``, and none that is available later than ``until`` counts."""
         input = self._inputs[label]
-        whole = Input()
+        whole = self._inputs[label] = Input()
         for batch in input.take(until):
             whole.push(batch)
         whole.advance(min(input.known, until) + 1)
         whole.end()
-        self._inputs[label] = whole
+
+    def forget(self, label: str) -> None:
+        """What waits of ``label`` does not hold: another stream in its place says it anew."""
+        self._inputs[label] = Input()
 
     def take(self) -> SampleBatch | None:
         """What is decided by now; None if that is nothing."""

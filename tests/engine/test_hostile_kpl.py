@@ -140,6 +140,66 @@ def test_a_foreach_depends_on_times_alone(engine, cuts, first):
     assert not [view.name for view in engine.streams() if "[" in view.name]
 
 
+POLICIES = [
+    *("any change", "max delay 5", "monotone order, max delay 16", "sample every 1"),
+    "sample every 1, max delay 1, from 0 to 40, use most recent",
+]
+
+
+@pytest.mark.parametrize("policy", POLICIES)
+@pytest.mark.parametrize("one_by_one", [False, True])
+@pytest.mark.parametrize("order", ["d S F", "d F S", "S d F", "S F d", "F d S"])
+def test_lives_under_a_policy_know_nothing_of_each_other(processes, policy, order, one_by_one):
+    """A unit with state: its second life begins anew, also where the sets come last."""
+
+    @processes.computational_unit("float", ["fix"])
+    def Sum(time, samples, state):
+        total = (state or 0.0) + samples[0]["pos"]
+        return total, total
+
+    sets = [(0, "a"), (10, ""), (20, "a")]
+    fixes = [(5, "a", 1.0), (15, "a", 7.0), (25, "a", 2.0)]
+    sources = (
+        "sort fix = (id string, pos float)\nsource fix moves\nsource object sets\n"
+        "compunit float Sum(fix)\nstrmgen positions = moves\nstrmgen cars = sets\n"
+    )
+    network = (
+        "foreach car in cars {\n strmgen pos[car] = selectObject(positions)\n"
+        " strmgen sum[car] = Sum(pos[car])\n}\n"
+        f"strmgen out = aggregate(sum[car] with {policy} foreach car in cars)"
+    )
+
+    def played(order, one_by_one):
+        engine = Engine(processes=processes)
+        engine.add_kpl(sources)
+        for step in order.split():
+            if step == "d":
+                engine.add_kpl(network)
+                continue
+            name, rows = ("sets", sets) if step == "S" else ("moves", fixes)
+            for some in [[row] for row in rows] if one_by_one else [rows]:
+                publish(engine, name, *some)
+        engine.end("moves")
+        engine.end("sets")
+        assert len([view for view in engine.streams() if view.name.startswith("sum")]) == 1
+        return content(engine, "out")
+
+    def reference():
+        engine = Engine(processes=processes)
+        engine.add_kpl(sources + network)
+        for _, name, row in sorted(
+            [(row[0], "sets", row) for row in sets] + [(row[0], "fixes", row) for row in fixes],
+            key=lambda item: (item[0], item[1] != "sets"),
+        ):
+            publish(engine, "sets" if name == "sets" else "moves", row)
+        engine.end("moves")
+        engine.end("sets")
+        return content(engine, "out")
+
+    assert played(order, one_by_one) == reference()
+    assert {value for *_, value in reference()} <= {1.0, 2.0}
+
+
 def test_a_foreach_declared_late_is_what_it_would_have_been(engine):
     engine.add_kpl("source float a\nsource object who\nstrmgen p[one] = a\nstrmgen members = who")
     publish(engine, "who", (0, "one"), (9, "one two"))

@@ -187,16 +187,15 @@ def test_an_object_that_left_is_waited_for_up_to_then():
     assert made.available.tolist() == [1, 7]
 
 
-def test_a_life_that_was_cut_leaves_nothing_behind():
+def test_what_is_said_anew_is_not_said_twice():
     mediation = Mediation()
     pool = StringPool()
-    mediation.push_members([1, 5, 8], [("a",), (), ("a",)])
+    mediation.push_members([1], [("a",)])
     mediation.attach("a")
     mediation.push("a", batch_of([(2, "x"), (9, "y")], pool))
-    mediation.cut("a", 4)
-    mediation.attach("a")  # its second life
-    mediation.push("a", batch_of([(8, "z"), (10, "u")], pool))
+    mediation.forget("a")
+    mediation.push("a", batch_of([(2, "x"), (8, "z")], pool))
     mediation.advance_members(20)
     made = mediation.take()
     assert made is not None
-    assert made.available.tolist() == [2, 8, 10]
+    assert made.available.tolist() == [2, 8]
