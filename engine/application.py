@@ -29,6 +29,7 @@ from ..languages.kpl import (
 from ..streams.fluent import Retention
 from ..streams.generator import StreamGenerator
 from ..streams.sample import SampleBatch
+from ..streams.time import TIME_MAX, TIME_MIN
 from .admission import Admission
 from .changes import Change, ChangeKind, Role
 from .configuration import POLICY, Configuration
@@ -83,7 +84,13 @@ class Application:
         self._rehearsal = rehearsal
         self._forget = forget
         self._network = Network(
-            configuration, processes, runner, retention, lateness, self._has_news
+            configuration,
+            processes,
+            runner,
+            retention,
+            lateness,
+            self._has_news,
+            self._promised,
         )
         self._admission = Admission(
             configuration, processes, self._network, check_name, rehearsal=rehearsal
@@ -197,7 +204,10 @@ class Application:
         """
         while True:
             acted = self._reap()
-            for process in [p for p in self._news if isinstance(p, ConfigurationProcess)]:
+            configuring = [p for p in self._news if isinstance(p, ConfigurationProcess)]
+            if configuring:  # those who wait for what they may make know more now
+                self._news.update(dict.fromkeys(self._mediations))
+            for process in configuring:
                 if process.step():
                     acted = self._is_new = True
                 else:
@@ -214,10 +224,22 @@ class Application:
                 continue
             if not mediations:
                 self._news.clear()
+                self._forget_past()
                 return
             for unit in mediations:
                 self._news.pop(unit, None)
                 unit.pass_on()
+
+    def _forget_past(self) -> None:
+        """Let go of lives that every mediation has left behind."""
+        past = self._network.past
+        if not past:
+            return
+        done = min((unit.done for unit in self._mediations), default=TIME_MAX)
+        for key in list(past):
+            past[key] = [life for life in past[key] if (life.ends_at or TIME_MIN) > done]
+            if not past[key]:
+                del past[key]
 
     def _reap(self) -> bool:
         """Take away generators of objects that have left, once they have seen the last of them."""
@@ -234,9 +256,19 @@ class Application:
             for process in self._configuring:
                 if process.review():
                     self._is_new = True
-            for unit in self._units.values():
-                if isinstance(unit, MediationUnit) and unit.may_find:
+            for unit in self._mediations:
+                if unit.may_find:
                     unit.look_again()
+
+    def _promised(self, feature: str) -> int:
+        """What configuration processes are still to make of a feature says nothing available by
+        then."""
+        makers = [process for process in self._configuring if process.makes(feature)]
+        return min((process.promised for process in makers), default=TIME_MAX)
+
+    @property
+    def _mediations(self) -> list[MediationUnit]:
+        return [unit for unit in self._units.values() if isinstance(unit, MediationUnit)]
 
     @property
     def _configuring(self) -> list[ConfigurationProcess]:
@@ -349,8 +381,11 @@ class Application:
         key = declaration.key
         unit = self._units.pop(key, None)
         if unit is not None:
+            output = unit.output
             if any(self._configuration.is_void(source) for source in unit.inputs):
-                unit.output.is_void = True
+                output.is_void = True
+            if output.ends_at is not None and not output.is_void:
+                self._network.past.setdefault(key, []).append(output)
             self._configuration.remove_unit(unit)
             if isinstance(unit, MediationUnit):
                 self._news.pop(unit, None)

@@ -216,19 +216,21 @@ class Configuration:
             self._keys[unit] = key
         return unit
 
-    def ends_at(self, generator: StreamGenerator) -> int | None:
-        """When the object's life is over that a stream is of, behind a policy too; None: never."""
+    def life_of(self, generator: StreamGenerator) -> StreamGenerator:
+        """The stream itself, or the one behind a policy."""
         unit = self.units.get(generator.name)
-        if unit is not None and unit.output is generator and unit.transformation == POLICY:
-            return self.ends_at(unit.inputs[0])
-        return generator.ends_at
+        while unit is not None and unit.output is generator and unit.transformation == POLICY:
+            generator = unit.inputs[0]
+            unit = self.units.get(generator.name)
+        return generator
+
+    def ends_at(self, generator: StreamGenerator) -> int | None:
+        """When the object's life is over that a stream is of; None: never."""
+        return self.life_of(generator).ends_at
 
     def is_void(self, generator: StreamGenerator) -> bool:
-        """Whether another stream takes its place and says all anew, behind a policy too."""
-        unit = self.units.get(generator.name)
-        if unit is not None and unit.output is generator and unit.transformation == POLICY:
-            return self.is_void(unit.inputs[0])
-        return generator.is_void
+        """Whether another stream takes its place and says all anew."""
+        return self.life_of(generator).is_void
 
     def reads_what_is_there(self, unit: ComputationalUnit) -> bool:
         """Whether its inputs are the streams of their names still, behind policies too."""

@@ -9,8 +9,9 @@ from typing import Final, Protocol
 
 from ..languages.kpl import ForeachDeclaration, GeneratorDeclaration, instantiate
 from ..streams.generator import StreamGenerator
+from ..streams.inputs import NOTHING_KNOWN
 from ..streams.sample import SampleBatch
-from ..streams.time import TIME_MIN
+from ..streams.time import TIME_MAX, TIME_MIN
 from .object_sets import sets_of
 from .supervision import ErrorCounters, ProcessEvent
 
@@ -96,6 +97,8 @@ class ConfigurationProcess:
         self._waiting: list[_Life] = []
         self._leaving: dict[str, _Life] = {}
         self._is_subscribed = False
+        self.known = NOTHING_KNOWN
+        """All sets that are available by then have come; TIME_MAX at their end."""
 
     @property
     def objects(self) -> tuple[str, ...]:
@@ -119,6 +122,8 @@ class ConfigurationProcess:
             self.receive(members, segment.batch)
         members.subscribe(self)
         self._is_subscribed = True
+        if members.is_ended:
+            self.ended(members)
 
     def stop(self) -> None:
         """Leave the sets, and take away what was made."""
@@ -135,6 +140,7 @@ class ConfigurationProcess:
 
     def receive(self, source: StreamGenerator, batch: SampleBatch) -> None:
         """Samples of the sets."""
+        self.known = int(batch.available[-1])
         for time, labels in sets_of(batch):
             if isinstance(labels, str):
                 self.counters.note(labels, time)
@@ -144,13 +150,29 @@ class ConfigurationProcess:
         self._on_news(self)
 
     def advance(self, source: StreamGenerator, watermark: int) -> None:
-        """Sets count when they come."""
+        """Every later set is available at ``watermark`` or after it."""
+        if not source.is_ended:
+            self.known = max(self.known, watermark - 1)
+            self._on_news(self)
 
     def ended(self, source: StreamGenerator) -> None:
         """The last set stays."""
+        self.known = TIME_MAX
+        self._on_news(self)
 
     def resumed(self, source: StreamGenerator) -> None:
         """Sets go on."""
+        last = source.stream.last_available
+        self.known = NOTHING_KNOWN if last is None else last
+
+    def makes(self, feature: str) -> bool:
+        """Whether generators of this feature are its own."""
+        return any(made.label.feature == feature for made in self.declaration.generators)
+
+    @property
+    def promised(self) -> int:
+        """What it is still to make says nothing that is available by then (ns)."""
+        return self._pending[0][0] - 1 if self._pending else self.known
 
     def step(self) -> bool:
         """Act on the next set that changes anything; tells whether there was one."""

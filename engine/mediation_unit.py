@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from ..streams.generator import StreamGenerator
@@ -15,14 +16,25 @@ from .unit import ComputationalUnit
 Inputs = Sequence[StreamGenerator]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Past:
+    """The stream of an object's life that is over, as a policy has made it: ``life`` tells it from
+    others, nothing in it is available later than ``until`` (ns)."""
+
+    life: StreamGenerator
+    batches: Sequence[SampleBatch]
+    until: int
+
+
 class MediationUnit(ComputationalUnit):
     """The streams of the objects that its first input names, as one.
 
-    ``stream_of`` gives the stream of an object, or None while there is none; ``ends_at`` tells when
-    the life is over that a stream is of (None: never), ``is_void`` whether what it has said is
-    said anew by the one in its place; ``on_inputs`` hears which inputs came and went, ``on_news``
-    that there is something to settle. With ``select`` only the object named last in a set is in
-    it.
+    ``stream_of`` gives the stream of an object, or None while there is none, and ``past_of`` those
+    that it had before; those to come say nothing that is available by ``promised()``. ``ends_at``
+    tells when the life is over that a stream is of (None: never), ``life_of`` which stream that
+    is, behind a policy, ``is_void`` whether what it has said is said anew by the one in its place.
+    ``on_inputs`` hears which inputs came and went, ``on_news`` that there is something to settle.
+    With ``select`` only the object named last in a set is in it.
 
     What comes is only noted. `connect_inputs` follows the sets while other processes make and
     remove streams; `pass_on` is for when they have done so. So what is passed on does not depend
@@ -36,7 +48,10 @@ class MediationUnit(ComputationalUnit):
         kernel: Mediation,
         select: bool,
         stream_of: Callable[[str], StreamGenerator | None],
+        promised: Callable[[], int],
+        past_of: Callable[[str], Sequence[Past]],
         ends_at: Callable[[StreamGenerator], int | None],
+        life_of: Callable[[StreamGenerator], StreamGenerator],
         is_void: Callable[[StreamGenerator], bool],
         on_inputs: Callable[[MediationUnit, Inputs, Inputs], None],
         on_news: Callable[[MediationUnit], None],
@@ -47,7 +62,11 @@ class MediationUnit(ComputationalUnit):
         self._kernel = kernel
         self._select = select
         self._stream_of = stream_of
+        self._promised = promised
+        self._past_of = past_of
+        self._lives: set[StreamGenerator] = set()
         self._ends_at = ends_at
+        self._life_of = life_of
         self._is_void = is_void
         self._on_inputs = on_inputs
         self._on_news = on_news
@@ -105,6 +124,11 @@ class MediationUnit(ComputationalUnit):
             self._kernel.resume(label)
 
     @property
+    def done(self) -> int:
+        """What was available by then has been passed on."""
+        return self._kernel.done
+
+    @property
     def may_find(self) -> bool:
         """Whether a stream that comes to be there may be one that it needs."""
         return bool(self.unmet or self._ended)
@@ -123,6 +147,7 @@ class MediationUnit(ComputationalUnit):
         self._guarded(self._pass_on)
 
     def _pass_on(self) -> None:
+        self._kernel.promised = self._promised()
         made = self._kernel.take()
         if made is not None:
             self.output.offer(made)
@@ -137,6 +162,8 @@ class MediationUnit(ComputationalUnit):
             self._is_news = False
             self._leave_replaced()
             missing = self._kernel.wanted.difference(self._labels)
+        for label in missing:
+            self._read_past(label)
         found = {label: self._stream_of(label) for label in sorted(missing)}
         self.unmet = tuple(label for label, generator in found.items() if generator is None)
         gained = {label: stream for label, stream in found.items() if stream is not None}
@@ -172,9 +199,21 @@ class MediationUnit(ComputationalUnit):
         self.sources = tuple(dict.fromkeys(inputs))
         return generator
 
+    def _read_past(self, label: str) -> None:
+        """Take in what an object said in lives that were over before it was asked for."""
+        for past in self._past_of(label):
+            if past.life in self._lives:
+                continue
+            self._lives.add(past.life)
+            self._kernel.attach(label)
+            for batch in past.batches:
+                self._kernel.push(label, batch)
+            self._kernel.end_at(label, past.until)
+
     def _read(self, label: str, generator: StreamGenerator) -> None:
         """Begin to read the stream of an object with what it keeps."""
         self._labels[label] = generator
+        self._lives.add(self._life_of(generator))
         self._kernel.attach(label)
         for segment in generator.stream.since(0):
             self._kernel.push(label, segment.batch)

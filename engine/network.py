@@ -21,18 +21,19 @@ from ..languages.kpl import (
     format_kpl,
     format_term,
 )
+from ..streams.adapting import adapt
 from ..streams.fluent import Retention
 from ..streams.generator import StreamGenerator
 from ..streams.joining import Join
 from ..streams.mediation import Mediation
-from ..streams.policy import Order
+from ..streams.policy import Order, Policy
 from ..streams.sample import Schema
 from ..streams.synchronization import Late, Synchronization
 from .changes import ChangeKind
 from .configuration import POLICY, Configuration
 from .errors import UnknownFeature
 from .joined_unit import FunctionProcess
-from .mediation_unit import MediationUnit
+from .mediation_unit import MediationUnit, Past
 from .processes import Processes, UnitImplementation
 from .stream_units import AdaptationUnit, ObjectSelectionUnit, TupleUnit
 from .supervision import ProcessEvent, Runner
@@ -45,7 +46,8 @@ class Network:
     """Starts the units of generators and streams over a configuration's streams.
 
     What is made is used once, by its declaration; equal terms share one adapted stream, which is
-    there as long as somebody reads it. ``on_news`` hears of mediations that have something to do.
+    there as long as somebody reads it. ``on_news`` hears of mediations that have something to do;
+    what is still to be made of a feature says nothing that is available by ``promised(feature)``.
     """
 
     def __init__(
@@ -56,6 +58,7 @@ class Network:
         retention: Retention | None,
         lateness: int,
         on_news: Callable[[MediationUnit], None],
+        promised: Callable[[str], int],
     ) -> None:
         self._configuration = configuration
         self._processes = processes
@@ -63,6 +66,9 @@ class Network:
         self._retention = retention
         self._lateness = lateness
         self._on_news = on_news
+        self._promised = promised
+        self.past: dict[str, list[StreamGenerator]] = {}
+        """The streams that labels had in lives that are over, for mediations that are behind."""
 
     def stream(self, name: str, schema: Schema | None) -> StreamGenerator:
         """A new stream; an open one without ``schema``."""
@@ -198,6 +204,10 @@ class Network:
             term = process.pattern.bound(process.variable, object)
             return self.term(term) if self._configuration.has(str(term.label)) else None
 
+        def past_of(object: str) -> list[Past]:
+            term = process.pattern.bound(process.variable, object)
+            return [_past(life, term.policy) for life in self.past.get(str(term.label), ())]
+
         def changed(
             unit: MediationUnit,
             gained: Sequence[StreamGenerator],
@@ -215,7 +225,10 @@ class Network:
             kernel=Mediation(OBJECT_FIELD if is_aggregate else None, pools),
             select=not is_aggregate,
             stream_of=stream_of,
+            promised=lambda: self._promised(process.pattern.label.feature),
+            past_of=past_of,
             ends_at=self._configuration.ends_at,
+            life_of=self._configuration.life_of,
             is_void=self._configuration.is_void,
             on_inputs=changed,
             on_news=self._on_news,
@@ -237,6 +250,17 @@ class Network:
         output = self.stream(declaration.key, schema)
         parameters = {"kpl": format_kpl(declaration)}
         return self._configuration.identity(transformation, inputs, output, parameters)
+
+
+def _past(life: StreamGenerator, policy: Policy) -> Past:
+    """What a mediation would have read of a stream, had it been there."""
+    assert life.ends_at is not None
+    segments = life.stream.since(0)
+    if policy.is_default:
+        return Past(life, [segment.batch for segment in segments], life.ends_at)
+    adaptation = adapt(policy)
+    batches = [made for segment in segments for made in adaptation.push(segment.batch)]
+    return Past(life, [*batches, *adaptation.end()], life.ends_at)
 
 
 def _read(declaration: GeneratorDeclaration) -> Sequence[Term]:

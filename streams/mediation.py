@@ -30,7 +30,7 @@ class Mediation:
 
     What is decided when: all up to the least of what is known of the set and of the streams of
     the objects in it; of an object that has left, up to when it did. A stream that is not there
-    yet (`attach`) has no samples and holds nobody back.
+    yet (`attach`) has no samples and holds nobody back, but for what `promised` says.
 
     Law: the output does not depend on how inputs were cut or interleaved, as long as streams are
     there when their objects enter (tests/laws). Cost of a `take`: O(n log n) numpy for n samples,
@@ -51,6 +51,9 @@ class Mediation:
         self._blocker: str | None = None
         self._inputs: dict[str, Input] = {}
         self._last = TIME_MIN - 1
+        self.promised = TIME_MAX
+        """A stream that is not there, or has ended, says nothing available by then: whoever may
+        still make one for an object knows that."""
         self.done = NOTHING_KNOWN
         """Everything available by then has been given; what comes is available later."""
 
@@ -146,12 +149,21 @@ class Mediation:
         known, self._blocker = TIME_MAX if self._members_ended else self._members_known, None
         for label in self.wanted:
             own = self._known_of(label)
+            if own >= known:
+                continue
+            own = max(own, self._entered(label) - 1)
             if own < known and (label in self.members or own < self._left(label) - 1):
                 known, self._blocker = own, label
         if known == TIME_MAX:
             # All that is there has ended. It may be taken up again, and others may come.
             known = max((self.done, *(input.known for input in self._inputs.values())))
         return known
+
+    def _entered(self, label: str) -> int:
+        """Since when the samples of an object may be needed."""
+        return next(
+            since for since, labels in zip(self._since, self._sets, strict=True) if label in labels
+        )
 
     def _left(self, label: str) -> int:
         """When an object that is not in the set any more left it."""
@@ -161,7 +173,7 @@ class Mediation:
     def _known_of(self, label: str | None) -> int:
         input = self._inputs.get(label or "")
         if input is None or input.ended_at is not None:
-            return TIME_MAX
+            return self.promised
         return input.known if input.begun else NOTHING_KNOWN
 
     def _holds(self, label: str, batch: SampleBatch) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
