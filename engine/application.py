@@ -384,6 +384,9 @@ class Application:
             output = unit.output
             if any(self._configuration.is_void(source) for source in unit.inputs):
                 output.is_void = True
+            if output.ends_at is None:  # with the life of what it read, if that is over
+                lives = [self._configuration.ends_at(source) for source in unit.inputs]
+                output.ends_at = min((at for at in lives if at is not None), default=None)
             if output.ends_at is not None and not output.is_void:
                 self._network.past.setdefault(key, []).append(output)
             self._configuration.remove_unit(unit)
