@@ -9,13 +9,15 @@ the streams.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
 from ..converters.wire import Incoming
 from ..languages.kpl import (
+    ForeachDeclaration,
     Signature,
     SourceDeclaration,
     StreamDeclaration,
@@ -114,7 +116,9 @@ def rehearse(
     for source in sources.values():
         source.lateness = 0  # they are given in order
     recorded = _recorded(samples, sources)
-    for name, batch in recorded.items():
+    # A foreach over what another makes has to hear of its sets in time.
+    configuring = [d for d in signature.declarations if isinstance(d, ForeachDeclaration)]
+    for name, batch in _runs(recorded) if len(configuring) > 1 else recorded.items():
         sources[name].offer(batch)
         application.settle()
     for source in sources.values():
@@ -195,6 +199,21 @@ def _of_sort(source: StreamGenerator, batch: SampleBatch) -> SampleBatch:
             "give the source a sort with these fields, or one that nobody has declared",
         )
     return SampleBatch(batch.available, batch.valid, columns)
+
+
+def _runs(recorded: Mapping[str, SampleBatch]) -> Iterator[tuple[str, SampleBatch]]:
+    """The samples of all sources in order of available time, as long as one source goes on."""
+    names, times = list(recorded), [batch.available for batch in recorded.values()]
+    if not names:
+        return
+    owner = np.repeat(np.arange(len(names)), [len(own) for own in times])
+    owner = owner[np.argsort(np.concatenate(times), kind="stable")]
+    bounds = np.flatnonzero(np.diff(owner)) + 1
+    done = [0] * len(names)
+    for start, end in pairwise([0, *bounds.tolist(), len(owner)]):
+        i = int(owner[start])
+        yield names[i], recorded[names[i]].take(slice(done[i], done[i] + end - start))
+        done[i] += end - start
 
 
 def _proof(

@@ -209,3 +209,25 @@ def test_columns_in_another_order_and_values_that_lack(tmp_path):
     assert said.exit_code == 0, said.output
     made = [json.loads(line) for line in said.output.splitlines()]
     assert [(one["x"], one["y"]) for one in made] == [(None, "a"), (None, "b")]
+
+
+def test_one_foreach_over_another_in_a_recording(tmp_path):
+    """The sources come in time, whichever is declared first."""
+    (tmp_path / "app.kpl").write_text(
+        "sort fix = (id string, pos float)\nsource object focus\nsource fix cars\n"
+        "source object sight\nstrmgen positions = cars\nstrmgen names = sight\n"
+        "strmgen wanted = focus\n"
+        "foreach car in names { strmgen pos[car] = selectObject(positions) }\n"
+        "foreach x in wanted { strmgen even[x] = join(pos[x] with sample every 2) }\n"
+        "strmgen all = aggregate(even[x] foreach x in wanted)\nstream out = all\n"
+    )
+    moves = "".join(f"{t},{t},a,{t}\n" for t in range(1, 13))
+    (tmp_path / "cars.csv").write_text("available,valid,id,pos\n" + moves)
+    (tmp_path / "sight.csv").write_text("available,valid,value\n0,0,a\n5,5,\n8,8,a\n")
+    (tmp_path / "focus.csv").write_text("available,valid,value\n2,2,a\n11,11,\n")
+    names = ("app.kpl", "cars.csv", "focus.csv", "sight.csv")
+    arguments = [str(tmp_path / name) for name in names]
+    said = CliRunner().invoke(app, ["kpl", "run", *arguments, "--json"])
+    assert said.exit_code == 0, said.output
+    made = [json.loads(line)["available"] for line in said.output.splitlines()]
+    assert [float(text[18:-1]) for text in made] == [0.002, 0.004, 0.008, 0.01]
