@@ -23,7 +23,7 @@ from ..languages.kpl import (
     ValueSort,
     format_kpl,
 )
-from .configuration import STATUS, Configuration
+from .configuration import Configuration
 from .errors import AlreadyExists, Conflict, Refused, UnknownFeature
 from .network import Network, schema_text, sort_name
 from .processes import Processes, SinkImplementation, UnitImplementation
@@ -92,8 +92,7 @@ class Admission:
         if existing is None:
             self._check_free(name)
             return
-        made = (self._configuration.units, self._configuration.system, (STATUS,))
-        if any(name in names for names in made):
+        if self._configuration.is_made(name):
             raise Refused(
                 f"stream {name!r} is made by the system, so it is no source",
                 "a source is a stream that you publish to, or a process with @dyknow.source",

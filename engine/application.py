@@ -382,11 +382,12 @@ class Application:
         unit = self._units.pop(key, None)
         if unit is not None:
             output = unit.output
-            if any(self._configuration.is_void(source) for source in unit.inputs):
+            read = [self._configuration.life_of(source) for source in unit.inputs]
+            if any(life.is_void for life in read):
                 output.is_void = True
             if output.ends_at is None:  # with the life of what it read, if that is over
-                lives = [self._configuration.ends_at(source) for source in unit.inputs]
-                output.ends_at = min((at for at in lives if at is not None), default=None)
+                ends = [life.ends_at for life in read if life.ends_at is not None]
+                output.ends_at = min(ends, default=None)
             if output.ends_at is not None and not output.is_void:
                 self._network.past.setdefault(key, []).append(output)
             self._configuration.remove_unit(unit)

@@ -159,6 +159,10 @@ class Configuration:
         """Whether there is a stream of this name, or an alias."""
         return name in self.streams or name in self.aliases
 
+    def is_made(self, name: str) -> bool:
+        """Whether the system makes stream ``name``: nobody publishes to it."""
+        return name in self.units or name in self.system or name == STATUS
+
     def readers_of(self, name: str) -> tuple[str, ...]:
         """The names of the units and readers that read stream ``name``."""
         stream = self.streams[name]
@@ -223,14 +227,6 @@ class Configuration:
             generator = unit.inputs[0]
             unit = self.units.get(generator.name)
         return generator
-
-    def ends_at(self, generator: StreamGenerator) -> int | None:
-        """When the object's life is over that a stream is of; None: never."""
-        return self.life_of(generator).ends_at
-
-    def is_void(self, generator: StreamGenerator) -> bool:
-        """Whether another stream takes its place and says all anew."""
-        return self.life_of(generator).is_void
 
     def reads_what_is_there(self, unit: ComputationalUnit) -> bool:
         """Whether its inputs are the streams of their names still, behind policies too."""

@@ -8,7 +8,6 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Iterator, Mapping
-from urllib.parse import quote
 
 from pyoxigraph import NamedNode
 
@@ -29,7 +28,7 @@ from ..ontology.graphs import STREAM_SPACE_ONTOLOGY
 from ..ontology.ontology import Ontology
 from ..ontology.units import Unit
 from ..rdf.dictionary import TermDictionary
-from ..rdf.namespaces import DYKNOW, STREAM_SPACE
+from ..rdf.namespaces import DYKNOW
 from ..streams.fluent import Retention
 from ..streams.generator import StreamGenerator
 from ..streams.sample import Field, FieldType, Schema
@@ -38,6 +37,7 @@ from .application import BUILT_IN
 from .changes import Change, ChangeKind
 from .configuration import C_SPARQL, SELECT_OBJECT, STATUS, Configuration
 from .errors import BadArguments, Conflict, DyknowError, Refused
+from .semantics_manager import term
 from .transformations import IMPLEMENTATIONS, Transformation, described
 from .views import StreamDeclaration
 from .violations import SUFFIX
@@ -228,8 +228,7 @@ class DeclaredStreams:
 
     def _is_term(self, name: str) -> bool:
         """Streams, units and transformations are individuals beside the terms of the ontology."""
-        term = NamedNode(STREAM_SPACE + quote(name, safe=""))
-        said = self._ontology.store.quads_for_pattern(term, None, None, STREAM_SPACE_ONTOLOGY)
+        said = self._ontology.store.quads_for_pattern(term(name), None, None, STREAM_SPACE_ONTOLOGY)
         return next(said, None) is not None
 
     def _refuse_if_in_use(self, generator: StreamGenerator) -> None:

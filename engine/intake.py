@@ -6,7 +6,7 @@ from collections import OrderedDict
 
 from ..converters.wire import Incoming
 from ..streams.generator import StreamGenerator
-from .configuration import STATUS, Configuration
+from .configuration import Configuration
 from .errors import Conflict, Refused
 
 _KEYS_KEPT = 10_000
@@ -24,8 +24,7 @@ class Intake:
         """The generator of a stream that takes samples; raises `UnknownStream`, and `Refused` for
         a stream that the system makes."""
         generator = self._configuration.stream(name)
-        made = (self._configuration.units, self._configuration.system, (STATUS,))
-        if any(generator.name in names for names in made):
+        if self._configuration.is_made(generator.name):
             raise Refused(
                 f"stream {name!r} is made by the system", "publish to a stream that you declared"
             )

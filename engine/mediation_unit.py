@@ -30,11 +30,11 @@ class MediationUnit(ComputationalUnit):
     """The streams of the objects that its first input names, as one.
 
     ``stream_of`` gives the stream of an object, or None while there is none, and ``past_of`` those
-    that it had before; those to come say nothing that is available by ``promised()``. ``ends_at``
-    tells when the life is over that a stream is of (None: never), ``life_of`` which stream that
-    is, behind a policy, ``is_void`` whether what it has said is said anew by the one in its place.
-    ``on_inputs`` hears which inputs came and went, ``on_news`` that there is something to settle.
-    With ``select`` only the object named last in a set is in it.
+    that it had before; those to come say nothing that is available by ``promised()``. ``life_of``
+    gives the stream of the object's life behind a policy: it knows when that life is over, and
+    whether all is said anew by the one in its place. ``on_inputs`` hears which inputs came and
+    went, ``on_news`` that there is something to settle. With ``select`` only the object named last
+    in a set is in it.
 
     What comes is only noted. `connect_inputs` follows the sets while other processes make and
     remove streams; `pass_on` is for when they have done so. So what is passed on does not depend
@@ -50,9 +50,7 @@ class MediationUnit(ComputationalUnit):
         stream_of: Callable[[str], StreamGenerator | None],
         promised: Callable[[], int],
         past_of: Callable[[str], Sequence[Past]],
-        ends_at: Callable[[StreamGenerator], int | None],
         life_of: Callable[[StreamGenerator], StreamGenerator],
-        is_void: Callable[[StreamGenerator], bool],
         on_inputs: Callable[[MediationUnit, Inputs, Inputs], None],
         on_news: Callable[[MediationUnit], None],
         on_event: Callable[[ComputationalUnit, ProcessEvent, str], None],
@@ -65,9 +63,7 @@ class MediationUnit(ComputationalUnit):
         self._promised = promised
         self._past_of = past_of
         self._lives: set[StreamGenerator] = set()
-        self._ends_at = ends_at
         self._life_of = life_of
-        self._is_void = is_void
         self._on_inputs = on_inputs
         self._on_news = on_news
         self._on_event = on_event
@@ -112,7 +108,7 @@ class MediationUnit(ComputationalUnit):
         self._on_news(self)
 
     def _end(self, label: str, source: StreamGenerator) -> None:
-        until = self._ends_at(source)
+        until = self._life_of(source).ends_at
         if until is None:
             self._kernel.end(label)
         else:
@@ -180,7 +176,7 @@ class MediationUnit(ComputationalUnit):
         for generator in [ended for ended in self._ended if ended in self._read_by]:
             for label in list(self._read_by[generator]):
                 if self._stream_of(label) not in (None, generator):
-                    if self._is_void(generator):
+                    if self._life_of(generator).is_void:
                         self._kernel.forget(label)
                     self._on_inputs(self, (), (self._leave(label),))
 

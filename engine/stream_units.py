@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
-from ..languages.kpl import OBJECT_FIELD
+from ..languages.kpl import object_field
 from ..streams.adapting import adapt
 from ..streams.generator import StreamGenerator
 from ..streams.joining import Join
@@ -165,7 +165,7 @@ class ObjectSelectionUnit(ComputationalUnit):
 
     def process(self, source: StreamGenerator, batch: SampleBatch) -> None:
         texts = [n for n, column in batch.columns.items() if column.type is FieldType.STRING]
-        name = next((n for n in (OBJECT_FIELD, "id", *texts) if n in texts), None)
+        name = object_field(texts)
         if name is None:
             raise SampleError("no field names the object of a sample: there is no text field")
         column = batch.columns[name]

@@ -27,6 +27,7 @@ from .declarations import (
     Term,
     ValueSort,
     instantiate,
+    object_field,
 )
 from .parser import parse_kpl
 from .printer import format_kpl, format_policy, format_term
@@ -62,6 +63,7 @@ __all__ = [
     "format_policy",
     "format_term",
     "instantiate",
+    "object_field",
     "parse_kpl",
     "parse_label",
     "parse_policy",

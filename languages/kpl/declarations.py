@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final, TypeAlias, assert_never
 
@@ -63,7 +64,13 @@ class ValueSort:
         """The field that names the object a sample is of: ``object``, else ``id``, else the first
         text. None if there is none, or the sort is open."""
         texts = [field.name for field in self.fields or () if field.type is FieldType.STRING]
-        return next((name for name in (OBJECT_FIELD, "id", *texts) if name in texts), None)
+        return object_field(texts)
+
+
+def object_field(texts: Sequence[str]) -> str | None:
+    """Which of some text fields names the object a sample is of: ``object``, else ``id``, else the
+    first. None if there is none."""
+    return next((name for name in (OBJECT_FIELD, "id", *texts) if name in texts), None)
 
 
 @dataclass(frozen=True, slots=True)
