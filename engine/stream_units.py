@@ -18,7 +18,7 @@ from ..streams.joining import Join
 from ..streams.policy import Policy, PolicyCounters
 from ..streams.sample import FieldType, SampleBatch, SampleError, empty_batch
 from ..streams.synchronization import StateCounters, Synchronization
-from ..streams.tuples import TupleBatch, flat_names
+from ..streams.tuples import TupleBatch, flat_names, flat_schema
 from .unit import ComputationalUnit
 from .violations import Violations
 
@@ -92,7 +92,8 @@ class TupleUnit(PolicyUnit):
     """``join(w1 … wn)`` or ``sync(w1 … wn; policy)``: one sample a tuple, whose fields are those of
     the inputs under the names of `flat_names`; where an input has none they are no_value.
 
-    ``identifiers`` name the inputs. The same stream may be given twice.
+    ``identifiers`` name the inputs. The same stream may be given twice. While an input is open,
+    tuples wait for it to have fields, or to end without any.
     """
 
     def __init__(
@@ -105,6 +106,9 @@ class TupleUnit(PolicyUnit):
         super().__init__(*args, violations=violations)
         self._kernel = kernel
         self._identifiers = tuple(identifiers)
+        self._names: list[list[str]] | None = None
+        self._held: list[TupleBatch] = []
+        self._find_names()
 
     @property
     def policy_counters(self) -> StateCounters | None:
@@ -113,6 +117,11 @@ class TupleUnit(PolicyUnit):
 
     def process(self, source: StreamGenerator, batch: SampleBatch) -> None:
         for place in self._places(source):
+            if self._names is not None and len(self._names[place]) != len(batch.columns):
+                raise SampleError(
+                    f"stream {source.name!r} has got its fields after it had ended without any, "
+                    f"and {self.output.name} had gone on without them: declare them in its sort"
+                )
             timely = self.in_time(batch, self._kernel.decided(place))
             if len(timely):
                 self._offer(self._kernel.push(place, timely))
@@ -126,7 +135,7 @@ class TupleUnit(PolicyUnit):
         for place in self._places(source):
             self._offer(self._kernel.advance(place, watermark))
         known = self._kernel.known
-        if known is not None:
+        if known is not None and not self._held:
             self.output.advance(known + 1)
 
     def finish(self, source: StreamGenerator) -> None:
@@ -139,17 +148,37 @@ class TupleUnit(PolicyUnit):
 
     def _offer(self, made: TupleBatch | Sequence[TupleBatch] | None) -> None:
         batches = [made] if isinstance(made, TupleBatch) else made or []
-        for tuples in batches:
-            if not len(tuples):
-                continue
+        self._held += [tuples for tuples in batches if len(tuples)]
+        names = self._find_names()
+        if names is None:
+            return
+        held, self._held = self._held, []
+        for tuples in held:
             # An input that has no sample yet has no columns either.
             inputs = tuple(
                 batch if batch.columns else empty_batch(source.schema, source.stream.pools)
                 for batch, source in zip(tuples.inputs, self.inputs, strict=True)
             )
             whole = TupleBatch(tuples.available, tuples.valid, inputs, tuples.rows)
-            names = flat_names(self._identifiers, [source.schema for source in self.inputs])
             self.output.offer(whole.flatten(names))
+
+    def _find_names(self) -> list[list[str]] | None:
+        """The fields' names of each input, once they are known; the output has these fields."""
+        if self._names is not None:
+            return self._names
+        open = [source for source in self.sources if source.is_open]
+        if open and not (self._held and self._ended.issuperset(open)):
+            return None
+        schemas = [source.schema for source in self.inputs]
+        names = self._names = flat_names(self._identifiers, schemas)
+        pools = {
+            name: source.stream.pools[field.name]
+            for own, source in zip(names, self.inputs, strict=True)
+            for name, field in zip(own, source.schema.fields, strict=True)
+            if field.type is FieldType.STRING
+        }
+        self.output.adopt(flat_schema(names, schemas), pools)
+        return names
 
 
 class ObjectSelectionUnit(ComputationalUnit):

@@ -1,7 +1,7 @@
 """join: tuples of the latest samples of several streams ([DyKnow10 Def. 5.11]).
 
 join(f1 … fn) = {⟨t, t, [s1 … sn]⟩ | t ∈ availtimes({f1 … fn}), s_i = last_avail(f_i, t)}. It feeds
-computational units (Def. 5.34). tests/laws/joint_definition.py is its slow twin.
+computational units (Def. 5.34). tests/support/joint_definition.py is its slow twin.
 """
 
 from __future__ import annotations

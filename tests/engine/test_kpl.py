@@ -351,6 +351,52 @@ def test_an_open_source_takes_its_fields_from_the_first_samples(engine):
     ]
 
 
+def open_join(engine, *steps):
+    """Tuples of `join(pos, n)`, of the sources p (open) and f, after each of ``steps``."""
+    engine.add_kpl("unit ns\nsource pos p\nsource float f\nstrmgen pos = p\nstrmgen n = f")
+    engine.add_kpl("strmgen both = join(pos, n)")
+    given = []
+    for name, line in steps:
+        generator = engine.generator(name)
+        if line is None:
+            engine.end(name)
+        else:
+            incoming = decode_ndjson(line, generator.schema, generator.stream.pools)
+            engine.publish(name, incoming, 0)
+        made = engine.generator("both").stream.all().rows()
+        given.append([(t, *values.values()) for t, _, values in made])
+    return given
+
+
+def test_tuples_wait_for_the_fields_of_an_open_stream(engine):
+    given = open_join(
+        engine,
+        ("f", b'{"available": 1, "valid": 1, "value": 7}'),
+        ("p", b'{"available": 3, "valid": 3, "x": 1.5, "who": "a"}'),
+        ("f", b'{"available": 4, "valid": 4, "value": 8}'),
+        ("f", None),
+        ("p", None),
+    )
+    whole = [(1, None, None, 7.0), (3, 1.5, "a", 7.0), (4, 1.5, "a", 8.0)]
+    assert given == [[], whole[:1], whole[:2], whole[:2], whole]
+
+
+def test_an_open_stream_that_ends_without_fields_cannot_bring_any_later(engine):
+    given = open_join(
+        engine,
+        ("p", None),
+        ("f", b'{"available": 1, "valid": 1, "value": 7}'),
+        ("f", b'{"available": 4, "valid": 4, "value": 8}'),
+        ("p", b'{"available": 5, "valid": 5, "x": 1.5}'),
+        ("f", None),
+        ("p", None),
+    )
+    assert given[:3] == [[], [(1, 7.0)], [(1, 7.0), (4, 8.0)]]
+    assert given[-1] == given[2]
+    (failed,) = [view for view in engine.kpl() if view.failure]
+    assert "'p' has got its fields after it had ended without any" in failed.failure
+
+
 def test_declarations_survive_a_restart(tmp_path, processes):
     first = Engine(tmp_path, processes=processes)
     first.add_kpl(CARS)

@@ -1,10 +1,8 @@
 """join and state synchronization against their definitions, however inputs are cut and mixed."""
 
-import importlib.util
-import sys
 from itertools import pairwise
-from pathlib import Path
 
+import joint_definition as definition
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -22,15 +20,6 @@ from dyknow.streams.policy import (
 )
 from dyknow.streams.sample import SampleBatch
 from dyknow.streams.synchronization import Synchronization
-
-_place = importlib.util.spec_from_file_location(
-    "joint_definition", Path(__file__).with_name("joint_definition.py")
-)
-assert _place is not None
-assert _place.loader is not None
-definition = importlib.util.module_from_spec(_place)
-sys.modules[_place.name] = definition
-_place.loader.exec_module(definition)
 
 LIMITS = settings(deadline=None, max_examples=150)
 LEAST, GREATEST = -(2**63), 2**63 - 1
