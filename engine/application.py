@@ -261,10 +261,18 @@ class Application:
                     unit.look_again()
 
     def _promised(self, feature: str) -> int:
-        """What configuration processes are still to make of a feature says nothing available by
-        then."""
-        makers = [process for process in self._configuring if process.makes(feature)]
-        return min((process.promised for process in makers), default=TIME_MAX)
+        """What configuration processes are still to make of a feature, or to make anew, says
+        nothing available by then: as their sets say, and those of what they read."""
+        promised, todo, seen = TIME_MAX, [feature], {feature}
+        while todo:
+            wanted = todo.pop()
+            for process in self._configuring:
+                if process.makes(wanted):
+                    promised = min(promised, process.promised)
+                    read = process.reads - seen
+                    todo += read
+                    seen |= read
+        return promised
 
     @property
     def _mediations(self) -> list[MediationUnit]:

@@ -170,6 +170,12 @@ class ConfigurationProcess:
         return any(made.label.feature == feature for made in self.declaration.generators)
 
     @property
+    def reads(self) -> frozenset[str]:
+        """The features that its generators read."""
+        made = self.declaration.generators
+        return frozenset(term.label.feature for each in made for term in each.terms)
+
+    @property
     def promised(self) -> int:
         """What it is still to make says nothing that is available by then (ns)."""
         return self._pending[0][0] - 1 if self._pending else self.known

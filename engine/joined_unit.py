@@ -17,7 +17,6 @@ from ..streams.generator import StreamGenerator
 from ..streams.joining import Join
 from ..streams.sample import SampleBatch
 from ..streams.single import Sample
-from ..streams.time import TIME_MAX
 from ..streams.tuples import TupleBatch
 from .exchange import Answers, Row, samples_of
 from .processes import UnitImplementation
@@ -109,7 +108,7 @@ class FunctionProcess(ComputationalUnit):
         known = self._join.known
         if known is not None and not self.all_ended and self.failure is None:
             # A sample has the available time of its tuple or a later one.
-            self.output.advance(min(known, TIME_MAX - 1) + 1)
+            self.output.advance(known + 1)
 
     def _apply_samples(self, tuples: TupleBatch) -> None:
         def step(time: int, samples: Samples) -> Row | None:

@@ -116,6 +116,8 @@ class MediationUnit(ComputationalUnit):
 
     def resume(self, source: StreamGenerator) -> None:
         super().resume(source)
+        if source is self._members:
+            self._kernel.resume_members()
         for label in self._read_by.get(source, ()):
             self._kernel.resume(label)
 
@@ -148,7 +150,7 @@ class MediationUnit(ComputationalUnit):
         if made is not None:
             self.output.offer(made)
         self._disconnect()
-        self.output.advance(self._kernel.done + 1)
+        self.output.advance(self._kernel.reached + 1)
         if self._kernel.has_ended and not self.output.is_ended:
             self.output.end()
 
@@ -172,13 +174,17 @@ class MediationUnit(ComputationalUnit):
             self._read(label, generator)
 
     def _leave_replaced(self) -> None:
-        """Leave streams that have ended where objects have others by now."""
+        """Leave streams that have ended where objects have others by now, and those that do not
+        hold."""
         for generator in [ended for ended in self._ended if ended in self._read_by]:
+            is_void = self._life_of(generator).is_void
             for label in list(self._read_by[generator]):
-                if self._stream_of(label) not in (None, generator):
-                    if self._life_of(generator).is_void:
-                        self._kernel.forget(label)
-                    self._on_inputs(self, (), (self._leave(label),))
+                there = self._stream_of(label)
+                if there is generator or (there is None and not is_void):
+                    continue
+                if is_void:
+                    self._kernel.forget(label)
+                self._on_inputs(self, (), (self._leave(label),))
 
     def _leave(self, label: str) -> StreamGenerator:
         generator = self._labels.pop(label)

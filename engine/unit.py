@@ -22,7 +22,7 @@ from ..converters.to_triples import SampleConverter
 from ..ontology.units import Conversion
 from ..streams.generator import StreamGenerator
 from ..streams.sample import Column, FieldType, Mask, SampleBatch, Times
-from ..streams.time import TIME_MAX, TIME_MIN
+from ..streams.time import TIME_MIN
 from .supervision import ErrorCounters
 from .views import Since
 
@@ -187,8 +187,7 @@ class ComputationalUnit(ABC):
         which one of them was known: whichever was told first."""
         if self.all_ended:
             if self._watermarks:
-                after = min(self.seen, TIME_MAX - 1) + 1
-                self.output.advance(max(after, *self._watermarks.values()))
+                self.output.advance(max(self.seen + 1, *self._watermarks.values()))
             self.output.end()
 
     def _guarded(self, work: Callable[[], None]) -> None:

@@ -160,6 +160,7 @@ class StreamGenerator:
         A promise that says less than an earlier one changes nothing. What is pending below the
         watermark is released first: nothing can overtake it any more.
         """
+        watermark = min(watermark, TIME_MAX)  # whoever knows all up to it says one more
         if self.watermark is not None and watermark <= self.watermark:
             return
         if self._pending is not None:

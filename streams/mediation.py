@@ -49,11 +49,12 @@ class Mediation:
         self.wanted: frozenset[str] = frozenset()
         """The objects whose samples may still be needed."""
         self._blocker: str | None = None
-        self._inputs: dict[str, Input] = {}
+        # Of each object one for each life of its stream that something waits of; the last is read.
+        self._inputs: dict[str, list[Input]] = {}
         self._last = TIME_MIN - 1
         self.promised = TIME_MAX
-        """A stream that is not there, or has ended, says nothing available by then: whoever may
-        still make one for an object knows that."""
+        """Up to then streams are final: whoever may still make one for an object, or make one
+        anew, knows that."""
         self.done = NOTHING_KNOWN
         """Everything available by then has been given; what comes is available later."""
 
@@ -63,11 +64,18 @@ class Mediation:
         return self._sets[-1]
 
     @property
+    def reached(self) -> int:
+        """What comes is available later; samples may have been moved beyond `done`."""
+        return max(self.done, self._last)
+
+    @property
     def has_ended(self) -> bool:
-        """Nothing comes any more: the set is final, and so are the streams of its objects."""
-        return self._members_ended and all(
-            label in self._inputs and self._inputs[label].ended_at is not None
-            for label in self.members
+        """Nothing comes any more: the set is final, and so are the streams of its objects that are
+        there."""
+        return (
+            self._members_ended
+            and self.promised == TIME_MAX
+            and all(self._current(label).ended_at is not None for label in self._read_members())
         )
 
     def push_members(self, available: Sequence[int], sets: Sequence[Labels]) -> None:
@@ -88,14 +96,19 @@ class Mediation:
         """The set does not change any more."""
         self._members_ended = True
 
+    def resume_members(self) -> None:
+        """The set had ended, and goes on: it is waited for again."""
+        self._members_ended = False
+
     def attach(self, label: str) -> None:
-        """The stream of ``label`` is there, or another one in its place: what it has not promised
-        is waited for."""
-        self._inputs.setdefault(label, Input()).resume()
+        """The stream of ``label`` is there, or another one in its place: what the one before has
+        not promised is waited for."""
+        lives = self._inputs.setdefault(label, [])
+        lives.append(_after(lives))
 
     def push(self, label: str, batch: SampleBatch) -> None:
         """The next samples of an attached stream; those that were decided already are left out."""
-        input = self._inputs[label]
+        input = self._current(label)
         # A stream in another's place may say what that had promised not to.
         batch = batch.take(batch.available > max(self.done, input.known))
         if len(batch):
@@ -103,28 +116,39 @@ class Mediation:
 
     def advance(self, label: str, watermark: int) -> None:
         """Every later sample of ``label`` is available at ``watermark`` or after it."""
-        self._inputs[label].advance(watermark)
+        self._current(label).advance(watermark)
 
     def end(self, label: str) -> None:
         """No more samples of ``label``."""
-        self._inputs[label].end()
+        self._current(label).end()
 
     def resume(self, label: str) -> None:
         """The stream of ``label`` had ended, and goes on."""
-        self._inputs[label].resume()
+        self._current(label).resume()
 
     def end_at(self, label: str, until: int) -> None:
         """No more samples of ``label``, and none that is available later than ``until`` counts."""
-        input = self._inputs[label]
-        whole = self._inputs[label] = Input()
+        input = self._current(label)
+        whole = self._inputs[label][-1] = Input()
         for batch in input.take(until):
             whole.push(batch)
         whole.advance(min(input.known, until) + 1)
         whole.end()
 
     def forget(self, label: str) -> None:
-        """What waits of ``label`` does not hold: another stream in its place says it anew."""
-        self._inputs[label] = Input()
+        """What waits of the stream of ``label`` that was attached last does not hold: another one
+        in its place says it anew."""
+        lives = self._inputs[label]
+        lives.pop()
+        lives.append(_after(lives))
+
+    def _current(self, label: str) -> Input:
+        """What is known of the stream that is read."""
+        return self._inputs[label][-1]
+
+    def _read_members(self) -> list[str]:
+        """The objects in the set that was told last whose streams are there."""
+        return [label for label in self.members if label in self._inputs]
 
     def take(self) -> SampleBatch | None:
         """What is decided by now; None if that is nothing."""
@@ -133,10 +157,11 @@ class Mediation:
             return None
         parts: list[tuple[str, SampleBatch]] = []
         for label in sorted(self._inputs):
-            for batch in self._inputs[label].take(known):
-                chosen = batch.take(self._holds(label, batch))
-                if len(chosen):
-                    parts.append((label, chosen))
+            for input in self._inputs[label]:
+                for batch in input.take(known):
+                    chosen = batch.take(self._holds(label, batch))
+                    if len(chosen):
+                        parts.append((label, chosen))
         self.done = known
         self._forget(known)
         return self._merged(parts) if parts else None
@@ -156,7 +181,8 @@ class Mediation:
                 known, self._blocker = own, label
         if known == TIME_MAX:
             # All that is there has ended. It may be taken up again, and others may come.
-            known = max((self.done, *(input.known for input in self._inputs.values())))
+            ends = [self._current(label).known for label in self._read_members()]
+            known = max(self.done, self._members_known, *ends)
         return known
 
     def _entered(self, label: str) -> int:
@@ -171,10 +197,10 @@ class Mediation:
         return self._since[place + 1]
 
     def _known_of(self, label: str | None) -> int:
-        input = self._inputs.get(label or "")
-        if input is None or input.ended_at is not None:
+        lives = self._inputs.get(label or "")
+        if lives is None or lives[-1].ended_at is not None:
             return self.promised
-        return input.known if input.begun else NOTHING_KNOWN
+        return min(lives[-1].known, self.promised) if lives[-1].begun else NOTHING_KNOWN
 
     def _holds(self, label: str, batch: SampleBatch) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
         """Which samples were available while ``label`` was in the set."""
@@ -184,6 +210,10 @@ class Mediation:
 
     def _forget(self, known: int) -> None:
         """Let go of sets that no sample to come was available under, and of their objects."""
+        for label, lives in self._inputs.items():
+            if len(lives) > 1:
+                waiting = [life for life in lives[:-1] if life.waiting]
+                self._inputs[label] = [*waiting, lives[-1]]
         first = bisect_right(self._since, known) - 1
         if not first:
             return
@@ -232,6 +262,14 @@ class Mediation:
         if any(part.null is not None for part in parts):
             null = np.concatenate([~part.present for part in parts])
         return Column(kind, np.concatenate(values), null, pool)
+
+
+def _after(lives: Sequence[Input]) -> Input:
+    """What is known of a stream that comes after others in its place."""
+    input = Input()
+    if lives:
+        input.begun, input.known = lives[-1].begun, lives[-1].known
+    return input
 
 
 def _recoded(column: Column, pool: StringPool) -> np.ndarray[tuple[int], np.dtype[np.int32]]:

@@ -168,6 +168,8 @@ def test_selection_follows_the_focus(engine):
     publish(engine, "operator", (6, "car2"))
     publish(engine, "all_cars", *[(t, f"car{1 + t % 2}", float(t * t)) for t in range(6, 10)])
     publish(engine, "operator", (10, "car7"))
+    assert content(engine, "watched") == []  # nobody has said that the cars were in sight still
+    publish(engine, "cars_in_sight", (10, "car1 car2"))
     assert content(engine, "watched") == [(4, 6.0), (7, 12.0), (9, 16.0)]
     assert engine.kpl_declaration("watched")[0].counters["without stream"] == ["car7"]
 
