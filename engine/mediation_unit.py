@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -62,7 +63,7 @@ class MediationUnit(ComputationalUnit):
         self._stream_of = stream_of
         self._promised = promised
         self._past_of = past_of
-        self._lives: set[StreamGenerator] = set()
+        self._lives: defaultdict[str, set[StreamGenerator]] = defaultdict(set)
         self._life_of = life_of
         self._on_inputs = on_inputs
         self._on_news = on_news
@@ -204,9 +205,9 @@ class MediationUnit(ComputationalUnit):
     def _read_past(self, label: str) -> None:
         """Take in what an object said in lives that were over before it was asked for."""
         for past in self._past_of(label):
-            if past.life in self._lives:
+            if past.life in self._lives[label]:
                 continue
-            self._lives.add(past.life)
+            self._lives[label].add(past.life)
             self._kernel.attach(label)
             for batch in past.batches:
                 self._kernel.push(label, batch)
@@ -215,7 +216,7 @@ class MediationUnit(ComputationalUnit):
     def _read(self, label: str, generator: StreamGenerator) -> None:
         """Begin to read the stream of an object with what it keeps."""
         self._labels[label] = generator
-        self._lives.add(self._life_of(generator))
+        self._lives[label].add(self._life_of(generator))
         self._kernel.attach(label)
         for segment in generator.stream.since(0):
             self._kernel.push(label, segment.batch)
@@ -231,6 +232,8 @@ class MediationUnit(ComputationalUnit):
         if self._kernel.wanted is self._seen:
             return
         self._seen = self._kernel.wanted
+        for label in self._lives.keys() - self._kernel.wanted:
+            del self._lives[label]  # should the object come back, it is read anew
         lost = [self._leave(label) for label in sorted(self._labels.keys() - self._kernel.wanted)]
         if lost:
             self._on_inputs(self, (), lost)

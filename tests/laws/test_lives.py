@@ -76,30 +76,29 @@ def worlds(draw):
     return sets, moves
 
 
-def play(draw, sets, moves):
-    """The world told in some order and some cuts, the network declared at some moment."""
+def play(draw, sources, network, rows):
+    """The world told in some order and some cuts, the network declared at some moment; ``rows``:
+    what each source says, as (available, values)."""
     engine = Engine(processes=PROCESSES)
-    engine.add_kpl(SOURCES)
-    rows = {
-        "sets": [(t, {"value": " ".join(labels)}) for t, labels in sets],
-        "moves": [(t, {"id": label, "pos": value}) for t, label, value in moves],
-    }
-    steps = ["network"]
-    while rows["sets"] or rows["moves"] or steps:
-        left = [name for name in ("sets", "moves") if rows[name]] + steps
-        name = draw(st.sampled_from(left))
+    engine.add_kpl(sources)
+    left = {name: list(samples) for name, samples in rows.items()}
+    running, steps = list(left), [network]
+    while running or steps:
+        name = draw(st.sampled_from(running + ["network"] * len(steps)))
         if name == "network":
-            engine.add_kpl(NETWORK)
-            steps = []
+            engine.add_kpl(steps.pop())
             continue
-        cut = draw(st.integers(1, len(rows[name])))
+        samples = left[name]
+        if not samples:
+            engine.end(name)
+            running.remove(name)
+            continue
+        cut = draw(st.integers(1, len(samples)))
         generator = engine.generator(name)
-        some = [(t, t, values) for t, values in rows[name][:cut]]
+        some = [(t, t, values) for t, values in samples[:cut]]
         batch = batch_from_rows(generator.schema, some, generator.stream.pools)
         engine.publish(name, Incoming(batch, stamped=False), 0)
-        rows[name] = rows[name][cut:]
-    for name in draw(st.permutations(["sets", "moves"])):
-        engine.end(name)
+        del samples[:cut]
     assert [view for view in engine.kpl() if view.failure] == []
     return engine
 
@@ -108,9 +107,103 @@ def play(draw, sets, moves):
 @given(st.data(), worlds())
 def test_streams_of_objects_depend_on_times_alone(data, world):
     sets, moves = world
-    engine = play(data.draw, sets, moves)
+    rows = {
+        "sets": [(t, {"value": " ".join(labels)}) for t, labels in sets],
+        "moves": [(t, {"id": label, "pos": value}) for t, label, value in moves],
+    }
+    engine = play(data.draw, SOURCES, NETWORK, rows)
     every, chosen = definition(sets, moves)
     made = engine.generator("all").stream.all().rows()
     assert [(t, values["object"], values["value"]) for t, _, values in made] == every
     made = engine.generator("last").stream.all().rows()
     assert [(t, values["value"]) for t, _, values in made] == chosen
+
+
+# -- two sets, and a source for each object --------------------------------------------------------
+
+TWO_SETS = """
+compunit float Count(float)
+source float from_a
+source float from_b
+source object sets
+source object others
+strmgen of[a] = from_a
+strmgen of[b] = from_b
+strmgen objects = sets
+strmgen chosen = others
+"""
+FOLLOWING = """
+foreach x in objects { strmgen n[x] = Count(of[x]) }
+strmgen own = aggregate(n[x] foreach x in objects)
+strmgen other = aggregate(n[x] foreach x in chosen)
+strmgen values = aggregate(of[x] foreach x in chosen)
+strmgen focus = select(n[x] foreach x in chosen)
+"""
+
+
+@PROCESSES.computational_unit("float", ["float"])
+def Count(time, samples, state):
+    return float((state or 0) + 1), (state or 0) + 1
+
+
+def held(sets, time):
+    """The set that is known at ``time``."""
+    found = [labels for at, labels in sets if at <= time]
+    return found[-1] if found else ()
+
+
+def counted(sets, label, times):
+    """[(available, count)]: each life of the object begins to count anew."""
+    given, count, previous = [], 0, None
+    for time in times:
+        if label not in held(sets, time):
+            continue
+        if previous is None or any(
+            label not in labels for at, labels in sets if previous < at <= time
+        ):
+            count = 0
+        count, previous = count + 1, time
+        given.append((time, float(count)))
+    return given
+
+
+def merged(samples):
+    """Def. 4.7 in order of available time, then of object; moved where a time is taken."""
+    given, last = [], None
+    for time, label, value in sorted(samples):
+        last = time if last is None else max(time, last + 1)
+        given.append((last, time, label, value))
+    return given
+
+
+@st.composite
+def set_streams(draw):
+    times = sorted(draw(st.sets(TIMES, max_size=5)))
+    # "c" has no stream.
+    return [(t, draw(st.lists(st.sampled_from("abc"), unique=True))) for t in times]
+
+
+@LIMITS
+@given(st.data(), set_streams(), set_streams(), st.sets(TIMES), st.sets(TIMES))
+def test_what_one_set_makes_another_may_follow(data, sets, others, a, b):
+    times = {"a": sorted(a), "b": sorted(b)}
+    rows = {
+        "sets": [(t, {"value": " ".join(labels)}) for t, labels in sets],
+        "others": [(t, {"value": " ".join(labels)}) for t, labels in others],
+        **{f"from_{o}": [(t, {"value": float(t)}) for t in times[o]] for o in times},
+    }
+    engine = play(data.draw, TWO_SETS, FOLLOWING, rows)
+    counts = [(t, label, n) for label in times for t, n in counted(sets, label, times[label])]
+    said = [(t, label, float(t)) for label in times for t in times[label]]
+    expected = {
+        "own": merged(counts),
+        "other": merged([row for row in counts if row[1] in held(others, row[0])]),
+        "values": merged([row for row in said if row[1] in held(others, row[0])]),
+        "focus": merged([row for row in counts if row[1] == ([*held(others, row[0])] or [""])[-1]]),
+    }
+    for name, samples in expected.items():
+        made = engine.generator(name).stream.all().rows()
+        given_now = [(t, v, values.get("object"), values["value"]) for t, v, values in made]
+        if name == "focus":
+            samples = [(t, v, None, n) for t, v, _, n in samples]
+        assert given_now == samples, name
