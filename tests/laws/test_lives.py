@@ -76,6 +76,14 @@ def worlds(draw):
     return sets, moves
 
 
+def publish(engine, name, samples):
+    """``samples``: (available, values)."""
+    generator = engine.generator(name)
+    rows = [(t, t, values) for t, values in samples]
+    batch = batch_from_rows(generator.schema, rows, generator.stream.pools)
+    engine.publish(name, Incoming(batch, stamped=False), 0)
+
+
 def play(draw, sources, network, rows):
     """The world told in some order and some cuts, the network declared at some moment; ``rows``:
     what each source says, as (available, values)."""
@@ -94,11 +102,21 @@ def play(draw, sources, network, rows):
             running.remove(name)
             continue
         cut = draw(st.integers(1, len(samples)))
-        generator = engine.generator(name)
-        some = [(t, t, values) for t, values in samples[:cut]]
-        batch = batch_from_rows(generator.schema, some, generator.stream.pools)
-        engine.publish(name, Incoming(batch, stamped=False), 0)
+        publish(engine, name, samples[:cut])
         del samples[:cut]
+    assert [view for view in engine.kpl() if view.failure] == []
+    return engine
+
+
+def play_in_order(draw, sources, network, rows):
+    """The network declared first, then the world told in order of time."""
+    engine = Engine(processes=PROCESSES)
+    engine.add_kpl(sources + network)
+    said = [(t, name, values) for name, samples in rows.items() for t, values in samples]
+    for t, name, values in sorted(draw(st.permutations(said)), key=lambda row: row[0]):
+        publish(engine, name, [(t, values)])
+    for name in draw(st.permutations(sorted(rows))):
+        engine.end(name)
     assert [view for view in engine.kpl() if view.failure] == []
     return engine
 
@@ -152,18 +170,17 @@ def held(sets, time):
     return found[-1] if found else ()
 
 
-def counted(sets, label, times):
-    """[(available, count)]: each life of the object begins to count anew."""
+def counted(label, times, *sets):
+    """[(available, object, count)]: counted anew in each life, in which it is in all ``sets``."""
     given, count, previous = [], 0, None
+    left = [at for each in sets for at, labels in each if label not in labels]
     for time in times:
-        if label not in held(sets, time):
+        if any(label not in held(each, time) for each in sets):
             continue
-        if previous is None or any(
-            label not in labels for at, labels in sets if previous < at <= time
-        ):
+        if previous is None or any(previous < at <= time for at in left):
             count = 0
         count, previous = count + 1, time
-        given.append((time, float(count)))
+        given.append((time, label, float(count)))
     return given
 
 
@@ -183,27 +200,61 @@ def set_streams(draw):
     return [(t, draw(st.lists(st.sampled_from("abc"), unique=True))) for t in times]
 
 
-@LIMITS
-@given(st.data(), set_streams(), set_streams(), st.sets(TIMES), st.sets(TIMES))
-def test_what_one_set_makes_another_may_follow(data, sets, others, a, b):
-    times = {"a": sorted(a), "b": sorted(b)}
-    rows = {
-        "sets": [(t, {"value": " ".join(labels)}) for t, labels in sets],
-        "others": [(t, {"value": " ".join(labels)}) for t, labels in others],
-        **{f"from_{o}": [(t, {"value": float(t)}) for t in times[o]] for o in times},
-    }
-    engine = play(data.draw, TWO_SETS, FOLLOWING, rows)
-    counts = [(t, label, n) for label in times for t, n in counted(sets, label, times[label])]
-    said = [(t, label, float(t)) for label in times for t in times[label]]
-    expected = {
-        "own": merged(counts),
-        "other": merged([row for row in counts if row[1] in held(others, row[0])]),
-        "values": merged([row for row in said if row[1] in held(others, row[0])]),
-        "focus": merged([row for row in counts if row[1] == ([*held(others, row[0])] or [""])[-1]]),
-    }
+def check(engine, expected):
     for name, samples in expected.items():
         made = engine.generator(name).stream.all().rows()
         given_now = [(t, v, values.get("object"), values["value"]) for t, v, values in made]
-        if name == "focus":
-            samples = [(t, v, None, n) for t, v, _, n in samples]
         assert given_now == samples, name
+
+
+def of_sources(sets, others, a, b):
+    """What each source says, and when each object says something."""
+    times = {"a": sorted(a), "b": sorted(b)}
+    return {
+        "sets": [(t, {"value": " ".join(labels)}) for t, labels in sets],
+        "others": [(t, {"value": " ".join(labels)}) for t, labels in others],
+        **{f"from_{o}": [(t, {"value": float(t)}) for t in times[o]] for o in times},
+    }, times
+
+
+WORLDS = (set_streams(), set_streams(), st.sets(TIMES), st.sets(TIMES))
+
+
+@LIMITS
+@given(st.data(), *WORLDS)
+def test_what_one_set_makes_another_may_follow(data, sets, others, a, b):
+    rows, times = of_sources(sets, others, a, b)
+    engine = play(data.draw, TWO_SETS, FOLLOWING, rows)
+    counts = [row for label in times for row in counted(label, times[label], sets)]
+    said = [(t, label, float(t)) for label in times for t in times[label]]
+    focus = [row for row in counts if held(others, row[0])[-1:] == [row[1]]]
+    check(
+        engine,
+        {
+            "own": merged(counts),
+            "other": merged([row for row in counts if row[1] in held(others, row[0])]),
+            "values": merged([row for row in said if row[1] in held(others, row[0])]),
+            "focus": [(t, t, None, count) for t, _, count in sorted(focus)],
+        },
+    )
+
+
+LIVES_IN_LIVES = """
+foreach x in objects { strmgen n[x] = Count(of[x]) }
+foreach x in objects { strmgen same[x] = Count(n[x]) }
+foreach x in chosen { strmgen both[x] = Count(n[x]) }
+strmgen all_same = aggregate(same[x] foreach x in objects)
+strmgen all_both = aggregate(both[x] foreach x in chosen)
+strmgen too = aggregate(both[x] foreach x in objects)
+"""
+
+
+@LIMITS
+@given(st.data(), *WORLDS)
+def test_a_life_ends_with_the_one_that_it_reads(data, sets, others, a, b):
+    """In order of time: see docs/kpl.md."""
+    rows, times = of_sources(sets, others, a, b)
+    engine = play_in_order(data.draw, TWO_SETS, LIVES_IN_LIVES, rows)
+    one = [row for label in times for row in counted(label, times[label], sets)]
+    both = [row for label in times for row in counted(label, times[label], sets, others)]
+    check(engine, {"all_same": merged(one), "all_both": merged(both), "too": merged(both)})
