@@ -14,7 +14,7 @@ import numpy as np
 
 from ..streams.sample import Column, Field, FieldType, SampleBatch
 from ..streams.strings import StringPool
-from .errors import WireError
+from .errors import EmptyTable, WireError
 from .inference import TRUTH
 from .wire import format_times, text_column
 
@@ -91,7 +91,7 @@ def _cells(column: Column) -> list[Any]:
 
 def _check_header(names: Sequence[str]) -> None:
     if not any(names):
-        raise WireError(1, "the table is empty", "its first line names the columns")
+        raise EmptyTable(1, "the table is empty", "its first line names the columns")
     for i, name in enumerate(names):
         if not name:
             raise WireError(1, f"column {i + 1} has no name", "the first line names the columns")

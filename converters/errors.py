@@ -40,3 +40,7 @@ class WireError(ValueError):
     def __str__(self) -> str:
         place = "" if self.line is None else f"line {self.line}: "
         return f"{place}{self.message}" + (f" ({self.hint})" if self.hint else "")
+
+
+class EmptyTable(WireError):
+    """A recording without a sample."""

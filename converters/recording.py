@@ -30,7 +30,7 @@ from ..streams.strings import StringPool
 from ..streams.time import TIME_MAX, TIME_MIN
 from .arrow import arrow_field_type, column_from_arrow, read_arrow, times_from_arrow
 from .csv_table import CHUNK, column_from_cells, read_csv
-from .errors import WireError
+from .errors import EmptyTable, WireError
 from .inference import TextColumnType, TimeReader, time_column
 from .wire import BOM, Incoming
 
@@ -116,7 +116,7 @@ def _open_csv(
             else:
                 column.observe(cells[name])
     if not count:
-        raise WireError(1, "the table has no rows")
+        raise EmptyTable(1, "the table has no rows")
     clocks = (valid, "available")
     schema = _schema([(n, c.type) for n, c in observed.items() if n not in clocks], types)
     _make_pools(schema, pools)
@@ -158,7 +158,7 @@ def open_rows(
         with_available += sum("available" in row for row in rows)
         count += len(rows)
     if not count:
-        raise WireError(None, "the table has no rows")
+        raise EmptyTable(None, "the table has no rows")
     valid = time_column(list(seen), wanted)
     stamped_column = "available" in seen and valid != "available"
     if stamped_column and with_available != count:
@@ -195,7 +195,7 @@ def _open_arrow(
 ) -> Recording:
     table = read_arrow(path)
     if not table.num_rows:
-        raise WireError(None, "the table has no rows")
+        raise EmptyTable(None, "the table has no rows")
     valid = time_column(table.column_names, wanted)
     stamped_column = "available" in table.column_names and valid != "available"
     valid_times = times_from_arrow(table.column(valid), valid, times)

@@ -18,7 +18,7 @@ import numpy as np
 
 from ..streams.sample import FieldType
 from ..streams.time import SECOND, TIME_MIN
-from .errors import WireError
+from .errors import EmptyTable, WireError
 from .inference import TimeReader
 from .names import valid_name
 from .recording import (
@@ -73,6 +73,7 @@ def open_recordings(
     *,
     utc: bool = False,
     abstract_unit: str = "s",
+    skip_empty: bool = False,
 ) -> Recordings:
     """Look through all files of ``paths``; each stream has its own fields and string pools.
 
@@ -81,6 +82,8 @@ def open_recordings(
     folder of such files, or ``NAME=FILE`` for a table under another name. ``time_column``,
     ``time_unit``, ``abstract_unit`` and ``types`` (by stream and field) are of tables, as for
     `open_recording`; ``utc`` is of flight logs, as for `open_ulog`.
+
+    With ``skip_empty`` a table without rows is no stream, else an error.
 
     Raises `WireError`, also when two files have a stream of one name; `OSError` when a file cannot
     be read. Memory: a flight log is held whole, and so is the text of a file of many streams.
@@ -104,8 +107,14 @@ def open_recordings(
         else:
             name = name or valid_name(_stem(path), STREAM)
             kinds = (types or {}).get(name)
-            table = open_recording(path, time_column, time_unit, kinds, abstract_unit=abstract_unit)
-            opened = {name: table}
+            opened = {}
+            try:
+                opened[name] = open_recording(
+                    path, time_column, time_unit, kinds, abstract_unit=abstract_unit
+                )
+            except EmptyTable:
+                if not skip_empty:
+                    raise
         for stream, recording in opened.items():
             if stream in found:
                 raise WireError(

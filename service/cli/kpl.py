@@ -179,6 +179,7 @@ def _recorded(
         time_unit=time_unit,
         types=types,
         abstract_unit=_unit_of(read_text(file), unit),
+        skip_empty=True,
     )
     sources = [one.name for one in signature.declarations if isinstance(one, SourceDeclaration)]
     missing = [name for name in sources if name not in recordings]

@@ -231,3 +231,19 @@ def test_one_foreach_over_another_in_a_recording(tmp_path):
     assert said.exit_code == 0, said.output
     made = [json.loads(line)["available"] for line in said.output.splitlines()]
     assert [float(text[18:-1]) for text in made] == [0.002, 0.004, 0.008, 0.01]
+
+
+@pytest.mark.parametrize("b", [None, "", "valid,value\n"])
+def test_a_source_without_recorded_samples_is_silent(tmp_path, b):
+    text = "source float s\nsource float t\nstrmgen a = s\nstrmgen b = t\nstrmgen both = join(a, b)"
+    (tmp_path / "both.kpl").write_text(text)
+    (tmp_path / "s.csv").write_text("valid,value\n1,5\n")
+    if b is not None:
+        (tmp_path / "t.csv").write_text(b)
+    words = ["kpl", "run", str(tmp_path / "both.kpl"), str(tmp_path), "--stream", "both", "--json"]
+    done = CliRunner().invoke(app, words)
+    assert done.exit_code == 0
+    assert "nothing was recorded for source t, so it is silent" in done.stderr
+    (line,) = done.stdout.splitlines()
+    made = json.loads(line)
+    assert (made["a"], made["b"]) == (5.0, None)
