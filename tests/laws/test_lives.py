@@ -7,6 +7,8 @@ from hypothesis import strategies as st
 from dyknow.converters.wire import Incoming
 from dyknow.engine.engine import Engine
 from dyknow.engine.processes import Processes
+from dyknow.engine.proving import rehearse
+from dyknow.languages.kpl import check_kpl, parse_kpl
 from dyknow.streams.sample import batch_from_rows
 
 LIMITS = settings(deadline=None, max_examples=60)
@@ -200,11 +202,24 @@ def set_streams(draw):
     return [(t, draw(st.lists(st.sampled_from("abc"), unique=True))) for t in times]
 
 
-def check(engine, expected):
+def check(expected, samples_of):
     for name, samples in expected.items():
-        made = engine.generator(name).stream.all().rows()
-        given_now = [(t, v, values.get("object"), values["value"]) for t, v, values in made]
-        assert given_now == samples, name
+        made = samples_of(name).rows()
+        assert [(t, v, x.get("object"), x["value"]) for t, v, x in made] == samples, name
+
+
+def rehearsed(text, rows):
+    """What ``dyknow kpl run`` has of each stream."""
+    _, signature = check_kpl(parse_kpl(text), text)
+    fields = {one.name: one.sort.schema for one in signature.declarations if one.key in rows}
+    samples = [
+        (name, Incoming(batch_from_rows(fields[name], [(t, t, x) for t, x in said]), False))
+        for name, said in rows.items()
+        if said
+    ]
+    rehearsal = rehearse(signature, PROCESSES, samples)
+    assert rehearsal.failures == []
+    return rehearsal.application.samples_of
 
 
 def of_sources(sets, others, a, b):
@@ -228,15 +243,14 @@ def test_what_one_set_makes_another_may_follow(data, sets, others, a, b):
     counts = [row for label in times for row in counted(label, times[label], sets)]
     said = [(t, label, float(t)) for label in times for t in times[label]]
     focus = [row for row in counts if held(others, row[0])[-1:] == [row[1]]]
-    check(
-        engine,
-        {
-            "own": merged(counts),
-            "other": merged([row for row in counts if row[1] in held(others, row[0])]),
-            "values": merged([row for row in said if row[1] in held(others, row[0])]),
-            "focus": [(t, t, None, count) for t, _, count in sorted(focus)],
-        },
-    )
+    expected = {
+        "own": merged(counts),
+        "other": merged([row for row in counts if row[1] in held(others, row[0])]),
+        "values": merged([row for row in said if row[1] in held(others, row[0])]),
+        "focus": [(t, t, None, count) for t, _, count in sorted(focus)],
+    }
+    check(expected, lambda name: engine.generator(name).stream.all())
+    check(expected, rehearsed(TWO_SETS + FOLLOWING, rows))
 
 
 LIVES_IN_LIVES = """
@@ -257,4 +271,6 @@ def test_a_life_ends_with_the_one_that_it_reads(data, sets, others, a, b):
     engine = play_in_order(data.draw, TWO_SETS, LIVES_IN_LIVES, rows)
     one = [row for label in times for row in counted(label, times[label], sets)]
     both = [row for label in times for row in counted(label, times[label], sets, others)]
-    check(engine, {"all_same": merged(one), "all_both": merged(both), "too": merged(both)})
+    expected = {"all_same": merged(one), "all_both": merged(both), "too": merged(both)}
+    check(expected, lambda name: engine.generator(name).stream.all())
+    check(expected, rehearsed(TWO_SETS + LIVES_IN_LIVES, rows))
