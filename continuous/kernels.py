@@ -1,44 +1,16 @@
-"""The loops that numpy has no word for, compiled by numba: few, small, with fixed signatures.
-
-Each kernel is plain Python (`Kernel.py_func`) that numba compiles at its first call and keeps in
-its cache. With ``NUMBA_DISABLE_JIT=1`` or ``DYKNOW_JIT=off`` a numpy route with the same results,
-bit for bit, is taken instead.
+"""The compiled loops of windows: few, small, with fixed signatures (see `streams.compiled`). Where
+they are not compiled, a numpy route gives the same results, bit for bit.
 """
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-JIT = os.environ.get("NUMBA_DISABLE_JIT", "0") in ("", "0") and (
-    os.environ.get("DYKNOW_JIT", "on").lower() not in ("off", "0", "false")
-)
-"""Whether loops are compiled."""
-
-
-class Kernel:
-    """A function with an explicit numba signature, compiled on the first call."""
-
-    def __init__(self, py_func: Callable[..., Any], signature: Callable[[], Any]) -> None:
-        self.py_func = py_func
-        self.signature = signature
-        self._compiled: Callable[..., Any] | None = None
-
-    def __call__(self, *arguments: Any) -> Any:
-        if self._compiled is None:
-            # Imported here: numba takes half a second that a service without queries can save.
-            from numba import njit
-
-            try:
-                self._compiled = njit(self.signature(), cache=True, nogil=True)(self.py_func)
-            except RuntimeError:
-                # No directory to cache in (a read-only root without a home): compile each start.
-                self._compiled = njit(self.signature(), nogil=True)(self.py_func)
-        return self._compiled(*arguments)
+from ..streams.compiled import JIT, Kernel
 
 
 def _ascending(times: Any) -> bool:

@@ -1,12 +1,16 @@
 """join and state synchronization against their definitions, however inputs are cut and mixed."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import joint_definition as definition
 import numpy as np
-from hypothesis import given, settings
+import pytest
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from dyknow.streams import change_states
+from dyknow.streams.compiled import JIT
 from dyknow.streams.joining import Join
 from dyknow.streams.policy import (
     AnyChange,
@@ -175,6 +179,29 @@ def check_synchronization(data, inputs, monotone, policy, twin, watermarks):
 def test_synchronization_is_the_definition(data):
     case = data.draw(synchronizations(SMALL, st.integers(1, 5)))
     check_synchronization(data, *case, SMALL)
+
+
+@pytest.fixture
+def compiled(monkeypatch):
+    """States of inputs in any order are simulated by the compiled loop, however few there are."""
+    monkeypatch.setattr(change_states, "COMPILED", 1)
+
+
+ANY_ORDER = settings(LIMITS, suppress_health_check=[HealthCheck.function_scoped_fixture])
+
+
+@pytest.mark.skipif(not JIT, reason="loops are not compiled: DYKNOW_JIT=off or NUMBA_DISABLE_JIT")
+@ANY_ORDER
+@given(st.data(), st.booleans())
+def test_the_compiled_loop_is_the_definition(compiled, data, is_at_the_end):
+    far = st.integers(LEAST, LEAST + 9) | st.integers(GREATEST - 9, GREATEST)
+    times = far if is_at_the_end else SMALL
+    inputs, monotone, policy, twin = data.draw(synchronizations(times, st.just(1)))
+    policy = replace(policy, change=AnyChange(), order=Order.ANY)
+    twin = (monotone, None, *twin[2:])
+    if is_at_the_end:  # near one of the two ends
+        inputs = [[(a, v) for a, v in stream if (a > 0) == (v > 0)] for stream in inputs]
+    check_synchronization(data, inputs, monotone, policy, twin, times)
 
 
 @LIMITS
