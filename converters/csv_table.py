@@ -49,6 +49,8 @@ def read_csv(path: Path) -> Iterator[TextChunk]:
         reader = csv.reader(file, strict=True)
         try:
             names = next(reader, [])
+            if not any(names) and not any(any(row) for row in reader):
+                raise EmptyTable(1, "the table is empty", "its first line names the columns")
             _check_header(names)
             while rows := [(reader.line_num, row) for row in islice(reader, CHUNK)]:
                 yield _columns(names, rows)
@@ -90,8 +92,8 @@ def _cells(column: Column) -> list[Any]:
 
 
 def _check_header(names: Sequence[str]) -> None:
-    if not any(names):
-        raise EmptyTable(1, "the table is empty", "its first line names the columns")
+    if not names:
+        raise WireError(1, "the first line is empty", "the first line names the columns")
     for i, name in enumerate(names):
         if not name:
             raise WireError(1, f"column {i + 1} has no name", "the first line names the columns")

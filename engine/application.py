@@ -29,14 +29,14 @@ from ..languages.kpl import (
 from ..streams.fluent import Retention
 from ..streams.generator import StreamGenerator
 from ..streams.sample import SampleBatch
-from ..streams.time import TIME_MAX, TIME_MIN
+from ..streams.time import TIME_MAX
 from .admission import Admission
 from .changes import Change, ChangeKind, Role
 from .configuration import POLICY, Configuration
 from .configuration_process import ConfigurationProcess
 from .errors import Conflict, UnknownDeclaration
 from .mediation_unit import MediationUnit
-from .network import Network
+from .network import Network, is_needed
 from .processes import Processes, SourceImplementation
 from .sampled_source import SampledSource
 from .sink import Sink
@@ -231,15 +231,23 @@ class Application:
                 unit.pass_on()
 
     def _forget_past(self) -> None:
-        """Let go of lives that every mediation has left behind."""
+        """Let go of lives that every mediation at work has left behind."""
         past = self._network.past
-        if not past:
-            return
-        done = min((unit.done for unit in self._mediations), default=TIME_MAX)
-        for key in list(past):
-            past[key] = [life for life in past[key] if (life.ends_at or TIME_MIN) > done]
-            if not past[key]:
-                del past[key]
+        for feature in list(past):
+            behind = [
+                unit.done
+                for unit in self._mediations
+                if unit.feature == feature and unit.failure is None and not unit.output.is_ended
+            ]
+            done = min(behind, default=TIME_MAX)
+            kept = {
+                key: needed
+                for key, lives in past[feature].items()
+                if (needed := [life for life in lives if is_needed(life, done)])
+            }
+            past[feature] = kept
+            if not kept:
+                del past[feature]
 
     def _reap(self) -> bool:
         """Take away generators of objects that have left, once they have seen the last of them."""
@@ -396,8 +404,10 @@ class Application:
             if output.ends_at is None:  # with the life of what it read, if that is over
                 ends = [life.ends_at for life in read if life.ends_at is not None]
                 output.ends_at = min(ends, default=None)
-            if output.ends_at is not None and not output.is_void:
-                self._network.past.setdefault(key, []).append(output)
+            is_over = output.ends_at is not None and not output.is_void
+            if is_over and isinstance(declaration, GeneratorDeclaration):
+                lives = self._network.past.setdefault(declaration.label.feature, {})
+                lives.setdefault(key, []).append(output)
             self._configuration.remove_unit(unit)
             if isinstance(unit, MediationUnit):
                 self._news.pop(unit, None)

@@ -30,8 +30,9 @@ class Past:
 class MediationUnit(ComputationalUnit):
     """The streams of the objects that its first input names, as one.
 
-    ``stream_of`` gives the stream of an object, or None while there is none, and ``past_of`` those
-    that it had before; those to come say nothing that is available by ``promised()``. ``life_of``
+    ``feature`` is what the objects' streams are of. ``stream_of`` gives the stream of an object, or
+    None while there is none, ``past_of`` those that it had before and that say something later
+    than a moment (ns); those to come say nothing that is available by ``promised()``. ``life_of``
     gives the stream of the object's life behind a policy: it knows when that life is over, and
     whether all is said anew by the one in its place. ``on_inputs`` hears which inputs came and
     went, ``on_news`` that there is something to settle. With ``select`` only the object named last
@@ -47,16 +48,18 @@ class MediationUnit(ComputationalUnit):
         self,
         *args: Any,
         kernel: Mediation,
+        feature: str,
         select: bool,
         stream_of: Callable[[str], StreamGenerator | None],
         promised: Callable[[], int],
-        past_of: Callable[[str], Sequence[Past]],
+        past_of: Callable[[str, int], Sequence[Past]],
         life_of: Callable[[StreamGenerator], StreamGenerator],
         on_inputs: Callable[[MediationUnit, Inputs, Inputs], None],
         on_news: Callable[[MediationUnit], None],
         on_event: Callable[[ComputationalUnit, ProcessEvent, str], None],
     ) -> None:
         super().__init__(*args)
+        self.feature = feature
         self._members = self.inputs[0]
         self._kernel = kernel
         self._select = select
@@ -204,10 +207,10 @@ class MediationUnit(ComputationalUnit):
 
     def _read_past(self, label: str) -> None:
         """Take in what an object said in lives that were over before it was asked for."""
-        for past in self._past_of(label):
+        for past in self._past_of(label, self.done):
             if past.life in self._lives[label]:
                 continue
-            self._lives[label].add(past.life)
+            self._note_life(label, past.life)
             self._kernel.attach(label)
             for batch in past.batches:
                 self._kernel.push(label, batch)
@@ -216,7 +219,7 @@ class MediationUnit(ComputationalUnit):
     def _read(self, label: str, generator: StreamGenerator) -> None:
         """Begin to read the stream of an object with what it keeps."""
         self._labels[label] = generator
-        self._lives[label].add(self._life_of(generator))
+        self._note_life(label, self._life_of(generator))
         self._kernel.attach(label)
         for segment in generator.stream.since(0):
             self._kernel.push(label, segment.batch)
@@ -227,6 +230,11 @@ class MediationUnit(ComputationalUnit):
         self._read_by.setdefault(generator, []).append(label)
         if generator not in self._subscribed:
             self.connect(generator)
+
+    def _note_life(self, label: str, life: StreamGenerator) -> None:
+        """A life is read once; those that all is passed on of are forgotten."""
+        read = {one for one in self._lives[label] if one.ends_at is None or one.ends_at > self.done}
+        self._lives[label] = read | {life}
 
     def _disconnect(self) -> None:
         if self._kernel.wanted is self._seen:

@@ -67,8 +67,9 @@ class Network:
         self._lateness = lateness
         self._on_news = on_news
         self._promised = promised
-        self.past: dict[str, list[StreamGenerator]] = {}
-        """The streams that labels had in lives that are over, for mediations that are behind."""
+        self.past: dict[str, dict[str, list[StreamGenerator]]] = {}
+        """By feature the streams that labels had in lives that are over, for mediations of the
+        feature that are behind."""
 
     def stream(self, name: str, schema: Schema | None) -> StreamGenerator:
         """A new stream; an open one without ``schema``."""
@@ -204,9 +205,10 @@ class Network:
             term = process.pattern.bound(process.variable, object)
             return self.term(term) if self._configuration.has(str(term.label)) else None
 
-        def past_of(object: str) -> list[Past]:
+        def past_of(object: str, after: int) -> list[Past]:
             term = process.pattern.bound(process.variable, object)
-            return [_past(life, term.policy) for life in self.past.get(str(term.label), ())]
+            lives = self.past.get(term.label.feature, {}).get(str(term.label), ())
+            return [_past(life, term.policy) for life in lives if is_needed(life, after)]
 
         def changed(
             unit: MediationUnit,
@@ -223,6 +225,7 @@ class Network:
         return MediationUnit(
             *identity,
             kernel=Mediation(OBJECT_FIELD if is_aggregate else None, pools),
+            feature=process.pattern.label.feature,
             select=not is_aggregate,
             stream_of=stream_of,
             promised=lambda: self._promised(process.pattern.label.feature),
@@ -248,6 +251,11 @@ class Network:
         output = self.stream(declaration.key, schema)
         parameters = {"kpl": format_kpl(declaration)}
         return self._configuration.identity(transformation, inputs, output, parameters)
+
+
+def is_needed(life: StreamGenerator, after: int) -> bool:
+    """Whether a life that is over may say something that is available after ``after`` (ns)."""
+    return life.ends_at is not None and life.ends_at > after
 
 
 def _past(life: StreamGenerator, policy: Policy) -> Past:

@@ -9,15 +9,17 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 
 from .inputs import NOTHING_KNOWN, Input
-from .sample import Column, FieldType, SampleBatch, SampleError
+from .sample import Column, FieldType, SampleBatch, SampleError, Times
 from .strings import StringPool
 from .time import TIME_MAX, TIME_MIN
 
 Labels = tuple[str, ...]
+_FAR: Final = 2**62
 
 
 class Mediation:
@@ -34,8 +36,8 @@ class Mediation:
 
     Law: the output does not depend on how inputs were cut or interleaved, as long as streams are
     there when their objects enter (tests/laws). Cost of a `take`: O(n log n) numpy for n samples,
-    and Python per object; O(1) while the object that held it up the last time still does. Memory:
-    what waits, and the sets that it needs.
+    and Python per object, and set that it leaves behind, with something to take; O(1) while the
+    object that held it up the last time still does. Memory: what waits, and the sets that it needs.
     """
 
     def __init__(self, tag: str | None = None, pools: dict[str, StringPool] | None = None) -> None:
@@ -86,7 +88,7 @@ class Mediation:
             if frozenset(labels) != self._sets[-1]:
                 self._since.append(time)
                 self._sets.append(frozenset(labels))
-        self.wanted = frozenset[str]().union(*self._sets)
+                self.wanted |= self._sets[-1]
 
     def advance_members(self, watermark: int) -> None:
         """Every later label set is available at ``watermark`` or after it."""
@@ -136,11 +138,12 @@ class Mediation:
         whole.end()
 
     def forget(self, label: str) -> None:
-        """What waits of the stream of ``label`` that was attached last does not hold: another one
-        in its place says it anew."""
+        """What waits of the stream of ``label`` that was attached last does not hold, and it is
+        not there any more: one in its place may say it anew."""
         lives = self._inputs[label]
         lives.pop()
-        lives.append(_after(lives))
+        if not lives:
+            del self._inputs[label]
 
     def _current(self, label: str) -> Input:
         """What is known of the stream that is read."""
@@ -156,12 +159,17 @@ class Mediation:
         if known <= self.done:
             return None
         parts: list[tuple[str, SampleBatch]] = []
+        since = np.array(self._since[: bisect_right(self._since, known)], np.int64)
         for label in sorted(self._inputs):
-            for input in self._inputs[label]:
-                for batch in input.take(known):
-                    chosen = batch.take(self._holds(label, batch))
-                    if len(chosen):
-                        parts.append((label, chosen))
+            batches = [batch for input in self._inputs[label] for batch in input.take(known)]
+            if not batches:
+                continue
+            within = np.array([label in labels for labels in self._sets[: len(since)]], np.bool_)
+            for batch in batches:
+                place = np.searchsorted(since, batch.available, "right") - 1
+                chosen = batch.take(within[place])
+                if len(chosen):
+                    parts.append((label, chosen))
         self.done = known
         self._forget(known)
         return self._merged(parts) if parts else None
@@ -202,12 +210,6 @@ class Mediation:
             return self.promised
         return min(lives[-1].known, self.promised) if lives[-1].begun else NOTHING_KNOWN
 
-    def _holds(self, label: str, batch: SampleBatch) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-        """Which samples were available while ``label`` was in the set."""
-        within = np.array([label in labels for labels in self._sets], np.bool_)
-        place = np.searchsorted(np.array(self._since, np.int64), batch.available, "right") - 1
-        return within[place]
-
     def _forget(self, known: int) -> None:
         """Let go of sets that no sample to come was available under, and of their objects."""
         for label, lives in self._inputs.items():
@@ -243,12 +245,27 @@ class Mediation:
             columns[name] = self._column(name, kind, own).take(order)
         return SampleBatch(available, valid, columns)
 
-    def _unique(
-        self, available: np.ndarray[tuple[int], np.dtype[np.int64]]
-    ) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
-        steps = np.arange(len(available), dtype=np.int64)
-        first = available if self._last < TIME_MIN else np.maximum(available, self._last + 1)
-        moved = np.maximum.accumulate(first - steps) + steps
+    def _unique(self, available: Times) -> Times:
+        """``available``, which do not decrease, each after the one before and the last before it.
+
+        Raises `SampleError` where none is left: the end of 64-bit time.
+        """
+        count = len(available)
+        start = self._last + 1
+        if start <= int(available[0]) and bool((available[1:] > available[:-1]).all()):
+            moved = available
+        elif int(available[0]) > -_FAR and max(start, int(available[-1])) < _FAR:
+            steps = np.arange(count, dtype=np.int64)
+            first = np.maximum(available, start)
+            moved = np.maximum.accumulate(first - steps) + steps
+        else:  # near the ends of 64 bits, where sums wrap around
+            times = []
+            for time in available.tolist():
+                start = max(start, time) + 1
+                times.append(start - 1)
+            if times[-1] > TIME_MAX:
+                raise SampleError("available times have reached the end of 64-bit time")
+            moved = np.array(times, np.int64)
         self._last = int(moved[-1])
         return moved
 

@@ -118,6 +118,8 @@ def test_the_time_column_can_be_named(table):
     [
         ("", 1, "empty"),
         ("time,x\n", 1, "no rows"),
+        ("\ntime,x\n1,2\n", 1, "first line is empty"),
+        (",\n1,2\n", 1, "column 1 has no name"),
         ("time,time\n1,2\n", 1, "twice"),
         ("time,\n1,2\n", 1, "no name"),
         ("time,x\n1,2\n\n3\n", 4, "1 cells, but the header has 2"),

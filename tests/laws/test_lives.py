@@ -274,3 +274,12 @@ def test_a_life_ends_with_the_one_that_it_reads(data, sets, others, a, b):
     expected = {"all_same": merged(one), "all_both": merged(both), "too": merged(both)}
     check(expected, lambda name: engine.generator(name).stream.all())
     check(expected, rehearsed(TWO_SETS + LIVES_IN_LIVES, rows))
+
+
+@LIMITS
+@given(st.data(), *WORLDS)
+def test_at_the_end_of_all_sources_every_mediation_ends(data, sets, others, a, b):
+    rows, _ = of_sources(sets, others, a, b)
+    engine = play(data.draw, TWO_SETS, LIVES_IN_LIVES, rows)
+    for name in ("all_same", "all_both", "too"):
+        assert engine.generator(name).is_ended, name

@@ -1,11 +1,12 @@
 """Mediation (Def. 4.7) against its definition, however inputs are cut and mixed."""
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dyknow.streams.mediation import Mediation
-from dyknow.streams.sample import Column, FieldType, SampleBatch
+from dyknow.streams.sample import Column, FieldType, SampleBatch, SampleError
 from dyknow.streams.strings import StringPool
 
 LIMITS = settings(deadline=None, max_examples=200)
@@ -194,8 +195,30 @@ def test_what_is_said_anew_is_not_said_twice():
     mediation.attach("a")
     mediation.push("a", batch_of([(2, "x"), (9, "y")], pool))
     mediation.forget("a")
+    mediation.attach("a")
     mediation.push("a", batch_of([(2, "x"), (8, "z")], pool))
     mediation.advance_members(20)
     made = mediation.take()
     assert made is not None
     assert made.available.tolist() == [2, 8]
+
+
+@pytest.mark.parametrize("end", [-(2**63), 2**63 - 2])
+def test_times_are_unique_at_the_ends_of_64_bits(end):
+    mediation = Mediation()
+    pool = StringPool()
+    mediation.push_members([end], [("a", "b")])
+    for label in ("a", "b"):
+        mediation.attach(label)
+        mediation.push(label, batch_of([(end, label)], pool))
+        mediation.end(label)
+    mediation.end_members()
+    made = mediation.take()
+    assert made is not None
+    assert made.available.tolist() == [end, end + 1]
+    mediation.resume("a")
+    mediation.push("a", batch_of([(2**63 - 1, "c")], pool))
+    mediation.end("a")
+    if end > 0:
+        with pytest.raises(SampleError, match="end of 64-bit time"):
+            mediation.take()

@@ -233,6 +233,15 @@ def test_one_foreach_over_another_in_a_recording(tmp_path):
     assert [float(text[18:-1]) for text in made] == [0.002, 0.004, 0.008, 0.01]
 
 
+@pytest.mark.parametrize("b", ["\nvalid,value\n1,5\n", ",\n1,5\n"])
+def test_a_table_without_a_header_is_not_taken_for_an_empty_one(tmp_path, b):
+    (tmp_path / "s.kpl").write_text("source float s\nstrmgen a = s\nstream t = a")
+    (tmp_path / "s.csv").write_text(b)
+    done = CliRunner().invoke(app, ["kpl", "run", str(tmp_path / "s.kpl"), str(tmp_path)])
+    assert done.exit_code == 1
+    assert "the first line names the columns" in done.stderr
+
+
 @pytest.mark.parametrize("b", [None, "", "valid,value\n"])
 def test_a_source_without_recorded_samples_is_silent(tmp_path, b):
     text = "source float s\nsource float t\nstrmgen a = s\nstrmgen b = t\nstrmgen both = join(a, b)"
