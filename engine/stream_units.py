@@ -50,13 +50,13 @@ def counts_of(unit: PolicyUnit) -> dict[str, object]:
     """What a unit counts, by name: of samples dropped by the kind of constraint, of those that
     came after what they belong to was decided, in all."""
     counters = unit.policy_counters
-    if counters is None:
-        return {"late": unit.late}
-    counted: dict[str, object] = asdict(counters)
+    counted: dict[str, object] = {} if counters is None else asdict(counters)
     if isinstance(counters, PolicyCounters):
         counted["dropped"] = {str(kind): count for kind, count in counters.dropped.items()}
     else:
-        counted["late"] = counters.late + unit.late
+        counted["late"] = unit.late + (0 if counters is None else counters.late)
+    if isinstance(unit, TupleUnit) and unit.held:
+        counted |= {"held": unit.held, "waits for fields of": unit.open_inputs}
     return counted
 
 
@@ -93,7 +93,8 @@ class TupleUnit(PolicyUnit):
     the inputs under the names of `flat_names`; where an input has none they are no_value.
 
     ``identifiers`` name the inputs. The same stream may be given twice. While an input is open,
-    tuples wait for it to have fields, or to end without any.
+    tuples wait for it to have fields, or to end without any; as many as the output keeps in its
+    history, more are an error.
     """
 
     def __init__(
@@ -108,6 +109,8 @@ class TupleUnit(PolicyUnit):
         self._identifiers = tuple(identifiers)
         self._names: list[list[str]] | None = None
         self._held: list[TupleBatch] = []
+        self.held = 0
+        """Tuples that wait for the fields of `open_inputs`."""
         self._find_names()
 
     @property
@@ -146,21 +149,40 @@ class TupleUnit(PolicyUnit):
     def _places(self, source: StreamGenerator) -> list[int]:
         return [i for i, given in enumerate(self.inputs) if given is source]
 
-    def _offer(self, made: TupleBatch | Sequence[TupleBatch] | None) -> None:
-        batches = [made] if isinstance(made, TupleBatch) else made or []
-        self._held += [tuples for tuples in batches if len(tuples)]
+    def _offer(self, given: TupleBatch | Sequence[TupleBatch] | None) -> None:
+        batches = [given] if isinstance(given, TupleBatch) else given or []
+        tuples = [batch for batch in batches if len(batch)]
+        self._held += tuples
+        self.held += sum(map(len, tuples))
         names = self._find_names()
         if names is None:
+            self._hold(tuples)
             return
-        held, self._held = self._held, []
-        for tuples in held:
+        held, self._held, self.held = self._held, [], 0
+        for made in held:
             # An input that has no sample yet has no columns either.
             inputs = tuple(
                 batch if batch.columns else empty_batch(source.schema, source.stream.pools)
-                for batch, source in zip(tuples.inputs, self.inputs, strict=True)
+                for batch, source in zip(made.inputs, self.inputs, strict=True)
             )
-            whole = TupleBatch(tuples.available, tuples.valid, inputs, tuples.rows)
+            whole = TupleBatch(made.available, made.valid, inputs, made.rows)
             self.output.offer(whole.flatten(names))
+
+    @property
+    def open_inputs(self) -> list[str]:
+        """Inputs that have no fields yet and have not ended."""
+        open = [source for source in self.sources if source.is_open]
+        return [source.name for source in open if source not in self._ended]
+
+    def _hold(self, tuples: Sequence[TupleBatch]) -> None:
+        """Keep the last ones, which were just added, as small as they can be."""
+        if tuples:
+            self._held[-len(tuples) :] = [batch.compact() for batch in tuples]
+        if self.held > self.output.stream.retention.samples:
+            raise SampleError(
+                f"{self.held} tuples wait for the fields of {', '.join(self.open_inputs)}: "
+                "declare them in the sort of its source or unit"
+            )
 
     def _find_names(self) -> list[list[str]] | None:
         """The fields' names of each input, once they are known; the output has these fields."""

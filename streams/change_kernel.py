@@ -6,14 +6,20 @@ lists stands in arrays that are laid out beforehand.
 
 from __future__ import annotations
 
-from typing import Any, Final
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 
 from .compiled import Kernel
+from .joining import distinct
+from .policy import Duration
+from .sample import Mask, SampleBatch, Times
 from .time import TIME_MAX, TIME_MIN
 
-NOT_LATE: Final = 0
+_BLOCK: Final = 512
+"""So many keys or times in a row have one count, which tells whether to look at them at all."""
 OVER_DELAY: Final = 1
 """The sample came after its state's deadline."""
 AFTER_STATE: Final = 2
@@ -61,10 +67,12 @@ def _simulate(
     index into ``keys`` and into ``times`` (-1: outside of the duration). ``times``, ``(m,)``, are
     all times that may get a state, ``waiting`` those that do. ``keys`` are the valid times of the
     inputs one after the other, those of input i from ``first_key[i]`` on, with the row that came
-    last in ``row_at``; ``place[i, m]`` is the greatest key of input i that is not after the time.
-    ``delay`` -1 is none. Written: ``waiting``, ``row_at``, ``reach``, ``clock``, for each state
-    ``leaves_at``, ``state`` (an index into ``times``), ``complete`` and ``rows``, shape
-    ``(m, inputs)``, and for each event ``why`` it was late.
+    last in ``row_at`` (-1: none yet); ``place[i, m]`` is the greatest key of input i that is not
+    after the time. ``delay`` -1 is none. Written: ``waiting``, ``row_at``, ``reach``, ``clock``,
+    for each state ``leaves_at``, ``state`` (an index into ``times``), ``complete`` and ``rows``,
+    shape ``(m, inputs)``, and for each event ``why`` it was late (0: it was not).
+
+    Cost: a few steps an event, a state and an input; O(√m) where many keys between have not come.
     """
     events = at.shape[0]
     inputs = monotone.shape[0]
@@ -73,6 +81,12 @@ def _simulate(
     has_begun, has_left = clock[HAS_BEGUN] > 0, clock[HAS_LEFT] > 0
     made = 0
     head = 0
+    waiting_in = np.zeros(count // _BLOCK + 1, np.int64)
+    for own in range(count):
+        waiting_in[own // _BLOCK] += waiting[own]
+    come_in = np.zeros(keys.shape[0] // _BLOCK + 1, np.int64)
+    for key in range(keys.shape[0]):
+        come_in[key // _BLOCK] += row_at[key] >= 0
     for event in range(events + 1):
         limit = until
         is_due = True
@@ -82,8 +96,12 @@ def _simulate(
             limit = at[event] - 1 if is_due else until
         while is_due:
             while head < count and not waiting[head]:
-                head += 1
-            if head == count:
+                if head % _BLOCK == 0 and waiting_in[head // _BLOCK] == 0:
+                    head += _BLOCK
+                else:
+                    head += 1
+            if head >= count:
+                head = count
                 break
             time = times[head]
             is_complete = True
@@ -116,10 +134,14 @@ def _simulate(
             for i in range(inputs):
                 key = place[i, head]
                 while key >= first_key[i] and row_at[key] < 0:
-                    key -= 1
+                    if key % _BLOCK == _BLOCK - 1 and come_in[key // _BLOCK] == 0:
+                        key -= _BLOCK
+                    else:
+                        key -= 1
                 is_none = key < first_key[i] or (exact and keys[key] != time)
                 rows[made, i] = -1 if is_none else row_at[key]
             waiting[head] = False
+            waiting_in[head // _BLOCK] -= 1
             left, last, has_left = due, time, True
             made += 1
         if event == events:
@@ -130,6 +152,7 @@ def _simulate(
             continue
         i, key, own = input_of[event], key_of[event], state_of[event]
         valid = keys[key]
+        come_in[key // _BLOCK] += row_at[key] < 0
         row_at[key] = row_of[event]
         if not has_reached[i] or reach[i] < valid:
             reach[i], has_reached[i] = valid, True
@@ -138,6 +161,7 @@ def _simulate(
         elif has_left and valid <= last and (own >= 0 or not exact):
             why[event] = AFTER_STATE
         elif own >= 0:
+            waiting_in[own // _BLOCK] += not waiting[own]
             waiting[own] = True
             head = min(head, own)
     clock[NOW], clock[LEFT], clock[LAST] = now, left, last
@@ -160,6 +184,73 @@ def _signature() -> Any:
 
 
 simulate = Kernel(_simulate, _signature)
+
+Events: TypeAlias = tuple[Times, Times, Times, Times]
+"""When, of which input, which row and valid at what time."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Layout:
+    """The events and what they speak of, as `_simulate` explains its arguments."""
+
+    at: Times
+    input_of: Times
+    row_of: Times
+    key_of: Times
+    state_of: Times
+    times: Times
+    waiting: Mask
+    keys: Times
+    row_at: Times
+    first_key: Times
+    place: Times
+
+    @property
+    def arrays(self) -> tuple[Times | Mask, ...]:
+        """In the order of the arguments."""
+        events = (self.at, self.input_of, self.row_of, self.key_of, self.state_of)
+        tables = (self.keys, self.row_at, self.first_key, self.place)
+        return (*events, self.times, self.waiting, *tables)
+
+
+def lay_out(
+    tables: Sequence[SampleBatch],
+    fresh: Sequence[int],
+    events: Events,
+    duration: Duration,
+    waiting: Sequence[int],
+) -> Layout:
+    """``tables`` are the samples of each input, of which those from row ``fresh[i]`` on are yet to
+    come, by ``events``; ``waiting`` are times of states. Cost: O(n log n) numpy."""
+    at, input_of, row_of, valid = events
+    within = (valid >= duration.first) & (valid <= duration.last) & (row_of >= 0)
+    before = np.array(waiting, np.int64)
+    times = distinct(np.concatenate([before, valid[within]]))
+    key_of = np.zeros(len(at), np.int64)
+    place = np.empty((len(tables), len(times)), np.int64)
+    keys: list[Times] = []
+    rows: list[Times] = []
+    first_key = [0]
+    for i, (table, count) in enumerate(zip(tables, fresh, strict=True)):
+        own = distinct(table.valid)
+        row_at = np.full(len(own), -1, np.int64)
+        row_at[np.searchsorted(own, table.valid[:count])] = np.arange(count)
+        mine = input_of == i
+        key_of[mine] = np.searchsorted(own, valid[mine]) + first_key[i]
+        place[i] = np.searchsorted(own, times, "right") - 1 + first_key[i]
+        keys.append(own)
+        rows.append(row_at)
+        first_key.append(first_key[i] + len(own))
+    return Layout(
+        *(at, input_of, row_of, key_of),
+        np.where(within, np.searchsorted(times, valid), -1),
+        times,
+        np.isin(times, before),
+        np.concatenate(keys),
+        np.concatenate(rows),
+        np.array(first_key[:-1], np.int64),
+        place,
+    )
 
 
 def clock_of(now: int, left: int, last: int) -> np.ndarray[tuple[int], np.dtype[np.int64]]:

@@ -13,13 +13,23 @@ from typing import Final
 
 import numpy as np
 
-from .change_kernel import AFTER_STATE, HAS_LEFT, LAST, LEFT, NOW, OVER_DELAY, clock_of, simulate
+from .change_kernel import (
+    AFTER_STATE,
+    HAS_LEFT,
+    LAST,
+    LEFT,
+    NOW,
+    OVER_DELAY,
+    Events,
+    clock_of,
+    lay_out,
+    simulate,
+)
 from .compiled import JIT
 from .grid_states import CHUNK, LateRows, Made
 from .inputs import NOTHING_KNOWN
-from .joining import distinct
 from .policy import Approximation, Constraint, SynchronizationPolicy
-from .sample import SampleBatch, Times
+from .sample import SampleBatch
 from .time import TIME_MAX, TIME_MIN
 
 COMPILED: Final = 512
@@ -100,44 +110,27 @@ class ChangeStates:
     ) -> tuple[list[Made], list[LateRows]]:
         """The same by `change_kernel`."""
         arity = len(tables)
-        at, input_of, row_of, valid = self._events(tables, fresh, until)
-        within = (valid >= self._duration.first) & (valid <= self._duration.last) & (row_of >= 0)
-        before = np.array(self._waiting, np.int64)
-        times = distinct(np.concatenate([before, valid[within]]))
-        waiting = np.isin(times, before)
-        state_of = np.where(within, np.searchsorted(times, valid), -1)
-        keys, rows, first_key, key_of = [], [], [0], np.zeros(len(at), np.int64)
-        place = np.empty((arity, len(times)), np.int64)
-        for i, (table, count) in enumerate(zip(tables, fresh, strict=True)):
-            own = distinct(table.valid)
-            row_at = np.full(len(own), -1, np.int64)
-            row_at[np.searchsorted(own, table.valid[:count])] = np.arange(count)
-            mine = input_of == i
-            key_of[mine] = np.searchsorted(own, valid[mine]) + first_key[i]
-            place[i] = np.searchsorted(own, times, "right") - 1 + first_key[i]
-            keys.append(own)
-            rows.append(row_at)
-            first_key.append(first_key[i] + len(own))
+        events = self._events(tables, fresh, until)
+        layout = lay_out(tables, fresh, events, self._duration, self._waiting)
         has_reached = np.array([reach >= TIME_MIN for reach in self._reach])
         reach = np.array([max(reach, TIME_MIN) for reach in self._reach], np.int64)
         # An excuse at the end of 64 bits or later begins never.
         excused = [None if e is None or e > TIME_MAX else e for e in self._excused]
         clock = clock_of(self._now, self._left, self._last)
-        leaves, state = np.empty(len(times), np.int64), np.empty(len(times), np.int64)
-        complete = np.empty(len(times), np.bool_)
-        picked = np.empty((len(times), arity), np.int64)
-        why = np.zeros(len(at), np.int64)
+        count = len(layout.times)
+        leaves, state = np.empty(count, np.int64), np.empty(count, np.int64)
+        complete = np.empty(count, np.bool_)
+        picked = np.empty((count, arity), np.int64)
+        why = np.zeros(len(layout.at), np.int64)
         made = simulate(
-            *(at, input_of, row_of, key_of, state_of),
-            *(times, waiting, np.concatenate(keys), np.concatenate(rows)),
-            *(np.array(first_key[:-1], np.int64), place),
+            *layout.arrays,
             *(np.array(self._monotone), reach, has_reached),
             np.array([0 if e is None else e for e in excused], np.int64),
             np.array([e is not None for e in excused]),
             *(until, -1 if self._delay is None else self._delay, self._exact, clock),
             *(leaves, state, complete, picked, why),
         )
-        self._waiting = times[waiting].tolist()
+        self._waiting = layout.times[layout.waiting].tolist()
         self._reach = [
             int(r) if has else NOTHING_KNOWN for r, has in zip(reach, has_reached, strict=True)
         ]
@@ -147,22 +140,24 @@ class ChangeStates:
         self._done = max(self._done, until)
         parts: list[Made] = []
         for start in range(0, made, CHUNK):
+            # Copies: a view would keep the arrays of all that wait in memory.
             part = slice(start, min(start + CHUNK, made))
-            chosen = tuple(np.ascontiguousarray(picked[part, i]) for i in range(arity))
-            parts.append((leaves[part], times[state[part]], chosen, complete[part]))
+            chosen = tuple(picked[part, i].copy() for i in range(arity))
+            times = layout.times[state[part]]
+            parts.append((leaves[part].copy(), times, chosen, complete[part].copy()))
         told: list[LateRows] = []
         for code, reason in ((OVER_DELAY, Constraint.DELAY), (AFTER_STATE, Constraint.AVAILABLE)):
             late = why == code
             if bool(late.any()):
-                told += [(i, row_of[late & (input_of == i)], reason) for i in range(arity)]
+                told += [
+                    (i, layout.row_of[late & (layout.input_of == i)], reason) for i in range(arity)
+                ]
         return parts, told
 
-    def _events(
-        self, tables: Sequence[SampleBatch], fresh: Sequence[int], until: int
-    ) -> tuple[Times, Times, Times, Times]:
+    def _events(self, tables: Sequence[SampleBatch], fresh: Sequence[int], until: int) -> Events:
         """When, of which input, which row (-1: its excuse begins) and valid at what time: in order
         of moment, input, row."""
-        parts: list[tuple[Times, Times, Times, Times]] = []
+        parts: list[Events] = []
         for i, (table, row) in enumerate(zip(tables, fresh, strict=True)):
             rows = np.arange(row, len(table))
             parts.append((table.available[row:], np.full(len(rows), i), rows, table.valid[row:]))

@@ -18,7 +18,7 @@ JIT = os.environ.get("NUMBA_DISABLE_JIT", "0") in ("", "0") and (
 
 class Kernel:
     """A function with an explicit numba signature, compiled on the first call and kept in numba's
-    cache; ``py_func`` is the same in plain Python."""
+    cache; ``py_func`` is the same in plain Python, where integers do not overflow."""
 
     def __init__(self, py_func: Callable[..., Any], signature: Callable[[], Any]) -> None:
         self.py_func = py_func

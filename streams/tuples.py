@@ -37,6 +37,15 @@ class TupleBatch:
         rows = tuple(row[chosen] for row in self.rows)
         return TupleBatch(self.available[chosen], self.valid[chosen], self.inputs, rows)
 
+    def compact(self) -> TupleBatch:
+        """The same tuples over as much of the inputs as they name: for keeping."""
+        inputs, rows = [], []
+        for batch, row in zip(self.inputs, self.rows, strict=True):
+            used = np.unique(row[row >= 0])
+            inputs.append(batch.take(used))
+            rows.append(np.where(row < 0, -1, np.searchsorted(used, row)))
+        return TupleBatch(self.available, self.valid, tuple(inputs), tuple(rows))
+
     def column(self, input: int, field: str) -> Column:
         """A field of input ``input``, one value a tuple; null where there is no sample."""
         return spread(self.inputs[input].columns[field], self.rows[input])

@@ -21,6 +21,7 @@ from dyknow.engine.processes import Processes
 from dyknow.engine.views import StreamDeclaration
 from dyknow.languages.errors import LanguageError
 from dyknow.languages.kpl import parse_policy
+from dyknow.streams.fluent import Retention
 from dyknow.streams.sample import Field, FieldType, batch_from_rows
 from dyknow.streams.satisfaction import prove
 from dyknow.streams.time import MILLISECOND as MS
@@ -351,10 +352,10 @@ def test_an_open_source_takes_its_fields_from_the_first_samples(engine):
     ]
 
 
-def open_join(engine, *steps):
-    """Tuples of `join(pos, n)`, of the sources p (open) and f, after each of ``steps``."""
+def open_join(engine, *steps, process="join(pos, n)"):
+    """Tuples of ``process``, of the sources p (open) and f, after each of ``steps``."""
     engine.add_kpl("unit ns\nsource pos p\nsource float f\nstrmgen pos = p\nstrmgen n = f")
-    engine.add_kpl("strmgen both = join(pos, n)")
+    engine.add_kpl(f"unit ns\nstrmgen both = {process}")
     given = []
     for name, line in steps:
         generator = engine.generator(name)
@@ -379,6 +380,38 @@ def test_tuples_wait_for_the_fields_of_an_open_stream(engine):
     )
     whole = [(1, None, None, 7.0), (3, 1.5, "a", 7.0), (4, 1.5, "a", 8.0)]
     assert given == [[], whole[:1], whole[:2], whole[:2], whole]
+
+
+def test_states_wait_for_the_fields_of_an_open_stream(engine):
+    """After their deadline, if need be; the stream may be given twice."""
+    given = open_join(
+        engine,
+        ("f", b'{"available": 1, "valid": 1, "value": 7}'),
+        ("f", b'{"available": 9, "valid": 9, "value": 8}'),
+        ("p", b'{"available": 10, "valid": 10, "x": 1.5}'),
+        ("f", None),
+        ("p", None),
+        process="sync(pos with monotone order, n, pos with monotone order; any change, "
+        "max delay 2, use most recent)",
+    )
+    assert given[:2] == [[], []]
+    assert given[-1] == [(3, None, 7.0, None), (10, None, 8.0, None), (11, 1.5, 8.0, 1.5)]
+
+
+def test_not_more_tuples_wait_than_the_stream_keeps(engine):
+    lines = [f'{{"available": {t}, "valid": {t}, "value": 7}}'.encode() for t in range(1, 6)]
+    engine.add_kpl("unit ns\nsource pos p\nsource float f\nstrmgen pos = p\nstrmgen n = f")
+    engine.add_kpl("strmgen both = join(pos, n)")
+    engine.generator("both").stream.retention = Retention(samples=3)
+    engine.generator("p").advance(100)  # as the clock does for a stream that is silent
+    for number, line in enumerate(lines, 1):
+        generator = engine.generator("f")
+        incoming = decode_ndjson(line, generator.schema, generator.stream.pools)
+        engine.publish("f", incoming, 0)
+        (view,) = [view for view in engine.kpl() if view.name == "both"]
+        if number <= 3:
+            assert view.counters == {"late": 0, "held": number, "waits for fields of": ["p"]}
+    assert "4 tuples wait for the fields of p: declare them" in view.failure
 
 
 def test_an_open_stream_that_ends_without_fields_cannot_bring_any_later(engine):

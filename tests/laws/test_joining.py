@@ -9,7 +9,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from dyknow.streams import change_states
+from dyknow.streams import change_kernel, change_states
 from dyknow.streams.compiled import JIT
 from dyknow.streams.joining import Join
 from dyknow.streams.policy import (
@@ -181,19 +181,24 @@ def test_synchronization_is_the_definition(data):
     check_synchronization(data, *case, SMALL)
 
 
-@pytest.fixture
-def compiled(monkeypatch):
-    """States of inputs in any order are simulated by the compiled loop, however few there are."""
+@pytest.fixture(params=["compiled", "plain"])
+def loop(request, monkeypatch):
+    """States of inputs in any order are simulated by the loop of arrays, however few there are."""
+    if request.param == "compiled" and not JIT:
+        pytest.skip("loops are not compiled: DYKNOW_JIT=off or NUMBA_DISABLE_JIT")
+    if request.param == "plain":
+        monkeypatch.setattr(change_states, "simulate", change_kernel.simulate.py_func)
+        monkeypatch.setattr(change_kernel, "_BLOCK", 2)  # compiled in, so only here
+    monkeypatch.setattr(change_states, "JIT", True)
     monkeypatch.setattr(change_states, "COMPILED", 1)
 
 
 ANY_ORDER = settings(LIMITS, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
-@pytest.mark.skipif(not JIT, reason="loops are not compiled: DYKNOW_JIT=off or NUMBA_DISABLE_JIT")
 @ANY_ORDER
 @given(st.data(), st.booleans())
-def test_the_compiled_loop_is_the_definition(compiled, data, is_at_the_end):
+def test_the_compiled_loop_is_the_definition(loop, data, is_at_the_end):
     far = st.integers(LEAST, LEAST + 9) | st.integers(GREATEST - 9, GREATEST)
     times = far if is_at_the_end else SMALL
     inputs, monotone, policy, twin = data.draw(synchronizations(times, st.just(1)))
@@ -202,6 +207,51 @@ def test_the_compiled_loop_is_the_definition(compiled, data, is_at_the_end):
     if is_at_the_end:  # near one of the two ends
         inputs = [[(a, v) for a, v in stream if (a > 0) == (v > 0)] for stream in inputs]
     check_synchronization(data, inputs, monotone, policy, twin, times)
+
+
+def shaped(shape, random, count):
+    """Two inputs of ``count`` samples: (available, valid) of each."""
+    steps = np.arange(count)
+    first, second = steps * 10, steps * 10 + 5
+    match shape:
+        case "mixed":
+            valid = [first + random.integers(-40, 40, count), second]
+            return [(first, valid[0]), (second, valid[1] + random.integers(-3, 1, count) * 5)]
+        case "offline":  # the second was cut off, and delivers when the first has ended
+            return [(first, first), (second + 10 * count, first + random.integers(0, 2, count))]
+        case "ahead":  # one clock is far ahead
+            return [(first, np.append(10 * count, first[1:])), (second, second)]
+        case _:
+            raise AssertionError(shape)
+
+
+@pytest.mark.parametrize("delay", [None, 20, 10**6])
+@pytest.mark.parametrize("shape", ["mixed", "offline", "ahead"])
+def test_many_samples_at_once_give_the_states_of_few(shape, delay):
+    """The arrays' blocks matter only with many; the list simulation is held to the definition."""
+    policy = SynchronizationPolicy(AnyChange(), delay, approximation=Approximation.MOST_RECENT)
+    inputs = [
+        SampleBatch(a.astype(np.int64), v.astype(np.int64), {})
+        for a, v in shaped(shape, np.random.default_rng(5), 4000)
+    ]
+
+    def states(size):
+        process = Synchronization(policy, [False, False])
+        made, cuts = [], range(0, 4000, size)
+        for start in cuts:
+            for i, samples in enumerate(inputs):
+                made += process.push(i, samples.take(slice(start, start + size)))
+        for i in range(2):
+            made += process.end(i)
+        values = [
+            [None if row is None else (one.inputs[i].available[row]) for i, row in enumerate(rows)]
+            for one in made
+            for _, _, rows in one.tuples()
+        ]
+        times = [(a, v) for one in made for a, v, _ in one.tuples()]
+        return times, values, process.counters
+
+    assert states(4000) == states(100)
 
 
 @LIMITS

@@ -3,9 +3,9 @@
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from playing import play, play_in_order
 
 from dyknow.converters.wire import Incoming
-from dyknow.engine.engine import Engine
 from dyknow.engine.processes import Processes
 from dyknow.engine.proving import rehearse
 from dyknow.languages.kpl import check_kpl, parse_kpl
@@ -40,12 +40,14 @@ def Sum(time, samples, state):
     return total, total
 
 
+def held(sets, time):
+    """The set that is known at ``time``."""
+    found = [labels for at, labels in sets if at <= time]
+    return found[-1] if found else ()
+
+
 def definition(sets, moves):
     """The samples of ``all`` and ``last``: (available, object, sum), and (available, sum)."""
-
-    def held(time):
-        found = [labels for at, labels in sets if at <= time]
-        return found[-1] if found else ()
 
     def life(label, time):
         """When the life of an object began in which ``time`` is."""
@@ -58,13 +60,13 @@ def definition(sets, moves):
     sums = {}
     every, chosen = [], []
     for time, label, value in moves:
-        if label not in held(time):
+        if label not in held(sets, time):
             continue
         key = (label, life(label, time))
         sums[key] = sums.get(key, 0.0) + value
         every.append((time, label, sums[key]))
         # Valid times differ, so every sample is a change.
-        if held(time)[-1] == label:
+        if held(sets, time)[-1] == label:
             chosen.append((time, sums[key]))
     return every, chosen
 
@@ -78,60 +80,15 @@ def worlds(draw):
     return sets, moves
 
 
-def publish(engine, name, samples):
-    """``samples``: (available, values)."""
-    generator = engine.generator(name)
-    rows = [(t, t, values) for t, values in samples]
-    batch = batch_from_rows(generator.schema, rows, generator.stream.pools)
-    engine.publish(name, Incoming(batch, stamped=False), 0)
-
-
-def play(draw, sources, network, rows):
-    """The world told in some order and some cuts, the network declared at some moment; ``rows``:
-    what each source says, as (available, values)."""
-    engine = Engine(processes=PROCESSES)
-    engine.add_kpl(sources)
-    left = {name: list(samples) for name, samples in rows.items()}
-    running, steps = list(left), [network]
-    while running or steps:
-        name = draw(st.sampled_from(running + ["network"] * len(steps)))
-        if name == "network":
-            engine.add_kpl(steps.pop())
-            continue
-        samples = left[name]
-        if not samples:
-            engine.end(name)
-            running.remove(name)
-            continue
-        cut = draw(st.integers(1, len(samples)))
-        publish(engine, name, samples[:cut])
-        del samples[:cut]
-    assert [view for view in engine.kpl() if view.failure] == []
-    return engine
-
-
-def play_in_order(draw, sources, network, rows):
-    """The network declared first, then the world told in order of time."""
-    engine = Engine(processes=PROCESSES)
-    engine.add_kpl(sources + network)
-    said = [(t, name, values) for name, samples in rows.items() for t, values in samples]
-    for t, name, values in sorted(draw(st.permutations(said)), key=lambda row: row[0]):
-        publish(engine, name, [(t, values)])
-    for name in draw(st.permutations(sorted(rows))):
-        engine.end(name)
-    assert [view for view in engine.kpl() if view.failure] == []
-    return engine
-
-
 @LIMITS
 @given(st.data(), worlds())
 def test_streams_of_objects_depend_on_times_alone(data, world):
     sets, moves = world
     rows = {
-        "sets": [(t, {"value": " ".join(labels)}) for t, labels in sets],
-        "moves": [(t, {"id": label, "pos": value}) for t, label, value in moves],
+        "sets": [(t, t, {"value": " ".join(labels)}) for t, labels in sets],
+        "moves": [(t, t, {"id": label, "pos": value}) for t, label, value in moves],
     }
-    engine = play(data.draw, SOURCES, NETWORK, rows)
+    engine = play(data.draw, PROCESSES, SOURCES, NETWORK, rows)
     every, chosen = definition(sets, moves)
     made = engine.generator("all").stream.all().rows()
     assert [(t, values["object"], values["value"]) for t, _, values in made] == every
@@ -164,12 +121,6 @@ strmgen focus = select(n[x] foreach x in chosen)
 @PROCESSES.computational_unit("float", ["float"])
 def Count(time, samples, state):
     return float((state or 0) + 1), (state or 0) + 1
-
-
-def held(sets, time):
-    """The set that is known at ``time``."""
-    found = [labels for at, labels in sets if at <= time]
-    return found[-1] if found else ()
 
 
 def counted(label, times, *sets):
@@ -213,7 +164,7 @@ def rehearsed(text, rows):
     _, signature = check_kpl(parse_kpl(text), text)
     fields = {one.name: one.sort.schema for one in signature.declarations if one.key in rows}
     samples = [
-        (name, Incoming(batch_from_rows(fields[name], [(t, t, x) for t, x in said]), False))
+        (name, Incoming(batch_from_rows(fields[name], said), False))
         for name, said in rows.items()
         if said
     ]
@@ -226,9 +177,9 @@ def of_sources(sets, others, a, b):
     """What each source says, and when each object says something."""
     times = {"a": sorted(a), "b": sorted(b)}
     return {
-        "sets": [(t, {"value": " ".join(labels)}) for t, labels in sets],
-        "others": [(t, {"value": " ".join(labels)}) for t, labels in others],
-        **{f"from_{o}": [(t, {"value": float(t)}) for t in times[o]] for o in times},
+        "sets": [(t, t, {"value": " ".join(labels)}) for t, labels in sets],
+        "others": [(t, t, {"value": " ".join(labels)}) for t, labels in others],
+        **{f"from_{o}": [(t, t, {"value": float(t)}) for t in times[o]] for o in times},
     }, times
 
 
@@ -239,7 +190,7 @@ WORLDS = (set_streams(), set_streams(), st.sets(TIMES), st.sets(TIMES))
 @given(st.data(), *WORLDS)
 def test_what_one_set_makes_another_may_follow(data, sets, others, a, b):
     rows, times = of_sources(sets, others, a, b)
-    engine = play(data.draw, TWO_SETS, FOLLOWING, rows)
+    engine = play(data.draw, PROCESSES, TWO_SETS, FOLLOWING, rows)
     counts = [row for label in times for row in counted(label, times[label], sets)]
     said = [(t, label, float(t)) for label in times for t in times[label]]
     focus = [row for row in counts if held(others, row[0])[-1:] == [row[1]]]
@@ -268,7 +219,7 @@ strmgen too = aggregate(both[x] foreach x in objects)
 def test_a_life_ends_with_the_one_that_it_reads(data, sets, others, a, b):
     """In order of time: see docs/kpl.md."""
     rows, times = of_sources(sets, others, a, b)
-    engine = play_in_order(data.draw, TWO_SETS, LIVES_IN_LIVES, rows)
+    engine = play_in_order(data.draw, PROCESSES, TWO_SETS, LIVES_IN_LIVES, rows)
     one = [row for label in times for row in counted(label, times[label], sets)]
     both = [row for label in times for row in counted(label, times[label], sets, others)]
     expected = {"all_same": merged(one), "all_both": merged(both), "too": merged(both)}
@@ -280,6 +231,6 @@ def test_a_life_ends_with_the_one_that_it_reads(data, sets, others, a, b):
 @given(st.data(), *WORLDS)
 def test_at_the_end_of_all_sources_every_mediation_ends(data, sets, others, a, b):
     rows, _ = of_sources(sets, others, a, b)
-    engine = play(data.draw, TWO_SETS, LIVES_IN_LIVES, rows)
+    engine = play(data.draw, PROCESSES, TWO_SETS, LIVES_IN_LIVES, rows)
     for name in ("all_same", "all_both", "too"):
         assert engine.generator(name).is_ended, name

@@ -6,11 +6,9 @@ from typing import NamedTuple
 import joint_definition as definition
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from playing import play
 
-from dyknow.converters.wire import Incoming
-from dyknow.engine.engine import Engine
 from dyknow.engine.processes import Processes
-from dyknow.streams.sample import batch_from_rows
 
 LIMITS = settings(deadline=None, max_examples=150)
 NEVER = -(2**63) - 1
@@ -138,41 +136,15 @@ def networks(draw):
     return said, "\n".join(lines), made
 
 
-def play(draw, said, text):
-    """The sources told in some order and some cuts, the network declared at some moment."""
-    engine = Engine(processes=PROCESSES)
-    steps = ["unit ns\n" + text]
-    engine.add_kpl(
-        "compunit float Mix(float, float)\n"
-        + "\n".join(f"source float {s}\nstrmgen s_{s} = {s}" for s in SOURCES)
-    )
-    left = {source: list(rows) for source, rows in said.items()}
-    running = list(SOURCES)
-    while running or steps:
-        name = draw(st.sampled_from(running + ["network"] * len(steps)))
-        if name == "network":
-            engine.add_kpl(steps.pop())
-            continue
-        rows = left[name]
-        if not rows:
-            engine.end(name)
-            running.remove(name)
-            continue
-        cut = draw(st.integers(1, len(rows)))
-        generator = engine.generator(name)
-        some = [(t, v, {"value": value}) for t, v, (value,) in rows[:cut]]
-        batch = batch_from_rows(generator.schema, some, generator.stream.pools)
-        engine.publish(name, Incoming(batch, stamped=False), 0)
-        del rows[:cut]
-    assert [view for view in engine.kpl() if view.failure] == []
-    return engine
-
-
 @LIMITS
 @given(st.data(), networks())
 def test_networks_are_the_composition_of_their_definitions(data, network):
     said, text, made = network
-    engine = play(data.draw, said, text)
+    rows = {name: [(t, v, {"value": x}) for t, v, (x,) in made] for name, made in said.items()}
+    sources = "compunit float Mix(float, float)\n" + "\n".join(
+        f"source float {name}\nstrmgen s_{name} = {name}" for name in SOURCES
+    )
+    engine = play(data.draw, PROCESSES, sources, "unit ns\n" + text, rows)
     for label, expected in made.items():
         rows = engine.generator(f"s_{label}").stream.all().rows()
         assert [(t, v, tuple(values.values())) for t, v, values in rows] == expected.rows, label
