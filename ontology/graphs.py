@@ -18,6 +18,9 @@ STREAM_SPACE_ONTOLOGY: Final = NamedNode("http://www.dyknow.eu/ontology")
 DOMAIN_ONTOLOGY: Final = NamedNode(DYKNOW + "ontology.rdf")
 """domain.ttl: the sorts and features of aviation and UAVs; the papers' ``FROM`` names it."""
 
+ALIGNMENTS: Final = "http://www.dyknow.eu/ontology/alignments/"
+"""The files of alignments/: the stream space in the words of other vocabularies, a graph each."""
+
 _ANNOTATION_NODES: Final = "http://www.dyknow.eu/annotations/"
 _DECLARATION_NODES: Final = "http://www.dyknow.eu/declarations/"
 _OWN: Final = "http://www.dyknow.eu/graphs/"

@@ -16,7 +16,7 @@ _HERE = Path(__file__).parent
 
 @dataclass(frozen=True, slots=True)
 class ShippedOntology:
-    """A Turtle file of this folder and the graph that it is loaded into."""
+    """A Turtle file of this room and the graph that it is loaded into."""
 
     graph: NamedNode
     file: Path
@@ -29,10 +29,12 @@ class ShippedOntology:
 
 
 def shipped_ontologies() -> tuple[ShippedOntology, ...]:
-    """The stream-space ontology and the domain ontology."""
+    """Stream space, aviation, and the alignments with other vocabularies."""
+    alignments = sorted((_HERE / "alignments").glob("*.ttl"))
     return (
         ShippedOntology(graphs.STREAM_SPACE_ONTOLOGY, _HERE / "dyknow.ttl"),
         ShippedOntology(graphs.DOMAIN_ONTOLOGY, _HERE / "domain.ttl"),
+        *(ShippedOntology(NamedNode(graphs.ALIGNMENTS + f.stem), f) for f in alignments),
     )
 
 
