@@ -1,6 +1,6 @@
 """The OWL 2 RL closure of the loaded ontologies, by owlrl (SPEC §2).
 
-It is computed once per change of an ontology, never per event: 0.3 s for the shipped ontologies
+It is computed once per change of an ontology, never per event: 0.4 s for the shipped ontologies
 (`python -m dyknow.ontology.closure` prints size and time), seconds for thousands of triples.
 What runs is followed by `entailment` instead.
 """

@@ -91,7 +91,7 @@ class Ontology:
 
         Ontologies that come with the program are loaded if they are new or have changed. Raises
         `OntologyError` if another process has the store open or it cannot be read. Cost: a closure
-        (about 0.3 s) unless the folder holds it already.
+        (about 0.4 s) unless the folder holds it already.
         """
         if path is None:
             return cls(Store(), None)
