@@ -20,10 +20,12 @@ from .supervision import ErrorCounters, ProcessEvent
 class _Life:
     """A generator of one object; it sees what is available after ``after`` and up to ``until``
     (ns; None: it goes on). ``end`` is what ``until`` will be, where a set is known already that
-    leaves the object out. ``reason`` says why it is not there."""
+    leaves the object out. ``reason`` says why it is not there. ``mates`` are those made for the
+    object at the same moment, itself among them."""
 
     declaration: GeneratorDeclaration
     after: int
+    mates: tuple[_Life, ...] = ()
     until: int | None = None
     end: int | None = None
     reason: str = ""
@@ -191,7 +193,10 @@ class ConfigurationProcess:
                 self._end(object, until)
             for object in new:
                 made = instantiate(self.declaration, object)
-                self._lives[object] = tuple(_Life(declaration, until) for declaration in made)
+                mates = tuple(_Life(declaration, until) for declaration in made)
+                for life in mates:
+                    life.mates = mates
+                self._lives[object] = mates
                 ahead = (at for at, later in self._pending if object not in later)
                 end = next(ahead, None)
                 for life in self._lives[object]:
@@ -202,9 +207,20 @@ class ConfigurationProcess:
         return False
 
     def reap(self) -> bool:
-        """Take away what is over; tells whether anything was."""
+        """Take away what is over; tells whether anything was.
+
+        Generators that were made together go together: they read each other, and a later life of
+        one would pass by another that is still in its first.
+        """
+        ready = {
+            life.key
+            for life in self._leaving.values()
+            if self._generators.is_over(life.declaration)
+        }
         over = [
-            life for life in self._leaving.values() if self._generators.is_over(life.declaration)
+            life
+            for life in self._leaving.values()
+            if all(m.key in ready or self._leaving.get(m.key) is not m for m in life.mates)
         ]
         for life in reversed(over):
             del self._leaving[life.key]

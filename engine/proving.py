@@ -189,8 +189,12 @@ def _of_sort(source: StreamGenerator, batch: SampleBatch) -> SampleBatch:
     columns = {name: batch.columns[name] for name in dict.fromkeys([*names, *batch.columns])}
     for field in source.schema.fields:
         column = columns.get(field.name)
-        if column is not None and (column.type, field.type) == (FieldType.INTEGER, FieldType.FLOAT):
+        if column is None:
+            continue
+        if (column.type, field.type) == (FieldType.INTEGER, FieldType.FLOAT):
             columns[field.name] = Column(field.type, column.values.astype(np.float64), column.null)
+        elif column.type is field.type is FieldType.STRING:
+            columns[field.name] = column.recoded(source.stream.pools[field.name])
     recorded = Schema(tuple(Field(name, column.type) for name, column in columns.items()))
     if recorded != source.schema:
         raise Conflict(

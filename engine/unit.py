@@ -113,7 +113,7 @@ class ComputationalUnit(ABC):
         self._until = self.output.ends_at = until
         for source in self.sources:
             if source not in self._ended and self._watermarks.get(source, TIME_MIN) > until:
-                self.ended(source)
+                self._end_here(source, until)
 
     def receive(self, source: StreamGenerator, batch: SampleBatch) -> None:
         """Samples of an input."""
@@ -131,10 +131,17 @@ class ComputationalUnit(ABC):
         """An input promises to send nothing before ``watermark`` any more."""
         if self._until is not None and watermark > self._until:
             if source not in self._ended:
-                self.ended(source)
+                self._end_here(source, self._until)
             return
         self._watermarks[source] = watermark
         self._guarded(lambda: self.progress(source, watermark))
+
+    def _end_here(self, source: StreamGenerator, until: int) -> None:
+        """An input ends with the life, up to the end of which it has told everything: whether the
+        end of the life or the samples came first."""
+        self._watermarks[source] = until + 1
+        self._guarded(lambda: self.progress(source, until + 1))
+        self.ended(source)
 
     def ended(self, source: StreamGenerator) -> None:
         """An input has come to its end; with the last one so does the output."""

@@ -72,11 +72,12 @@ class Mediation:
 
     @property
     def has_ended(self) -> bool:
-        """Nothing comes any more: the set is final, and so are the streams of its objects that are
-        there."""
+        """Nothing comes any more: the last set is all that is left, it is final, and so are the
+        streams of its objects that are there."""
         return (
             self._members_ended
             and self.promised == TIME_MAX
+            and len(self._sets) == 1
             and all(self._current(label).ended_at is not None for label in self._read_members())
         )
 
@@ -274,7 +275,7 @@ class Mediation:
         pool = None
         if kind is FieldType.STRING:
             pool = self._pools.setdefault(name, StringPool())
-            values = [_recoded(part, pool) for part in parts]
+            values = [part.recoded(pool).values for part in parts]
         null = None
         if any(part.null is not None for part in parts):
             null = np.concatenate([~part.present for part in parts])
@@ -287,14 +288,3 @@ def _after(lives: Sequence[Input]) -> Input:
     if lives:
         input.begun, input.known = lives[-1].begun, lives[-1].known
     return input
-
-
-def _recoded(column: Column, pool: StringPool) -> np.ndarray[tuple[int], np.dtype[np.int32]]:
-    """The codes of a text column in another pool: streams have pools of their own."""
-    assert column.pool is not None
-    present = column.present
-    codes = np.zeros(len(column), np.int32)
-    used, place = np.unique(column.values[present], return_inverse=True)
-    known = pool.encode([column.pool[code] for code in used.tolist()])
-    codes[present] = known[place]
-    return codes

@@ -113,6 +113,18 @@ class Column:
         null = None if self.null is None else self.null[rows]
         return Column(self.type, self.values[rows], null, self.pool)
 
+    def recoded(self, pool: StringPool) -> Column:
+        """The same text encoded with another pool: those of two streams differ."""
+        if self.pool is pool:
+            return self
+        assert self.pool is not None
+        present = self.present
+        codes = np.zeros(len(self), np.int32)
+        used, place = np.unique(self.values[present], return_inverse=True)
+        known = pool.encode([self.pool[code] for code in used.tolist()])
+        codes[present] = known[place]
+        return Column(self.type, codes, self.null, pool)
+
     def at(self, row: int) -> Value:
         """The value at ``row`` as a Python object, None for no_value."""
         if self.null is not None and self.null[row]:
