@@ -205,7 +205,7 @@ class Application:
         while True:
             acted = self._reap()
             configuring = [p for p in self._news if isinstance(p, ConfigurationProcess)]
-            if configuring:  # those who wait for what they may make know more now
+            if configuring or acted:  # those who wait for what they may make know more now
                 self._news.update(dict.fromkeys(self._mediations))
             for process in configuring:
                 if process.step():

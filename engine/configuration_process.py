@@ -180,7 +180,16 @@ class ConfigurationProcess:
     @property
     def promised(self) -> int:
         """What it is still to make says nothing that is available by then (ns)."""
-        return self._pending[0][0] - 1 if self._pending else self.known
+        promised = self._pending[0][0] - 1 if self._pending else self.known
+        if not self._leaving:
+            return promised
+        # Lives whose turn comes when an earlier one of the object has gone.
+        turns = [
+            life.after
+            for life in self._waiting
+            if any(self._leaving.get(mate.key) not in (None, mate) for mate in life.mates)
+        ]
+        return min(promised, *turns) if turns else promised
 
     def step(self) -> bool:
         """Act on the next set that changes anything; tells whether there was one."""
