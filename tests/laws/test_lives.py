@@ -1,6 +1,7 @@
 """Networks that follow a set of objects against their definition, whatever is published first
 ([DyKnow10 Def. 4.6, 4.7], docs/kpl.md)."""
 
+import joint_definition
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from playing import play, play_in_order
@@ -234,3 +235,63 @@ def test_at_the_end_of_all_sources_every_mediation_ends(data, sets, others, a, b
     engine = play(data.draw, PROCESSES, TWO_SETS, LIVES_IN_LIVES, rows)
     for name in ("all_same", "all_both", "too"):
         assert engine.generator(name).is_ended, name
+
+
+WITH_ANOTHER = """unit ns
+strmgen w = wind
+foreach x in objects {
+  strmgen n[x] = Count(of[x])
+  strmgen both[x] = join(n[x], w)
+  strmgen state[x] = sync(of[x], w with monotone order; any change, max delay 2, use most recent)
+}
+strmgen counts = aggregate(n[x] foreach x in objects)
+strmgen tuples = aggregate(both[x] foreach x in objects)
+strmgen states = aggregate(state[x] foreach x in objects)
+"""
+
+
+def lives(label, sets):
+    """The lives of an object: (first moment, first moment after it or None)."""
+    found, begun = [], None
+    for at, labels in sets:
+        if label in labels:
+            begun = at if begun is None else begun
+        elif begun is not None:
+            found.append((begun, at))
+            begun = None
+    return found if begun is None else [*found, (begun, None)]
+
+
+def within(life, times):
+    return [t for t in times if t >= life[0] and (life[1] is None or t < life[1])]
+
+
+@LIMITS
+@given(st.data(), set_streams(), *[st.sets(TIMES)] * 3)
+def test_what_is_made_for_an_object_has_its_life_by_itself(data, sets, a, b, wind):
+    """Together with a stream of all objects, which may come first or last or never."""
+    rows, times = of_sources(sets, [], a, b)
+    blown = sorted(wind)
+    rows["wind"] = [(t, t, {"value": float(t)}) for t in blown]
+    engine = play(data.draw, PROCESSES, TWO_SETS + "source float wind", WITH_ANOTHER, rows)
+    counts, tuples, states = [], [], []
+    for label, own in times.items():
+        for life in lives(label, sets):
+            inputs = [[(t, t) for t in within(life, each)] for each in (own, blown)]
+            counts += [(t, label, (float(n),)) for n, (t, _) in enumerate(inputs[0], 1)]
+            for t, _, (n, k) in joint_definition.join(inputs):
+                values = (None if n is None else n + 1.0, None if k is None else inputs[1][k][0])
+                tuples.append((t, label, values))
+            ends = [each[-1] if each else -(2**63) - 1 for each in (own, blown)]
+            promised = ends if life[1] is None else [min(life[1] - 1, end) for end in ends]
+            made, _, _ = joint_definition.synchronize(
+                inputs, promised, [False, True], None, 2, None, None, False
+            )
+            for t, _, chosen in made:
+                if within(life, [t]):
+                    picked = [None if k is None else inputs[i][k][0] for i, k in enumerate(chosen)]
+                    states.append((t, label, tuple(picked)))
+    for name, expected in (("counts", counts), ("tuples", tuples), ("states", states)):
+        made = engine.generator(name).stream.all().rows()
+        turns = [(t, label, *values) for t, _, label, values in merged(expected)]
+        assert [(t, *values.values()) for t, _, values in made] == turns, name
