@@ -275,7 +275,7 @@ class Application:
         while todo:
             wanted = todo.pop()
             for process in self._configuring:
-                if process.makes(wanted):
+                if wanted in process.makes:
                     promised = min(promised, process.promised)
                     read = process.reads - seen
                     todo += read

@@ -88,6 +88,11 @@ class ConfigurationProcess:
         self.name = name
         self.declaration = declaration
         self.inputs = (members,)
+        made = declaration.generators
+        self.makes = frozenset(each.label.feature for each in made)
+        """The features whose generators are its own."""
+        self.reads = frozenset(term.label.feature for each in made for term in each.terms)
+        """The features that these read."""
         self.counters = ErrorCounters()
         self.failure: str | None = None
         self._generators = generators
@@ -166,16 +171,6 @@ class ConfigurationProcess:
         """Sets go on."""
         last = source.stream.last_available
         self.known = NOTHING_KNOWN if last is None else last
-
-    def makes(self, feature: str) -> bool:
-        """Whether generators of this feature are its own."""
-        return any(made.label.feature == feature for made in self.declaration.generators)
-
-    @property
-    def reads(self) -> frozenset[str]:
-        """The features that its generators read."""
-        made = self.declaration.generators
-        return frozenset(term.label.feature for each in made for term in each.terms)
 
     @property
     def promised(self) -> int:

@@ -50,7 +50,7 @@ def test_lineage_in_prov(engine: Engine) -> None:
 def test_sensors_and_procedures_in_sosa(engine: Engine) -> None:
     ontology = engine.ontology
     assert "join" in asked(ontology, "?x a sosa:Procedure")
-    assert asked(ontology, ":join ssn:implementedBy ?x . ?x a ssn:System") == asked(
+    assert asked(ontology, "?x ssn:implements :join ; a ssn:System") == asked(
         ontology, "?x :hasOutput :both"
     )
     features = asked(ontology, "?x a sosa:ObservableProperty")
