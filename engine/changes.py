@@ -37,7 +37,7 @@ class Change:
 
     ``specification`` is the text by which the change was made: SSL, KPL, C-SPARQL, or a
     transformation with its parameters; of a failure, the reason, and so of an annotation kept by
-    an earlier run that does not hold any more.
+    an earlier run that does not hold any more. ``policy`` is what ``stream`` keeps, in KPL.
     """
 
     kind: ChangeKind
@@ -47,3 +47,4 @@ class Change:
     inputs: tuple[str, ...] = ()
     specification: str = ""
     role: Role = Role.UNIT
+    policy: str = ""

@@ -18,6 +18,7 @@ from ..continuous.evaluator import ContinuousEvaluator
 from ..converters.objects import ObjectTable
 from ..converters.to_samples import ResultConverter
 from ..converters.to_triples import SampleConverter
+from ..languages.kpl import format_policy
 from ..matching.plan import Compute, Node, SelectObject, UseStream, id_field_of
 from ..rdf.dictionary import TermDictionary
 from ..rdf.namespaces import DYKNOW, shorten
@@ -27,7 +28,7 @@ from ..streams.sample import Field, FieldType, Schema
 from ..streams.strings import StringPool
 from .changes import Change, ChangeKind
 from .errors import AlreadyExists, UnknownStream
-from .stream_units import PolicyUnit
+from .stream_units import AdaptationUnit, PolicyUnit
 from .transformations import Transformation
 from .unit import ComputationalUnit, FunctionUnit, InputPort, QueryUnit, SelectionUnit
 from .views import Since
@@ -450,6 +451,7 @@ class Configuration:
                 unit.transformation,
                 tuple(source.name for source in unit.inputs),
                 specification,
+                policy=format_policy(unit.policy) if isinstance(unit, AdaptationUnit) else "",
             )
         )
 

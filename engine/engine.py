@@ -26,6 +26,7 @@ from ..rdf.namespaces import PREFIXES, shorten
 from ..streams.fluent import Retention
 from ..streams.generator import StreamGenerator
 from ..streams.sample import Field, FieldType, SampleBatch, Schema, batch_from_rows
+from ..streams.time import SECOND, TIME_MIN
 from ..templates.library import (
     NoSuchTemplate,
     TemplateExists,
@@ -92,6 +93,7 @@ class Engine:
         self.ontology = Ontology.open(None if data is None else data / "ontology")
         self.dictionary = TermDictionary()
         self._now = now
+        self._counted = TIME_MIN
         self._transformations: dict[str, Transformation] = library(self.ontology.vocabulary)
         self._configuration = Configuration(
             self.dictionary, self._transformations, self._changed, first_reserved
@@ -226,6 +228,10 @@ class Engine:
                 for source in waiting:
                     unit.advance(source, now)
         self._settle()
+        if now - SECOND >= self._counted:
+            self._counted = now
+            streams = self._configuration.streams.items()
+            self._manager.count_subscribers((name, each.subscribers) for name, each in streams)
 
     def rdf_of(self, name: str, batch: SampleBatch) -> list[str]:
         """Each sample of stream ``name`` as N-Triples; empty text where it says nothing."""

@@ -47,6 +47,7 @@ class SemanticsManager:
         # Several units may say the same of their transformation: a triple goes with its last one.
         self._supported: Counter[Triple] = Counter()
         self._held: dict[Triple, bool] | None = None
+        self._subscribers: dict[str, int] = {}
 
     @contextmanager
     def together(self) -> Iterator[None]:
@@ -73,6 +74,8 @@ class SemanticsManager:
                 self._assert(("stream", change.stream), stream_triples(change.stream, annotation))
             case ChangeKind.STREAM_REMOVED:
                 self._assert(("stream", change.stream), ())
+                self._subscribers.pop(change.stream, None)
+                self._assert(("subscribers", change.stream), ())
             case ChangeKind.UNIT_STARTED | ChangeKind.INPUTS_CHANGED:
                 self._assert(("unit", change.unit), unit_triples(change))
             case ChangeKind.UNIT_STOPPED:
@@ -90,6 +93,15 @@ class SemanticsManager:
                 | ChangeKind.NOT_RESTORED
             ):
                 pass  # the structure of the stream space is as it was
+
+    def count_subscribers(self, counts: Iterable[tuple[str, int]]) -> None:
+        """Mirror how many subscribers each stream has. Cost: a look at each, and what changed."""
+        changed = [(n, count) for n, count in counts if self._subscribers.get(n) != count]
+        with self.together():
+            for name, count in changed:
+                self._subscribers[name] = count
+                counted = Triple(term(name), term("hasSubscriberCount"), Literal(count))
+                self._assert(("subscribers", name), (counted,))
 
     def assertions(self) -> frozenset[Triple]:
         """All that is asserted now."""
@@ -141,6 +153,11 @@ def unit_triples(change: Change) -> Iterable[Triple]:
         yield Triple(unit, term("hasOutput"), term(change.stream))
     yield Triple(unit, term("instantiationOf"), term(change.transformation))
     yield Triple(term(change.transformation), RDF_TYPE, term("Transformation"))
+    if change.policy:
+        policy = term(f"{change.stream}_policy")
+        yield Triple(term(change.stream), term("hasPolicy"), policy)
+        yield Triple(policy, RDF_TYPE, term("Policy"))
+        yield Triple(policy, term("hasText"), Literal(change.policy))
     specification = term(f"{change.unit}_specification")
     yield Triple(unit, term("hasSpecification"), specification)
     yield Triple(specification, RDF_TYPE, term("Specification"))

@@ -65,6 +65,7 @@ class AdaptationUnit(PolicyUnit):
 
     def __init__(self, *args: Any, policy: Policy, violations: Violations | None = None) -> None:
         super().__init__(*args, violations=violations)
+        self.policy = policy
         self._adaptation = adapt(policy, None if violations is None else violations.dropped)
 
     @property

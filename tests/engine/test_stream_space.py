@@ -211,3 +211,34 @@ def test_a_key_has_its_effect_once(engine):
     for _ in range(2):
         assert engine.publish("speeds", Incoming(batch, False), 0, "key") == 1
     assert engine.stream("speeds").counters.accepted == 1
+
+
+def test_mirror_says_the_policy_that_a_stream_keeps(engine):
+    engine.add_kpl("source float f\nstrmgen n = f\nstream s = n with any change, max delay 5s")
+    policy = "dyknow-o:s dyknow-o:hasPolicy ?p . ?p a dyknow-o:Policy ; dyknow-o:hasText ?text"
+    (found,) = ask(engine, policy)
+    assert found["text"] == "any change, max delay 5000"  # ms, as KPL prints it
+    subscription = engine.subscribe("f", "strict order")
+    assert {row["text"] for row in ask(engine, policy.replace("dyknow-o:s ", "?s ", 1))} == {
+        "any change, max delay 5000",
+        "strict order",
+    }
+    engine.unsubscribe(subscription.id)
+    engine.remove_kpl("s")
+    assert ask(engine, "?p a dyknow-o:Policy") == []
+
+
+def test_mirror_counts_subscribers_within_a_second(engine):
+    engine.add_kpl("source float f\nstrmgen n = f\nstream s = n with any change")
+    counted = "dyknow-o:f dyknow-o:hasSubscriberCount ?n"
+    engine.tick(10**9)
+    assert ask(engine, counted) == [{"n": "1"}]
+    subscription = engine.subscribe("f", "strict order")
+    engine.tick(10**9 + 1)
+    assert ask(engine, counted) == [{"n": "1"}]
+    engine.tick(2 * 10**9)
+    assert ask(engine, counted) == [{"n": "2"}]
+    engine.unsubscribe(subscription.id)
+    engine.remove_kpl("f", cascade=True)
+    assert ask(engine, "?s dyknow-o:hasSubscriberCount 2") == []
+    assert engine.ontology.validate().conforms
