@@ -11,6 +11,17 @@ from pyoxigraph import Triple
 from .closure import to_rdflib
 from .shipped import shapes_text
 
+_SH = rdflib.Namespace("http://www.w3.org/ns/shacl#")
+
+
+@dataclass(frozen=True, slots=True)
+class Violation:
+    """A node that a shape refuses, and why; ``path`` is the property concerned, if it is one."""
+
+    node: str
+    path: str | None
+    message: str
+
 
 @dataclass(frozen=True, slots=True)
 class ShaclReport:
@@ -18,6 +29,7 @@ class ShaclReport:
 
     conforms: bool
     text: str
+    violations: tuple[Violation, ...] = ()
 
 
 def validate(triples: Iterable[Triple]) -> ShaclReport:
@@ -29,7 +41,18 @@ def validate(triples: Iterable[Triple]) -> ShaclReport:
     for triple in triples:
         data.add(to_rdflib(triple))
     shapes = rdflib.Graph().parse(data=shapes_text(), format="turtle")
-    conforms, _, text = pyshacl.validate(
+    conforms, report, text = pyshacl.validate(
         data, shacl_graph=shapes, inference="none", do_owl_imports=False, advanced=False, js=False
     )
-    return ShaclReport(bool(conforms), str(text))
+    return ShaclReport(bool(conforms), str(text), tuple(_violations(report)))
+
+
+def _violations(report: rdflib.Graph) -> list[Violation]:
+    found = []
+    for result in report.subjects(rdflib.RDF.type, _SH.ValidationResult):
+        node, path = report.value(result, _SH.focusNode), report.value(result, _SH.resultPath)
+        message = report.value(result, _SH.resultMessage)
+        found.append(
+            Violation(str(node), None if path is None else str(path), str(message or "refused"))
+        )
+    return sorted(found, key=lambda each: (each.node, each.message))

@@ -307,6 +307,10 @@ class Client:
         found: list[str] = self._send("GET", "/ontologies").json()
         return found
 
+    def ontology_report(self) -> dict[str, Any]:
+        """Whether the stream space is well-formed: ``conforms``, and the ``violations``."""
+        return self._object("GET", "/ontologies/report")
+
     def register_template(self, text: str, *, replace: str | None = None) -> dict[str, Any]:
         """Register an event template; ``replace`` names the one that it takes the place of."""
         headers = {"Content-Type": TEXT}

@@ -452,6 +452,21 @@ class OntologyModel(BaseModel):
     name: str
 
 
+class ViolationModel(BaseModel):
+    """What a shape refuses: a node, the property concerned (if it is one), and why."""
+
+    node: str
+    path: str | None
+    message: str
+
+
+class OntologyReportModel(BaseModel):
+    """Whether the ontologies and the live stream space are well-formed."""
+
+    conforms: bool
+    violations: list[ViolationModel]
+
+
 class StatusModel(BaseModel):
     """The service at a glance."""
 

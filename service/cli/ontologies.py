@@ -1,4 +1,4 @@
-"""``dyknow ontology``: add domain ontologies and list those that are loaded."""
+"""``dyknow ontology``: add domain ontologies, list those that are loaded, check them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ MEDIA_TYPES = {
 }
 """What an ontology file holds, by its suffix."""
 
-ontology = typer.Typer(help="Domain ontologies: add, list.", no_args_is_help=True)
+ontology = typer.Typer(help="Domain ontologies: add, list, check.", no_args_is_help=True)
 
 
 @ontology.command()
@@ -62,3 +62,22 @@ def list_ontologies(url: Url = DEFAULT_URL, as_json: Json = False) -> None:
         return
     for name in found:
         show_text(name)
+
+
+@ontology.command()
+def check(url: Url = DEFAULT_URL, as_json: Json = False) -> None:
+    """Hold the ontologies and the running streams against the shapes of a well-formed stream space.
+
+    Status 1 if something is not.
+    """
+    with connect(url) as client:
+        found = client.ontology_report()
+    if as_json:
+        show_json(found)
+    elif found["conforms"]:
+        show_text("well-formed")
+    else:
+        for each in found["violations"]:
+            show_text(f"{each['node']}: {each['message']}")
+    if not found["conforms"]:
+        raise typer.Exit(1)

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
+import anyio
+import anyio.to_thread
 from fastapi import APIRouter, Query, Request
 from pyoxigraph import NamedNode
 
 from ...ontology.graphs import ontology_graph
 from ...ontology.reading import TextFormat, read_triples
-from ...rdf.namespaces import OWL, RDF_TYPE
+from ...rdf.namespaces import OWL, RDF_TYPE, shorten
 from ..context import Context
-from ..models import OntologyModel, text_schema
+from ..models import OntologyModel, OntologyReportModel, ViolationModel, text_schema
 from ..negotiation import ONTOLOGY_FORMATS, content_type, utf8
 from ..problems import Problem, responses
 
@@ -70,6 +72,25 @@ async def load_ontology(
 async def list_ontologies(service: Context) -> list[str]:
     """The names of the ontologies that are loaded, those that come with the program included."""
     return list(service.engine.ontology.ontologies())
+
+
+_ONE_AT_A_TIME = anyio.CapacityLimiter(1)
+
+
+@router.get("/ontologies/report")
+async def report(service: Context) -> OntologyReportModel:
+    """Hold everything that SPARQL sees against the shapes of a well-formed stream space (SHACL).
+
+    It takes about a second, longer with many streams; requests are answered meanwhile.
+    """
+    found = await anyio.to_thread.run_sync(service.engine.ontology.validate, limiter=_ONE_AT_A_TIME)
+    return OntologyReportModel(
+        conforms=found.conforms,
+        violations=[
+            ViolationModel(node=shorten(each.node), path=each.path, message=each.message)
+            for each in found.violations
+        ],
+    )
 
 
 def _own_name(text: str, format: TextFormat) -> str:

@@ -112,3 +112,20 @@ def test_commands(url: str, tmp_path: Path) -> None:
     assert "--name" in dyknow("ontology", "add", str(path), status=1).stderr
     assert ".ttl" in dyknow("ontology", "add", str(tmp_path / "a.txt"), status=1).stderr
     assert "no file" in dyknow("ontology", "add", str(tmp_path / "a.ttl"), status=1).stderr
+
+
+def test_the_stream_space_is_checked_on_request(
+    client: Client, http: httpx.Client, url: str
+) -> None:
+    assert client.ontology_report() == {"conforms": True, "violations": []}
+    done = CliRunner().invoke(app, ["ontology", "check", "--url", url])
+    assert (done.exit_code, done.output.strip()) == (0, "well-formed")
+    broken = "<http://example.org/u> a <http://www.dyknow.eu/ontology#ComputationalUnit> ."
+    post(http, broken, "text/turtle", name="broken")
+    report = client.ontology_report()
+    assert report["conforms"] is False
+    (violation, *_) = report["violations"]
+    assert violation["node"] == "<http://example.org/u>"
+    done = CliRunner().invoke(app, ["ontology", "check", "--url", url])
+    assert done.exit_code == 1
+    assert "<http://example.org/u>: " in done.output
