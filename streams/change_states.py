@@ -86,9 +86,7 @@ class ChangeStates:
         for i, (table, row) in enumerate(zip(tables, fresh, strict=True)):
             times = zip(table.available[row:].tolist(), table.valid[row:].tolist(), strict=True)
             events += [(at, i, row + k, valid) for k, (at, valid) in enumerate(times)]
-            excuse = excused[i]
-            if excuse is not None and self._done < excuse <= until:
-                events.append((excuse, i, -1, 0))
+        events += [(at, i, -1, 0) for at, i in self._excuses(until)]
         events.sort()
         late: dict[tuple[int, Constraint], list[int]] = {}
         for at, i, row, valid in events:
@@ -161,13 +159,20 @@ class ChangeStates:
         for i, (table, row) in enumerate(zip(tables, fresh, strict=True)):
             rows = np.arange(row, len(table))
             parts.append((table.available[row:], np.full(len(rows), i), rows, table.valid[row:]))
-            excuse = self._excused[i]
-            if excuse is not None and self._done < excuse <= until:
-                begins, of, none, zero = (np.array([x], np.int64) for x in (excuse, i, -1, 0))
-                parts.append((begins, of, none, zero))
+        for event in self._excuses(until):
+            begins, of, none, zero = (np.array([x], np.int64) for x in (*event, -1, 0))
+            parts.append((begins, of, none, zero))
         at, input_of, row_of, valid = (np.concatenate(each) for each in zip(*parts, strict=True))
         order = np.lexsort((row_of, input_of, at))
         return at[order], input_of[order], row_of[order], valid[order]
+
+    def _excuses(self, until: int) -> list[tuple[int, int]]:
+        """Which inputs end in what is run now, and when."""
+        return [
+            (at, i)
+            for i, at in enumerate(self._excused)
+            if at is not None and self._done < at <= until
+        ]
 
     def finish(
         self,

@@ -4,6 +4,7 @@
 import joint_definition
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mediation_definition import held, lives, merged, within
 from playing import play, play_in_order
 
 from dyknow.converters.wire import Incoming
@@ -41,29 +42,14 @@ def Sum(time, samples, state):
     return total, total
 
 
-def held(sets, time):
-    """The set that is known at ``time``."""
-    found = [labels for at, labels in sets if at <= time]
-    return found[-1] if found else ()
-
-
 def definition(sets, moves):
     """The samples of ``all`` and ``last``: (available, object, sum), and (available, sum)."""
-
-    def life(label, time):
-        """When the life of an object began in which ``time`` is."""
-        begun = None
-        for at, labels in sets:
-            if at <= time:
-                begun = (at if begun is None else begun) if label in labels else None
-        return begun
-
     sums = {}
     every, chosen = [], []
     for time, label, value in moves:
         if label not in held(sets, time):
             continue
-        key = (label, life(label, time))
+        key = (label, next(life for life in lives(label, sets) if within(life, [time])))
         sums[key] = sums.get(key, 0.0) + value
         every.append((time, label, sums[key]))
         # Valid times differ, so every sample is a change.
@@ -135,15 +121,6 @@ def counted(label, times, *sets):
             count = 0
         count, previous = count + 1, time
         given.append((time, label, float(count)))
-    return given
-
-
-def merged(samples):
-    """Def. 4.7 in order of available time, then of object; moved where a time is taken."""
-    given, last = [], None
-    for time, label, value in sorted(samples):
-        last = time if last is None else max(time, last + 1)
-        given.append((last, time, label, value))
     return given
 
 
@@ -248,22 +225,6 @@ strmgen counts = aggregate(n[x] foreach x in objects)
 strmgen tuples = aggregate(both[x] foreach x in objects)
 strmgen states = aggregate(state[x] foreach x in objects)
 """
-
-
-def lives(label, sets):
-    """The lives of an object: (first moment, first moment after it or None)."""
-    found, begun = [], None
-    for at, labels in sets:
-        if label in labels:
-            begun = at if begun is None else begun
-        elif begun is not None:
-            found.append((begun, at))
-            begun = None
-    return found if begun is None else [*found, (begun, None)]
-
-
-def within(life, times):
-    return [t for t in times if t >= life[0] and (life[1] is None or t < life[1])]
 
 
 @LIMITS

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mediation_definition import held, merged
 
 from dyknow.streams.mediation import Mediation
 from dyknow.streams.sample import Column, FieldType, SampleBatch, SampleError
@@ -18,21 +19,12 @@ def definition(members, streams):
     """Each sample of an object that is in the set last available then, in order; moved where its
     available time is taken. ``members``: [(time, set)], ``streams``: {label: [(time, value)]}."""
 
-    def held(time):
-        sets = [labels for at, labels in members if at <= time]
-        return sets[-1] if sets else ()
-
-    chosen = sorted(
+    return merged(
         (time, label, value)
         for label, samples in streams.items()
         for time, value in samples
-        if label in held(time)
+        if label in held(members, time)
     )
-    given, last = [], None
-    for time, label, value in chosen:
-        last = time if last is None else max(time, last + 1)
-        given.append((last, time, label, value))
-    return given
 
 
 @st.composite
