@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from ..errors import LanguageError, Span
+from ..hints import count, did_you_mean, near
 from . import ast
 from .constraints import to_policy, to_synchronization
 from .declarations import (
@@ -32,7 +33,6 @@ from .declarations import (
     Term,
     ValueSort,
 )
-from .hints import count, did_you_mean, near
 from .scope import Scope
 from .sorts import fits, format_fields, misfit, misfit_hint, of_many_objects, tuple_sort
 

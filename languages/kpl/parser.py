@@ -17,9 +17,9 @@ from lark.exceptions import UnexpectedInput
 
 from ...streams.policy import Approximation, Order
 from ..errors import LanguageError, Span
+from ..hints import did_you_mean
 from ..syntax import expected_hint, span_of, syntax_error, tokens, trees
 from . import ast
-from .hints import did_you_mean
 
 _EXPECTED: Final = {
     "NAME": "a name",

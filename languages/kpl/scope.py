@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from ...ontology.vocabulary import Vocabulary
 from ...rdf.namespaces import DYKNOW, PREFIXES
 from ..errors import LanguageError, Span
+from ..hints import count
 from . import ast
 from .constraints import UNITS
 from .declarations import CheckedDeclaration, Label
-from .hints import count
 from .symbols import OBJECT, Symbols
 
 

@@ -14,9 +14,9 @@ from ...rdf.datatypes import KNOWN, range_type
 from ...rdf.namespaces import DYKNOW, PREFIXES, XSD
 from ...streams.sample import Field, FieldType, Schema
 from ...streams.tuples import flat_names, flat_schema
+from ..hints import did_you_mean, near
 from . import ast
 from .declarations import OBJECT_FIELD, VALUE, SortDeclaration, ValueSort
-from .hints import did_you_mean, near
 from .scope import Scope, check_prefix, without_prefix
 from .symbols import SORT
 

@@ -1,4 +1,4 @@
-"""Hints: the known name that was probably meant. The checker and the parser share them."""
+"""Hints: the known name that was probably meant. What the languages share of them."""
 
 from __future__ import annotations
 
