@@ -20,6 +20,7 @@ from dyknow.languages.csparql import (
 )
 from dyknow.languages.errors import LanguageError
 from dyknow.languages.kpl import ValueSort, check_kpl, format_kpl, parse_kpl
+from dyknow.languages.specification import format_specification, parse_specification
 from dyknow.languages.ssl import (
     CheckedAnnotation,
     StreamAnnotation,
@@ -123,7 +124,20 @@ def print_sort(sort: ValueSort) -> str:
     return f"{sort.name}: {', '.join(f'{f.name} {f.type}' for f in sort.fields)}{feature}"
 
 
-PRINTERS = {"ssl": print_ssl, "csparql": print_csparql, "kpl": print_kpl}
+def print_specification(text: str) -> str:
+    specification = parse_specification(text)
+    printed = format_specification(specification)
+    # What is printed says the same.
+    assert parse_specification(printed) == specification
+    return printed
+
+
+PRINTERS = {
+    "ssl": print_ssl,
+    "csparql": print_csparql,
+    "kpl": print_kpl,
+    "specification": print_specification,
+}
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,116 @@
+"""A specification as it is handed over to characters: its size, its encoding, its characters.
+
+Read are UTF-8 and UTF-16, as every XML processor must (XML 1.0 §4.3.3). A str is decoded already,
+so the encoding that its declaration names says nothing of it and is passed over.
+"""
+
+from __future__ import annotations
+
+import codecs
+import re
+from typing import Final
+
+from ..errors import LanguageError, Span
+from .markup import shown
+
+MAX_BYTES: Final = 2 * 1024 * 1024
+"""The longest text that is read, in bytes; a str counts as UTF-8."""
+
+_DECLARED: Final = re.compile(
+    r"<\?xml[ \t\r\n][^<>]*?[ \t\r\n]encoding[ \t\r\n]*=[ \t\r\n]*[\"']([^\"'<>]*)[\"']"
+)
+_NO_CHARACTER: Final = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+# The first bytes tell the encoding (XML 1.0, appendix F). UTF-32 begins like UTF-16: it is first.
+_MARKS: Final = (
+    (codecs.BOM_UTF32_LE, "UTF-32", ""),
+    (codecs.BOM_UTF32_BE, "UTF-32", ""),
+    (codecs.BOM_UTF8, "UTF-8", "utf-8"),
+    (codecs.BOM_UTF16_LE, "UTF-16", "utf-16-le"),
+    (codecs.BOM_UTF16_BE, "UTF-16", "utf-16-be"),
+)
+_UNMARKED: Final = (
+    (b"<\0\0\0", "UTF-32", ""),
+    (b"\0\0\0<", "UTF-32", ""),
+    (b"<\0", "UTF-16", "utf-16-le"),
+    (b"\0<", "UTF-16", "utf-16-be"),
+    (b"", "UTF-8", "utf-8"),
+)
+_NAMES: Final = {
+    "UTF-8": ("utf-8", "utf8", "us-ascii", "ascii"),
+    "UTF-16": ("utf-16", "utf-16le", "utf-16be"),
+}
+_AS_UTF_8: Final = 'write the text as UTF-8, with encoding="UTF-8" or no encoding in its first line'
+
+
+def decoded(text: str | bytes) -> str:
+    """The characters of the text, without byte order mark.
+
+    Raises `LanguageError` for a text that is too large, an encoding other than UTF-8 and UTF-16 or
+    another than declared, bytes that are none of the encoding, and what is no character of XML.
+    """
+    _check_size(text)
+    source = text.removeprefix("\ufeff") if isinstance(text, str) else _decoded_bytes(text)
+    wrong = _NO_CHARACTER.search(source)
+    if wrong is not None:
+        raise LanguageError(
+            f"U+{ord(wrong[0]):04X} is no character of XML",
+            _NO_CHARACTER.sub("\ufffd", source),
+            Span(*wrong.span()),
+            "leave it out: XML has no way to write it",
+        )
+    return source
+
+
+def is_character(text: str) -> bool:
+    """Whether XML can hold each character of the text."""
+    return _NO_CHARACTER.search(text) is None
+
+
+def _check_size(text: str | bytes) -> None:
+    size = len(text)
+    if size <= MAX_BYTES and isinstance(text, str):
+        size = len(text.encode("utf-8", "surrogatepass"))
+    if size > MAX_BYTES:
+        # The text itself is not kept: an error must not hold what is too much to read.
+        raise LanguageError(
+            f"the text has {size:,} bytes, and at most {MAX_BYTES:,} are read",
+            "",
+            Span(0, 0),
+            "split it: what one text inserts, the next can read by `stream`",
+        )
+
+
+def _decoded_bytes(text: bytes) -> str:
+    mark, name, codec = next(known for known in (*_MARKS, *_UNMARKED) if text.startswith(known[0]))
+    if not codec:
+        raise _unread(name, "", Span(0, 0))
+    body = text if (mark, name, codec) in _UNMARKED else text.removeprefix(mark)
+    # The declaration is plain ASCII, so it can be read even where the bytes are another encoding.
+    source = body.decode(codec, "replace")
+    _check_declared(source, name)
+    try:
+        return body.decode(codec)
+    except UnicodeDecodeError as error:
+        start = len(body[: error.start].decode(codec))
+        raise LanguageError(
+            f"the bytes here are no {name}", source, Span(start, start + 1), _AS_UTF_8
+        ) from None
+
+
+def _check_declared(source: str, name: str) -> None:
+    """The declared encoding is the one that the bytes are in."""
+    declared = _DECLARED.match(source)
+    if declared is None or declared[1].lower() in _NAMES[name]:
+        return
+    if any(declared[1].lower() in names for names in _NAMES.values()):
+        raise LanguageError(
+            f"the text is {name}, but declares the encoding `{shown(declared[1])}`",
+            source,
+            Span(*declared.span(1)),
+            f'declare encoding="{name}", or leave the encoding out',
+        )
+    raise _unread(declared[1], source, Span(*declared.span(1)))
+
+
+def _unread(name: str, source: str, span: Span) -> LanguageError:
+    return LanguageError(f"the encoding `{shown(name)}` is not read", source, span, _AS_UTF_8)

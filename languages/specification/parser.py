@@ -1,0 +1,120 @@
+"""Text to a specification ([Introspection15 §3.2, Listing 1], SPEC §6).
+
+The way of a text: characters (`decoding`), tags and where they stand (`markup`), elements
+(`document`), the rules of the schema (`refusals` in plain words, then `specification.xsd` itself),
+values (`ast`). Names are not resolved here; the engine does that.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib import resources
+from typing import Any, TypeAlias
+
+from lxml import etree
+
+from ..errors import LanguageError
+from .ast import (
+    Input,
+    Parameter,
+    Removal,
+    Specification,
+    StreamReference,
+    UnitSpecification,
+)
+from .decoding import decoded
+from .document import Document, Element, read
+from .markup import BLANKS, scan
+from .refusals import refusal
+
+
+def parse_specification(text: str | bytes) -> Specification:
+    """The specification that a text says. Cost and memory: linear in the text.
+
+    Bytes are UTF-8 or UTF-16. Raises `LanguageError` for what is larger than 2 MiB or deeper than
+    100 elements, for a DOCTYPE, for what is no XML, and for what the schema refuses.
+    """
+    document = read(scan(decoded(text)))
+    _check(document)
+    return _specification(document)
+
+
+@cache
+def _schema() -> Any:
+    text = resources.files(__package__).joinpath("specification.xsd").read_bytes()
+    return etree.XMLSchema(etree.fromstring(text))
+
+
+def _check(document: Document) -> None:
+    """Raises `LanguageError` unless the schema accepts the document."""
+    if error := refusal(document):
+        raise error
+    schema = _schema()
+    if not schema.validate(document.tree):
+        told = schema.error_log.last_error
+        raise LanguageError(
+            f"the schema refuses the text: {told.message}",
+            document.source,
+            document.elements[0].tag.name_span,
+            f"it is about line {told.line}; the schema is specification.xsd",
+        )
+
+
+_Part: TypeAlias = Input | Parameter | Removal
+
+
+def _specification(document: Document) -> Specification:
+    """The values of a document that the schema accepts: children first, so nothing recurs."""
+    elements = document.elements
+    held: list[list[_Part]] = [[] for _ in elements]
+    insertions: tuple[UnitSpecification, ...] = ()
+    removals: tuple[Removal, ...] = ()
+    for place, element in reversed([*enumerate(elements)]):
+        # Children came last first.
+        parts = held[place][::-1]
+        match element.name:
+            case "specification":
+                pass
+            case "insertions":
+                insertions = tuple(part for part in parts if isinstance(part, UnitSpecification))
+            case "removals":
+                removals = tuple(part for part in parts if isinstance(part, Removal))
+            case _:
+                assert element.parent is not None
+                removed = elements[element.parent].name == "removals"
+                part = _removal(element) if removed else _part(element, parts)
+                held[element.parent].append(part)
+    return Specification(insertions, removals, document.source)
+
+
+def _part(element: Element, parts: list[_Part]) -> Input | Parameter:
+    match element.name:
+        case "parameter":
+            value = element.attributes["value"].text
+            return Parameter(_required(element, "name"), value, element.tag.span)
+        case "stream":
+            return StreamReference(_required(element, "name"), element.tag.span)
+        case _:
+            return UnitSpecification(
+                _required(element, "type"),
+                _name(element, "name"),
+                tuple(part for part in parts if isinstance(part, Parameter)),
+                tuple(part for part in parts if isinstance(part, Input)),
+                element.tag.span,
+            )
+
+
+def _removal(element: Element) -> Removal:
+    return Removal(_name(element, "name"), _name(element, "type"), element.tag.span)
+
+
+def _required(element: Element, attribute: str) -> str:
+    name = _name(element, attribute)
+    assert name is not None
+    return name
+
+
+def _name(element: Element, attribute: str) -> str | None:
+    """A name without the blanks around it, as the schema reads it; None if it is not there."""
+    value = element.attributes.get(attribute)
+    return None if value is None else value.text.strip(BLANKS)
