@@ -42,10 +42,10 @@ class Part:
         return int(np.count_nonzero(self.alive))
 
 
-def whole_part(net: Net, weights: Integers, roots: Integers) -> Part:
+def whole_part(net: Net, weights: Integers, roots: Integers, bound: int) -> Part:
     """All plans."""
-    wanted = np.ascontiguousarray(roots, np.int32)
-    return Part(net, np.arange(net.size), weights, np.ones(net.size, np.bool_), wanted, wanted)
+    wanted, alive = np.ascontiguousarray(roots, np.int32), np.ones(net.size, np.bool_)
+    return Part(net, np.arange(net.size), weights, alive, wanted, wanted, bound)
 
 
 class Search:
@@ -134,10 +134,15 @@ class Search:
     def _split(self, part: Part) -> list[Part]:
         """Two parts that have all plans of this one that are better than the best; or fewer."""
         while True:
+            # Again: what was struck off since may have left less choice.
+            wanted = necessary(part.net, part.alive, part.wanted)
+            if wanted is None:
+                return []
             counts = np.bincount(part.net.derives[part.alive], minlength=part.net.goals)
-            open_goals = part.wanted[counts[part.wanted] > 1]
+            open_goals = wanted[counts[wanted] > 1]
             picks = self._try(part, part.alive, part.weights.astype(np.float64))
             if len(open_goals) == 0:
+                # There was one plan only, and it was just tried.
                 return []
             order = np.argsort(counts[open_goals], kind="stable")[:SPLITS]
             chosen: list[Part] = []

@@ -115,6 +115,10 @@ def _owed(
                     newly_free += 1
 
         stop = owed >= enough or steps >= effort
+        if not stop:
+            stop = True
+            for place in range(wanted.shape[0]):
+                stop = stop and free[wanted[place]]
         if stop or found % patience == 0:
             # Make the distances true again: those of producers whose cost was lowered, and upwards.
             for place in range(waiting):
@@ -145,14 +149,14 @@ def _owed(
                         far[derives[producer]] = reached
                         heapq.heappush(heap, (np.int64(reached), np.int64(derives[producer])))
 
+        if stop:
+            break
+
         start = -1
         for place in range(wanted.shape[0]):
             goal = wanted[place]
             if not free[goal] and (start < 0 or far[goal] > far[start]):
                 start = goal
-        if start < 0 or stop:
-            break
-
         found += 1
         mark[start] = found
         zone[0] = start

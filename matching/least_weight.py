@@ -62,7 +62,9 @@ def least_weight(graph: Hypergraph, roots: Sequence[int], effort: int = DEFAULT)
     keep = ~given[net.derives]
     spared(net, keep, wanted, whole, far, int(whole[first].sum()) + 1)
     part, numbers, goals = restricted(net, keep, given)
-    search = Search(whole_part(part, whole[numbers], goals[wanted[~given[wanted]]]), effort)
+    needed = goals[wanted[~given[wanted]]]
+    bound = int(far[wanted].max(initial=0))
+    search = Search(whole_part(part, whole[numbers], needed, bound), effort)
     search.offer(np.searchsorted(numbers, first[keep[first]]))
     bound = search.run()
     best = numbers[search.best]
