@@ -17,7 +17,7 @@ from .reductions import dominated, necessary, spared
 
 SPLITS = 4
 """Goals to look at before a part is split."""
-ROUNDS = 6
+ROUNDS = 3
 """Bounds of different patience for the whole, at most."""
 IMPROVING = 4
 """One step of so many may go into exchanging producers of the best plan."""
@@ -58,6 +58,7 @@ class Search:
         self.best: Integers = np.empty(0, np.int64)
         self.weight = INFINITE
         self._improved = INFINITE
+        self._base = whole
         # Whatever two plans weigh, they differ by a multiple of this.
         self._step = max(1, int(np.gcd.reduce(whole.weights))) if len(whole.weights) else 1
 
@@ -93,9 +94,9 @@ class Search:
 
     def _root(self) -> Part | None:
         """The whole, reduced as far as bounds of different patience reduce it."""
-        dominated(self.whole.net, self.whole.alive, self.whole.weights)
-        part: Part | None = _compact(self.whole)
-        self._base = self.whole
+        alive = self.whole.alive.copy()
+        dominated(self.whole.net, alive, self.whole.weights)
+        part: Part | None = _compact(replace(self.whole, alive=alive))
         for round in range(ROUNDS):
             if part is None or self.spent >= self.effort:
                 break
@@ -116,14 +117,14 @@ class Search:
         if wanted is None:
             return None
         cost = part.weights.copy()
-        effort = max(0, self.effort - self.spent)
+        # No bound may take it all: where one would, a better plan is worth more.
+        effort = max(0, min(self.effort - self.spent, self.effort // 2))
         total, far, steps = owed(part.net, part.alive, wanted, cost, self.enough, patience, effort)
         self.spent += steps + part.net.size
         if total >= INFINITE:
             return None
         bound = max(part.bound, total + int(far[wanted].max(initial=0)))
-        # The costs that are left tell the producers in tight bounds from others, the weights decide
-        # between those.
+        # Producers without cost left are those of the bound: a plan of them is near it.
         self._try(part, part.alive, (cost * 16 + part.weights).astype(np.float64))
         if bound >= self.enough:
             return None
@@ -141,8 +142,8 @@ class Search:
             counts = np.bincount(part.net.derives[part.alive], minlength=part.net.goals)
             open_goals = wanted[counts[wanted] > 1]
             picks = self._try(part, part.alive, part.weights.astype(np.float64))
-            if len(open_goals) == 0:
-                # There was one plan only, and it was just tried.
+            if len(open_goals) == 0 or picks[wanted].min() < 0:
+                # There was one plan only, and it was just tried; or none.
                 return []
             order = np.argsort(counts[open_goals], kind="stable")[:SPLITS]
             chosen: list[Part] = []
@@ -197,7 +198,7 @@ class Search:
 
 def _patience(part: Part) -> int:
     """Large nets need many landmarks, and each takes long to make distances true again."""
-    return min(16, max(2, part.left // 256))
+    return min(16, max(2, part.left // 128))
 
 
 def _compact(part: Part) -> Part:

@@ -13,6 +13,8 @@ higher. And how far a goal is from free (h_max under the costs left) is renewed 
 landmarks, ``patience``: it guides the choice, while what is free is followed exactly.
 
 Weights are integers here, so that what is taken off leaves exactly 0. No total passes 2^61.
+
+The loop is one function, long as it is: compiled loops do not call one another here.
 """
 
 from __future__ import annotations

@@ -11,10 +11,10 @@ graph, or optimal delete-free planning (h+). NP-hard, so this is branch and boun
    Bounds are found from scratch at each node, which proves far more than going on from its
    parent's. A split is chosen by looking at both sides of a few.
 
-Weights become integers of 2^-50 of the first plan's weight, rounded down, so that bounds add up
-exactly and stay bounds: what is called best is within n * 2^-49 (relatively) of the best, n its
-producers. Where all weights are multiples of one step (whole numbers, say), a bound within a step
-of the best plan is enough.
+Weights become integers, in units of about 2^-50 of the first plan's weight and rounded down, so
+that bounds add up exactly and stay bounds. A plan of n producers is heavier than its integers say
+by n units at most; `Choice.proven` compares the bound with the true weight. Where all weights are
+multiples of one step (whole numbers, say), a bound within a step of the best plan is enough.
 """
 
 from __future__ import annotations
