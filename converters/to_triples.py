@@ -14,7 +14,7 @@ import numpy as np
 from pyoxigraph import NamedNode
 
 from ..languages.ssl.annotation import Content, Role, StreamAnnotation
-from ..ontology.units import Conversion, Unit, UnitError, conversion
+from ..ontology.units import IDENTITY, Conversion, Unit, UnitError, conversion
 from ..ontology.vocabulary import Vocabulary
 from ..rdf.dictionary import Ids, TermDictionary
 from ..rdf.namespaces import DYKNOW, RDF
@@ -26,7 +26,6 @@ from .objects import ObjectTable, local_name, object_iri
 from .values import ToObjects, object_column
 
 VALUE: Final = RDF + "value"
-IDENTITY: Final = Conversion(1.0, 0.0)
 
 
 class SampleConverter:

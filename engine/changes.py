@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
+from ..languages.ssl.annotation import StreamAnnotation
+from ..matching.space import TransformationDescription
+
 
 class ChangeKind(StrEnum):
     """What happened to the stream space."""
@@ -13,7 +16,9 @@ class ChangeKind(StrEnum):
     STREAM_REMOVED = "stream removed"
     STREAM_ANNOTATED = "stream annotated"
     STREAM_ENDED = "stream ended"
+    QUALITY_CHANGED = "quality changed"
     TRANSFORMATION_ANNOTATED = "transformation annotated"
+    TRANSFORMATION_REMOVED = "transformation removed"
     UNIT_STARTED = "unit started"
     UNIT_STOPPED = "unit stopped"
     UNIT_FAILED = "unit failed"
@@ -38,6 +43,8 @@ class Change:
     ``specification`` is the text by which the change was made: SSL, KPL, C-SPARQL, or a
     transformation with its parameters; of a failure, the reason, and so of an annotation kept by
     an earlier run that does not hold any more. ``policy`` is what ``stream`` keeps, in KPL.
+    ``annotation`` is what ``stream`` contains from now on, ``quality`` (0..1) how good it is,
+    ``described`` what ``transformation`` takes and gives; None where nothing is said of it.
     """
 
     kind: ChangeKind
@@ -48,3 +55,15 @@ class Change:
     specification: str = ""
     role: Role = Role.UNIT
     policy: str = ""
+    annotation: StreamAnnotation | None = None
+    quality: float | None = None
+    described: KnownTransformation | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class KnownTransformation:
+    """What a transformation takes and gives, and the code with parameters behind it."""
+
+    description: TransformationDescription
+    implementation: str
+    parameters: tuple[tuple[str, str], ...] = ()

@@ -10,27 +10,22 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
-from typing import Protocol, assert_never
-
-from pyoxigraph import NamedNode
+from typing import Protocol
 
 from ..continuous.evaluator import ContinuousEvaluator
-from ..converters.objects import ObjectTable
 from ..converters.to_samples import ResultConverter
 from ..converters.to_triples import SampleConverter
 from ..languages.kpl import format_policy
-from ..matching.plan import Compute, Node, SelectObject, UseStream, id_field_of
-from ..rdf.dictionary import TermDictionary
-from ..rdf.namespaces import DYKNOW, shorten
+from ..rdf.namespaces import DYKNOW
 from ..streams.fluent import Retention
 from ..streams.generator import StreamGenerator
-from ..streams.sample import Field, FieldType, Schema
+from ..streams.sample import FieldType, Schema
 from ..streams.strings import StringPool
 from .changes import Change, ChangeKind
 from .errors import AlreadyExists, UnknownStream
+from .status import STATUS
 from .stream_units import AdaptationUnit, PolicyUnit
-from .transformations import Transformation
-from .unit import ComputationalUnit, FunctionUnit, InputPort, QueryUnit, SelectionUnit
+from .unit import ComputationalUnit, QueryUnit
 from .views import Since
 from .violations import SUFFIX, Violations
 
@@ -38,10 +33,12 @@ POLICY = "policy"
 """The transformation of a subscription with a policy ([DyKnow10 Def. 5.35])."""
 SELECT_OBJECT = "selectObject"
 """The transformation that selects one object's samples."""
+SYNCHRONIZE = "synchronize"
+"""The transformation that brings several streams' values of an object together."""
+MERGE = "merge"
+"""The transformation that brings what several streams hold of a feature into one."""
 C_SPARQL = "cSparql"
 """The transformation that evaluates a continuous query ([Events14 §V.B])."""
-STATUS = "status"
-"""The stream of changes of the stream space ([Introspection15 §3.2])."""
 _NAMED = 20
 """So many streams are listed when an unknown one is asked for."""
 RESERVED = "dyknow_reserved"
@@ -72,8 +69,6 @@ class Configuration:
 
     def __init__(
         self,
-        dictionary: TermDictionary,
-        transformations: Mapping[str, Transformation],
         on_change: Callable[[Change], None],
         first_reserved: int = 1,
     ) -> None:
@@ -83,8 +78,6 @@ class Configuration:
         self.aliases: dict[str, str] = {}
         self.namespaces: dict[str, str] = {}
         self.system: set[str] = set()
-        self._dictionary = dictionary
-        self._transformations = transformations
         self._on_change = on_change
         self._next_reserved = first_reserved
         self._next_unit = 1
@@ -198,16 +191,6 @@ class Configuration:
             if name not in self.streams:
                 return name
 
-    def obtain(self, node: Node, since: Since = Since.NOW) -> StreamGenerator:
-        """The stream of a plan node: found if the same is made already, else built.
-
-        What was built runs until `release` has been called for each unit started on it. A unit
-        that began with the past is another than one that began with what comes.
-        """
-        if isinstance(node, UseStream):
-            return self.stream(node.stream)
-        return self.share((node, since), lambda: self._build(node, since)).output
-
     def share(self, key: Hashable, build: Callable[[], ComputationalUnit]) -> ComputationalUnit:
         """The running unit that was built for ``key``, or a new one: who wants the same shares it.
 
@@ -254,7 +237,7 @@ class Configuration:
         ``make`` is called with the output's generator, for its name and string pools; it gives
         the evaluator, the converter of results, and the query's text.
         """
-        output = self._output(schema, DYKNOW, {})
+        output = self.reserved_stream(schema, DYKNOW, {})
         evaluator, results, text = make(output)
         unit = QueryUnit(
             *self.identity(C_SPARQL, inputs, output, {"query": text}),
@@ -341,59 +324,6 @@ class Configuration:
             if unit.users == 0 and self.units.get(unit.output.name) is unit:
                 self.remove_unit(unit)
 
-    def _build(self, node: SelectObject | Compute, since: Since) -> ComputationalUnit:
-        match node:
-            case SelectObject(source_node, id_field, object):
-                return self._select(self.obtain(source_node, since), id_field, object, since)
-            case Compute():
-                return self._compute(node, since)
-            case _:
-                assert_never(node)
-
-    def _select(
-        self, source: StreamGenerator, id_field: str, object: str, since: Since
-    ) -> SelectionUnit:
-        namespace = self.namespaces[source.name]
-        output = self._output(source.schema, namespace, source.stream.pools)
-        parameters = {"field": id_field, "object": shorten(object)}
-        objects = ObjectTable(self._dictionary, namespace)
-        unit = SelectionUnit(
-            *self.identity(SELECT_OBJECT, [source], output, parameters),
-            id_field=id_field,
-            object_id=self._dictionary.id(NamedNode(object)),
-            objects=objects,
-        )
-        self.start(unit, since)
-        return unit
-
-    def _compute(self, node: Compute, since: Since) -> FunctionUnit:
-        transformation = self._transformations[node.transformation]
-        (edge,) = node.inputs
-        source = self.obtain(edge.node, since)
-        id_field = id_field_of(edge.node)
-        fields = [Field(node.output.field, FieldType.FLOAT)]
-        pools = {}
-        if id_field is not None:
-            id_type = source.schema.get(id_field)
-            assert id_type is not None
-            fields.insert(0, id_type)
-            if id_type.type is FieldType.STRING:
-                pools[id_field] = source.stream.pools[id_field]
-        output = self._output(Schema(tuple(fields)), self.namespaces[source.name], pools)
-        ports = {port.target_field: port for port in edge.ports}
-        unit = FunctionUnit(
-            *self.identity(transformation.name, [source], output, transformation.parameters),
-            function=transformation.implementation.make(transformation.parameters),
-            ports=[
-                InputPort(ports[port.field].source_field, ports[port.field].conversion)
-                for port in transformation.annotation.inputs
-            ],
-            id_field=id_field,
-            output_field=node.output.field,
-        )
-        self.start(unit, since)
-        return unit
-
     def identity(
         self,
         transformation: str,
@@ -451,6 +381,7 @@ class Configuration:
                 unit.transformation,
                 tuple(source.name for source in unit.inputs),
                 specification,
+                unit.role,
                 policy=format_policy(unit.policy) if isinstance(unit, AdaptationUnit) else "",
             )
         )
@@ -467,10 +398,16 @@ class Configuration:
             if producer is not None and producer.output is source:
                 self.release(producer)
 
-    def _output(
+    def reserved_stream(
         self, schema: Schema, namespace: str, pools: dict[str, StringPool]
     ) -> StreamGenerator:
+        """A new stream with the next free ``dyknow_reserved<N>``."""
         return self.add_stream(self.reserved_name(), schema, namespace=namespace, pools=pools)
+
+    def is_shared(self, key: Hashable) -> bool:
+        """Whether there is a running unit for ``key``; see `share`."""
+        unit = self._shared.get(key)
+        return unit is not None and not self.is_broken(unit) and self.reads_what_is_there(unit)
 
     def _failed(self, unit: ComputationalUnit) -> None:
         self.tell(ChangeKind.UNIT_FAILED, unit, unit.failure or "")

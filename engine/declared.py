@@ -11,19 +11,9 @@ from collections.abc import Callable, Iterator, Mapping
 
 from pyoxigraph import NamedNode
 
-from ..converters.errors import ConversionError
 from ..converters.to_triples import SampleConverter
 from ..converters.values import field_type
-from ..languages.errors import LanguageError
-from ..languages.ssl import check_ssl, parse_ssl
-from ..languages.ssl.annotation import (
-    CheckedAnnotation,
-    Role,
-    SourceAnnotation,
-    StreamAnnotation,
-    TransformationAnnotation,
-)
-from ..matching.space import StreamSpace
+from ..languages.ssl.annotation import Role, StreamAnnotation
 from ..ontology.graphs import STREAM_SPACE_ONTOLOGY
 from ..ontology.ontology import Ontology
 from ..ontology.units import Unit
@@ -35,10 +25,11 @@ from ..streams.sample import Field, FieldType, Schema
 from ..streams.strings import StringPool
 from .application import BUILT_IN
 from .changes import Change, ChangeKind
-from .configuration import C_SPARQL, SELECT_OBJECT, STATUS, Configuration
-from .errors import BadArguments, Conflict, DyknowError, Refused
+from .configuration import C_SPARQL, MERGE, SELECT_OBJECT, SYNCHRONIZE, Configuration
+from .errors import BadArguments, Conflict, Refused
 from .semantics_manager import term
-from .transformations import IMPLEMENTATIONS, Transformation, described
+from .status import STATUS
+from .transformations import IMPLEMENTATIONS
 from .views import StreamDeclaration
 from .violations import SUFFIX
 
@@ -48,20 +39,18 @@ SYSTEMS_OWN = "dyknow_"
 
 
 class DeclaredStreams:
-    """The streams and transformations that people described, and their annotations."""
+    """The streams that people declared, and their annotations."""
 
     def __init__(
         self,
         ontology: Ontology,
         dictionary: TermDictionary,
         configuration: Configuration,
-        transformations: dict[str, Transformation],
         changed: Callable[[Change], None],
     ) -> None:
         self._ontology = ontology
         self._dictionary = dictionary
         self._configuration = configuration
-        self._transformations = transformations
         self._changed = changed
         self._annotations: dict[str, StreamAnnotation] = {}
 
@@ -120,34 +109,39 @@ class DeclaredStreams:
         if self._annotations.pop(name, None) is not None:
             self._ontology.remove_annotation(name)
 
-    def annotate(self, ssl: str) -> tuple[CheckedAnnotation, ...]:
-        """Annotate streams and transformations by an SSL text; all of it or nothing.
+    def annotate(self, annotation: StreamAnnotation, kept: str | None = None) -> None:
+        """Say what a stream contains; one that does not exist comes into being. ``kept`` is the
+        text that is remembered, where it is not the annotation's own. Contract:
+        `check_annotation` has passed."""
+        self._annotations[annotation.stream] = annotation
+        existing = self._configuration.streams.get(annotation.stream)
+        inferred = self._inferred(annotation)
+        if existing is None:
+            self._add(StreamDeclaration(annotation.stream, inferred))
+        elif existing.is_open:
+            texts = [field.name for field in inferred if field.type is FieldType.STRING]
+            existing.adopt(Schema(inferred), {name: StringPool() for name in texts})
+        self._ontology.set_annotation(annotation.stream, kept or annotation.source)
+        self._changed(
+            Change(
+                ChangeKind.STREAM_ANNOTATED,
+                annotation.stream,
+                specification=annotation.source,
+                annotation=annotation,
+            )
+        )
 
-        A stream's annotation says all that the stream contains: a new one replaces the old. A
-        stream that does not exist comes into being, its fields typed by the features' ranges.
-        Raises `LanguageError`, `Conflict` (a field that the stream lacks or of another type).
-        """
-        checked = check_ssl(parse_ssl(ssl), ssl, self._ontology.vocabulary)
-        for annotation in checked:
-            self._check_annotation(annotation)
-        for annotation in checked:
-            self._apply(annotation)
-            self._ontology.set_annotation(_annotated(annotation), annotation.source)
-        return checked
+    def name_of(self, stream: str) -> str:
+        """The stream's own name, of an alias too; raises `UnknownStream`."""
+        return self._configuration.stream(stream).name
 
-    def annotations(self) -> tuple[CheckedAnnotation, ...]:
-        """Every annotation in force: streams first, then transformations."""
-        transformations = [known.annotation for known in self._transformations.values()]
-        return (*self._annotations.values(), *transformations)
+    def annotations(self) -> tuple[StreamAnnotation, ...]:
+        """What people said of streams, in order."""
+        return tuple(self._annotations.values())
 
     def annotation_of(self, name: str) -> StreamAnnotation | None:
         """What stream ``name`` contains; None where nobody has said."""
         return self._annotations.get(name)
-
-    def space(self) -> StreamSpace:
-        """What there is to match against now."""
-        transformations = tuple(known.description for known in self._transformations.values())
-        return StreamSpace(tuple(self._annotations.values()), transformations)
 
     def compile(
         self, annotation: StreamAnnotation, schema: Schema, namespace: str
@@ -179,20 +173,6 @@ class DeclaredStreams:
                 continue
             self._add(declaration)
 
-    def restore_annotations(self) -> None:
-        """The annotations that an earlier run was told; see `restore_streams`."""
-        for name, source in self._ontology.annotations().items():
-            try:
-                checked = check_ssl(parse_ssl(source), source, self._ontology.vocabulary)
-                for annotation in checked:
-                    self._check_annotation(annotation)
-            except (LanguageError, DyknowError, ConversionError) as error:
-                reason = f"{error}\n{source}"
-                self._changed(Change(ChangeKind.NOT_RESTORED, name, specification=reason))
-                continue
-            for annotation in checked:
-                self._apply(annotation)
-
     def _add(self, declaration: StreamDeclaration) -> StreamGenerator:
         return self._configuration.add_stream(
             declaration.name,
@@ -213,7 +193,7 @@ class DeclaredStreams:
     def check_name(self, name: str) -> None:
         """Raises `Refused` for names that are the system's own."""
         if (
-            name in (STATUS, SELECT_OBJECT, C_SPARQL, *BUILT_IN)
+            name in (STATUS, SELECT_OBJECT, SYNCHRONIZE, MERGE, C_SPARQL, *BUILT_IN)
             or name.startswith(SYSTEMS_OWN)
             or name.endswith(SUFFIX)
             or name in IMPLEMENTATIONS
@@ -248,32 +228,24 @@ class DeclaredStreams:
             self._configuration.namespaces[generator.name],
         )
 
-    def _check_annotation(self, annotation: CheckedAnnotation) -> None:
-        match annotation:
-            case StreamAnnotation():
-                self.check_stream_name(annotation.stream)
-                name = annotation.stream
-                other = self._configuration.aliases.get(name)
-                if other is not None:
-                    raise Refused(f"{name!r} is another name of {other!r}", "annotate that")
-                existing = self._configuration.streams.get(name)
-                if existing is not None and existing.is_open and name in self._configuration.units:
-                    raise Conflict(
-                        f"the fields of stream {name!r} are not known before its first sample",
-                        "declare the sort of its values, or annotate it later",
-                    )
-                if existing is None or existing.is_open:
-                    schema = Schema(self._inferred(annotation))
-                else:
-                    schema = existing.schema
-                self._check_fields(annotation, schema)
-            case TransformationAnnotation():
-                described(annotation)
-            case SourceAnnotation():
-                raise Refused(
-                    f"source {annotation.name!r}: sources speak of `self`, which is not declared",
-                    "annotate the stream that the source makes: stream ... contains ...",
-                )
+    def check_annotation(self, annotation: StreamAnnotation) -> None:
+        """Whether the stream may be annotated so; raises `Refused` and `Conflict`."""
+        self.check_stream_name(annotation.stream)
+        name = annotation.stream
+        other = self._configuration.aliases.get(name)
+        if other is not None:
+            raise Refused(f"{name!r} is another name of {other!r}", "annotate that")
+        existing = self._configuration.streams.get(name)
+        if existing is not None and existing.is_open and name in self._configuration.units:
+            raise Conflict(
+                f"the fields of stream {name!r} are not known before its first sample",
+                "declare the sort of its values, or annotate it later",
+            )
+        if existing is None or existing.is_open:
+            schema = Schema(self._inferred(annotation))
+        else:
+            schema = existing.schema
+        self._check_fields(annotation, schema)
 
     def _check_fields(self, annotation: StreamAnnotation, schema: Schema) -> None:
         """The annotation's fields must exist, its id fields must be text or integers."""
@@ -291,33 +263,6 @@ class DeclaredStreams:
                     "an id field is a string or an integer",
                 )
         self.compile(annotation, schema, DYKNOW)
-
-    def _apply(self, annotation: CheckedAnnotation) -> None:
-        if isinstance(annotation, TransformationAnnotation):
-            self._transformations[annotation.name] = described(annotation)
-            self._changed(
-                Change(
-                    ChangeKind.TRANSFORMATION_ANNOTATED,
-                    transformation=annotation.name,
-                    specification=annotation.source,
-                )
-            )
-        elif isinstance(annotation, StreamAnnotation):
-            self._annotations[annotation.stream] = annotation
-            existing = self._configuration.streams.get(annotation.stream)
-            inferred = self._inferred(annotation)
-            if existing is None:
-                self._add(StreamDeclaration(annotation.stream, inferred))
-            elif existing.is_open:
-                texts = [field.name for field in inferred if field.type is FieldType.STRING]
-                existing.adopt(Schema(inferred), {name: StringPool() for name in texts})
-            self._changed(
-                Change(
-                    ChangeKind.STREAM_ANNOTATED,
-                    annotation.stream,
-                    specification=annotation.source,
-                )
-            )
 
     def _inferred(self, annotation: StreamAnnotation) -> tuple[Field, ...]:
         """Fields for a stream that only its annotation describes: id fields are text, the others
@@ -340,10 +285,6 @@ def _fields_of(annotation: StreamAnnotation) -> Iterator[tuple[str, Role | None]
             if role.id_field is not None:
                 yield role.id_field, role
         yield content.field, None
-
-
-def _annotated(annotation: CheckedAnnotation) -> str:
-    return annotation.stream if isinstance(annotation, StreamAnnotation) else annotation.name
 
 
 def _declaration_json(declaration: StreamDeclaration) -> str:

@@ -7,7 +7,6 @@ Time comes in as an argument (`publish`, `tick`); nothing here reads a clock.
 from __future__ import annotations
 
 import secrets
-from collections import deque
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -15,17 +14,14 @@ from ..converters.to_triples import SampleConverter
 from ..converters.wire import Incoming
 from ..languages.csparql import parse_argument, parse_event_request
 from ..languages.csparql.ast import EventRequest, Template
-from ..languages.ssl.annotation import (
-    CheckedAnnotation,
-    StreamAnnotation,
-)
+from ..languages.kpl import parse_policy
+from ..languages.ssl.annotation import CheckedAnnotation, StreamAnnotation
 from ..ontology.ontology import Ontology
 from ..ontology.reading import TextFormat
 from ..rdf.dictionary import TermDictionary
 from ..rdf.namespaces import PREFIXES, shorten
-from ..streams.fluent import Retention
 from ..streams.generator import StreamGenerator
-from ..streams.sample import Field, FieldType, SampleBatch, Schema, batch_from_rows
+from ..streams.sample import SampleBatch
 from ..streams.time import SECOND, TIME_MIN
 from ..templates.library import (
     NoSuchTemplate,
@@ -34,10 +30,13 @@ from ..templates.library import (
     TemplateRefused,
 )
 from . import explain as explanations
+from .adaptive import Rematch, Wish
+from .annotations import Annotations
 from .application import Application
 from .changes import Change, ChangeKind
-from .configuration import STATUS, Configuration
+from .configuration import Configuration
 from .declared import DeclaredStreams
+from .describing import DescribedStream
 from .errors import (
     AlreadyExists,
     BadArguments,
@@ -47,15 +46,19 @@ from .errors import (
     UnknownTemplate,
 )
 from .intake import Intake
-from .knowing import did_you_mean, iri_of, matched
+from .knowing import checked_strategy, checked_want, did_you_mean, iri_of
 from .kpl import KplDeclarations
+from .plans import Plans
 from .processes import PROCESSES, Processes
+from .registered import RegisteredTransformations, check_quality
+from .rematching import Rematching
 from .requests import EventRequests
 from .semantics_manager import SemanticsManager
+from .status import RETENTION, SCHEMA, STATUS, StatusStream
 from .stream_view import stream_view
 from .subscriptions import Subscriptions
 from .supervision import DIRECT, Runner
-from .transformations import Transformation, library
+from .transformations import Transformations
 from .views import (
     DeclarationView,
     EventView,
@@ -66,8 +69,6 @@ from .views import (
     SubscriptionView,
     TemplateView,
 )
-
-_STATUS_FIELDS = ("change", "stream", "unit", "transformation", "inputs", "specification")
 
 
 class Engine:
@@ -94,25 +95,50 @@ class Engine:
         self.dictionary = TermDictionary()
         self._now = now
         self._counted = TIME_MIN
-        self._transformations: dict[str, Transformation] = library(self.ontology.vocabulary)
-        self._configuration = Configuration(
-            self.dictionary, self._transformations, self._changed, first_reserved
-        )
-        self._manager = SemanticsManager(self.ontology, self._annotation_of, self._transformations)
+        status = StatusStream(lambda: self._now)
+        self._changed = status.tell
+        self._transformations = Transformations(self.ontology.vocabulary, processes)
+        self._configuration = Configuration(self._changed, first_reserved)
+        self._manager = SemanticsManager(self.ontology, self._subscribers)
+        self._intake = Intake(self._configuration)
+        self._converters: dict[str, SampleConverter] = {}
+        status.listen(self._manager.changed)
+        status.listen(self._heard)
         self._declared = DeclaredStreams(
+            self.ontology, self.dictionary, self._configuration, self._changed
+        )
+        self.transformations = RegisteredTransformations(
             self.ontology,
-            self.dictionary,
+            self._transformations,
             self._configuration,
+            self._changed,
+            self._declared.check_name,
+        )
+        self._annotations = Annotations(
+            self.ontology,
+            self._declared,
+            self.transformations,
             self._transformations,
             self._changed,
         )
         self._templates = TemplateLibrary(self.ontology)
+        self._plans = Plans(
+            self.ontology,
+            self.dictionary,
+            self._transformations,
+            self._configuration,
+            self._manager.space,
+            self._changed,
+            runner,
+        )
+        status.listen(self._plans.heard)
         self._requests = EventRequests(
             self.ontology,
             self.dictionary,
             self._templates,
             self._configuration,
-            self._declared.space,
+            self._plans,
+            self._manager.space,
             self._changed,
         )
         self._application = Application(
@@ -124,24 +150,26 @@ class Engine:
         )
         self._kpl = KplDeclarations(self.ontology, self._application, self._changed)
         self._subscriptions = Subscriptions(self._configuration)
-        self._untold: deque[Change] = deque()
-        self._intake = Intake(self._configuration)
-        self._converters: dict[str, SampleConverter] = {}
-        self._status: StreamGenerator | None = None
-        self._status = self._configuration.add_stream(
-            STATUS,
-            Schema(tuple(Field(name, FieldType.STRING) for name in _STATUS_FIELDS)),
-            retention=Retention(samples=10_000),
+        self._rematching = Rematching(
+            self.ontology,
+            self.dictionary,
+            self._configuration,
+            self._plans,
+            self._manager.space,
+            lambda: self._now,
+            self._subscriptions.adapted,
         )
-        self._status.stamped = True
-        for name in self._transformations:
-            self._changed(Change(ChangeKind.TRANSFORMATION_ANNOTATED, transformation=name))
+        self._subscriptions.rematch_with(self._rematching)
+        status.listen(self._rematching.heard)
+        status.open(self._configuration.add_stream(STATUS, SCHEMA, retention=RETENTION))
+        self.transformations.tell_all()
         for event, reason in self._templates.broken.items():
             self._changed(Change(ChangeKind.NOT_RESTORED, shorten(event), specification=reason))
+        self.transformations.restore()
         self._declared.restore_streams()
         with self._manager.together():
             self._kpl.restore()
-        self._declared.restore_annotations()
+        self._annotations.restore()
 
     # -- streams -----------------------------------------------------------------------------
 
@@ -152,12 +180,25 @@ class Engine:
         return self._view(self._declared.declare(declaration))
 
     def annotate(self, ssl: str) -> tuple[CheckedAnnotation, ...]:
-        """Annotate streams and transformations by an SSL text; see `DeclaredStreams`."""
-        return self._declared.annotate(ssl)
+        """Annotate streams and transformations by an SSL text; see `Annotations`."""
+        annotated = self._annotations.annotate(ssl)
+        self._settle()
+        return annotated
+
+    def describe(self, described: DescribedStream) -> StreamAnnotation:
+        """Annotate a stream in IRIs; see `Annotations`."""
+        annotation = self._annotations.describe(described)
+        self._settle()
+        return annotation
+
+    def set_quality(self, stream: str, quality: float) -> None:
+        """How good a stream is now (0..1); raises `UnknownStream` and `BadArguments`."""
+        self._annotations.set_quality(stream, quality)
+        self._settle()
 
     def annotations(self) -> tuple[CheckedAnnotation, ...]:
         """Every annotation in force: streams first, then transformations."""
-        return self._declared.annotations()
+        return self._annotations.all()
 
     def streams(self) -> tuple[StreamView, ...]:
         """All streams, the status stream among them."""
@@ -181,7 +222,9 @@ class Engine:
         stream that the system makes, and `Conflict` while a unit or KPL needs it."""
         name = self.accepting(name).name
         self._refuse_if_source(name)
+        self._rematching.withdraw(name)
         self._declared.remove(name)
+        self._settle()
 
     def publish(
         self,
@@ -198,8 +241,9 @@ class Engine:
         arrival where samples brought their own available times, and the other way round: the one
         would make all of the other late.
         """
-        accepted = self._intake.publish(name, incoming, now, idempotency_key, digest)
         self._now = max(self._now, now)
+        accepted = self._intake.publish(name, incoming, now, idempotency_key, digest)
+        self._rematching.came(self._configuration.stream(name).name, self._now)
         self._settle()
         return accepted
 
@@ -207,8 +251,8 @@ class Engine:
         """A recording has come to its end: what waits for more samples is decided now."""
         generator = self.accepting(name)
         generator.end()
-        self._settle()
         self._changed(Change(ChangeKind.STREAM_ENDED, generator.name))
+        self._settle()
 
     def tick(self, now: int) -> None:
         """The time is ``now``: streams that are stamped on arrival have nothing before it."""
@@ -227,6 +271,7 @@ class Engine:
             if begun and all(self._configuration.is_stamped(source) for source in begun):
                 for source in waiting:
                     unit.advance(source, now)
+        self._rematching.tick(self._now)
         self._settle()
         if now - SECOND >= self._counted:
             self._counted = now
@@ -321,6 +366,37 @@ class Engine:
         """Subscribe to a stream under a policy; see `Subscriptions.start`."""
         return self._subscriptions.start(stream, policy, unit, since)
 
+    def subscribe_to_feature(
+        self,
+        feature: str,
+        *,
+        sort: str | None = None,
+        objects: Sequence[str] = (),
+        strategy: str = "fast",
+        policy: str = "",
+        unit: str = "ms",
+        since: Since = Since.NOW,
+        staleness: int | None = None,
+        quality: float = 0.0,
+        hold_off: int = 2 * SECOND,
+    ) -> SubscriptionView:
+        """Subscribe to a feature of objects or a sort, whatever streams hold it ([Introspection15
+        §4.4]); see `Wish`. What cannot be met now waits until it can. Raises `UnknownFeature`,
+        `BadArguments` and `LanguageError`."""
+        want = checked_want(self.ontology.vocabulary, feature, sort, objects)
+        checked_strategy(strategy)
+        check_quality(quality)
+        if min(hold_off, hold_off if staleness is None else staleness - 1) < 0:
+            raise BadArguments("staleness is longer than nothing, hold_off not less than nothing")
+        parsed = parse_policy(policy, unit)
+        wish = Wish(want, strategy, parsed, since, staleness, quality, hold_off)
+        with self._manager.together():
+            return self._subscriptions.start_adaptive(wish)
+
+    def rematches(self, id: str) -> Sequence[Rematch]:
+        """The switches of a subscription, oldest first; raises `UnknownRequest`."""
+        return self._subscriptions.rematches(id)
+
     def subscriptions(self) -> tuple[SubscriptionView, ...]:
         """The subscriptions that run, oldest first."""
         return self._subscriptions.views()
@@ -370,6 +446,8 @@ class Engine:
         and objects are known from now on, also to queries that run. Raises `OntologyError`."""
         self.ontology.load(text, name=name, format=format)
         self._converters.clear()
+        self._rematching.ontology_changed()
+        self._settle()
 
     # -- knowing -----------------------------------------------------------------------------
 
@@ -382,8 +460,11 @@ class Engine:
         strategy: str = "fast",
     ) -> MatchView:
         """Semantic matching without executing: what would give ``feature``, and why."""
-        vocabulary, space = self.ontology.vocabulary, self._declared.space()
-        return matched(vocabulary, space, feature, sort, objects, strategy)
+        want = checked_want(self.ontology.vocabulary, feature, sort, objects)
+        checked_strategy(strategy)
+        without = self._plans.unusable(Since.NOW)
+        (found,) = self._plans.match([want], strategy, without, explained=True)
+        return explanations.match_view(want, found, strategy)
 
     def explain(
         self, *, event: str | None = None, template: str | None = None, query: str | None = None
@@ -400,19 +481,6 @@ class Engine:
 
     # -- within ------------------------------------------------------------------------------
 
-    def _changed(self, change: Change) -> None:
-        """A change of the stream space: mirrored into the ontology, told on the status stream.
-
-        To tell one may cause another, if a process reads the status stream: that is told after it.
-        """
-        self._untold.append(change)
-        if len(self._untold) == 1:
-            while self._untold:
-                try:
-                    self._tell(self._untold[0])
-                finally:
-                    self._untold.popleft()
-
     def _refuse_if_source(self, name: str, declaration: StreamDeclaration | None = None) -> None:
         if self._application.uses_stream(name) and (
             declaration is None or not self._declared.is_as_declared(declaration)
@@ -425,28 +493,17 @@ class Engine:
     def _settle(self) -> None:
         with self._manager.together():
             self._application.settle()
+            self._rematching.settle()
 
-    def _tell(self, change: Change) -> None:
-        self._manager.changed(change)
+    def _heard(self, change: Change) -> None:
+        """What is remembered of a stream holds no more."""
         if change.kind is ChangeKind.STREAM_REMOVED:
             self._intake.forget(change.stream)
         self._converters.pop(change.stream, None)
-        status = self._status
-        if status is None or change.stream == STATUS:
-            return
-        values = {
-            "change": str(change.kind),
-            "stream": change.stream or None,
-            "unit": change.unit or None,
-            "transformation": change.transformation or None,
-            "inputs": " ".join(change.inputs) or None,
-            "specification": change.specification or None,
-        }
-        row = (self._now, self._now, values)
-        status.offer(batch_from_rows(status.schema, [row], status.stream.pools), self._now)
 
-    def _annotation_of(self, name: str) -> StreamAnnotation | None:
-        return self._declared.annotation_of(name) or self._requests.annotation_of(name)
+    def _subscribers(self, name: str) -> int:
+        generator = self._configuration.streams.get(name)
+        return 0 if generator is None else generator.subscribers
 
     def _view(self, generator: StreamGenerator) -> StreamView:
         name = generator.name
@@ -454,7 +511,7 @@ class Engine:
             generator,
             self._configuration.namespaces[name],
             self._application.producer_of(name),
-            self._annotation_of(name),
+            self._manager.annotations.get(name),
         )
 
     def _converter(self, name: str) -> SampleConverter | None:
@@ -462,13 +519,18 @@ class Engine:
         found = self._converters.get(name)
         if found is None:
             generator = self._configuration.stream(name)
-            annotation = self._requests.rdf_of(name) or self._annotation_of(name)
+            annotation = self._rdf_of(name) or self._manager.annotations.get(name)
             if annotation is None:
                 return None
             namespace = self._configuration.namespaces[name]
             found = self._declared.compile(annotation, generator.schema, namespace)
             self._converters[name] = found
         return found
+
+    def _rdf_of(self, name: str) -> StreamAnnotation | None:
+        """How samples of what the system answers are written as triples."""
+        found = self._rematching.of_stream(name)
+        return self._requests.rdf_of(name) if found is None else found.rdf()
 
     def _template(self, name: str) -> Template:
         try:

@@ -35,6 +35,12 @@ class UnknownEvent(DyknowError):
     title = "unknown event"
 
 
+class UnknownTransformation(DyknowError):
+    """No transformation has this name."""
+
+    title = "unknown transformation"
+
+
 class UnknownRequest(DyknowError):
     """No event request has this id."""
 

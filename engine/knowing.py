@@ -1,4 +1,4 @@
-"""Semantic matching as a question: what would give a feature ([Introspection15 §4.3])."""
+"""What people say, in the terms of the ontology: features, sorts, objects, strategies."""
 
 from __future__ import annotations
 
@@ -8,27 +8,23 @@ from collections.abc import Sequence
 from pyoxigraph import NamedNode
 
 from ..languages.csparql import parse_argument
-from ..matching.match import Match, UnknownStrategy, match
-from ..matching.space import StreamSpace
+from ..matching.strategy import Strategy, UnknownStrategy
+from ..matching.subject import Subject
 from ..matching.want import Want
-from ..ontology.vocabulary import Vocabulary
+from ..ontology.vocabulary import SELF, Vocabulary
 from ..rdf.namespaces import DYKNOW, PREFIXES, shorten
-from . import explain as explanations
-from .errors import BadArguments, Refused, UnknownFeature
-from .views import MatchView
+from .errors import BadArguments, UnknownFeature
 
 
-def matched(
-    vocabulary: Vocabulary,
-    space: StreamSpace,
-    feature: str,
-    sort: str | None,
-    objects: Sequence[str],
-    strategy: str,
-) -> MatchView:
-    """What would give ``feature``, and why; see `Engine.match`."""
+def checked_want(
+    vocabulary: Vocabulary, feature: str, sort: str | None, objects: Sequence[str]
+) -> Want:
+    """A want from names; raises `UnknownFeature` for a feature or sort that is not known.
+
+    Of several objects the second and later are further arguments of an n-ary feature.
+    """
     iri = iri_of(feature)
-    if not vocabulary.is_feature(iri):
+    if not (vocabulary.is_feature(iri) or vocabulary.is_event(iri)):
         raise UnknownFeature(
             f"the ontology knows no feature {shorten(iri)}",
             did_you_mean(vocabulary.suggest(feature, "feature")),
@@ -39,14 +35,18 @@ def matched(
             f"the ontology knows no sort {shorten(sort_iri)}",
             did_you_mean(vocabulary.suggest(sort or "", "sort")),
         )
-    if len(objects) > 1:
-        raise Refused("features of one object are matched so far", "name one object, or a sort")
-    want = Want(iri, sort_iri, iri_of(objects[0]) if objects else None)
+    if not objects:
+        return Want(iri, sort_iri)
+    first, *others = [SELF if text == "self" else iri_of(text) for text in objects]
+    return Want(iri, sort_iri, first, tuple(Subject(None, other) for other in others))
+
+
+def checked_strategy(text: str) -> Strategy:
+    """The strategy that a text names; raises `BadArguments`."""
     try:
-        found: Match = match(want, space, vocabulary, strategy)
+        return Strategy.parse(text)
     except UnknownStrategy as error:
         raise BadArguments(str(error)) from error
-    return explanations.match_view(want, found, strategy)
 
 
 def iri_of(text: str) -> str:

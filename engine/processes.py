@@ -16,6 +16,7 @@ from typing import Any, Literal, TypeAlias, TypeVar, cast
 
 from ..streams.time import parse_duration
 from .errors import AlreadyExists, BadArguments, UnknownFeature
+from .parameters import bound, defaults_of
 from .supervision import ErrorRule, OnError
 
 Code: TypeAlias = Callable[..., Any]
@@ -35,11 +36,20 @@ class Implementation:
     code: Code
     rule: ErrorRule
 
-    def make(self) -> Callable[..., Any]:
-        """What to call: the function itself, or a new instance of the class."""
+    @property
+    def parameters(self) -> Mapping[str, str | None]:
+        """Each parameter of the code with its default as text; None: it must be given."""
+        return defaults_of(self.code)
+
+    def make(self, parameters: Mapping[str, str] | None = None) -> Callable[..., Any]:
+        """What to call: the function itself, or a new instance of the class, with parameters.
+
+        Raises `BadArguments` for parameters that do not fit.
+        """
+        code = bound(self.code, parameters or {})
         if isinstance(self.code, type):
-            return cast("Callable[..., Any]", self.code())
-        return self.code
+            return cast("Callable[..., Any]", code())
+        return code
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,7 +23,6 @@ from ..languages.kpl import (
     StreamDeclaration,
     format_term,
 )
-from ..rdf.dictionary import TermDictionary
 from ..streams.fluent import Retention
 from ..streams.generator import StreamGenerator
 from ..streams.policy import Approximation, PolicyCounters, PolicyError
@@ -97,7 +96,7 @@ def rehearse(
         if change.kind in _FAILURES:
             failures.append((change.stream, f"{change.kind}: {change.specification}"))
 
-    configuration = Configuration(TermDictionary(), {}, told)
+    configuration = Configuration(told)
     application = Application(
         configuration,
         processes,

@@ -35,6 +35,7 @@ from . import explain as explanations
 from .changes import Change, ChangeKind
 from .configuration import Configuration
 from .errors import BadArguments, NoPlan, UnknownRequest
+from .plans import Plans
 from .results import result_form
 from .unit import QueryUnit
 from .views import EventView, PlanView, Since
@@ -82,14 +83,16 @@ class EventRequests:
         dictionary: TermDictionary,
         templates: TemplateLibrary,
         configuration: Configuration,
-        stream_space: Callable[[], StreamSpace],
+        plans: Plans,
+        space: StreamSpace,
         changed: Callable[[Change], None],
     ) -> None:
         self._ontology = ontology
         self._dictionary = dictionary
         self._templates = templates
         self._configuration = configuration
-        self._stream_space = stream_space
+        self._plans = plans
+        self._space = space
         self._changed = changed
         self._requests: dict[str, _Request] = {}
         # By what was asked, to share; by the stream it makes, to say what that means. One that is
@@ -105,7 +108,7 @@ class EventRequests:
         key = _key(template, request, strategy, since)
         running = self._running.get(key)
         if running is None or not self._is_sound(running):
-            query, matches = self._plan(template, request, strategy)
+            query, matches = self._plan(template, request, strategy, since)
             try:
                 running = self._build(query, matches, since)
             except Exception:
@@ -161,11 +164,6 @@ class EventRequests:
             created=request.number,
         )
 
-    def annotation_of(self, stream: str) -> StreamAnnotation | None:
-        """What the stream of a request's answer contains; None for another stream."""
-        running = self._answers.get(stream)
-        return None if running is None else running.annotation
-
     def rdf_of(self, stream: str) -> StreamAnnotation | None:
         """How samples of a request's answer are written as triples; None for another stream."""
         running = self._answers.get(stream)
@@ -174,7 +172,7 @@ class EventRequests:
     def explain(self, template: Template, request: EventRequest) -> str:
         """Each stage of answering ``request``, without starting anything."""
         query, wanted = self._query(template, request)
-        matches = match_all(wanted.wants, self._stream_space(), self._ontology.vocabulary)
+        matches = match_all(wanted.wants, self._space, self._ontology.vocabulary)
         return explanations.request(
             template, request, query, wanted, matches, self._ontology, self._dictionary
         )
@@ -196,9 +194,10 @@ class EventRequests:
             raise NoPlan(error.message, (), error.hint) from error
 
     def _plan(
-        self, template: Template, request: EventRequest, strategy: str
+        self, template: Template, request: EventRequest, strategy: str, since: Since
     ) -> tuple[ContinuousQuery, tuple[Match, ...]]:
         query, wanted = self._query(template, request)
+        without = self._plans.unusable(since)
         for graph in query.static:
             if not self._ontology.static_graph(graph):
                 raise NoPlan(
@@ -207,9 +206,7 @@ class EventRequests:
                     "static graphs are named, never fetched: load it, or leave FROM out",
                 )
         try:
-            matches = match_all(
-                wanted.wants, self._stream_space(), self._ontology.vocabulary, strategy
-            )
+            matches = self._plans.match(wanted.wants, strategy, without, explained=True)
         except UnknownStrategy as error:
             raise BadArguments(str(error)) from error
         missing = tuple(
@@ -238,7 +235,7 @@ class EventRequests:
         for match in matches:
             assert match.supply is not None
             for source in match.supply.sources:
-                generator = self._configuration.obtain(source.node, since)
+                generator = self._plans.obtain(source.node, since)
                 inputs[generator.name] = generator
                 annotation = wanted_annotation(match.supply, source, generator.name)
                 element = (generator.name, annotation.contents, source.port.target)
@@ -292,9 +289,9 @@ class EventRequests:
         """It works, and the streams it reads mean what they meant when it started."""
         if self._configuration.is_broken(running.unit):
             return False
-        meanings = {known.stream: known.contents for known in self._stream_space().streams}
+        streams = self._space.streams
         return all(
-            meanings.get(node.stream) == node.contents
+            node.stream in streams and streams[node.stream].contents == node.contents
             for match in running.matches
             if match.supply is not None
             for source in match.supply.sources
@@ -304,8 +301,14 @@ class EventRequests:
 
     def _tell_meaning(self, running: _Running) -> None:
         if running.annotation is not None:
-            name, source = running.unit.output.name, running.annotation.source
-            self._changed(Change(ChangeKind.STREAM_ANNOTATED, name, specification=source))
+            self._changed(
+                Change(
+                    ChangeKind.STREAM_ANNOTATED,
+                    running.unit.output.name,
+                    specification=running.annotation.source,
+                    annotation=running.annotation,
+                )
+            )
 
     def _plan_view(self, running: _Running) -> PlanView:
         units = self._configuration.units_behind(running.unit)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from ..streams.generator import StreamGenerator
@@ -21,7 +21,8 @@ class SampledSource:
     are counted in ``missed``: a sensor that is asked late tells nothing of the past. A source that
     stops by its rule ends its output; ``failure`` says why.
 
-    Cost: Python per reading. Memory: none that grows.
+    ``parameters`` are those of the code, as text. Cost: Python per reading. Memory: none that
+    grows.
     """
 
     def __init__(
@@ -34,6 +35,7 @@ class SampledSource:
         runner: Runner = DIRECT,
         behind: int = 100,
         name: str | None = None,
+        parameters: Mapping[str, str] | None = None,
     ) -> None:
         self.implementation = implementation
         self.output = output
@@ -44,7 +46,9 @@ class SampledSource:
         self._next = start
         self._behind = behind
         self._answers = Answers(output)
-        self._instance: Instance[Callable[..., Any]] = Instance(implementation.make)
+        self._instance: Instance[Callable[..., Any]] = Instance(
+            lambda: implementation.make(parameters)
+        )
         self._supervisor = Supervisor(
             implementation.rule,
             runner,

@@ -1,25 +1,27 @@
 """The semantics manager: keeps the ontology equal to the running system
 ([Introspection15 §4.2]).
 
-It is told each `Change` of the configuration and mirrors it into the stream-space graph. What it
-asserts is exactly what `assertions` gives for the current configuration: a test compares.
+It listens to the status stream and mirrors each `Change` into the stream-space graph, and into the
+`StreamSpace` that semantic matching looks at; both are updated from nowhere else. What it asserts
+is exactly what `assertions` gives for the current configuration: a test compares.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from urllib.parse import quote
 
 from pyoxigraph import Literal, NamedNode, Triple
 
-from ..languages.ssl.annotation import Content, PortAnnotation, StreamAnnotation
+from ..languages.ssl.annotation import Argument, Content, PortAnnotation, StreamAnnotation
+from ..matching.space import StreamDescription, StreamSpace
 from ..ontology.ontology import Ontology
 from ..ontology.units import format_unit
+from ..ontology.vocabulary import SELF, THING
 from ..rdf.namespaces import RDF_TYPE, STREAM_SPACE
-from .changes import Change, ChangeKind
-from .transformations import Transformation
+from .changes import Change, ChangeKind, KnownTransformation
 
 
 def term(name: str) -> NamedNode:
@@ -29,20 +31,18 @@ def term(name: str) -> NamedNode:
 
 
 class SemanticsManager:
-    """Mirrors the stream space into the ontology.
+    """Mirrors the stream space into the ontology, and into ``space``.
 
-    ``annotation_of`` and ``transformation`` answer for the present.
+    ``annotations`` says what each stream contains of which anybody has said it. ``subscribers``
+    tells for `space` how many readers a stream has now.
     """
 
-    def __init__(
-        self,
-        ontology: Ontology,
-        annotation_of: Callable[[str], StreamAnnotation | None],
-        transformations: Mapping[str, Transformation],
-    ) -> None:
+    def __init__(self, ontology: Ontology, subscribers: Callable[[str], int]) -> None:
+        self.space = StreamSpace(subscribers=subscribers)
+        self.annotations: dict[str, StreamAnnotation] = {}
         self._ontology = ontology
-        self._annotation_of = annotation_of
-        self._transformations = transformations
+        self._makers: dict[str, str] = {}
+        self._qualities: dict[str, float] = {}
         self._asserted: dict[tuple[str, str], frozenset[Triple]] = {}
         # Several units may say the same of their transformation: a triple goes with its last one.
         self._supported: Counter[Triple] = Counter()
@@ -69,22 +69,31 @@ class SemanticsManager:
     def changed(self, change: Change) -> None:
         """Mirror one change."""
         match change.kind:
-            case ChangeKind.STREAM_ADDED | ChangeKind.STREAM_ANNOTATED:
-                annotation = self._annotation_of(change.stream)
-                self._assert(("stream", change.stream), stream_triples(change.stream, annotation))
+            case ChangeKind.STREAM_ADDED:
+                self._know(change.stream)
+            case ChangeKind.STREAM_ANNOTATED:
+                self._annotate(change)
+            case ChangeKind.QUALITY_CHANGED if change.stream:
+                assert change.quality is not None
+                self._qualities[change.stream] = change.quality
+                self._know(change.stream)
             case ChangeKind.STREAM_REMOVED:
-                self._assert(("stream", change.stream), ())
-                self._subscribers.pop(change.stream, None)
-                self._assert(("subscribers", change.stream), ())
+                self._forget(change.stream)
             case ChangeKind.UNIT_STARTED | ChangeKind.INPUTS_CHANGED:
+                self._makers[change.stream] = change.transformation
                 self._assert(("unit", change.unit), unit_triples(change))
             case ChangeKind.UNIT_STOPPED:
                 self._assert(("unit", change.unit), ())
-            case ChangeKind.TRANSFORMATION_ANNOTATED:
-                described = self._transformations[change.transformation]
+            case ChangeKind.TRANSFORMATION_ANNOTATED | ChangeKind.QUALITY_CHANGED:
+                assert change.described is not None
+                self.space.put_transformation(change.described.description)
                 self._assert(
-                    ("transformation", change.transformation), transformation_triples(described)
+                    ("transformation", change.transformation),
+                    transformation_triples(change.described),
                 )
+            case ChangeKind.TRANSFORMATION_REMOVED:
+                self.space.discard_transformation(change.transformation)
+                self._assert(("transformation", change.transformation), ())
             case (
                 ChangeKind.STREAM_ENDED
                 | ChangeKind.UNIT_FAILED
@@ -93,6 +102,39 @@ class SemanticsManager:
                 | ChangeKind.NOT_RESTORED
             ):
                 pass  # the structure of the stream space is as it was
+
+    def _annotate(self, change: Change) -> None:
+        """A stream contains something else from now on, or nobody says any more what."""
+        if change.annotation is None:
+            self.annotations.pop(change.stream, None)
+        else:
+            self.annotations[change.stream] = change.annotation
+        self._know(change.stream)
+
+    def _know(self, stream: str) -> None:
+        """What there is to know of a stream has changed."""
+        annotation = self.annotations.get(stream)
+        quality = self._qualities.get(stream)
+        if annotation is None:
+            self.space.discard_stream(stream)
+        else:
+            known = StreamDescription(
+                stream,
+                annotation.contents,
+                1.0 if quality is None else quality,
+                maker=self._makers.get(stream, ""),
+            )
+            self.space.put_stream(known)
+        self._assert(("stream", stream), stream_triples(stream, annotation, quality))
+
+    def _forget(self, stream: str) -> None:
+        self.annotations.pop(stream, None)
+        self._qualities.pop(stream, None)
+        self._makers.pop(stream, None)
+        self._subscribers.pop(stream, None)
+        self.space.forget_stream(stream)
+        self._assert(("stream", stream), ())
+        self._assert(("subscribers", stream), ())
 
     def count_subscribers(self, counts: Iterable[tuple[str, int]]) -> None:
         """Mirror how many subscribers each stream has. Cost: a look at each, and what changed."""
@@ -124,11 +166,15 @@ class SemanticsManager:
             self._held.update(dict.fromkeys(removed, False) | dict.fromkeys(added, True))
 
 
-def stream_triples(name: str, annotation: StreamAnnotation | None) -> Iterable[Triple]:
+def stream_triples(
+    name: str, annotation: StreamAnnotation | None, quality: float | None = None
+) -> Iterable[Triple]:
     """A stream and its annotation, in the shape of [Introspection15 Listing 3]."""
     stream = term(name)
     yield Triple(stream, RDF_TYPE, term("Stream"))
     yield Triple(stream, term("hasName"), Literal(name))
+    if quality is not None:
+        yield Triple(stream, term("hasQuality"), Literal(quality))
     if annotation is None:
         return
     node = term(f"{name}_annotation")
@@ -164,35 +210,59 @@ def unit_triples(change: Change) -> Iterable[Triple]:
     yield Triple(specification, term("hasName"), Literal(change.specification))
 
 
-def transformation_triples(described: Transformation) -> Iterable[Triple]:
+def transformation_triples(described: KnownTransformation) -> Iterable[Triple]:
     """A transformation with its annotation, in the shape of [Introspection15 Listing 3]."""
-    name = described.name
+    known = described.description
+    name = known.name
     label = term(name)
     yield Triple(label, RDF_TYPE, term("Transformation"))
     yield Triple(label, term("hasName"), Literal(name))
-    yield Triple(label, term("hasCost"), Literal(described.cost))
-    yield Triple(label, term("hasQuality"), Literal(described.quality))
+    yield Triple(label, term("hasCost"), Literal(known.cost))
+    yield Triple(label, term("hasQuality"), Literal(known.quality))
+    yield from _implementation(label, described)
     node = term(f"{name}_annotation")
     yield Triple(label, term("hasAnnotation"), node)
     yield Triple(node, RDF_TYPE, term("Annotation"))
     output = term(f"{name}_annotation_output")
     yield Triple(node, term("hasOutputAnnotation"), output)
-    yield from _port(output, "OutputAnnotation", described.annotation.output)
+    yield from _port(output, "OutputAnnotation", known.output, known.arguments)
     holder, link = node, term("hasInputAnnotation")
-    for i, port in enumerate(described.annotation.inputs, start=1):
+    for i, port in enumerate(known.inputs, start=1):
         # The order of inputs is kept by a chain of segments.
         segment = term(f"{name}_annotation_input{i}")
         yield Triple(holder, link, segment)
-        yield from _port(segment, "InputAnnotation", port)
+        yield from _port(segment, "InputAnnotation", port, port.arguments)
         holder = term(f"{name}_annotation_segment{i}")
-        if i < len(described.annotation.inputs):
+        if i < len(known.inputs):
             yield Triple(segment, term("nextSegment"), holder)
 
 
-def _port(node: NamedNode, kind: str, port: PortAnnotation) -> Iterable[Triple]:
+def _implementation(label: NamedNode, described: KnownTransformation) -> Iterable[Triple]:
+    code = term(f"{described.implementation}_implementation")
+    yield Triple(label, term("hasImplementation"), code)
+    yield Triple(code, RDF_TYPE, term("Implementation"))
+    yield Triple(code, term("hasName"), Literal(described.implementation))
+    for name, value in described.parameters:
+        parameter = term(f"{label.value.removeprefix(STREAM_SPACE)}_parameter_{name}")
+        yield Triple(label, term("hasParameter"), parameter)
+        yield Triple(parameter, RDF_TYPE, term("Parameter"))
+        yield Triple(parameter, term("hasName"), Literal(name))
+        yield Triple(parameter, term("hasText"), Literal(value))
+
+
+def _port(
+    node: NamedNode, kind: str, port: PortAnnotation, arguments: Sequence[Argument]
+) -> Iterable[Triple]:
     yield Triple(node, RDF_TYPE, term(kind))
     yield from _describes(node, port.feature, format_unit(port.unit))
-    yield Triple(node, term("describesSort"), NamedNode("http://www.ida.liu.se/dyknow/Thing"))
+    for argument in arguments:
+        # Listing 3 writes :self where a sort stands.
+        named = argument.object or argument.sort or THING
+        is_object = argument.object is not None and argument.object != SELF
+        link = "describesObject" if is_object else "describesSort"
+        yield Triple(node, term(link), NamedNode(named))
+    if not arguments:
+        yield Triple(node, term("describesSort"), NamedNode(THING))
 
 
 def _describes(node: NamedNode, feature: str, unit: str) -> Iterable[Triple]:

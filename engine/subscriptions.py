@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ..languages.kpl import format_policy, parse_policy
 from ..streams.generator import StreamGenerator
 from ..streams.policy import Policy
 from ..streams.sample import Schema
+from .adaptive import AdaptiveSubscription, Rematch, Wish
 from .configuration import POLICY, Configuration
 from .errors import UnknownRequest
+from .rematching import Rematching
 from .stream_units import AdaptationUnit, counts_of
-from .views import Since, SubscriptionView
+from .views import AdaptiveView, Since, SubscriptionView
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -24,15 +27,21 @@ class _Subscription:
 
 
 class Subscriptions:
-    """The subscriptions that run. Equal ones share one adapted stream.
+    """The subscriptions that run, to streams and to features. Equal ones to a stream share one
+    adapted stream.
 
     A subscription without constraints is to the stream as it is.
     """
 
     def __init__(self, configuration: Configuration) -> None:
         self._configuration = configuration
-        self._subscriptions: dict[str, _Subscription] = {}
+        self._rematching: Rematching
+        self._subscriptions: dict[str, _Subscription | AdaptiveSubscription] = {}
         self._number = 0
+
+    def rematch_with(self, rematching: Rematching) -> None:
+        """Who looks after the adaptive ones."""
+        self._rematching = rematching
 
     def start(
         self, stream: str, policy: str, unit: str = "ms", since: Since = Since.NOW
@@ -44,23 +53,38 @@ class Subscriptions:
         """
         source = self._configuration.stream(stream)
         parsed = parse_policy(policy, unit)
-        adapted = None
-        if not parsed.is_default:
-            made = self._configuration.share(
-                (source, parsed, since), lambda: self._build(source, parsed, since)
-            )
-            assert isinstance(made, AdaptationUnit)
-            made.users += 1
-            adapted = made
-        self._number += 1
-        id = f"subscription{self._number}"
+        adapted = None if parsed.is_default else self._adapted(source, parsed, since)
+        id = self._next_id()
         self._subscriptions[id] = _Subscription(id, source, parsed, since, adapted)
         return self.view(id)
+
+    def start_adaptive(self, wish: Wish) -> SubscriptionView:
+        """Subscribe to a feature ([Introspection15 §4.4]); what cannot be met now waits."""
+        id = self._next_id()
+        self._subscriptions[id] = self._rematching.start(id, wish)
+        return self.view(id)
+
+    def adapted(self, source: StreamGenerator, wish: Wish) -> AdaptationUnit | None:
+        """What keeps the policy of a wish, if it has one."""
+        policy = wish.policy
+        return None if policy.is_default else self._adapted(source, policy, Since.START)
+
+    def rematches(self, id: str) -> Sequence[Rematch]:
+        """The switches of an adaptive subscription, oldest first; none of another."""
+        found = self._get(id)
+        return found.rematches if isinstance(found, AdaptiveSubscription) else ()
+
+    def _next_id(self) -> str:
+        self._number += 1
+        return f"subscription{self._number}"
 
     def cancel(self, id: str) -> None:
         """Give a subscription up; raises `UnknownRequest`."""
         subscription = self._get(id)
         del self._subscriptions[id]
+        if isinstance(subscription, AdaptiveSubscription):
+            self._rematching.cancel(id)
+            return
         unit = subscription.unit
         if unit is not None and self._configuration.units.get(unit.output.name) is unit:
             self._configuration.release(unit)
@@ -72,6 +96,8 @@ class Subscriptions:
     def view(self, id: str) -> SubscriptionView:
         """One subscription; raises `UnknownRequest`."""
         found = self._get(id)
+        if isinstance(found, AdaptiveSubscription):
+            return _adaptive_view(found)
         unit = found.unit
         counters: dict[str, object] = {}
         violations = None
@@ -88,13 +114,22 @@ class Subscriptions:
             violations=violations,
         )
 
-    def _get(self, id: str) -> _Subscription:
+    def _get(self, id: str) -> _Subscription | AdaptiveSubscription:
         found = self._subscriptions.get(id)
         if found is None:
             raise UnknownRequest(
                 f"there is no subscription {id!r}", "GET /subscriptions lists those that run"
             )
         return found
+
+    def _adapted(self, source: StreamGenerator, policy: Policy, since: Since) -> AdaptationUnit:
+        """The unit that keeps a policy, shared, with one user more."""
+        made = self._configuration.share(
+            (source, policy, since), lambda: self._build(source, policy, since)
+        )
+        assert isinstance(made, AdaptationUnit)
+        made.users += 1
+        return made
 
     def _build(self, source: StreamGenerator, policy: Policy, since: Since) -> AdaptationUnit:
         name = self._configuration.reserved_name()
@@ -114,3 +149,29 @@ class Subscriptions:
         )
         self._configuration.start(unit, since, text)
         return unit
+
+
+def _adaptive_view(found: AdaptiveSubscription) -> SubscriptionView:
+    wish, adapted = found.wish, found.adapted
+    violations = None if adapted is None or adapted.violations is None else adapted.violations.name
+    return SubscriptionView(
+        id=found.id,
+        source=found.unit.output.name,
+        policy=format_policy(wish.policy),
+        since=str(wish.since),
+        stream=found.output.name,
+        counters={} if adapted is None else counts_of(adapted),
+        violations=violations,
+        adaptive=AdaptiveView(
+            want=str(wish.want),
+            strategy=wish.strategy,
+            state=str(found.state),
+            failure=found.unit.failure,
+            reads=found.leaves,
+            missing=found.missing,
+            staleness=wish.staleness,
+            quality=wish.quality,
+            hold_off=wish.hold_off,
+            rematches=len(found.rematches),
+        ),
+    )

@@ -1,30 +1,34 @@
 """The library of transformations: labels for implementations with parameters
 ([Introspection15 §3.1]).
 
-A transformation is annotated in SSL like any other; its implementation is a Python factory. The
-same implementation with other parameters is another transformation.
+An implementation is built in (`IMPLEMENTATIONS`: a vectorized function of one stream's samples)
+or user-written (`processes`: a computational unit or a source). The same implementation with
+other parameters is another transformation.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
 from types import MappingProxyType
+from typing import TypeAlias
 
 from ..languages.ssl import check_ssl, parse_ssl
-from ..languages.ssl.annotation import TransformationAnnotation
+from ..languages.ssl.annotation import SourceAnnotation, TransformationAnnotation
 from ..matching.space import TransformationDescription
 from ..ontology.vocabulary import Vocabulary
 from ..streams.time import format_duration, parse_duration
-from .errors import Conflict, UnknownFeature
+from .errors import BadArguments, Conflict, DyknowError, UnknownFeature
 from .geodesy import SpeedFromCoordinates
+from .parameters import bound
+from .processes import PROCESSES, Processes, SourceImplementation, UnitImplementation
 from .unit import UnitFunction
 
-Parameters = Mapping[str, str]
+Parameters: TypeAlias = Mapping[str, str]
 
 
 @dataclass(frozen=True, slots=True)
-class Implementation:
+class BuiltIn:
     """A factory of unit functions: ``make(parameters)`` gives a fresh one, with its own state.
 
     ``arity`` is the number of inputs, in the order of the annotation; ``parameters`` names every
@@ -37,24 +41,25 @@ class Implementation:
     make: Callable[[Parameters], UnitFunction]
 
 
+Implementation: TypeAlias = BuiltIn | UnitImplementation | SourceImplementation
+
+
 @dataclass(frozen=True, slots=True)
 class Transformation:
-    """A label for an implementation and its parameters, with what it takes and gives."""
+    """A label for an implementation and its parameters, with what it takes and gives.
 
-    annotation: TransformationAnnotation
-    implementation: Implementation
-    parameters: Parameters
+    ``parameters`` are those that were given; the others have their defaults.
+    """
+
+    annotation: TransformationAnnotation | SourceAnnotation
+    implementation: str
+    parameters: Parameters = field(default_factory=dict)
     cost: float = 1.0
     quality: float = 1.0
 
     @property
     def name(self) -> str:
         return self.annotation.name
-
-    @property
-    def description(self) -> TransformationDescription:
-        """What semantic matching sees."""
-        return TransformationDescription.of(self.annotation, self.cost, self.quality)
 
 
 def _speed_from_coordinates(parameters: Parameters) -> UnitFunction:
@@ -66,9 +71,9 @@ def _speed_from_coordinates(parameters: Parameters) -> UnitFunction:
 
 _SPEED_DEFAULTS = SpeedFromCoordinates()
 
-IMPLEMENTATIONS: Mapping[str, Implementation] = MappingProxyType(
+IMPLEMENTATIONS: Mapping[str, BuiltIn] = MappingProxyType(
     {
-        "coordinatesToSpeed": Implementation(
+        "coordinatesToSpeed": BuiltIn(
             "coordinatesToSpeed",
             2,
             MappingProxyType(
@@ -81,7 +86,7 @@ IMPLEMENTATIONS: Mapping[str, Implementation] = MappingProxyType(
         )
     }
 )
-"""What can be instantiated, by name."""
+"""What can be instantiated without anybody having written it, by name."""
 
 LIBRARY = """\
 compunit coordinatesToSpeed
@@ -89,33 +94,120 @@ compunit coordinatesToSpeed
   to speed:speed [m.s-1]
 """
 """The transformations that every engine knows from the start, in SSL."""
+LIBRARY_NAMES = frozenset({"coordinatesToSpeed"})
+"""Their names."""
 
 
-def library(vocabulary: Vocabulary) -> dict[str, Transformation]:
-    """The transformations of `LIBRARY`, with default parameters, by name."""
-    checked = check_ssl(parse_ssl(LIBRARY), LIBRARY, vocabulary)
-    return {
-        annotation.name: described(annotation)
-        for annotation in checked
-        if isinstance(annotation, TransformationAnnotation)
-    }
+class Transformations(Mapping[str, Transformation]):
+    """The transformations that are known, by name, and the code behind them."""
 
+    def __init__(self, vocabulary: Vocabulary, processes: Processes = PROCESSES) -> None:
+        self._processes = processes
+        self._by_name: dict[str, Transformation] = {}
+        checked = check_ssl(parse_ssl(LIBRARY), LIBRARY, vocabulary)
+        for annotation in checked:
+            assert isinstance(annotation, TransformationAnnotation)
+            self.put(Transformation(annotation, annotation.name))
 
-def described(annotation: TransformationAnnotation) -> Transformation:
-    """A transformation from its annotation and the implementation of the same name.
+    def __getitem__(self, name: str) -> Transformation:
+        return self._by_name[name]
 
-    Raises `UnknownFeature` without such an implementation, `Conflict` for another number of inputs.
-    """
-    implementation = IMPLEMENTATIONS.get(annotation.name)
-    if implementation is None:
-        raise UnknownFeature(
-            f"there is no implementation called {annotation.name!r}",
-            f"known implementations: {', '.join(IMPLEMENTATIONS)}",
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._by_name)
+
+    def __len__(self) -> int:
+        return len(self._by_name)
+
+    def put(self, transformation: Transformation) -> None:
+        """A transformation is known from now on, or known otherwise."""
+        self._by_name[transformation.name] = transformation
+
+    def discard(self, name: str) -> None:
+        """Forget a transformation."""
+        del self._by_name[name]
+
+    def implementation(self, name: str) -> Implementation:
+        """The code called ``name``; raises `UnknownFeature`."""
+        processes = self._processes
+        found = (
+            IMPLEMENTATIONS.get(name) or processes.units.get(name) or processes.sources.get(name)
         )
-    if len(annotation.inputs) != implementation.arity:
-        raise Conflict(
-            f"{annotation.name} takes {implementation.arity} inputs, "
-            f"the annotation gives {len(annotation.inputs)}",
-            "name them in the order in which the library's annotation does",
+        if found is None:
+            known = (*IMPLEMENTATIONS, *processes.units, *processes.sources)
+            raise UnknownFeature(
+                f"there is no implementation called {name!r}",
+                f"known implementations: {', '.join(known)}; write one with "
+                "@dyknow.computational_unit or @dyknow.source and load its module with --processes",
+            )
+        return found
+
+    def check(self, transformation: Transformation) -> None:
+        """Raises `UnknownFeature` without the implementation, `Conflict` where it takes or gives
+        otherwise than the annotation says, `BadArguments` for parameters that do not fit."""
+        implementation = self.implementation(transformation.implementation)
+        inputs = _inputs(transformation)
+        match implementation:
+            case SourceImplementation():
+                fits = not inputs
+            case UnitImplementation():
+                fits = inputs > 0 and len(implementation.inputs) in (1, inputs)
+            case BuiltIn():
+                fits = inputs == implementation.arity
+        if not fits:
+            takes = (
+                "no input"
+                if isinstance(implementation, SourceImplementation)
+                else f"{_arity(implementation)} inputs"
+            )
+            raise Conflict(
+                f"{implementation.name} takes {takes}, the annotation of {transformation.name} "
+                f"gives {inputs}",
+                "one input of the code for each of the annotation, or one for all together",
+            )
+        self._check_parameters(transformation, implementation)
+
+    def _check_parameters(
+        self, transformation: Transformation, implementation: Implementation
+    ) -> None:
+        given = transformation.parameters
+        if not isinstance(implementation, BuiltIn):
+            bound(implementation.code, given)
+            return
+        for name in given:
+            if name not in implementation.parameters:
+                raise BadArguments(
+                    f"there is no parameter {name!r}",
+                    f"its parameters are: {', '.join(implementation.parameters)}",
+                )
+        try:
+            implementation.make({**implementation.parameters, **given})
+        except (TypeError, ValueError) as error:
+            raise BadArguments(f"the parameters of {implementation.name}: {error}") from error
+
+    def parameters_of(self, transformation: Transformation) -> Parameters:
+        """All parameters of its units, as text: those given and the defaults of the others."""
+        declared = self.implementation(transformation.implementation).parameters
+        texts = {name: text for name, text in declared.items() if text is not None}
+        return {**texts, **transformation.parameters}
+
+    def describe(self, transformation: Transformation) -> TransformationDescription:
+        """What semantic matching sees, and why no unit can be made of it if so."""
+        lacks = ""
+        try:
+            self.check(transformation)
+        except DyknowError as error:
+            lacks = error.detail
+        return TransformationDescription.of(
+            transformation.annotation, transformation.cost, transformation.quality, lacks
         )
-    return Transformation(annotation, implementation, implementation.parameters)
+
+
+def _inputs(transformation: Transformation) -> int:
+    annotation = transformation.annotation
+    return len(annotation.inputs) if isinstance(annotation, TransformationAnnotation) else 0
+
+
+def _arity(implementation: BuiltIn | UnitImplementation) -> int:
+    if isinstance(implementation, BuiltIn):
+        return implementation.arity
+    return len(implementation.inputs)

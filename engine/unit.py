@@ -23,6 +23,7 @@ from ..ontology.units import Conversion
 from ..streams.generator import StreamGenerator
 from ..streams.sample import Column, FieldType, Mask, SampleBatch, Times
 from ..streams.time import TIME_MIN
+from .changes import Role
 from .supervision import ErrorCounters
 from .views import Since
 
@@ -40,6 +41,8 @@ class ComputationalUnit(ABC):
     A unit that raises is cut off from its inputs, with the reason in ``failure``; other units
     and whoever published go on.
     """
+
+    role = Role.UNIT
 
     def __init__(
         self,
@@ -257,8 +260,9 @@ class InputPort:
 class FunctionUnit(ComputationalUnit):
     """Applies an implementation to the samples of one stream, sample by sample, object by object.
 
-    The output carries the id field of the input (if it has one) and the value; times are kept.
-    A sample that lacks a value or an object gives nothing.
+    ``id_fields`` tell the objects of the input apart; ``carried`` are pairs of an id field of the
+    input and the field of the output that takes it over. The output carries these and the value;
+    times are kept. A sample that lacks a value or an object gives nothing.
     """
 
     def __init__(
@@ -266,19 +270,21 @@ class FunctionUnit(ComputationalUnit):
         *args: Any,
         function: UnitFunction,
         ports: Sequence[InputPort],
-        id_field: str | None,
+        id_fields: Sequence[str],
+        carried: Sequence[tuple[str, str]],
         output_field: str,
     ) -> None:
         super().__init__(*args)
         self._function = function
         self._ports = tuple(ports)
-        self._id_field = id_field
+        self._id_fields = tuple(id_fields)
+        self._carried = tuple(carried)
         self._output_field = output_field
+        self._keys: dict[tuple[int, ...], int] = {}
 
     def process(self, source: StreamGenerator, batch: SampleBatch) -> None:
         needed = [batch.columns[port.field] for port in self._ports]
-        if self._id_field is not None:
-            needed.append(batch.columns[self._id_field])
+        needed += [batch.columns[field] for field in self._id_fields]
         complete = np.logical_and.reduce([column.present for column in needed])
         if not bool(complete.all()):
             batch = batch.take(complete)
@@ -291,15 +297,20 @@ class FunctionUnit(ComputationalUnit):
         values, present = self._function(self._objects(batch), batch.valid, *inputs)
         present = present & np.isfinite(values)
         columns = {self._output_field: Column(FieldType.FLOAT, values[present])}
-        if self._id_field is not None:
-            columns[self._id_field] = batch.columns[self._id_field].take(present)
+        for field, output in self._carried:
+            columns[output] = batch.columns[field].take(present)
         result = SampleBatch(batch.available[present], batch.valid[present], columns)
         self.output.offer(result)
 
     def _objects(self, batch: SampleBatch) -> Times:
-        if self._id_field is None:
+        """A number for each sample's object, or tuple of objects of an n-ary feature."""
+        columns = [batch.columns[f].values.astype(np.int64) for f in self._id_fields]
+        if not columns:
             return np.zeros(len(batch), np.int64)
-        return batch.columns[self._id_field].values.astype(np.int64)
+        if len(columns) == 1:
+            return columns[0]
+        tuples = zip(*(column.tolist() for column in columns), strict=True)
+        return np.array([self._keys.setdefault(key, len(self._keys)) for key in tuples], np.int64)
 
 
 class QueryUnit(ComputationalUnit):

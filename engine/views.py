@@ -167,3 +167,24 @@ class SubscriptionView:
     stream: str
     counters: Mapping[str, object]
     violations: str | None
+    adaptive: AdaptiveView | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class AdaptiveView:
+    """What an adaptive subscription is to, and how it is.
+
+    ``state`` is `State`'s text; ``reads`` are the streams and sources behind it, ``missing`` what
+    would have to be there for one that waits. Times in ns.
+    """
+
+    want: str
+    strategy: str
+    state: str
+    failure: str | None
+    reads: tuple[str, ...]
+    missing: tuple[str, ...]
+    staleness: int | None
+    quality: float
+    hold_off: int
+    rematches: int

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Mapping, Sequence
 
-from ..languages.ssl.annotation import StreamAnnotation
+from ..ontology.vocabulary import THING
 from ..rdf.namespaces import shorten
-from .fit import Fit, Roles
+from .fast import FastSearch
+from .goals import Answer, Ask, Goal, Goals, Offer, Through, why_not_convertible
 from .plan import Compute, Supply, UseStream, nodes_of
-from .search import MAX_DEPTH, Ask, Found, Input, Search, why_not_convertible
-from .space import TransformationDescription
+from .space import StreamDescription, TransformationDescription
+from .subject import Subjects, whose
 from .tree import Alternative, Outcome
-from .words import stream_words, unit_words, whose
+from .want import Want
+from .words import stream_words, unit_words
 
 LISTED = 20
 """Alternatives listed of one kind; of more, only the number is told."""
@@ -19,24 +21,201 @@ EXPLAINED_DEPTH = 12
 """Features on a path beyond which a failure is not taken apart further."""
 
 
-def alternatives(search: Search, supply: Supply | None) -> tuple[Alternative, ...]:
-    """All ways to the wanted feature: streams, then transformations, in the order of trying.
+class Explainer:
+    """Words for a match. A transformation that fails is explained where it is met first."""
 
-    With a complete supply what comes after the choice was not tried: that is what makes *fast*
-    fast. Streams are judged all the same, since a look suffices.
-    """
-    explainer = _Explainer(search)
-    streams = tuple(explainer.streams(search.top[0], supply))
-    units = tuple(explainer.units(search.top, frozenset(), supply))
-    return streams + units
+    def __init__(self, goals: Goals, search: FastSearch, chosen: Mapping[Goal, Answer]) -> None:
+        self._goals = goals
+        self._search = search
+        self._chosen = chosen
+        self._explained: set[tuple[str, Goal]] = set()
+
+    def alternatives(
+        self, want: Want, answered: Sequence[Goal], supply: Supply | None
+    ) -> tuple[Alternative, ...]:
+        """All ways to the wanted feature: streams, then transformations, in the order of trying.
+
+        With *fast*, what comes after the choice was not tried: that is what makes it fast. Streams
+        are judged all the same, since a look suffices.
+        """
+        top = self._goals.top(want)
+        self._explained.clear()
+        streams = tuple(self._streams(top, supply))
+        units = tuple(self._units(top, answered or (top,), supply))
+        return streams + units
+
+    def missing(self, want: Want, tree: tuple[Alternative, ...]) -> tuple[str, ...]:
+        """What would have to be there: the leaves of a tree without a plan, each once."""
+        if not tree:
+            return (_nothing_gives(want.feature),)
+        return tuple(dict.fromkeys(_leaves(tree)))[:LISTED]
+
+    # -- streams -----------------------------------------------------------------------------
+
+    def _streams(self, goal: Goal, supply: Supply | None) -> Iterator[Alternative]:
+        """Each stream with the feature: chosen, possible, or why not."""
+        goals = self._goals
+        chosen = _chosen_streams(supply)
+        found = {stream.name: stream for stream in goals.candidates(goal)}
+        if supply is None and len(found) < LISTED:
+            # Streams about other objects are no candidates, but they tell what there is.
+            space = goals.space
+            names = (n for f in goals.serving(goal.asks[0].feature) for n in space.holding(f))
+            found |= {name: space.streams[name] for name in names}
+        streams = sorted(
+            found.values(), key=lambda s: (s.name not in chosen, goals.space.place(s.name))
+        )
+        for stream in streams[:LISTED]:
+            serving = goals.serving(goal.asks[0].feature)
+            fields = [c.field for c in stream.contents if c.feature in serving]
+            text = stream_words(stream.name, stream.contents, fields, maker=stream.maker)
+            if stream.name in chosen:
+                yield Alternative(text, Outcome.CHOSEN)
+            else:
+                yield self._stream(stream, goal, text)
+        if len(streams) > LISTED:
+            more = len(streams) - LISTED
+            yield Alternative(f"{more} more streams", Outcome.UNTRIED, "not listed")
+
+    def _stream(self, stream: StreamDescription, goal: Goal, text: str) -> Alternative:
+        goals = self._goals
+        if stream.name in goals.without:
+            return Alternative(text, Outcome.FAILED, "it is silent, or has ended")
+        ask, subjects = goal.asks[0], goal.subjects
+        reasons: dict[str, None] = {}
+        for content, unit in zip(stream.contents, stream.units, strict=True):
+            if content.feature not in goals.serving(ask.feature) or not content.roles:
+                continue
+            reason = "" if not subjects else goals.sorts.why_not(content.roles[0], subjects[0])
+            reason = reason or why_not_convertible(unit, ask.unit)
+            if not reason:
+                whole = goals.sorts.holds(content.roles, subjects)
+                part = "" if whole else "some of the objects"
+                return Alternative(text, Outcome.POSSIBLE, part)
+            reasons[reason] = None
+        return Alternative(text, Outcome.FAILED, "; ".join(reasons))
+
+    # -- transformations ---------------------------------------------------------------------
+
+    def _units(
+        self, top: Goal, answered: Sequence[Goal], supply: Supply | None
+    ) -> Iterator[Alternative]:
+        """Each transformation that gives the feature: chosen, possible, not tried, or why not."""
+        chosen = _chosen_units(supply)
+        is_lazy = self._chosen is self._search.chosen and supply is not None and supply.complete
+        passed = is_lazy and not chosen
+        for unit in self._giving(top.asks[0]):
+            if unit.name in chosen:
+                passed = is_lazy
+                yield Alternative(unit_words(unit), Outcome.CHOSEN)
+            elif passed:
+                yield Alternative(unit_words(unit), Outcome.UNTRIED)
+            elif any(self._is_possible(unit, goal) for goal in answered):
+                yield Alternative(unit_words(unit), Outcome.POSSIBLE)
+            else:
+                yield self._unit(unit, answered[0], frozenset())
+
+    def _giving(self, ask: Ask) -> tuple[TransformationDescription, ...]:
+        return tuple(self._goals.producers(ask))
+
+    def _is_possible(self, unit: TransformationDescription, goal: Goal) -> bool:
+        return any(self._solves(goal, way) for way in self._goals.ways(goal) if _is_by(way, unit))
+
+    def _solves(self, goal: Goal, way: Answer) -> bool:
+        """All that ``way`` needs can be had without ``goal`` itself."""
+        assert not isinstance(way, Offer)
+        search = FastSearch(self._goals, blocked={goal})
+        return all(search.solve(need) for need in way.needs)
+
+    def _unit(
+        self, unit: TransformationDescription, goal: Goal, path: frozenset[Goal]
+    ) -> Alternative:
+        """Why this transformation gives nothing."""
+        text = unit_words(unit)
+        reason = self._no_answer(unit, goal)
+        if reason:
+            return Alternative(text, Outcome.FAILED, reason)
+        ways = [way for way in self._goals.ways(goal) if _is_by(way, unit)]
+        if not ways:
+            return Alternative(text, Outcome.FAILED, self._unclear(unit))
+        if (unit.name, goal) in self._explained:
+            return Alternative(text, Outcome.FAILED, "as said above")
+        if len(path) >= EXPLAINED_DEPTH:
+            return Alternative(text, Outcome.FAILED, "nothing further below gives its inputs")
+        self._explained.add((unit.name, goal))
+        below = path | {goal}
+        lacking: dict[Goal, Alternative] = {}
+        way = min(ways, key=lambda way: sum(not self._search.solve(need) for need in way.needs))
+        for need in way.needs:
+            for ask in need.asks:
+                single = need._replace(asks=(ask,))
+                if single in below:
+                    return Alternative(
+                        text, Outcome.FAILED, "a feature would stand twice on the path"
+                    )
+                if not FastSearch(self._goals, blocked=below).solve(single):
+                    lacking[single] = self._lacking(single, below)
+        if not lacking:
+            return Alternative(text, Outcome.FAILED, "a feature would stand twice on the path")
+        return Alternative(text, Outcome.FAILED, "", tuple(lacking.values()))
+
+    def _lacking(self, goal: Goal, path: frozenset[Goal]) -> Alternative:
+        """An input that nothing gives."""
+        feature = goal.asks[0].feature
+        text = f"{shorten(feature)} of {whose(goal.subjects)}"
+        parts = [
+            *self._streams(goal, None),
+            *(self._unit(unit, goal, path) for unit in self._giving(goal.asks[0])),
+        ]
+        failed = tuple(
+            part
+            if part.outcome is Outcome.FAILED
+            else Alternative(part.text, Outcome.FAILED, "it holds only some of the objects")
+            for part in parts
+        )
+        return Alternative(text, Outcome.FAILED, "" if failed else _nothing_gives(feature), failed)
+
+    def _no_answer(self, unit: TransformationDescription, goal: Goal) -> str:
+        """Why its output is not what is wanted, whatever it is fed with; empty if it is."""
+        if unit.lacks:
+            return unit.lacks
+        reason = why_not_convertible(unit.output_unit, goal.asks[0].unit)
+        if reason:
+            return reason
+        for argument, subject in zip(unit.arguments, goal.subjects, strict=False):
+            if argument.object is not None:
+                object = self._goals.sorts.canonical(argument.object)
+                if subject.object != object:
+                    return f"it speaks of {shorten(object)}, not of {subject}"
+            elif not self._goals.sorts.belongs(subject, argument.sort or THING):
+                return _of_another_sort(unit, argument.sort or THING, goal.subjects)
+        return ""
+
+    def _unclear(self, unit: TransformationDescription) -> str:
+        """Why no choice of what it takes besides the objects of its output is possible."""
+        own = {a.variable for a in unit.arguments if a.id_field is None}
+        sorts = dict.fromkeys(
+            shorten(argument.sort or THING)
+            for port in unit.inputs
+            for argument in port.arguments
+            if argument.object is None and argument.variable not in own
+        )
+        if not sorts:
+            return "its inputs speak of other objects than its output"
+        names = " and ".join(sorts)
+        return f"no single {names} is known for its inputs: name one, or say what self is"
 
 
-def missing(search: Search, tree: tuple[Alternative, ...]) -> tuple[str, ...]:
-    """What would have to be there: the leaves of a tree without a plan, each once."""
-    if not tree:
-        return (_Explainer(search).nothing_gives(search.want.feature),)
-    leaves = dict.fromkeys(_leaves(tree))
-    return tuple(leaves)[:LISTED]
+def _is_by(way: Answer, unit: TransformationDescription) -> bool:
+    return isinstance(way, Through) and way.unit is unit
+
+
+def _of_another_sort(unit: TransformationDescription, sort: str, subjects: Subjects) -> str:
+    return f"it is for every {shorten(sort)}, and what is wanted is for {whose(subjects)}"
+
+
+def _nothing_gives(feature: str) -> str:
+    return f"no stream and no transformation gives {shorten(feature)}"
 
 
 def _leaves(tree: tuple[Alternative, ...]) -> Iterator[str]:
@@ -49,152 +228,10 @@ def _leaves(tree: tuple[Alternative, ...]) -> Iterator[str]:
             yield alternative.reason if own else f"{name}: {alternative.reason}"
 
 
-class _Explainer:
-    """Words for one search. A transformation that fails is explained where it is met first."""
-
-    def __init__(self, search: Search) -> None:
-        self._search = search
-        self._explained: set[int] = set()
-        # Also what feeds only one of several inputs: that is what there is to explain.
-        there = dict.fromkeys(search.roles())
-        for position in search.relevant:
-            for input in search.ask_at(position):
-                there |= dict.fromkeys(search.offers((input,)))
-        # In order, since the first of several is named.
-        self._roles = [roles for roles in there if search.sorts.fit(roles)[0] is not Fit.NOT]
-        self._allowed = frozenset(self._roles)
-
-    def streams(self, input: Input, supply: Supply | None) -> Iterator[Alternative]:
-        """Each stream with the feature: chosen, possible, or why not."""
-        search = self._search
-        chosen = _chosen_streams(supply)
-        positions = list(search.candidates(input.feature))
-        if supply is None and len(positions) < LISTED:
-            # Streams about other objects are no candidates, but they tell what there is.
-            index = search.space.streams_by_feature
-            others = (p for name in search.serving(input.feature) for p in index.get(name, ()))
-            positions = list(dict.fromkeys((*positions, *others)))
-        positions.sort(key=lambda position: search.space.streams[position].stream not in chosen)
-        for position in positions[:LISTED]:
-            annotation = search.space.streams[position]
-            fields = tuple(
-                content.field
-                for content in annotation.contents
-                if content.feature in search.serving(input.feature)
-            )
-            text = stream_words(annotation.stream, annotation.contents, fields)
-            if annotation.stream in chosen:
-                yield Alternative(text, Outcome.CHOSEN)
-            else:
-                yield self._stream(annotation, input, text)
-        if len(positions) > LISTED:
-            more = len(positions) - LISTED
-            yield Alternative(f"{more} more streams", Outcome.UNTRIED, "not listed")
-
-    def _stream(self, annotation: StreamAnnotation, input: Input, text: str) -> Alternative:
-        reasons: dict[str, None] = {}
-        for content in annotation.contents:
-            if content.feature not in self._search.serving(input.feature):
-                continue
-            fit, reason = self._search.sorts.fit(content.roles)
-            reason = reason or why_not_convertible(content.unit, input.unit)
-            if not reason:
-                part = "" if fit is Fit.WHOLLY else "some of the objects"
-                return Alternative(text, Outcome.POSSIBLE, part)
-            reasons[reason] = None
-        return Alternative(text, Outcome.FAILED, "; ".join(reasons))
-
-    def units(self, ask: Ask, path: frozenset[str], supply: Supply | None) -> Iterator[Alternative]:
-        """Each transformation that gives the feature: chosen, possible, not tried, or why not."""
-        search = self._search
-        chosen = _chosen_units(supply)
-        direct = supply is not None and supply.complete and not chosen
-        passed = False
-        for position in search.producers(ask):
-            unit = search.space.transformations[position]
-            if unit.name in chosen:
-                passed = True
-                yield Alternative(unit_words(unit), Outcome.CHOSEN)
-            elif direct or (passed and supply is not None and supply.complete):
-                yield Alternative(unit_words(unit), Outcome.UNTRIED)
-            elif search.through(ask, position, self._allowed, path) is not None:
-                yield Alternative(unit_words(unit), Outcome.POSSIBLE)
-            else:
-                yield self._unit(ask, position, path)
-        for name in search.serving(ask[0].feature):
-            for position in search.space.transformations_by_output.get(name, ()):
-                unit = search.space.transformations[position]
-                if position not in search.producers(ask):
-                    yield Alternative(unit_words(unit), Outcome.FAILED, _no_answer(unit, ask))
-
-    def _unit(self, ask: Ask, position: int, path: frozenset[str]) -> Alternative:
-        """Why this transformation gives nothing."""
-        search = self._search
-        unit = search.space.transformations[position]
-        text = unit_words(unit)
-        below = search.step(ask, position, path)
-        if below is None:
-            return Alternative(text, Outcome.FAILED, "a feature would stand twice on the path")
-        if position in self._explained:
-            return Alternative(text, Outcome.FAILED, "as said above")
-        if len(path) >= EXPLAINED_DEPTH:
-            return Alternative(text, Outcome.FAILED, "nothing further below gives its inputs")
-        self._explained.add(position)
-        lacking = []
-        answers: list[dict[Roles, Found]] = []
-        for input in search.ask_at(position):
-            found = {
-                roles: answer
-                for roles in self._roles
-                if (answer := search.find((input,), frozenset((roles,)), below)) is not None
-            }
-            answers.append(found)
-            if not found:
-                lacking.append(self._lacking(input, below))
-        if lacking:
-            return Alternative(text, Outcome.FAILED, "", tuple(lacking))
-        return Alternative(text, Outcome.FAILED, self._apart(unit, answers))
-
-    def _lacking(self, input: Input, path: frozenset[str]) -> Alternative:
-        """An input that nothing gives."""
-        parts = (*self.streams(input, None), *self.units((input,), path, None))
-        failed = tuple(part for part in parts if part.outcome is Outcome.FAILED)
-        reason = "" if failed else self.nothing_gives(input.feature)
-        return Alternative(shorten(input.feature), Outcome.FAILED, reason, failed)
-
-    def _apart(self, unit: TransformationDescription, answers: list[dict[Roles, Found]]) -> str:
-        """Why inputs that can all be had do not come together."""
-        common = [roles for roles in answers[0] if all(roles in found for found in answers)]
-        if not common:
-            pairs = (
-                f"{shorten(port.feature)} of {whose(next(iter(found)))}"
-                for port, found in zip(unit.inputs, answers, strict=True)
-            )
-            return f"its inputs speak of different objects: {', '.join(pairs)}"
-        fed = [roles for roles in common if self._search.takes(unit, roles)]
-        if not fed:
-            return (
-                f"it is for every {shorten(unit.sort)}, "
-                f"and its input would be for {whose(common[0])}"
-            )
-        if len(answers) == 1:
-            return f"more than {MAX_DEPTH} transformations would stand on one path"
-        names = dict.fromkeys(_stream_name(found[fed[0]]) for found in answers)
-        return f"needs synchronization of {' and '.join(names)}, which are different streams"
-
-    def nothing_gives(self, feature: str) -> str:
-        reason = f"no stream and no transformation gives {shorten(feature)}"
-        sources = self._search.space.sources_by_feature.get(feature, ())
-        if sources:
-            name = self._search.space.sources[sources[0]].name
-            reason += f" (source {name} would, but sources are not started on demand)"
-        return reason
-
-
-def _chosen_streams(supply: Supply | None) -> set[str]:
+def _chosen_streams(supply: Supply | None) -> Collection[str]:
     """The streams in which the wanted feature itself was found."""
     if supply is None:
-        return set()
+        return ()
     return {
         node.stream
         for source in supply.sources
@@ -204,24 +241,14 @@ def _chosen_streams(supply: Supply | None) -> set[str]:
     }
 
 
-def _chosen_units(supply: Supply | None) -> set[str]:
+def _chosen_units(supply: Supply | None) -> Collection[str]:
+    """The transformations whose units give the wanted feature."""
     if supply is None:
-        return set()
-    nodes = (source.node for source in supply.sources)
-    return {node.transformation for node in nodes if isinstance(node, Compute)}
-
-
-def _no_answer(unit: TransformationDescription, ask: Ask) -> str:
-    if not unit.inputs:
-        return "it has no inputs: sources are not started on demand"
-    reasons = (why_not_convertible(unit.output.unit, input.unit) for input in ask)
-    return next((reason for reason in reasons if reason), "it gives only a part of what is needed")
-
-
-def _stream_name(found: Found) -> str:
-    """The stream an answer stands in: an existing one, or the output of a unit."""
-    nodes = list(nodes_of(found.node))
-    last = nodes[-1]
-    if isinstance(last, Compute):
-        return f"the output of {last.transformation}"
-    return next(node.stream for node in nodes if isinstance(node, UseStream))
+        return ()
+    lasts = (list(nodes_of(source.node)) for source in supply.sources)
+    return {
+        last.transformation
+        for nodes in lasts
+        for last in [next((n for n in reversed(nodes) if isinstance(n, Compute)), None)]
+        if last is not None
+    }

@@ -1,7 +1,7 @@
 """Semantic matching: a wanted feature in, the streams and units that give it out.
 
-[Introspection15 §4.3]. The strategy *fast* takes the first valid plan that depth-first search
-finds (the order is `search`'s). The engine calls `match_all` with what a query needs.
+[Introspection15 §4.3]. The engine calls `match_all` with what a query or a subscription needs;
+docs/design/0003-semantic-matching.md says how it works.
 
 How much of what was wanted: one stream (or unit) that holds every wanted object is a complete
 supply. Where there is none, each stream that holds some of them is a source, and together they
@@ -12,143 +12,156 @@ no sample counts twice.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Set as AbstractSet
+from dataclasses import dataclass
 
+from ..ontology.units import parse_unit
 from ..ontology.vocabulary import Vocabulary
-from .explain import alternatives, missing
-from .fit import Fit, Roles
-from .plan import Supply, SupplySource
+from .building import Builder, make_port
+from .explain import Explainer
+from .fast import FastSearch
+from .goals import Answer, Goal, Goals
+from .plan import Node, Supply, SupplySource
 from .render import render
-from .search import Found, Search
 from .space import StreamSpace
+from .strategy import Kind, Strategy, UnknownStrategy
+from .subject import Sorts, Subject
 from .tree import Alternative, Match, Outcome
 from .want import Want
+from .weigh import weigh
 
 __all__ = [
-    "STRATEGIES",
     "Alternative",
     "Match",
     "Outcome",
+    "Strategy",
     "UnknownStrategy",
     "match",
     "match_all",
     "render",
 ]
 
-STRATEGIES = ("fast",)
-
-
-class UnknownStrategy(ValueError):
-    """A strategy that there is not; ``known`` are those there are."""
-
-    def __init__(self, strategy: str) -> None:
-        super().__init__(f"there is no strategy {strategy!r}; there is: {', '.join(STRATEGIES)}")
-        self.strategy = strategy
-        self.known = STRATEGIES
-
 
 def match(want: Want, space: StreamSpace, vocabulary: Vocabulary, strategy: str = "fast") -> Match:
-    """The first supply that depth-first search finds, or what is missing.
-
-    Raises `UnknownStrategy`. Law: the same arguments give the equal match.
-    """
-    _check(strategy)
-    return _match(want, space, vocabulary, strategy, {})
+    """The supply that the strategy chooses, or what is missing; see `match_all`."""
+    (found,) = match_all([want], space, vocabulary, strategy)
+    return found
 
 
 def match_all(
-    wants: Sequence[Want], space: StreamSpace, vocabulary: Vocabulary, strategy: str = "fast"
+    wants: Sequence[Want],
+    space: StreamSpace,
+    vocabulary: Vocabulary,
+    strategy: str = "fast",
+    *,
+    without: AbstractSet[str] = frozenset(),
+    is_running: Callable[[Node], bool] = lambda _: False,
+    explained: bool = True,
 ) -> tuple[Match, ...]:
-    """A match a want, in order; a stream that serves several of them goes before others.
+    """A match a want, in order. What several wants need is made once: with *cost* it counts once,
+    with *fast* a stream that serves several goes before others.
 
-    Raises `UnknownStrategy`.
+    ``without`` names streams and transformations that are not to be used; ``is_running`` says of
+    a selection whether there is a unit for it, which costs nothing more. Without ``explained`` the
+    trees are left out. Raises `UnknownStrategy`. Law: the same arguments give equal matches.
     """
-    _check(strategy)
-    favoured = _favoured(wants, space, vocabulary)
-    return tuple(
-        _match(want, space, vocabulary, strategy, favoured[want.wanted_sort, want.object])
-        for want in wants
-    )
+    chosen = Strategy.parse(strategy)
+    favoured = _favoured(wants, space, vocabulary, without)
+    goals = Goals(space, vocabulary, without=without, favoured=favoured)
+    search = FastSearch(goals)
+    needed = [_needed(goals, search, want) for want in dict.fromkeys(wants)]
+    answers, proven = _choose(goals, search, needed, chosen, is_running)
+    builder = Builder(answers, goals.sorts)
+    explainer = Explainer(goals, search, answers)
+    found = {}
+    for need in needed:
+        supply = _supply(need, builder)
+        if supply is None and need.goals:
+            reason = f"more than {MAX_DEPTH} transformations would stand on one path"
+            found[need.want] = Match(need.want, str(chosen), None, (), (reason,), proven)
+            continue
+        tree = explainer.alternatives(need.want, need.goals, supply) if explained else ()
+        reasons = explainer.missing(need.want, tree) if supply is None and explained else ()
+        found[need.want] = Match(need.want, str(chosen), supply, tree, reasons, proven)
+    return tuple(found[want] for want in wants)
 
 
-def _check(strategy: str) -> None:
-    if strategy not in STRATEGIES:
-        raise UnknownStrategy(strategy)
+MAX_DEPTH = 200
+"""Transformations on a path of a plan, at most: a unit calls the next one."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Needed:
+    """The goals that together give a want: one for all of it, or several for parts."""
+
+    want: Want
+    goals: tuple[Goal, ...]
+    complete: bool
 
 
 def _favoured(
-    wants: Sequence[Want], space: StreamSpace, vocabulary: Vocabulary
-) -> Mapping[tuple[str, str | None], Mapping[int, int]]:
-    """For each sort and object wanted: how many of its features each stream holds."""
-    groups: dict[tuple[str, str | None], list[Want]] = {}
-    for want in dict.fromkeys(wants):
-        groups.setdefault((want.wanted_sort, want.object), []).append(want)
-    favoured: dict[tuple[str, str | None], Mapping[int, int]] = {}
-    for key, group in groups.items():
-        counts: Counter[int] = Counter()
-        # A single want has nothing to share.
-        for want in group if len(group) > 1 else ():
-            search = Search(want, space, vocabulary)
-            counts.update(
-                {
-                    offer.position
-                    for offer in search.all_offers(search.top)
-                    if search.sorts.fit(offer.contents[0].roles)[0] is Fit.WHOLLY
-                }
-            )
-        favoured[key] = counts
-    return favoured
+    wants: Sequence[Want], space: StreamSpace, vocabulary: Vocabulary, without: AbstractSet[str]
+) -> Mapping[str, int]:
+    """How many of several wants each stream serves wholly by itself."""
+    counts: Counter[str] = Counter()
+    distinct = tuple(dict.fromkeys(wants))
+    if len(distinct) > 1:
+        goals = Goals(space, vocabulary, without=without)
+        for want in distinct:
+            counts.update({offer.stream.name for offer in goals.offers(goals.top(want))})
+    return counts
 
 
-def _match(
-    want: Want,
-    space: StreamSpace,
-    vocabulary: Vocabulary,
-    strategy: str,
-    favoured: Mapping[int, int],
-) -> Match:
-    search = Search(want, space, vocabulary, favoured)
-    supply = _supply(search)
-    tree = alternatives(search, supply)
-    return Match(want, strategy, supply, tree, missing(search, tree) if supply is None else ())
+def _needed(goals: Goals, search: FastSearch, want: Want) -> _Needed:
+    whole = goals.top(want)
+    if search.solve(whole):
+        return _Needed(want, (whole,), complete=True)
+    parts = [part for part in goals.parts(whole) if search.solve(part)]
+    return _Needed(want, tuple(_widest(goals.sorts, parts)), complete=False)
 
 
-def _supply(search: Search) -> Supply | None:
-    fits = {roles: search.sorts.fit(roles)[0] for roles in search.roles()}
-    wholly = frozenset(roles for roles, fit in fits.items() if fit is Fit.WHOLLY)
-    found = search.find(search.top, wholly) if wholly else None
-    if found is not None:
-        return Supply(search.want, (_source(found),), complete=True)
-    partly = {}
-    for roles, fit in fits.items():
-        if fit is Fit.PARTLY and search.possible(search.top, roles):
-            found = search.find(search.top, frozenset((roles,)))
-            if found is not None:
-                partly[roles] = found
-    sources = tuple(_source(partly[roles]) for roles in _widest(search, tuple(partly)))
-    return Supply(search.want, sources, complete=False) if sources else None
-
-
-def _widest(search: Search, found: Sequence[Roles]) -> Sequence[Roles]:
+def _widest(sorts: Sorts, parts: Sequence[Goal]) -> Sequence[Goal]:
     """Those whose objects no other covers; of equals the first."""
-    covers = search.sorts.covers
-    place = {roles: i for i, roles in enumerate(found)}
     # Only a sort can cover more than itself, and sorts are few where objects may be many.
-    wide = [roles for roles in found if roles[0].object is None]
-    first: dict[tuple[str | None, ...], Roles] = {}
-    for roles in found:
-        first.setdefault(tuple(role.object for role in roles), roles)
+    wide = [(i, part.subjects[0]) for i, part in enumerate(parts) if part.subjects[0].sort]
 
-    def is_covered(roles: Roles) -> bool:
-        same = first[tuple(role.object for role in roles)]
+    def is_covered(place: int, subject: Subject) -> bool:
         return any(
-            covers(other, roles) and (place[other] < place[roles] or not covers(roles, other))
-            for other in (*wide, same)
-            if other != roles
+            i != place
+            and sorts.covers(other, subject)
+            and (i < place or not sorts.covers(subject, other))
+            for i, other in wide
         )
 
-    return [roles for roles in found if not is_covered(roles)]
+    return [part for i, part in enumerate(parts) if not is_covered(i, part.subjects[0])]
 
 
-def _source(found: Found) -> SupplySource:
-    return SupplySource(found.node, found.ports[0], found.roles)
+def _choose(
+    goals: Goals,
+    search: FastSearch,
+    needed: Sequence[_Needed],
+    strategy: Strategy,
+    is_running: Callable[[Node], bool],
+) -> tuple[Mapping[Goal, Answer], bool]:
+    roots = [goal for need in needed for goal in need.goals]
+    if strategy.kind is Kind.FAST or not roots:
+        return search.chosen, True
+    weighed = weigh(goals, roots, strategy, is_running)
+    assert weighed is not None, "each of them has an answer"
+    return weighed.chosen, weighed.proven
+
+
+def _supply(need: _Needed, builder: Builder) -> Supply | None:
+    """The plans for the goals; None where there are none, or one is too deep."""
+    found = [builder.build(goal) for goal in need.goals]
+    if not found or max(each.depth for each in found) > MAX_DEPTH:
+        return None
+    sources = []
+    for goal, each in zip(need.goals, found, strict=True):
+        (ask,) = goal.asks
+        (output,) = each.outputs
+        unit = output.unit if ask.unit is None else parse_unit(ask.unit)
+        port = make_port(output, need.want.feature, unit)
+        sources.append(SupplySource(each.node, port, each.roles))
+    return Supply(need.want, tuple(sources), need.complete)

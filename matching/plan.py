@@ -9,12 +9,26 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import TypeAlias, assert_never
 
 from ..languages.ssl.annotation import Content, PortAnnotation, Role, StreamAnnotation
 from ..ontology.units import Conversion, Unit, format_unit
 from .want import Want
+
+
+class _Hashed:
+    """Keeps its hash: a plan shares nodes, and would else be walked along every path."""
+
+    __slots__ = ("_hash",)
+
+    def __hash__(self) -> int:
+        try:
+            return self._hash  # type: ignore[attr-defined,no-any-return]
+        except AttributeError:
+            values = tuple(getattr(self, field.name) for field in fields(self))  # type: ignore[arg-type]
+            object.__setattr__(self, "_hash", hash((type(self).__name__, values)))
+            return self._hash  # type: ignore[attr-defined,no-any-return]
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +43,7 @@ class UseStream:
 
 
 @dataclass(frozen=True, slots=True)
-class SelectObject:
+class SelectObject(_Hashed):
     """The samples of ``source`` whose ``id_field`` names ``object`` (an IRI).
 
     Same fields, same order: a filter. [Events14 §V.C]: "filters this stream for coordinate
@@ -39,6 +53,8 @@ class SelectObject:
     source: Node
     id_field: str
     object: str
+
+    __hash__ = _Hashed.__hash__
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,28 +74,56 @@ class Port:
 
 
 @dataclass(frozen=True, slots=True)
-class Edge:
-    """What a unit takes from one node's stream."""
+class Edge(_Hashed):
+    """What a unit takes from one node's stream, and whose features they are."""
 
     node: Node
     ports: tuple[Port, ...]
+    roles: tuple[Role, ...]
+
+    __hash__ = _Hashed.__hash__
+
+    @property
+    def id_fields(self) -> tuple[str, ...]:
+        """The fields of the stream that tell the objects apart."""
+        return tuple(role.id_field for role in self.roles if role.id_field is not None)
 
 
 @dataclass(frozen=True, slots=True)
-class Compute:
+class Synchronize(_Hashed):
+    """For each object the latest values of several streams together, whenever one has a new one.
+
+    The join of [DyKnow10 Def. 5.11], object by object. What an input holds of a single object is
+    for each of the others. Its stream has the ``target_field`` of each port, in ``target`` units,
+    and the id fields of ``roles``, which are those of what is held of many objects.
+    """
+
+    inputs: tuple[Edge, ...]
+    roles: tuple[Role, ...]
+
+    __hash__ = _Hashed.__hash__
+
+
+@dataclass(frozen=True, slots=True)
+class Compute(_Hashed):
     """A unit made from ``transformation``. It keeps apart the objects that its inputs speak of.
 
-    ``roles`` are those of its inputs: the objects pass through. Its stream has their id fields
-    (none where the object is constant) and ``output.field``.
+    ``inputs`` is one edge, or none for a source. ``roles`` say whose its output is: the objects of
+    its inputs, or those that it finds itself. Its stream has their id fields (none where the
+    object is constant) and ``output.field``; ``carried`` are pairs of an id field of the input and
+    the id field of the output that takes it over.
     """
 
     transformation: str
     inputs: tuple[Edge, ...]
     output: PortAnnotation
     roles: tuple[Role, ...]
+    carried: tuple[tuple[str, str], ...] = ()
+
+    __hash__ = _Hashed.__hash__
 
 
-Node: TypeAlias = UseStream | SelectObject | Compute
+Node: TypeAlias = UseStream | SelectObject | Synchronize | Compute
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,25 +170,30 @@ def contents_of(node: Node) -> tuple[Content, ...]:
                 replace(content, roles=_select(content.roles, id_field, object))
                 for content in contents_of(source)
             )
-        case Compute(_, _, output, roles):
+        case Synchronize(inputs, roles):
+            return tuple(
+                Content(port.feature, port.target_field, port.target, _tuple_roles(edge, roles))
+                for edge in inputs
+                for port in edge.ports
+            )
+        case Compute(_, _, output, roles, _):
             return (Content(output.feature, output.field, output.unit, roles),)
         case _:
             assert_never(node)
+
+
+def _tuple_roles(edge: Edge, kept: tuple[Role, ...]) -> tuple[Role, ...]:
+    """Whose a part of a tuple is: many objects are named by the tuple's own id fields."""
+    many = iter(kept)
+    return tuple(
+        next(many) if role.object is None else Role(None, role.object, None) for role in edge.roles
+    )
 
 
 def _select(roles: tuple[Role, ...], id_field: str, object: str) -> tuple[Role, ...]:
     return tuple(
         replace(role, object=object) if role.id_field == id_field else role for role in roles
     )
-
-
-def id_field_of(node: Node) -> str | None:
-    """The field of ``node``'s stream that names the object; None where the object is constant."""
-    for content in contents_of(node):
-        for role in content.roles:
-            if role.id_field is not None:
-                return role.id_field
-    return None
 
 
 def annotation_of(node: Node, stream: str = "") -> StreamAnnotation:
@@ -155,7 +204,7 @@ def annotation_of(node: Node, stream: str = "") -> StreamAnnotation:
     """
     name = node.stream if isinstance(node, UseStream) else stream
     contents = contents_of(node)
-    return StreamAnnotation(name, contents, _ssl(name, contents))
+    return StreamAnnotation(name, contents, ssl_of(name, contents))
 
 
 def wanted_annotation(supply: Supply, source: SupplySource, stream: str = "") -> StreamAnnotation:
@@ -167,22 +216,37 @@ def wanted_annotation(supply: Supply, source: SupplySource, stream: str = "") ->
     name = source.node.stream if isinstance(source.node, UseStream) else stream
     port = source.port
     contents = (Content(supply.want.feature, port.source_field, port.source, source.roles),)
-    return StreamAnnotation(name, contents, _ssl(name, contents))
+    return StreamAnnotation(name, contents, ssl_of(name, contents))
 
 
 def nodes_of(node: Node) -> Iterator[Node]:
-    """``node`` and all below it, inputs first (the order in which units can be started)."""
+    """``node`` and all below it, each once, inputs first (the order in which units can be
+    started)."""
+    seen: set[Node] = set()
+    waiting = [node]
+    while waiting:
+        last = waiting[-1]
+        missing = [below for below in below_of(last) if below not in seen]
+        if missing:
+            waiting += reversed(missing)
+            continue
+        waiting.pop()
+        if last not in seen:
+            seen.add(last)
+            yield last
+
+
+def below_of(node: Node) -> tuple[Node, ...]:
+    """The nodes whose streams ``node`` reads."""
     match node:
         case UseStream():
-            pass
+            return ()
         case SelectObject(source):
-            yield from nodes_of(source)
-        case Compute(_, inputs):
-            for edge in inputs:
-                yield from nodes_of(edge.node)
+            return (source,)
+        case Compute(_, inputs) | Synchronize(inputs):
+            return tuple(edge.node for edge in inputs)
         case _:
             assert_never(node)
-    yield node
 
 
 def streams_of(supply: Supply) -> tuple[str, ...]:
@@ -201,7 +265,7 @@ def local_name(iri: str) -> str:
     return re.split(r"[/#]", iri)[-1]
 
 
-def _ssl(stream: str, contents: tuple[Content, ...]) -> str:
+def ssl_of(stream: str, contents: tuple[Content, ...]) -> str:
     features = []
     entities: dict[str, str] = {}
     every = False

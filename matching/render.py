@@ -6,8 +6,16 @@ from collections.abc import Sequence
 from typing import assert_never
 
 from ..ontology.units import format_unit
-from ..rdf.namespaces import shorten
-from .plan import Compute, Node, Port, SelectObject, SupplySource, UseStream, local_name
+from .plan import (
+    Compute,
+    Node,
+    Port,
+    SelectObject,
+    SupplySource,
+    Synchronize,
+    UseStream,
+    local_name,
+)
 from .tree import Alternative, Match, Outcome
 from .want import Want
 from .words import conversion_words, stream_words
@@ -38,12 +46,9 @@ def render(match: Match) -> str:
 
 
 def _title(want: Want, sources: Sequence[SupplySource]) -> str:
-    if want.object is not None:
-        whose = shorten(want.object)
-    else:
-        whose = f"every {shorten(want.wanted_sort)}"
     unit = sources[0].port.target if sources else ()
-    return f"{local_name(want.feature)} of {whose}" + (f" [{format_unit(unit)}]" if unit else "")
+    text = f"{local_name(want.feature)} of {want.whose}"
+    return text + (f" [{format_unit(unit)}]" if unit else "")
 
 
 def _indented(block: list[str], last: bool) -> list[str]:
@@ -65,9 +70,14 @@ def _node(node: Node, ports: tuple[Port, ...]) -> list[str]:
         case SelectObject(source, id_field, object):
             head = f"select {id_field} = {local_name(object)}"
             return [head, *_indented(_node(source, ports), last=True)]
+        case Synchronize(inputs):
+            block = ["synchronize"]
+            for place, edge in enumerate(inputs):
+                block += _indented(_node(edge.node, edge.ports), place == len(inputs) - 1)
+            return block
         case Compute(transformation, inputs, output):
             names = [local_name(port.feature) for edge in inputs for port in edge.ports]
-            head = f"{transformation} : {', '.join(names)} ⇒ {local_name(output.feature)}"
+            head = f"{transformation} : {', '.join(names) or '∅'} ⇒ {local_name(output.feature)}"
             changes = ", ".join(filter(None, map(conversion_words, ports)))
             block = [f"{head}   ({changes})" if changes else head]
             for place, edge in enumerate(inputs):

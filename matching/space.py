@@ -1,35 +1,37 @@
-"""What there is to match against: annotated streams, sources, transformations.
+"""What there is to match against: annotated streams and transformations ([Introspection15 §4.1]).
 
-A `StreamSpace` is an immutable snapshot that the engine makes for a match; its
-indexes make a match cost what is relevant, not what exists.
+The engine keeps one `StreamSpace` equal to the running system, change by change; its indexes make
+a match cost what is relevant, not what exists.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections import defaultdict
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from types import MappingProxyType
-from typing import TypeVar
 
 from ..languages.ssl.annotation import (
+    Argument,
+    Content,
     PortAnnotation,
     SourceAnnotation,
     StreamAnnotation,
     TransformationAnnotation,
 )
-from ..ontology.vocabulary import THING
+from ..ontology.units import Unit, format_unit
+from ..ontology.vocabulary import SELF
 
-_Key = TypeVar("_Key")
+ITSELF = (Argument("self", None, SELF),)
+"""Whose a feature is that a source gives without saying so."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class TransformationDescription:
-    """``name : inputs ⇒ output`` for objects of ``sort`` ([Introspection15 §4.3]).
+    """``name : inputs ⇒ output`` ([Introspection15 §4.3]); a source has no inputs.
 
-    The object passes through: what the inputs say of an object, the output says of the same one.
-    ``cost`` (of one more unit) and ``quality`` (0..1, of its output) are for the strategies that
-    weigh plans.
+    ``cost`` is that of one more unit, ``quality`` (0..1) that of its output, given perfect inputs.
+    ``lacks`` says why no unit can be made of it (empty: one can).
     """
 
     name: str
@@ -37,60 +39,166 @@ class TransformationDescription:
     output: PortAnnotation
     cost: float = 1.0
     quality: float = 1.0
-    sort: str = THING
+    lacks: str = ""
 
     @classmethod
     def of(
-        cls, annotation: TransformationAnnotation, cost: float = 1.0, quality: float = 1.0
+        cls,
+        annotation: TransformationAnnotation | SourceAnnotation,
+        cost: float = 1.0,
+        quality: float = 1.0,
+        lacks: str = "",
     ) -> TransformationDescription:
-        """From an SSL ``compunit`` annotation: for objects of every sort."""
-        return cls(annotation.name, annotation.inputs, annotation.output, cost, quality)
+        """From a checked annotation."""
+        inputs = annotation.inputs if isinstance(annotation, TransformationAnnotation) else ()
+        return cls(annotation.name, inputs, annotation.output, cost, quality, lacks)
+
+    @cached_property
+    def arguments(self) -> tuple[Argument, ...]:
+        """Whose feature the output is; nothing: of whatever the inputs speak of."""
+        if self.output.arguments:
+            return self.output.arguments
+        if not self.inputs:
+            return ITSELF
+        return next((port.arguments for port in self.inputs if port.arguments), ())
+
+    @cached_property
+    def output_unit(self) -> str:
+        return unit_text(self.output.unit)
+
+    @cached_property
+    def input_units(self) -> tuple[str, ...]:
+        return tuple(unit_text(port.unit) for port in self.inputs)
 
 
 @dataclass(frozen=True)
-class StreamSpace:
-    """The streams, transformations and sources there are, each in the order of registration.
+class StreamDescription:
+    """A stream, what it contains, how good it is (0..1) and what one more reader of it costs.
 
-    That order is the order in which matching tries them. A stream with two annotations is there
-    twice. Sources provide a feature of ``self``; matching does not start them yet.
+    ``maker`` is the transformation whose unit makes it; empty for a stream from outside.
     """
 
-    streams: tuple[StreamAnnotation, ...] = ()
-    transformations: tuple[TransformationDescription, ...] = ()
-    sources: tuple[SourceAnnotation, ...] = ()
+    name: str
+    contents: tuple[Content, ...]
+    quality: float = 1.0
+    cost: float = 0.0
+    maker: str = ""
+
+    @classmethod
+    def of(
+        cls, annotation: StreamAnnotation, quality: float = 1.0, cost: float = 0.0
+    ) -> StreamDescription:
+        """From a checked annotation."""
+        return cls(annotation.stream, annotation.contents, quality, cost)
 
     @cached_property
-    def streams_by_feature(self) -> Mapping[str, tuple[int, ...]]:
-        """Positions in ``streams`` by each feature (IRI) that the stream contains."""
-        return _index(
-            (content.feature, position)
-            for position, stream in enumerate(self.streams)
-            for content in stream.contents
-        )
-
-    @cached_property
-    def streams_by_object(self) -> Mapping[tuple[str, str | None], tuple[int, ...]]:
-        """Positions in ``streams`` by (feature, object); object None for features of sorts."""
-        return _index(
-            ((content.feature, role.object), position)
-            for position, stream in enumerate(self.streams)
-            for content in stream.contents
-            for role in content.roles
-        )
-
-    @cached_property
-    def transformations_by_output(self) -> Mapping[str, tuple[int, ...]]:
-        """Positions in ``transformations`` by output feature (IRI)."""
-        return _index((t.output.feature, i) for i, t in enumerate(self.transformations))
-
-    @cached_property
-    def sources_by_feature(self) -> Mapping[str, tuple[int, ...]]:
-        """Positions in ``sources`` by feature (IRI)."""
-        return _index((s.output.feature, i) for i, s in enumerate(self.sources))
+    def units(self) -> tuple[str, ...]:
+        """The units of ``contents``, as texts."""
+        return tuple(unit_text(content.unit) for content in self.contents)
 
 
-def _index(pairs: Iterable[tuple[_Key, int]]) -> Mapping[_Key, tuple[int, ...]]:
-    lists: dict[_Key, dict[int, None]] = {}
-    for key, position in pairs:
-        lists.setdefault(key, {})[position] = None
-    return MappingProxyType({key: tuple(positions) for key, positions in lists.items()})
+class StreamSpace:
+    """The streams and transformations there are, each in the order in which it came.
+
+    That order is the order in which matching tries them; what is described anew keeps its place.
+    ``subscribers`` tells how many readers a stream has now. ``version`` grows with every change.
+
+    Cost: a change is linear in the contents of what changes, a look-up is one of a dictionary.
+    """
+
+    def __init__(
+        self,
+        streams: Iterable[StreamDescription | StreamAnnotation] = (),
+        transformations: Iterable[TransformationDescription] = (),
+        subscribers: Callable[[str], int] = lambda _: 0,
+    ) -> None:
+        self.version = 0
+        self.subscribers = subscribers
+        self.streams: dict[str, StreamDescription] = {}
+        self.transformations: dict[str, TransformationDescription] = {}
+        self._order: dict[str, int] = {}
+        self._came = 0
+        # Dictionaries without values are sets that keep their order.
+        self._holding: dict[str, dict[str, None]] = defaultdict(dict)
+        self._holding_object: dict[tuple[str, str | None], dict[str, None]] = defaultdict(dict)
+        self._giving: dict[str, dict[str, None]] = defaultdict(dict)
+        for stream in streams:
+            self.put_stream(
+                StreamDescription.of(stream) if isinstance(stream, StreamAnnotation) else stream
+            )
+        for transformation in transformations:
+            self.put_transformation(transformation)
+
+    def put_stream(self, stream: StreamDescription) -> None:
+        """A stream is there, or means something else from now on."""
+        self.discard_stream(stream.name)
+        self.version += 1
+        self.streams[stream.name] = stream
+        if stream.name not in self._order:
+            self._came += 1
+            self._order[stream.name] = self._came
+        for content in stream.contents:
+            self._holding[content.feature][stream.name] = None
+            for role in content.roles:
+                self._holding_object[content.feature, role.object][stream.name] = None
+
+    def discard_stream(self, name: str) -> None:
+        """A stream is no more, or nobody knows what it means."""
+        stream = self.streams.pop(name, None)
+        if stream is None:
+            return
+        self.version += 1
+        for content in stream.contents:
+            self._holding[content.feature].pop(name, None)
+            for role in content.roles:
+                self._holding_object[content.feature, role.object].pop(name, None)
+
+    def forget_stream(self, name: str) -> None:
+        """A stream is no more, and one of the same name would be another."""
+        self.discard_stream(name)
+        self._order.pop(name, None)
+
+    def put_transformation(self, transformation: TransformationDescription) -> None:
+        """A transformation is there, or is described anew."""
+        before = self.transformations.get(transformation.name)
+        if before is not None:
+            feature = before.output.feature
+            if feature != transformation.output.feature:
+                del self._giving[feature][transformation.name]
+        self.version += 1
+        self.transformations[transformation.name] = transformation
+        self._giving[transformation.output.feature][transformation.name] = None
+
+    def discard_transformation(self, name: str) -> None:
+        """A transformation is no more."""
+        transformation = self.transformations.pop(name, None)
+        if transformation is not None:
+            self.version += 1
+            del self._giving[transformation.output.feature][name]
+
+    def holding(self, feature: str) -> Iterable[str]:
+        """The streams that contain ``feature`` (an IRI)."""
+        return self._holding.get(feature, ())
+
+    def holding_object(self, feature: str, object: str | None) -> Iterable[str]:
+        """The streams that contain ``feature`` of one object; None: of every object of a sort."""
+        return self._holding_object.get((feature, object), ())
+
+    def giving(self, feature: str) -> Iterable[str]:
+        """The transformations whose output is ``feature`` (an IRI)."""
+        return self._giving.get(feature, ())
+
+    def place(self, stream: str) -> int:
+        """The number of a stream in the order in which they came."""
+        return self._order[stream]
+
+
+_TEXTS: dict[Unit, str] = {}
+
+
+def unit_text(unit: Unit) -> str:
+    """A unit's text: cheaper to compare and to look up than the unit itself."""
+    found = _TEXTS.get(unit)
+    if found is None:
+        found = _TEXTS[unit] = format_unit(unit)
+    return found

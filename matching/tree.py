@@ -38,6 +38,8 @@ class Match:
 
     ``supply`` is None where nothing gives the feature; ``missing`` then says what would have to
     be there. ``tree`` are the alternatives for the wanted feature, in the order of trying.
+    ``proven``: the strategy's optimum was found and proven (always so with *fast*, which looks
+    for the first plan).
     """
 
     want: Want
@@ -45,3 +47,4 @@ class Match:
     supply: Supply | None
     tree: tuple[Alternative, ...]
     missing: tuple[str, ...]
+    proven: bool = True

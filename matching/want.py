@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from ..ontology.vocabulary import THING
 from ..rdf.namespaces import shorten
+from .subject import Subjects
 
 __all__ = ["THING", "Want"]
 
@@ -15,12 +16,14 @@ class Want:
     """A feature of one object, or of every object of a sort. All are IRIs.
 
     ``object`` None: of every object of ``sort`` (None: of all). With an object, ``sort`` is what
-    the asker says the object is (None: nothing beyond what the ontology knows).
+    the asker says the object is (None: nothing beyond what the ontology knows). ``others`` are the
+    further arguments of an n-ary feature; without them they may be anything.
     """
 
     feature: str
     sort: str | None = None
     object: str | None = None
+    others: Subjects = ()
 
     @property
     def wanted_sort(self) -> str:
@@ -28,6 +31,13 @@ class Want:
         return THING if self.sort is None else self.sort
 
     def __str__(self) -> str:
+        return f"{shorten(self.feature)} of {self.whose}"
+
+    @property
+    def whose(self) -> str:
+        """``every dyknow:UAV``, ``dyknow:uav1``; several for an n-ary feature."""
         if self.object is not None:
-            return f"{shorten(self.feature)} of {shorten(self.object)}"
-        return f"{shorten(self.feature)} of every {shorten(self.wanted_sort)}"
+            first = shorten(self.object)
+        else:
+            first = f"every {shorten(self.wanted_sort)}"
+        return " and ".join((first, *map(str, self.others)))

@@ -3,23 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from dataclasses import replace
 
-from ..languages.ssl.annotation import Content
+from ..languages.ssl.annotation import Content, PortAnnotation
 from ..ontology.units import format_unit
-from ..ontology.vocabulary import THING
-from ..rdf.namespaces import shorten
-from .fit import Roles
+from ..ontology.vocabulary import SELF, THING
 from .plan import Port, local_name
-from .space import TransformationDescription
-
-
-def whose(roles: Roles) -> str:
-    """``every dyknow:UAV``, ``dyknow:uav1``; several of an n-ary feature."""
-    names = (
-        f"every {shorten(role.sort or THING)}" if role.object is None else shorten(role.object)
-        for role in roles
-    )
-    return " and ".join(names)
+from .space import ITSELF, TransformationDescription
+from .subject import Roles
 
 
 def conversion_words(port: Port) -> str:
@@ -40,10 +31,12 @@ def stream_words(
     contents: tuple[Content, ...],
     fields: Collection[str],
     ports: Collection[Port] = (),
+    maker: str = "",
 ) -> str:
     """``stream positions : latitude [deg], longitude [deg] for every UAV = id``.
 
     Only the contents in ``fields`` (all if none). A port's conversion stands with its field.
+    ``maker`` is the transformation whose unit makes the stream.
     """
     used = [content for content in contents if content.field in fields] or list(contents)
     changes = {port.source_field: conversion_words(port) for port in ports}
@@ -51,7 +44,8 @@ def stream_words(
     for content in used:
         unit = changes.get(content.field) or (format_unit(content.unit) if content.unit else "")
         features.append(local_name(content.feature) + (f" [{unit}]" if unit else ""))
-    return f"stream {stream} : {', '.join(features)}{_for_words(used[0].roles)}"
+    made = f" by {maker}" if maker else ""
+    return f"stream {stream}{made} : {', '.join(features)}{_for_words(used[0].roles)}"
 
 
 def _for_words(roles: Roles) -> str:
@@ -64,6 +58,20 @@ def _for_words(roles: Roles) -> str:
 
 
 def unit_words(unit: TransformationDescription) -> str:
-    """``coordinatesToSpeed : latitude, longitude ⇒ speed``."""
-    inputs = ", ".join(local_name(port.feature) for port in unit.inputs) or "∅"
-    return f"{unit.name} : {inputs} ⇒ {local_name(unit.output.feature)}"
+    """``coordinatesToSpeed : latitude, longitude ⇒ speed``, as [Introspection15 §4.3] writes it;
+    sorts where they were written: ``humanDetector : RGB[RMAX], IR[RMAX] ⇒ PixelLocation[Human]``.
+    """
+    inputs = ", ".join(map(port_words, unit.inputs)) or "∅"
+    output = port_words(
+        replace(unit.output, arguments=unit.output.arguments or (ITSELF if not unit.inputs else ()))
+    )
+    return f"{unit.name} : {inputs} ⇒ {output}"
+
+
+def port_words(port: PortAnnotation) -> str:
+    """``RGB[RMAX]``; ``latitude`` of whatever it is for."""
+    names = ", ".join(
+        "self" if argument.object == SELF else local_name(argument.object or argument.sort or THING)
+        for argument in port.arguments
+    )
+    return local_name(port.feature) + (f"[{names}]" if names else "")

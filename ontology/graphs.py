@@ -23,6 +23,7 @@ ALIGNMENTS: Final = "http://www.dyknow.eu/ontology/alignments/"
 
 _ANNOTATION_NODES: Final = "http://www.dyknow.eu/annotations/"
 _DECLARATION_NODES: Final = "http://www.dyknow.eu/declarations/"
+_TRANSFORMATION_NODES: Final = "http://www.dyknow.eu/transformations/"
 _OWN: Final = "http://www.dyknow.eu/graphs/"
 ENTAILMENTS: Final = NamedNode(_OWN + "entailments")
 """What OWL RL adds to the loaded ontologies."""
@@ -32,6 +33,8 @@ ANNOTATIONS: Final = NamedNode(_OWN + "annotations")
 """SSL texts, one a subject."""
 DECLARATIONS: Final = NamedNode(_OWN + "declarations")
 """Declared streams, one JSON text a stream."""
+TRANSFORMATIONS: Final = NamedNode(_OWN + "transformations")
+"""Registered transformations, one JSON text a transformation."""
 KPL: Final = NamedNode(_OWN + "kpl")
 """All KPL declarations, as one text."""
 CONCEPT_ENTAILMENTS: Final = NamedNode(_OWN + "concept-entailments")
@@ -49,6 +52,7 @@ SYSTEM: Final = frozenset(
         TEMPLATES,
         ANNOTATIONS,
         DECLARATIONS,
+        TRANSFORMATIONS,
         KPL,
         CONCEPT_ENTAILMENTS,
         STREAM_SPACE,
@@ -72,6 +76,11 @@ def annotation_node(name: str) -> NamedNode:
 def declaration_node(name: str) -> NamedNode:
     """The `:Specification` that keeps the declaration of the stream called ``name``."""
     return NamedNode(f"{_DECLARATION_NODES}{quote(name, safe='')}")
+
+
+def transformation_node(name: str) -> NamedNode:
+    """The `:Specification` that keeps the description of the transformation called ``name``."""
+    return NamedNode(f"{_TRANSFORMATION_NODES}{quote(name, safe='')}")
 
 
 def ontology_graph(name: str) -> NamedNode:

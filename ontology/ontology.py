@@ -203,6 +203,22 @@ class Ontology:
         """Name of a declared stream -> its declaration as JSON text."""
         return self._named_texts(graphs.DECLARATIONS)
 
+    def set_transformation(self, name: str, description_json: str) -> None:
+        """Keeps the description of a transformation."""
+        node = graphs.transformation_node(name)
+        kept = _named_text(node, _SPECIFICATION, name, description_json)
+        self._keep(graphs.TRANSFORMATIONS, node, kept)
+
+    def remove_transformation(self, name: str) -> None:
+        """Forgets the description. KeyError if there is none."""
+        if name not in self.transformations():
+            raise KeyError(name)
+        self._keep(graphs.TRANSFORMATIONS, graphs.transformation_node(name), set())
+
+    def transformations(self) -> dict[str, str]:
+        """Name of a registered transformation -> its description as JSON text."""
+        return self._named_texts(graphs.TRANSFORMATIONS)
+
     def set_kpl(self, text: str) -> None:
         """Keeps all KPL declarations; empty text forgets them."""
         node = graphs.KPL
@@ -390,7 +406,13 @@ class Ontology:
         return frozenset().union(*map(self._graph, [*names, graphs.ENTAILMENTS]))
 
     def _concept_triples(self) -> frozenset[Triple]:
-        kept = (graphs.TEMPLATES, graphs.ANNOTATIONS, graphs.DECLARATIONS, graphs.KPL)
+        kept = (
+            graphs.TEMPLATES,
+            graphs.ANNOTATIONS,
+            graphs.DECLARATIONS,
+            graphs.TRANSFORMATIONS,
+            graphs.KPL,
+        )
         return frozenset().union(*map(self._graph, kept))
 
     def _named_texts(self, graph: NamedNode) -> dict[str, str]:

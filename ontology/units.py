@@ -67,6 +67,10 @@ class Conversion:
         return converted
 
 
+IDENTITY: Final = Conversion(1.0)
+"""No change."""
+
+
 # Names that the standard tables of aviation and SSL texts use, whatever pint's own reading is:
 # pint knows ``celsius`` but not ``Celsius``, and no ``fpm``; the others are fixed here so that a
 # new release of pint cannot change what a running system's annotations mean.

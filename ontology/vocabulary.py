@@ -34,7 +34,9 @@ _SCHEMA = (
     OWL + "AnnotationProperty",
     RDFS + "Datatype",
 )
-_SELF = STREAM_SPACE + "self"
+SELF = STREAM_SPACE + "self"
+"""The object that the system is part of ([Introspection15 §4.3])."""
+_SAME = OWL + "sameAs"
 _NO_NAMES: frozenset[str] = frozenset()
 Links: TypeAlias = Mapping[str, frozenset[str]]
 
@@ -70,6 +72,8 @@ class Vocabulary:
     _subfeatures: Links
     _objects: Links
     _events: frozenset[str]
+    self_object: str = SELF
+    """The object that ``self`` is: what the ontology says is ``owl:sameAs`` it, else `SELF`."""
 
     @classmethod
     def from_triples(cls, triples: Iterable[Triple], version: int = 0) -> Vocabulary:
@@ -91,6 +95,7 @@ class Vocabulary:
             self._subfeatures,
             self._objects,
             self._events | frozenset(events),
+            self.self_object,
         )
 
     def is_sort(self, iri: str) -> bool:
@@ -213,7 +218,7 @@ def _read(index: _Index, version: int) -> Vocabulary:
     kinds_of_feature = {
         c for c, supers in superclasses.items() if STREAM_SPACE + "Feature" in supers
     }
-    classes = of_type(_CLASSES) | (index.described_sorts - {_SELF})
+    classes = of_type(_CLASSES) | (index.described_sorts - {SELF})
     sorts = (classes - own - features - events - kinds_of_feature) | _TOPS
     tops = {sort for sort in sorts if sort in _TOPS or sort == THING}
     # A sort known only from its use in an annotation is under Thing like any other.
@@ -232,6 +237,11 @@ def _read(index: _Index, version: int) -> Vocabulary:
         for subject, kinds in types.items()
         if kinds & sorts and subject not in others and not subject.startswith(_STANDARD)
     }
+    # `self` is a term of the stream space and yet an object of whatever sort it is said to be;
+    # what is the same as it is so too.
+    named = sorted(index.named(_SAME).get(SELF, set()) - {SELF})
+    for subject in (SELF, *named):
+        objects[subject] = frozenset((types.get(subject, set()) & sorts) | tops)
     infos = _Infos(index, superclasses, superfeatures)
     return Vocabulary(
         version,
@@ -242,6 +252,7 @@ def _read(index: _Index, version: int) -> Vocabulary:
         _inverted(superfeatures),
         objects,
         frozenset(events),
+        named[0] if named else SELF,
     )
 
 

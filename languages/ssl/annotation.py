@@ -48,17 +48,37 @@ class StreamAnnotation:
 
 
 @dataclass(frozen=True, slots=True)
+class Argument:
+    """What an input or output speaks of: any object of ``sort``, or always ``object``; IRIs.
+
+    ``variable`` names it within one annotation: what has the same name is the same object, as in
+    ``humanDetector : RGB[RMAX], IR[RMAX] ⇒ PixelLocation[Human]`` ([Introspection15 §4.3]). It is
+    the sort's name where no alias was given. ``id_field`` is the field of an output that names
+    objects which are in none of the inputs. ``self`` is the object `SELF`.
+    """
+
+    variable: str
+    sort: str | None
+    object: str | None = None
+    id_field: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class PortAnnotation:
-    """An input or output: the field, the feature (IRI) in it, and its unit."""
+    """An input or output: the field, the feature (IRI) in it, its unit, and whose feature it is.
+
+    Without ``arguments`` it speaks of whatever the other ports speak of; a source's of ``self``.
+    """
 
     field: str
     feature: str
     unit: Unit
+    arguments: tuple[Argument, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class SourceAnnotation:
-    """``source NAME provides field:feature``."""
+    """``source NAME provides output``."""
 
     name: str
     output: PortAnnotation

@@ -78,7 +78,10 @@ class StreamDeclaration:
 
 @dataclass(frozen=True, slots=True)
 class FieldFeature:
-    """``field:feature [unit]`` of a source or computational unit."""
+    """``field:feature(arguments) [unit]`` of a source or computational unit.
+
+    ``arguments`` None: none were written, not even ``()``.
+    """
 
     field: str
     feature: str
@@ -86,25 +89,31 @@ class FieldFeature:
     span: Span = attribute(compare=False)
     feature_span: Span = attribute(compare=False)
     unit_span: Span | None = attribute(default=None, compare=False)
+    arguments: tuple[Argument, ...] | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class SourceDeclaration:
-    """``source NAME provides field:feature``."""
+    """``source NAME provides field:feature [for every entities]``."""
 
     name: str
     output: FieldFeature
     span: Span = attribute(compare=False)
+    entities: tuple[Entity, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class CompunitDeclaration:
-    """``compunit NAME transforms inputs to output``."""
+    """``compunit NAME transforms inputs to output [for every entities]``.
+
+    The entities are the objects that the unit itself finds and names in its output.
+    """
 
     name: str
     inputs: tuple[FieldFeature, ...]
     output: FieldFeature
     span: Span = attribute(compare=False)
+    entities: tuple[Entity, ...] = ()
 
 
 Declaration: TypeAlias = StreamDeclaration | SourceDeclaration | CompunitDeclaration

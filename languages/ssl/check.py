@@ -8,13 +8,14 @@ the stream's object namespace first and then among the domain terms (`dyknow:`).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import assert_never
 
 from ...ontology.units import DIMENSIONLESS, Unit, UnitError, dimension, format_unit
-from ...ontology.vocabulary import Vocabulary
+from ...ontology.vocabulary import SELF, Vocabulary
 from ...rdf.namespaces import DYKNOW
 from ..errors import LanguageError, Span
+from . import annotation
 from .annotation import (
     CheckedAnnotation,
     Content,
@@ -76,11 +77,12 @@ class _Checker:
             case StreamDeclaration():
                 return StreamAnnotation(declaration.name, self.contents(declaration), text)
             case SourceDeclaration():
-                return SourceAnnotation(declaration.name, self.port(declaration.output), text)
+                made = self.output(declaration.output, (), declaration.entities)
+                return SourceAnnotation(declaration.name, made, text)
             case CompunitDeclaration():
-                inputs = tuple(self.port(port) for port in declaration.inputs)
-                output = self.port(declaration.output)
-                return TransformationAnnotation(declaration.name, inputs, output, text)
+                inputs = self.inputs(declaration)
+                made = self.output(declaration.output, inputs, declaration.entities)
+                return TransformationAnnotation(declaration.name, inputs, made, text)
             case _:
                 assert_never(declaration)
 
@@ -198,6 +200,8 @@ class _Checker:
 
     def object(self, argument: Argument) -> str:
         """The IRI of an object: one that the ontology knows, else a new one."""
+        if argument.name == "self":
+            return self.vocabulary.self_object
         candidates = [space + argument.name for space in self.spaces()]
         for iri in candidates:
             if self.vocabulary.is_feature(iri) or self.vocabulary.is_event(iri):
@@ -251,10 +255,83 @@ class _Checker:
             f"`{name}` is in [{format_unit(own)}]: write it or another unit of {own_dimension}",
         )
 
+    def inputs(self, unit: CompunitDeclaration) -> tuple[PortAnnotation, ...]:
+        seen: set[str] = set()
+        for port in unit.inputs:
+            if port.field in seen:
+                raise self.error(
+                    f"two inputs are called `{port.field}`", port.span, "each needs its own name"
+                )
+            seen.add(port.field)
+        return tuple(self.port(port) for port in unit.inputs)
+
     def port(self, port: FieldFeature) -> PortAnnotation:
         feature = self.feature(port.feature, port.feature_span)
         unit = self.unit(feature, port.feature, port.unit, port.unit_span)
-        return PortAnnotation(port.field, feature, unit)
+        arguments = tuple(self.argument(argument) for argument in port.arguments or ())
+        names = [argument.variable for argument in arguments if argument.sort is not None]
+        if len(names) > len(set(names)):
+            twice = next(name for name in names if names.count(name) > 1)
+            raise self.error(
+                f"`{twice}` occurs twice in `{port.feature}`, so it is not clear which is meant",
+                port.span,
+                f"give each an alias: `({twice} as arg1, {twice} as arg2)`",
+            )
+        return PortAnnotation(port.field, feature, unit, arguments)
+
+    def argument(self, argument: Argument) -> annotation.Argument:
+        sort = self.sort(argument.name)
+        if sort is not None:
+            return annotation.Argument(argument.alias or argument.name, sort)
+        object = SELF if argument.name == "self" else self.object(argument)
+        return annotation.Argument(argument.name, None, object)
+
+    def output(
+        self,
+        port: FieldFeature,
+        inputs: Sequence[PortAnnotation],
+        entities: Sequence[Entity],
+    ) -> PortAnnotation:
+        """The output; what no input speaks of gets its names in a field of the output."""
+        made = self.port(port)
+        given = {argument.variable for input in inputs for argument in input.arguments}
+        fields = {entity.name: entity for entity in entities}
+        arguments: list[annotation.Argument] = []
+        for argument in made.arguments:
+            entity = fields.pop(argument.variable, None)
+            if argument.sort is None or argument.variable in given:
+                if entity is not None:
+                    raise self.error(
+                        f"`{entity.name}` comes with the inputs: no field of the output names it",
+                        entity.span,
+                        "leave it out: the output keeps apart the objects of the inputs",
+                    )
+                arguments.append(argument)
+                continue
+            field = "id" if entity is None else entity.field
+            if field == made.field:
+                raise self.error(
+                    f"field `{field}` is the value of `{port.feature}`",
+                    port.span if entity is None else entity.span,
+                    f"another field names the object: `for every {argument.variable} = …`",
+                )
+            arguments.append(replace(argument, id_field=field))
+        for entity in fields.values():
+            raise self.error(
+                f"the output does not speak of `{entity.name}`",
+                entity.span,
+                f"name it in the output: `{port.field}:{port.feature}({entity.name})`",
+            )
+        id_fields = [argument.id_field for argument in arguments if argument.id_field is not None]
+        if len(id_fields) > len(set(id_fields)):
+            raise self.error(
+                "one field cannot name two objects",
+                port.span,
+                "give each its own: `for every "
+                + ", ".join(f"{a.variable} = {a.variable.lower()}" for a in arguments)
+                + "`",
+            )
+        return replace(made, arguments=tuple(arguments))
 
 
 def _is_named(argument: Argument, entity: Entity) -> bool:

@@ -82,11 +82,29 @@ def _declaration(tree: Tree[Token], source: str) -> Declaration:
             every, entities = (False, ()) if for_part is None else _for_part(for_part, source)
             return StreamDeclaration(name, features, every, entities, span_of(tree))
         case "source_decl":
-            return SourceDeclaration(name, _field_feature(parts[0], source), span_of(tree))
+            output, *rest = parts
+            made = _field_feature(output, source)
+            return SourceDeclaration(name, made, span_of(tree), _found(rest, source))
         case _:
-            inputs = tuple(_field_feature(part, source) for part in trees(parts[0]))
-            output = _field_feature(parts[1], source)
-            return CompunitDeclaration(name, inputs, output, span_of(tree))
+            first, output, *rest = parts
+            inputs = tuple(_field_feature(part, source) for part in trees(first))
+            made = _field_feature(output, source)
+            return CompunitDeclaration(name, inputs, made, span_of(tree), _found(rest, source))
+
+
+def _found(for_part: list[Tree[Token]], source: str) -> tuple[Entity, ...]:
+    """The objects that a source or unit names itself, if there is a for-part."""
+    if not for_part:
+        return ()
+    every, entities = _for_part(for_part[0], source)
+    if not every:
+        raise LanguageError(
+            "a source or unit gives every object of a sort its name, so this needs `every`",
+            source,
+            span_of(for_part[0]),
+            f"write `for every {entities[0].name} = {entities[0].field}`",
+        )
+    return entities
 
 
 def _for_part(tree: Tree[Token], source: str) -> tuple[bool, tuple[Entity, ...]]:
@@ -114,23 +132,31 @@ def _for_part(tree: Tree[Token], source: str) -> tuple[bool, tuple[Entity, ...]]
 def _feature(tree: Tree[Token], source: str) -> FeatureTerm:
     name, field = tokens(tree, "NAME")
     arguments_node, *rest = trees(tree)
-    arguments = []
-    for node in trees(arguments_node):
-        sort, *alias = tokens(node, "NAME")
-        arguments.append(Argument(str(sort), str(alias[0]) if alias else None, span_of(node)))
+    arguments = _arguments(arguments_node)
     unit = _unit_list(rest[0], source) if rest else None
     unit_span = span_of(rest[0]) if rest else None
     return FeatureTerm(
-        str(name), tuple(arguments), str(field), unit, span_of(tree), span_of(field), unit_span
+        str(name), arguments, str(field), unit, span_of(tree), span_of(field), unit_span
     )
+
+
+def _arguments(tree: Tree[Token]) -> tuple[Argument, ...]:
+    arguments = []
+    for node in trees(tree):
+        sort, *alias = tokens(node, "NAME")
+        arguments.append(Argument(str(sort), str(alias[0]) if alias else None, span_of(node)))
+    return tuple(arguments)
 
 
 def _field_feature(tree: Tree[Token], source: str) -> FieldFeature:
     field, feature = tokens(tree, "NAME")
-    units = trees(tree)
+    arguments = next((_arguments(n) for n in trees(tree) if n.data == "arguments"), None)
+    units = [node for node in trees(tree) if node.data == "unit_list"]
     unit = _unit_list(units[0], source) if units else None
     unit_span = span_of(units[0]) if units else None
-    return FieldFeature(str(field), str(feature), unit, span_of(tree), span_of(feature), unit_span)
+    return FieldFeature(
+        str(field), str(feature), unit, span_of(tree), span_of(feature), unit_span, arguments
+    )
 
 
 def _unit_list(tree: Tree[Token], source: str) -> Unit:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import assert_never
 
 from .ast import (
+    Argument,
     CompunitDeclaration,
     Declaration,
+    Entity,
     FeatureTerm,
     FieldFeature,
     SourceDeclaration,
@@ -20,29 +23,37 @@ def format_declaration(declaration: Declaration) -> str:
     match declaration:
         case StreamDeclaration(name, features, every, entities):
             text = f"stream {name} contains {', '.join(map(_feature, features))}"
-            if not entities:
-                return text
-            word = "for every" if every else "for"
-            return f"{text} {word} {', '.join(f'{e.name} = {e.field}' for e in entities)}"
+            return text + _named(entities, every)
         case SourceDeclaration(name, output):
-            return f"source {name} provides {_field_feature(output)}"
+            made = _field_feature(output) + _named(declaration.entities)
+            return f"source {name} provides {made}"
         case CompunitDeclaration(name, inputs, output):
             text = ", ".join(map(_field_feature, inputs))
-            return f"compunit {name} transforms {text} to {_field_feature(output)}"
+            made = _field_feature(output) + _named(declaration.entities)
+            return f"compunit {name} transforms {text} to {made}"
         case _:
             assert_never(declaration)
 
 
+def _named(entities: Sequence[Entity], every: bool = True) -> str:
+    if not entities:
+        return ""
+    pairs = ", ".join(f"{entity.name} = {entity.field}" for entity in entities)
+    return f" for {'every ' if every else ''}{pairs}"
+
+
+def _arguments(arguments: Sequence[Argument]) -> str:
+    texts = (a.name if a.alias is None else f"{a.name} as {a.alias}" for a in arguments)
+    return f"({', '.join(texts)})"
+
+
 def _feature(term: FeatureTerm) -> str:
-    arguments = ", ".join(
-        argument.name if argument.alias is None else f"{argument.name} as {argument.alias}"
-        for argument in term.arguments
-    )
-    return f"{term.feature}({arguments}) = {term.field}{_unit(term.unit)}"
+    return f"{term.feature}{_arguments(term.arguments)} = {term.field}{_unit(term.unit)}"
 
 
 def _field_feature(port: FieldFeature) -> str:
-    return f"{port.field}:{port.feature}{_unit(port.unit)}"
+    arguments = "" if port.arguments is None else _arguments(port.arguments)
+    return f"{port.field}:{port.feature}{arguments}{_unit(port.unit)}"
 
 
 def _unit(unit: Unit | None) -> str:

@@ -9,7 +9,6 @@ from feeding import feed, flight, samples
 from dyknow.converters.errors import ConversionError
 from dyknow.engine.engine import Engine
 from dyknow.engine.errors import BadArguments, Refused
-from dyknow.engine.transformations import Transformation
 from dyknow.engine.views import Since, StreamDeclaration
 from dyknow.streams.sample import Field, FieldType
 
@@ -37,15 +36,11 @@ def positions(start, seconds):
     ]
 
 
-def broken(transformation: Transformation) -> Transformation:
-    def make(parameters):
-        def fail(*arguments):
-            raise RuntimeError("broken")
+def broken(parameters):
+    def fail(*arguments):
+        raise RuntimeError("broken")
 
-        return fail
-
-    implementation = replace(transformation.implementation, make=make)
-    return replace(transformation, implementation=implementation)
+    return fail
 
 
 @pytest.fixture
@@ -53,11 +48,12 @@ def breakable(engine, high_speed):
     """An engine whose unit for speeds fails until `mend` is called."""
     engine.annotate(COORDINATES)
     engine.register_template(high_speed)
-    known = engine._transformations["coordinatesToSpeed"]
-    engine._transformations["coordinatesToSpeed"] = broken(known)
+    own = engine._transformations.implementation
+    known = own("coordinatesToSpeed")
+    engine._transformations.implementation = lambda name: replace(known, make=broken)
 
     def mend():
-        engine._transformations["coordinatesToSpeed"] = known
+        engine._transformations.implementation = own
 
     return engine, mend
 
@@ -114,8 +110,8 @@ def test_two_patterns_over_one_stream_read_each_sample_once(engine):
 
 
 def test_a_strategy_that_there_is_not_is_a_wrong_argument(engine):
-    with pytest.raises(BadArguments, match="no strategy 'cost'"):
-        engine.match("speed", strategy="cost")
+    with pytest.raises(BadArguments, match="no strategy 'best'"):
+        engine.match("speed", strategy="best")
 
 
 def test_an_annotation_that_no_sample_could_follow_makes_no_stream(engine):

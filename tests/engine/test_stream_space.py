@@ -105,6 +105,7 @@ def test_status_tells_every_change_in_order(running):
         ("stream annotated", "coordinates"),
         ("stream added", "dyknow_reserved1"),
         ("unit started", "dyknow_reserved1"),
+        ("stream annotated", "dyknow_reserved1"),
         ("stream added", "dyknow_reserved2"),
         ("unit started", "dyknow_reserved2"),
         ("stream annotated", "dyknow_reserved2"),

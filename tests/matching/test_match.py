@@ -4,19 +4,34 @@ import time
 
 import pytest
 
-from dyknow.languages.ssl.annotation import Content, PortAnnotation, Role, StreamAnnotation
-from dyknow.matching.match import Outcome, UnknownStrategy, match, match_all, render
+from dyknow.languages.ssl.annotation import (
+    Argument,
+    Content,
+    PortAnnotation,
+    Role,
+    StreamAnnotation,
+)
+from dyknow.matching.match import (
+    MAX_DEPTH,
+    Outcome,
+    UnknownStrategy,
+    match,
+    match_all,
+    render,
+)
 from dyknow.matching.plan import (
     Compute,
     SelectObject,
+    Synchronize,
     UseStream,
     annotation_of,
+    contents_of,
     nodes_of,
     streams_of,
     wanted_annotation,
 )
-from dyknow.matching.search import MAX_DEPTH
 from dyknow.matching.space import StreamSpace, TransformationDescription
+from dyknow.matching.strategy import Strategy
 from dyknow.matching.want import Want
 from dyknow.ontology.units import parse_unit
 from dyknow.rdf.namespaces import DYKNOW
@@ -41,15 +56,16 @@ def stream(name, fields, sort=None, object=None, id=None):
     return StreamAnnotation(name, tuple(contents), "")
 
 
-def port(text):
+def port(text, sort=None):
     names, _, unit = text.partition(" ")
     feature, _, field = names.partition("=")
-    return PortAnnotation(field or feature, iri(feature), parse_unit(unit or "no_unit"))
+    arguments = () if sort is None else (Argument(sort, iri(sort)),)
+    return PortAnnotation(field or feature, iri(feature), parse_unit(unit or "no_unit"), arguments)
 
 
-def unit(name, inputs, output, sort="Thing"):
-    ports = tuple(port(text) for text in inputs.split(", ") if text)
-    return TransformationDescription(name, ports, port(output), sort=iri(sort))
+def unit(name, inputs, output, sort=None):
+    ports = tuple(port(text, sort) for text in inputs.split(", ") if text)
+    return TransformationDescription(name, ports, port(output, sort))
 
 
 POSITIONS = stream("positions", "latitude=lat deg, longitude=lon deg", sort="UAV", id="icao24")
@@ -217,7 +233,7 @@ def test_inputs_are_converted(vocabulary):
     assert longitude.conversion.is_identity
 
 
-def test_inputs_in_different_streams_need_synchronization(vocabulary):
+def test_inputs_in_different_streams_are_synchronized(vocabulary):
     space = StreamSpace(
         (
             stream("lats", "latitude=v deg", sort="UAV", id="id"),
@@ -226,9 +242,18 @@ def test_inputs_in_different_streams_need_synchronization(vocabulary):
         (TO_SPEED,),
     )
     found = match(want("speed", "UAV"), space, vocabulary)
-    assert found.missing == (
-        "coordinatesToSpeed: needs synchronization of lats and lons, which are different streams",
+    assert render(found) == (
+        "speed of every dyknow:UAV [km.h-1]\n"
+        "└─ chosen: coordinatesToSpeed : latitude, longitude ⇒ speed   (m.s-1 → km.h-1 × 3.6)\n"
+        "   └─ synchronize\n"
+        "      ├─ stream lats : latitude [deg] for every UAV = id\n"
+        "      └─ stream lons : longitude [deg] for every UAV = id"
     )
+    (source,) = found.supply.sources
+    (edge,) = source.node.inputs
+    assert isinstance(edge.node, Synchronize)
+    assert [c.field for c in contents_of(edge.node)] == ["latitude", "longitude"]
+    assert source.roles == (Role(iri("UAV"), None, "id"),)
 
 
 def test_inputs_of_different_objects_do_not_come_together(vocabulary):
@@ -237,10 +262,7 @@ def test_inputs_of_different_objects_do_not_come_together(vocabulary):
     (longitude,) = stream("m", "longitude=lon deg", object="car1").contents
     mixed = StreamAnnotation("m", (latitude, longitude), "")
     found = match(want("speed"), StreamSpace((mixed,), (TO_SPEED,)), vocabulary)
-    assert found.missing == (
-        "coordinatesToSpeed: its inputs speak of different objects: "
-        "dyknow:latitude of dyknow:uav1, dyknow:longitude of dyknow:car1",
-    )
+    assert found.missing == ("stream m: it holds only some of the objects",)
 
 
 def test_what_a_transformation_lacks_is_told(vocabulary):
@@ -270,7 +292,7 @@ def test_a_transformation_for_a_sort_takes_no_other_objects(vocabulary):
     uavs = stream("uavs", "altitude=a ft", sort="UAV", id="id")
     found = match(want("speed", "UAV"), StreamSpace((uavs,), (detector,)), vocabulary)
     assert found.missing == (
-        "rmaxSpeed: it is for every dyknow:RMAX, and its input would be for every dyknow:UAV",
+        "rmaxSpeed: it is for every dyknow:RMAX, and what is wanted is for every dyknow:UAV",
     )
     rmaxes = stream("rmaxes", "altitude=a ft", sort="RMAX", id="id")
     supply = match(
@@ -289,10 +311,12 @@ def test_cycles_are_excluded(vocabulary):
     assert "a feature would stand twice on the path" in render(found)
 
 
-def test_an_output_may_not_overwrite_the_id_field(vocabulary):
+def test_an_output_does_not_overwrite_the_id_field(vocabulary):
     clash = unit("clash", "latitude deg", "speed=icao24 m.s-1")
     found = match(want("speed", "UAV"), StreamSpace((POSITIONS,), (clash,)), vocabulary)
-    assert found.supply is None
+    (source,) = found.supply.sources
+    assert source.roles == (Role(iri("UAV"), None, "icao24_of"),)
+    assert source.node.carried == (("icao24", "icao24_of"),)
 
 
 def test_one_stream_that_serves_both_wants_is_preferred(vocabulary):
@@ -317,10 +341,27 @@ def test_first_argument_of_an_n_ary_feature_is_its_object(vocabulary):
     assert source.roles[1] == roles[1]
 
 
-@pytest.mark.parametrize("strategy", ["cost", "quality", "best"])
-def test_a_strategy_that_is_not_there(vocabulary, strategy):
-    with pytest.raises(UnknownStrategy, match="there is: fast"):
+@pytest.mark.parametrize(
+    ("strategy", "problem"),
+    [
+        ("best", "no strategy 'best'; there is: fast, cost, quality, weighted"),
+        ("fast:cost=1", "fast has no parameter 'cost'; it has: none"),
+        ("cost:quality=1", "it has: subscribers"),
+        ("weighted:cost=x", "cost is a number, 0 or more, not 'x'"),
+        ("weighted:cost=-1", "not '-1'"),
+        ("weighted:cost=inf", "not 'inf'"),
+    ],
+)
+def test_a_strategy_that_is_not_there(vocabulary, strategy, problem):
+    with pytest.raises(UnknownStrategy, match=problem):
         match(want("speed"), StreamSpace(), vocabulary, strategy)
+
+
+@pytest.mark.parametrize(
+    "text", ["fast", "cost", "quality", "cost:subscribers=0.1", "weighted:cost=1,quality=10"]
+)
+def test_a_strategy_is_the_text_it_was_read_from(text):
+    assert str(Strategy.parse(text)) == text
 
 
 def test_diamonds_do_not_explode(vocabulary):
@@ -342,12 +383,10 @@ def test_depth_is_bounded(vocabulary):
         space = StreamSpace((stream("end", f"f{length}=v", sort="Thing", id="id"),), units)
         return match(want("f0"), space, vocabulary)
 
-    assert chain(MAX_DEPTH).supply is not None
+    assert render(chain(MAX_DEPTH)).count("⇒") == MAX_DEPTH
     too_long = chain(MAX_DEPTH + 1)
-    assert too_long.missing == (
-        f"t0: more than {MAX_DEPTH} transformations would stand on one path",
-    )
-    assert chain(2000).supply is None
+    assert too_long.missing == (f"more than {MAX_DEPTH} transformations would stand on one path",)
+    assert chain(20_000).supply is None
 
 
 def test_a_large_space_is_matched_quickly(vocabulary):

@@ -1,0 +1,136 @@
+"""Annotations in SSL: what streams, sources and units mean ([Events14 §III.A], SPEC §3)."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+
+from ..converters.errors import ConversionError
+from ..languages.errors import LanguageError
+from ..languages.ssl import check_ssl, parse_ssl
+from ..languages.ssl.annotation import CheckedAnnotation, Content, Role, StreamAnnotation
+from ..matching.plan import ssl_of
+from ..ontology.ontology import Ontology
+from ..ontology.units import format_unit, parse_unit
+from .changes import Change, ChangeKind
+from .declared import DeclaredStreams
+from .describing import DescribedStream, Describer
+from .errors import DyknowError
+from .registered import RegisteredTransformations, check_quality
+from .transformations import Transformations
+
+
+class Annotations:
+    """SSL texts, and what they say of streams and of transformations."""
+
+    def __init__(
+        self,
+        ontology: Ontology,
+        streams: DeclaredStreams,
+        registered: RegisteredTransformations,
+        transformations: Transformations,
+        changed: Callable[[Change], None],
+    ) -> None:
+        self._ontology = ontology
+        self._streams = streams
+        self._registered = registered
+        self._transformations = transformations
+        self._changed = changed
+
+    def annotate(self, ssl: str) -> tuple[CheckedAnnotation, ...]:
+        """Annotate streams and transformations by an SSL text; all of it or nothing.
+
+        A stream's annotation says all that the stream contains: a new one replaces the old. A
+        stream that does not exist comes into being, its fields typed by the features' ranges.
+        Raises `LanguageError`, `Conflict` (a field that the stream lacks or of another type).
+        """
+        checked = check_ssl(parse_ssl(ssl), ssl, self._ontology.vocabulary)
+        for annotation in checked:
+            self._check(annotation)
+        for annotation in checked:
+            self._apply(annotation)
+        return checked
+
+    def describe(self, described: DescribedStream) -> StreamAnnotation:
+        """Annotate a stream by a description in names; as `annotate` does by SSL. Raises what
+        `Describer` raises, and `Conflict`."""
+        annotation = Describer(self._ontology.vocabulary).stream(described)
+        self._streams.check_annotation(annotation)
+        self._streams.annotate(annotation, kept=_json_of(annotation))
+        return annotation
+
+    def set_quality(self, stream: str, quality: float) -> None:
+        """How good a stream is now (0..1); raises `UnknownStream` and `BadArguments`."""
+        check_quality(quality)
+        name = self._streams.name_of(stream)
+        text = f"quality {quality:g}"
+        change = Change(ChangeKind.QUALITY_CHANGED, name, specification=text, quality=quality)
+        self._changed(change)
+
+    def all(self) -> tuple[CheckedAnnotation, ...]:
+        """Every annotation in force: streams first, then transformations."""
+        known = (transformation.annotation for transformation in self._transformations.values())
+        return (*self._streams.annotations(), *known)
+
+    def restore(self) -> None:
+        """The annotations that an earlier run was told.
+
+        What does not hold any more (the ontology has changed since) is told on the status stream
+        and left out; its text is kept.
+        """
+        for name, source in self._ontology.annotations().items():
+            try:
+                checked = self._read(name, source)
+                for annotation in checked:
+                    self._check(annotation)
+            except (LanguageError, DyknowError, ConversionError, ValueError, KeyError) as error:
+                reason = f"{error}\n{source}"
+                self._changed(Change(ChangeKind.NOT_RESTORED, name, specification=reason))
+                continue
+            for annotation in checked:
+                self._apply(annotation, kept=source)
+
+    def _read(self, name: str, kept: str) -> tuple[CheckedAnnotation, ...]:
+        """SSL, or the JSON of `describe`; raises `ValueError` and `KeyError` for neither."""
+        if kept.startswith("{"):
+            return (_of_json(name, kept),)
+        return check_ssl(parse_ssl(kept), kept, self._ontology.vocabulary)
+
+    def _check(self, annotation: CheckedAnnotation) -> None:
+        if isinstance(annotation, StreamAnnotation):
+            self._streams.check_annotation(annotation)
+        else:
+            self._registered.check(annotation)
+
+    def _apply(self, annotation: CheckedAnnotation, kept: str | None = None) -> None:
+        if isinstance(annotation, StreamAnnotation):
+            self._streams.annotate(annotation, kept=kept)
+        else:
+            self._registered.annotate(annotation)
+
+
+def _json_of(annotation: StreamAnnotation) -> str:
+    """An annotation in IRIs, for names that SSL cannot write."""
+    contents = [
+        {
+            "feature": content.feature,
+            "field": content.field,
+            "unit": format_unit(content.unit),
+            "roles": [[role.sort, role.object, role.id_field] for role in content.roles],
+        }
+        for content in annotation.contents
+    ]
+    return json.dumps({"contents": contents})
+
+
+def _of_json(stream: str, kept: str) -> StreamAnnotation:
+    contents = tuple(
+        Content(
+            content["feature"],
+            content["field"],
+            parse_unit(content["unit"]),
+            tuple(Role(*role) for role in content["roles"]),
+        )
+        for content in json.loads(kept)["contents"]
+    )
+    return StreamAnnotation(stream, contents, ssl_of(stream, contents))

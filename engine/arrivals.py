@@ -1,0 +1,57 @@
+"""When samples come, by the clock of the engine: which streams have fallen silent (SPEC §7).
+
+A stream is *silent* that has not spoken for longer than it ever lets people wait: five times the
+usual gap between what comes, at least a second. Whoever knows better declares it.
+"""
+
+from __future__ import annotations
+
+from ..streams.time import SECOND
+
+LEARNED_FROM = 5
+"""So many gaps must have been seen before anything is said of a stream."""
+PATIENCE = 5.0
+"""A stream is silent after so many times its usual gap."""
+LEAST = SECOND
+"""And never before so long (ns)."""
+_WEIGHT = 0.2
+"""Of the newest gap in the usual one: an exponentially weighted mean."""
+
+
+class Arrivals:
+    """The arrivals of one stream. Cost: O(1) an arrival, which is a batch. Memory: four numbers.
+
+    ``last`` is the time (ns) of the latest one, ``gap`` the usual time between two.
+    """
+
+    __slots__ = ("count", "first", "gap", "last")
+
+    def __init__(self, now: int) -> None:
+        self.first = now
+        self.last = now
+        self.count = 0
+        self.gap = 0.0
+
+    def came(self, now: int) -> None:
+        """Something has come. What comes at the same moment is one arrival."""
+        gap = now - self.last
+        if gap <= 0:
+            return
+        self.count += 1
+        self.gap = float(gap) if self.count == 1 else self.gap + _WEIGHT * (gap - self.gap)
+        self.last = now
+
+    @property
+    def patience(self) -> int | None:
+        """After how long (ns) without a sample the stream is silent; None: nobody knows yet."""
+        if self.count < LEARNED_FROM:
+            return None
+        return max(LEAST, int(PATIENCE * self.gap))
+
+    def silent_at(self, declared: int | None = None) -> int | None:
+        """From when on (ns) the stream is silent if nothing comes; None: nobody knows.
+
+        ``declared`` is how long (ns) it may be silent at most, whatever it did before.
+        """
+        patience = self.patience if declared is None else declared
+        return None if patience is None else self.last + patience

@@ -1,0 +1,263 @@
+"""A feature's samples out of whatever streams hold them now ([Introspection15 §4.4]).
+
+A mediation process in the words of [DyKnow10 §4.3]: it changes its inputs at run time and keeps
+its output. It is what an adaptive subscription reads.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..converters.objects import ObjectTable, object_name
+from ..ontology.units import Conversion
+from ..rdf.dictionary import TermDictionary
+from ..rdf.namespaces import DYKNOW
+from ..streams.generator import StreamGenerator
+from ..streams.sample import Column, FieldType, Mask, SampleBatch, Times
+from ..streams.strings import StringPool
+from ..streams.time import TIME_MIN
+from .arrivals import Arrivals
+from .unit import ComputationalUnit
+
+Codes: TypeAlias = NDArray[np.int32]
+OBJECT = "object"
+"""The field that names the object; further ones of an n-ary feature are `object2`, …"""
+
+
+@dataclass(frozen=True, slots=True)
+class Whose:
+    """Who an argument of the feature is: always ``object`` (an IRI), or whom ``id_field`` names, in
+    ``namespace``."""
+
+    object: str | None
+    id_field: str | None
+    namespace: str = DYKNOW
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MergeInput:
+    """What is taken from a stream: ``field``, converted, of the objects of ``whose``.
+
+    ``wanted`` says of an object (an IRI) whether it is meant; None: each is.
+    """
+
+    source: StreamGenerator
+    field: str
+    conversion: Conversion
+    whose: tuple[Whose, ...]
+    wanted: Callable[[str], bool] | None = None
+
+
+class MergeUnit(ComputationalUnit):
+    """Passes on the samples of its inputs under one name each: the objects and the value.
+
+    A sample keeps its times; where another stream has been ahead of it, it is available right
+    after what was passed on last, since available times increase. `switch` changes the inputs:
+    of a new one what is available later than the last sample passed on (by the time it brought)
+    follows, out of the history it keeps, and nothing else.
+
+    Law (tests/laws): of a single source each sample is passed on once, in order, with its times;
+    whatever the switches, none is passed on twice. Cost: numpy per batch, a look-up per sample and
+    Python per distinct object. Memory: an entry for each object.
+    """
+
+    def __init__(
+        self,
+        *args: Any,
+        dictionary: TermDictionary,
+        value: str,
+        clock: Callable[[], int],
+    ) -> None:
+        super().__init__(*args)
+        self._dictionary = dictionary
+        self._value = value
+        self._clock = clock
+        self._feeds: dict[StreamGenerator, list[_Feed]] = {}
+        self._reached: dict[StreamGenerator, int] = {}
+        self.arrivals: dict[StreamGenerator, Arrivals] = {}
+        """When each input spoke, by the clock."""
+        self.delivered = TIME_MIN
+        """The available time that the last sample passed on brought (ns)."""
+
+    @property
+    def merged(self) -> tuple[MergeInput, ...]:
+        """What is merged now."""
+        return tuple(feed.input for feeds in self._feeds.values() for feed in feeds)
+
+    def switch(self, inputs: Sequence[MergeInput], *, history: bool) -> None:
+        """Read ``inputs`` from now on and nothing else; with ``history`` what they keep of later
+        than was passed on last goes first. An input that is read already goes on."""
+        wanted: dict[StreamGenerator, list[MergeInput]] = {}
+        for input in inputs:
+            wanted.setdefault(input.source, []).append(input)
+        lost = [source for source in self._feeds if source not in wanted]
+        # Of several streams, one may have been ahead of the one that is replaced.
+        after = max((self._reached[source] for source in lost), default=self.delivered)
+        for source in lost:
+            self._leave(source)
+        for source, parts in wanted.items():
+            known = self._feeds.get(source)
+            if known is not None and [_same(feed.input) for feed in known] == list(
+                map(_same, parts)
+            ):
+                continue
+            is_new = known is None
+            self._feeds[source] = [
+                _Feed(part, self._dictionary, self._value, self.output) for part in parts
+            ]
+            if is_new:
+                self.arrivals[source] = Arrivals(self._clock())
+                self._reached[source] = after
+                self._begin(source, after if history else None)
+        self.inputs = self.sources = tuple(self._feeds)
+
+    def _begin(self, source: StreamGenerator, after: int | None) -> None:
+        if after is not None:
+            for segment in source.stream.since(0):
+                batch = segment.batch
+                if batch.available[-1] <= after:
+                    continue
+                self.receive(source, batch.take(batch.available > after))
+        self.connect(source)
+
+    def _leave(self, source: StreamGenerator) -> None:
+        del self._feeds[source]
+        del self.arrivals[source]
+        del self._reached[source]
+        self._ended.discard(source)
+        self._watermarks.pop(source, None)
+        if source in self._subscribed:
+            self._subscribed.remove(source)
+            source.unsubscribe(self)
+
+    def process(self, source: StreamGenerator, batch: SampleBatch) -> None:
+        self.arrivals[source].came(self._clock())
+        self._reached[source] = int(batch.available[-1])
+        self.delivered = max(self.delivered, self._reached[source])
+        for feed in self._feeds[source]:
+            made = feed.made(batch)
+            if len(made):
+                self.output.offer(made.with_available(self._stamps(made.available)))
+
+    def _stamps(self, available: Times) -> Times:
+        """The times, none of them before what was passed on or promised already."""
+        last = self.output.stream.last_available
+        least = TIME_MIN if last is None else last + 1
+        if self.output.watermark is not None:
+            least = max(least, self.output.watermark)
+        if available[0] >= least:
+            return available
+        # Each at its own time, or right after the one before.
+        steps = np.arange(len(available), dtype=np.int64)
+        return np.maximum.accumulate(np.maximum(available, least) - steps) + steps
+
+    def progress(self, source: StreamGenerator, watermark: int) -> None:
+        # The fastest input is how far the stream is: what comes behind it is stamped later.
+        self.output.advance(watermark)
+
+    def finish(self, source: StreamGenerator) -> None:
+        """An input that ends is replaced, or waited for; the output goes on."""
+
+
+def _same(input: MergeInput) -> tuple[object, ...]:
+    return input.source, input.field, input.conversion, input.whose
+
+
+class _Feed:
+    """One input at work: its columns made into those of the output."""
+
+    def __init__(
+        self, input: MergeInput, dictionary: TermDictionary, value: str, output: StreamGenerator
+    ) -> None:
+        self.input = input
+        self._value = value
+        self._output = output
+        self._namings = {
+            name: _Naming(
+                whose,
+                dictionary,
+                output.stream.pools[name],
+                input.wanted if name == OBJECT else None,
+            )
+            for name, whose in zip(object_fields(len(input.whose)), input.whose, strict=True)
+        }
+
+    def made(self, batch: SampleBatch) -> SampleBatch:
+        """What of ``batch`` is passed on, as samples of the output."""
+        column = batch.columns[self.input.field]
+        present = column.present
+        columns: dict[str, Column] = {}
+        for name, naming in self._namings.items():
+            codes, known = naming.of(batch)
+            present = present & known
+            columns[name] = Column(FieldType.STRING, codes, None, naming.pool)
+        columns[self._value] = self._converted(column)
+        made = SampleBatch(batch.available, batch.valid, columns)
+        return made if bool(present.all()) else made.take(present)
+
+    def _converted(self, column: Column) -> Column:
+        if not self.input.conversion.is_identity:
+            values = self.input.conversion.apply(column.values.astype(np.float64))
+            return Column(FieldType.FLOAT, values, column.null)
+        field = self._output.schema.get(self._value)
+        assert field is not None
+        if column.pool is not None:
+            return column.recoded(self._output.stream.pools[self._value])
+        if field.type is FieldType.FLOAT and column.type is FieldType.INTEGER:
+            return Column(FieldType.FLOAT, column.values.astype(np.float64), column.null)
+        return column
+
+
+class _Naming:
+    """Names of objects in a stream made into those of the output."""
+
+    def __init__(
+        self,
+        whose: Whose,
+        dictionary: TermDictionary,
+        pool: StringPool,
+        wanted: Callable[[str], bool] | None,
+    ) -> None:
+        self.pool = pool
+        self._whose = whose
+        self._dictionary = dictionary
+        self._wanted = wanted
+        self._table = ObjectTable(dictionary, whose.namespace)
+        self._codes: dict[int, int] = {}
+
+    def of(self, batch: SampleBatch) -> tuple[Codes, Mask]:
+        """The codes of the objects in the output's pool, and where there is one that is meant."""
+        if self._whose.object is not None or self._whose.id_field is None:
+            code = self._code_of(self._whose.object or "")
+            return np.full(len(batch), max(code, 0), np.int32), np.full(len(batch), code >= 0)
+        ids, present = self._table.ids(batch.columns[self._whose.id_field])
+        distinct, place = np.unique(ids[present], return_inverse=True)
+        known = np.array([self._code(id) for id in distinct.tolist()], np.int32)
+        codes = np.zeros(len(batch), np.int32)
+        meant = present.copy()
+        if len(known):
+            codes[present] = np.maximum(known[place], 0)
+            meant[present] = known[place] >= 0
+        return codes, meant
+
+    def _code(self, id: int) -> int:
+        code = self._codes.get(id)
+        if code is None:
+            code = self._codes[id] = self._code_of(str(self._dictionary.term(id))[1:-1])
+        return code
+
+    def _code_of(self, iri: str) -> int:
+        """The code of an object; -1 for one that is not meant."""
+        if self._wanted is not None and not self._wanted(iri):
+            return -1
+        return int(self.pool.encode([object_name(iri, DYKNOW)])[0])
+
+
+def object_fields(arity: int) -> tuple[str, ...]:
+    """``object``, ``object2``, … for the arguments of a feature."""
+    return tuple(OBJECT if i == 0 else f"{OBJECT}{i + 1}" for i in range(arity))

@@ -1,0 +1,278 @@
+"""Carrying out plans: the units of plan nodes, and what their streams mean
+([Introspection15 §4.3]: the result of matching is a specification that is executed).
+
+Equal nodes are one unit: whoever needs it next shares it, and it stops when the last user leaves.
+What a unit computes is annotated like any other stream, so that matching finds it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from collections.abc import Set as AbstractSet
+from typing import assert_never
+
+from pyoxigraph import NamedNode
+
+from ..converters.objects import ObjectTable
+from ..converters.values import field_type
+from ..matching.match import Match, match_all
+from ..matching.plan import (
+    Compute,
+    Edge,
+    Node,
+    SelectObject,
+    Synchronize,
+    UseStream,
+    annotation_of,
+)
+from ..matching.space import StreamSpace
+from ..matching.want import Want
+from ..ontology.ontology import Ontology
+from ..rdf.dictionary import TermDictionary
+from ..rdf.namespaces import DYKNOW, shorten
+from ..streams.generator import StreamGenerator
+from ..streams.sample import Field, FieldType, Schema
+from ..streams.strings import StringPool
+from ..streams.time import TIME_MIN
+from .changes import Change, ChangeKind
+from .configuration import SELECT_OBJECT, Configuration
+from .processes import SourceImplementation, UnitImplementation
+from .source_unit import SourceUnit
+from .supervision import DIRECT, ProcessEvent, Runner
+from .transformation_unit import TransformationUnit
+from .transformations import BuiltIn, Transformation, Transformations
+from .unit import ComputationalUnit, FunctionUnit, InputPort, SelectionUnit
+from .views import Since
+
+
+class Plans:
+    """Starts the units that plans ask for, in a configuration.
+
+    ``runner`` calls user-written code.
+    """
+
+    def __init__(
+        self,
+        ontology: Ontology,
+        dictionary: TermDictionary,
+        transformations: Transformations,
+        configuration: Configuration,
+        space: StreamSpace,
+        changed: Callable[[Change], None],
+        runner: Runner = DIRECT,
+    ) -> None:
+        self._space = space
+        self._ontology = ontology
+        self._dictionary = dictionary
+        self._transformations = transformations
+        self._configuration = configuration
+        self._changed = changed
+        self._runner = runner
+        self._begun: dict[str, int] = {}
+        """Streams of units that began with what came, and the last that was available before."""
+        self._broken: set[str] = set()
+        self._made: set[str] = set()
+
+    def obtain(self, node: Node, since: Since = Since.NOW) -> StreamGenerator:
+        """The stream of a plan node: found if the same is made already, else built.
+
+        What was built runs until `release` has been called for each unit started on it. A unit
+        that began with the past is another than one that began with what comes.
+        """
+        if isinstance(node, UseStream):
+            return self._configuration.stream(node.stream)
+        return self._configuration.share((node, since), lambda: self._build(node, since)).output
+
+    def makes(self, stream: str) -> bool:
+        """Whether a unit of a plan makes the stream."""
+        return stream in self._made
+
+    def is_running(self, node: Node) -> bool:
+        """Whether there is a unit for ``node`` already."""
+        return any(self._configuration.is_shared((node, since)) for since in Since)
+
+    def match(
+        self,
+        wants: Sequence[Want],
+        strategy: str,
+        without: AbstractSet[str] = frozenset(),
+        *,
+        explained: bool = False,
+    ) -> tuple[Match, ...]:
+        """Semantic matching over what there is; see `match_all`."""
+        return match_all(
+            wants,
+            self._space,
+            self._ontology.vocabulary,
+            strategy,
+            without=without,
+            is_running=self.is_running,
+            explained=explained,
+        )
+
+    def unusable(self, since: Since, after: int = TIME_MIN) -> AbstractSet[str]:
+        """Streams of plans that answer nobody else: no more comes of them, or, where what was
+        available after ``after`` (ns) is wanted, they began later."""
+        if since is Since.NOW:
+            return self._broken
+        late = {name for name, begun in self._begun.items() if begun > after}
+        return self._broken | late
+
+    def heard(self, change: Change) -> None:
+        """The stream space has changed: a unit that fails takes those with it that read it."""
+        match change.kind:
+            case ChangeKind.UNIT_FAILED | ChangeKind.UNIT_STOPPED_BY_RULE:
+                units = self._configuration.units
+                self._broken = {
+                    n for n, unit in units.items() if self._configuration.is_broken(unit)
+                }
+            case ChangeKind.STREAM_REMOVED:
+                self._broken.discard(change.stream)
+                self._begun.pop(change.stream, None)
+                self._made.discard(change.stream)
+
+    def _build(self, node: SelectObject | Synchronize | Compute, since: Since) -> ComputationalUnit:
+        match node:
+            case SelectObject(source, id_field, object):
+                unit = self._select(self.obtain(source, since), id_field, object)
+            case Synchronize():
+                raise NotImplementedError
+            case Compute():
+                unit = self._compute(node, since)
+            case _:
+                assert_never(node)
+        self._configuration.start(unit, since)
+        if not isinstance(node, SelectObject):  # its objects stand in the stream it is made of
+            self._tell_meaning(node, unit, since)
+        return unit
+
+    def _tell_meaning(self, node: Node, unit: ComputationalUnit, since: Since) -> None:
+        name = unit.output.name
+        annotation = annotation_of(node, name)
+        self._made.add(name)
+        if since is Since.NOW:
+            lasts = (source.stream.last_available for source in unit.inputs)
+            self._begun[name] = max((last for last in lasts if last is not None), default=TIME_MIN)
+        self._changed(
+            Change(
+                ChangeKind.STREAM_ANNOTATED,
+                name,
+                specification=annotation.source,
+                annotation=annotation,
+            )
+        )
+
+    def _select(self, source: StreamGenerator, id_field: str, object: str) -> ComputationalUnit:
+        namespace = self._configuration.namespaces[source.name]
+        output = self._configuration.reserved_stream(
+            source.schema, namespace, dict(source.stream.pools)
+        )
+        parameters = {"field": id_field, "object": shorten(object)}
+        return SelectionUnit(
+            *self._configuration.identity(SELECT_OBJECT, [source], output, parameters),
+            id_field=id_field,
+            object_id=self._dictionary.id(NamedNode(object)),
+            objects=ObjectTable(self._dictionary, namespace),
+        )
+
+    # -- computing ---------------------------------------------------------------------------
+
+    def _compute(self, node: Compute, since: Since) -> ComputationalUnit:
+        transformation = self._transformations[node.transformation]
+        source = None
+        for edge in node.inputs:
+            source = self.obtain(edge.node, since)
+        schema, pools = self._fields_of(node, source)
+        namespace = DYKNOW if source is None else self._configuration.namespaces[source.name]
+        output = self._configuration.reserved_stream(schema, namespace, pools)
+        parameters = dict(self._transformations.parameters_of(transformation))
+        inputs = [] if source is None else [source]
+        identity = self._configuration.identity(transformation.name, inputs, output, parameters)
+        return self._unit(node, transformation, identity, parameters)
+
+    def _unit(
+        self,
+        node: Compute,
+        transformation: Transformation,
+        identity: tuple[object, ...],
+        parameters: dict[str, str],
+    ) -> ComputationalUnit:
+        implementation = self._transformations.implementation(transformation.implementation)
+
+        def told(event: ProcessEvent, text: str) -> None:
+            self._configuration.tell(ChangeKind(event), unit, text)
+
+        unit: ComputationalUnit
+        match implementation:
+            case BuiltIn():
+                (edge,) = node.inputs
+                unit = FunctionUnit(
+                    *identity,
+                    function=implementation.make(parameters),
+                    ports=[port for _, port in self._ports(edge, transformation)],
+                    id_fields=edge.id_fields,
+                    carried=node.carried,
+                    output_field=node.output.field,
+                )
+            case UnitImplementation():
+                (edge,) = node.inputs
+                unit = TransformationUnit(
+                    *identity,
+                    implementation=implementation,
+                    parameters=transformation.parameters,
+                    ports=self._ports(edge, transformation),
+                    id_fields=edge.id_fields,
+                    carried=node.carried,
+                    on_event=told,
+                    runner=self._runner,
+                )
+            case SourceImplementation():
+                unit = SourceUnit(
+                    *identity,
+                    implementation=implementation,
+                    parameters=dict(transformation.parameters),
+                    on_event=told,
+                    runner=self._runner,
+                )
+            case _:
+                assert_never(implementation)
+        return unit
+
+    def _ports(self, edge: Edge, transformation: Transformation) -> list[tuple[str, InputPort]]:
+        """What feeds each input, in the order of the annotation."""
+        inputs = getattr(transformation.annotation, "inputs", ())
+        ports = {port.target_field: port for port in edge.ports}
+        return [
+            (port.field, InputPort(ports[port.field].source_field, ports[port.field].conversion))
+            for port in inputs
+        ]
+
+    def _fields_of(
+        self, node: Compute, source: StreamGenerator | None
+    ) -> tuple[Schema, dict[str, StringPool]]:
+        """The fields of a unit's output: the objects that pass through, those that it names
+        itself, and the value."""
+        fields: list[Field] = []
+        pools: dict[str, StringPool] = {}
+        carried = {output: field for field, output in node.carried}
+        for role in node.roles:
+            name = role.id_field
+            if name is None or name in (field.name for field in fields):
+                continue
+            if name in carried and source is not None:
+                own = source.schema.get(carried[name])
+                assert own is not None
+                fields.append(Field(name, own.type))
+                if own.type is FieldType.STRING:
+                    pools[name] = source.stream.pools[own.name]
+            else:
+                fields.append(Field(name, FieldType.STRING))
+        fields.append(Field(node.output.field, self._type_of(node)))
+        return Schema(tuple(fields)), pools
+
+    def _type_of(self, node: Compute) -> FieldType:
+        implementation = self._transformations[node.transformation].implementation
+        if isinstance(self._transformations.implementation(implementation), BuiltIn):
+            return FieldType.FLOAT
+        info = self._ontology.vocabulary.feature(node.output.feature)
+        return field_type(None if info is None else info.range)

@@ -1,0 +1,138 @@
+"""Transformations in Turtle, as [Introspection15 Listing 3] prints one."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Sequence
+
+from pyoxigraph import BlankNode, Literal, NamedNode, Triple
+
+from ..ontology.reading import read_triples
+from ..rdf.namespaces import RDF, STREAM_SPACE, shorten
+from .describing import DescribedArgument, DescribedPort, DescribedTransformation, local
+from .errors import BadArguments
+
+_TYPE = RDF + "type"
+_LISTING = (
+    ":name a :Transformation ; :hasAnnotation [ :hasInputAnnotation [ :describesFeature … ; "
+    ":describesSort … ] ; :hasOutputAnnotation [ … ] ]"
+)
+
+
+def read_transformations(text: str) -> tuple[DescribedTransformation, ...]:
+    """Each ``:Transformation`` of a Turtle text, by name.
+
+    Inputs are in the order of ``:nextSegment``; a field is called by ``:hasName``, or like its
+    feature. Raises `OntologyError` with line and column, and `BadArguments` for a description
+    that lacks something.
+    """
+    graph = _Graph(read_triples(text, "turtle", NamedNode(STREAM_SPACE.rstrip("#"))))
+    found = graph.subjects(_TYPE, STREAM_SPACE + "Transformation")
+    if not found:
+        raise BadArguments("the text describes no :Transformation", f"write {_LISTING}")
+    return tuple(graph.transformation(node) for node in sorted(found, key=str))
+
+
+class _Graph:
+    def __init__(self, triples: Sequence[Triple] | frozenset[Triple]) -> None:
+        self._objects: dict[tuple[object, str], list[NamedNode | BlankNode | Literal]]
+        self._objects = defaultdict(list)
+        self._typed: dict[tuple[str, str], list[NamedNode | BlankNode]] = defaultdict(list)
+        for triple in sorted(triples, key=str):
+            subject, object = triple.subject, triple.object
+            if not isinstance(object, NamedNode | BlankNode | Literal):
+                continue
+            self._objects[subject, triple.predicate.value].append(object)
+            if isinstance(object, NamedNode) and isinstance(subject, NamedNode | BlankNode):
+                self._typed[triple.predicate.value, object.value].append(subject)
+
+    def subjects(self, predicate: str, object: str) -> list[NamedNode | BlankNode]:
+        return self._typed[predicate, object]
+
+    def transformation(self, node: NamedNode | BlankNode) -> DescribedTransformation:
+        name = self._text(node, "hasName") or (local(node.value) if _is_named(node) else "")
+        if not name:
+            raise BadArguments("a :Transformation has no name", 'give it an IRI, or :hasName "…"')
+        annotation = self._one(node, "hasAnnotation", name)
+        output = None if annotation is None else self._one(annotation, "hasOutputAnnotation", name)
+        if annotation is None or output is None:
+            raise BadArguments(f"{name} says not what it gives", f"write {_LISTING}")
+        inputs: list[DescribedPort] = []
+        holder: NamedNode | BlankNode | None = annotation
+        seen = set()
+        while holder is not None and holder not in seen:
+            seen.add(holder)
+            segment = self._one(holder, "hasInputAnnotation", name)
+            if segment is None:
+                break
+            inputs.append(self._port(segment, name))
+            holder = self._one(segment, "nextSegment", name)
+        code = self._one(node, "hasImplementation", name)
+        implementation = None
+        if code is not None:
+            implementation = self._text(code, "hasName") or local(code.value)
+        return DescribedTransformation(
+            name,
+            tuple(inputs),
+            self._port(output, name),
+            implementation,
+            self._parameters(node, name),
+            self._number(node, "hasCost", name),
+            self._number(node, "hasQuality", name),
+        )
+
+    def _port(self, node: NamedNode | BlankNode, name: str) -> DescribedPort:
+        feature = self._one(node, "describesFeature", name)
+        if not isinstance(feature, NamedNode):
+            raise BadArguments(f"an annotation of {name} describes no feature", f"write {_LISTING}")
+        links = ("describesSort", "describesObject")
+        named = [n for link in links for n in self._objects[node, STREAM_SPACE + link]]
+        arguments = tuple(
+            DescribedArgument(
+                "self" if n.value == STREAM_SPACE + "self" else shorten(n.value),
+                id=self._text(node, "hasIdField") or None,
+            )
+            for n in named
+            if isinstance(n, NamedNode)
+        )
+        return DescribedPort(
+            shorten(feature.value),
+            self._text(node, "hasName") or None,
+            self._text(node, "hasUnit") or None,
+            arguments,
+        )
+
+    def _parameters(self, node: NamedNode | BlankNode, name: str) -> dict[str, str]:
+        parameters = {}
+        for parameter in self._objects[node, STREAM_SPACE + "hasParameter"]:
+            key, value = self._text(parameter, "hasName"), self._text(parameter, "hasText")
+            if not key:
+                raise BadArguments(
+                    f"a parameter of {name} has no name",
+                    ':hasParameter [ :hasName "baseline" ; :hasText "5s" ]',
+                )
+            parameters[key] = value
+        return parameters
+
+    def _one(self, node: object, link: str, name: str) -> NamedNode | BlankNode | None:
+        found = self._objects[node, STREAM_SPACE + link]
+        if len(found) > 1:
+            raise BadArguments(f"{name} has {len(found)} :{link} where one is expected", "")
+        if found and isinstance(found[0], Literal):
+            raise BadArguments(f":{link} of {name} is a text", f"write {_LISTING}")
+        return found[0] if found else None  # type: ignore[return-value]
+
+    def _text(self, node: object, link: str) -> str:
+        found = self._objects[node, STREAM_SPACE + link]
+        return found[0].value if found else ""
+
+    def _number(self, node: object, link: str, name: str) -> float:
+        text = self._text(node, link)
+        try:
+            return float(text) if text else 1.0
+        except ValueError as error:
+            raise BadArguments(f":{link} of {name} is a number, not {text!r}") from error
+
+
+def _is_named(node: NamedNode | BlankNode) -> bool:
+    return isinstance(node, NamedNode)

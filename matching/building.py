@@ -1,0 +1,221 @@
+"""From chosen answers to a plan: which streams, selections, synchronizations and units.
+
+What goals leave open is settled here: in which field of which stream a feature stands, which field
+names the objects, and in which unit it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from ..languages.ssl.annotation import Role
+from ..ontology.units import IDENTITY, Unit, conversion
+from .goals import Answer, Apart, Goal, Offer, Through
+from .plan import Compute, Edge, Node, Port, SelectObject, Synchronize, UseStream
+from .subject import Roles, Sorts, Subjects
+
+
+@dataclass(frozen=True, slots=True)
+class Output:
+    """A field of a node's stream, with the feature in it and its unit."""
+
+    field: str
+    feature: str
+    unit: Unit
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """A node that answers asks: ``outputs`` one an ask, all of ``roles``.
+
+    ``depth`` is the greatest number of transformations on a path below it, itself included.
+    """
+
+    node: Node
+    outputs: tuple[Output, ...]
+    roles: Roles
+    depth: int = 0
+
+
+class Builder:
+    """Builds nodes; equal goals are one node.
+
+    Contract: every goal that is built is in ``chosen``, with all that it needs, in no circle.
+    """
+
+    def __init__(self, chosen: Mapping[Goal, Answer], sorts: Sorts) -> None:
+        self._chosen = chosen
+        self._sorts = sorts
+        self._built: dict[Goal, tuple[tuple[Found, tuple[int, ...]], ...]] = {}
+
+    def build(self, goal: Goal) -> Found:
+        """What answers a goal of one ask."""
+        ((found, _),) = self._parts(goal)
+        return found
+
+    def _parts(self, goal: Goal) -> tuple[tuple[Found, tuple[int, ...]], ...]:
+        """What answers a goal, with the places of the asks that each part answers."""
+        waiting = [goal]
+        while waiting:
+            last = waiting[-1]
+            if last in self._built:
+                waiting.pop()
+                continue
+            answer = self._chosen[last]
+            needs = () if isinstance(answer, Offer) else answer.needs
+            missing = [need for need in needs if need not in self._built]
+            if missing:
+                waiting += missing
+                continue
+            waiting.pop()
+            self._built[last] = self._answer(last, answer)
+        return self._built[goal]
+
+    def _answer(self, goal: Goal, answer: Answer) -> tuple[tuple[Found, tuple[int, ...]], ...]:
+        everything = tuple(range(len(goal.asks)))
+        match answer:
+            case Offer():
+                return ((self._offered(answer, goal.subjects), everything),)
+            case Through():
+                return ((self._computed(answer, goal.subjects), everything),)
+            case Apart(needs, places):
+                return tuple(
+                    (found, tuple(group[i] for i in inner))
+                    for need, group in zip(needs, places, strict=True)
+                    for found, inner in self._built[need]
+                )
+
+    def _offered(self, offer: Offer, subjects: Subjects) -> Found:
+        node: Node = UseStream(offer.stream.name, offer.stream.contents)
+        outputs = tuple(Output(c.field, c.feature, c.unit) for c in offer.contents)
+        return _selected(Found(node, outputs, offer.roles), subjects)
+
+    # -- units -------------------------------------------------------------------------------
+
+    def _computed(self, through: Through, subjects: Subjects) -> Found:
+        unit = through.unit
+        feeds = self._feeds(through)
+        feed = self._synchronized(feeds) if len(feeds) > 1 else next(iter(feeds), None)
+        given = self._output_roles(through, feed, alone=len(feeds) == 1)
+        # The value of the output may have the name of the id field that comes with the inputs.
+        taken = {unit.output.field}
+        roles = tuple(replace(role, id_field=_free(role.id_field, taken)) for role in given)
+        own = {argument.id_field for argument in unit.arguments if argument.id_field is not None}
+        carried = tuple(
+            (before.id_field, after.id_field)
+            for before, after in zip(given, roles, strict=True)
+            if before.id_field is not None
+            and after.id_field is not None
+            and before.id_field not in own
+        )
+        inputs = () if feed is None else (feed,)
+        node = Compute(unit.name, inputs, unit.output, roles, carried)
+        made = Output(unit.output.field, unit.output.feature, unit.output.unit)
+        return _selected(Found(node, (made,), roles, self._depth(through)), subjects, own)
+
+    def _depth(self, through: Through) -> int:
+        below = (found.depth for need in through.needs for found, _ in self._built[need])
+        return 1 + max(below, default=0)
+
+    def _feeds(self, through: Through) -> list[Edge]:
+        """What feeds the inputs, each stream once."""
+        ports: dict[tuple[Node, Roles], dict[str, Port]] = {}
+        for port, (j, k) in zip(through.unit.inputs, through.feeds, strict=True):
+            parts = self._built[through.needs[j]]
+            found, asks = next(part for part in parts if k in part[1])
+            output = found.outputs[asks.index(k)]
+            fields = ports.setdefault((found.node, found.roles), {})
+            fields[port.field] = make_port(output, port.field, port.unit)
+        return [
+            Edge(node, tuple(fields.values()), roles) for (node, roles), fields in ports.items()
+        ]
+
+    def _synchronized(self, feeds: Sequence[Edge]) -> Edge:
+        """One stream of tuples of what several streams hold of the same objects.
+
+        Its id fields are those of the first stream that has any: of several kinds of objects only
+        one is many.
+        """
+        names = {port.target_field for feed in feeds for port in feed.ports}
+        first = next((many for many in map(_many, feeds) if many), ())
+        kept = tuple(replace(role, id_field=_free(role.id_field, names)) for role in first)
+        ports = tuple(
+            replace(port, source_field=port.target_field, source=port.target, conversion=IDENTITY)
+            for feed in feeds
+            for port in feed.ports
+        )
+        return Edge(Synchronize(tuple(feeds), kept), ports, kept)
+
+    def _output_roles(self, through: Through, feed: Edge | None, *, alone: bool) -> Roles:
+        """Whose the output is; ``alone``: all inputs come from one stream."""
+        unit = through.unit
+        given: dict[str, Role] = {}
+        for port, (j, _) in zip(unit.inputs, through.feeds, strict=True):
+            for place, argument in enumerate(port.arguments):
+                if feed is not None and argument.object is None and argument.variable not in given:
+                    role = _role(through.needs[j].subjects, place, feed, alone=alone)
+                    given[argument.variable] = role
+        roles = []
+        for argument in unit.arguments:
+            if argument.object is not None:
+                roles.append(Role(None, self._sorts.canonical(argument.object), None))
+            elif argument.id_field is not None:
+                roles.append(Role(argument.sort, None, argument.id_field))
+            else:
+                roles.append(given[argument.variable])
+        if roles or feed is None:
+            return tuple(roles)
+        if alone:
+            return feed.roles
+        subjects = through.needs[0].subjects
+        return tuple(_role(subjects, i, feed, alone=False) for i in range(len(subjects)))
+
+
+def _selected(found: Found, subjects: Subjects, fields: Collection[str] | None = None) -> Found:
+    """Only the samples of the objects that are meant, where a stream has those of others.
+
+    ``fields`` are the id fields that are to be looked at (None: all): what a unit takes over from
+    its inputs was selected there.
+    """
+    node = found.node
+    roles: list[Role] = []
+    for place, role in enumerate(found.roles):
+        field = role.id_field if fields is None or role.id_field in fields else None
+        wanted = subjects[place].object if place < len(subjects) else None
+        object = wanted if wanted is not None else role.object
+        # A role with a sort and an object is one that was selected already.
+        if object is not None and field is not None and not (role.sort and role.object):
+            node = SelectObject(node, field, object)
+            role = replace(role, object=object)
+        roles.append(role)
+    return replace(found, node=node, roles=tuple(roles))
+
+
+def _role(subjects: Subjects, place: int, feed: Edge, *, alone: bool) -> Role:
+    """The role in a unit's stream of inputs of what one of its inputs speaks of."""
+    if alone:
+        return feed.roles[place]
+    subject = subjects[place]
+    if subject.object is not None:
+        return Role(None, subject.object, None)
+    many = sum(earlier.object is None for earlier in subjects[:place])
+    return feed.roles[many]
+
+
+def _many(feed: Edge) -> Roles:
+    """The roles that stand for many objects."""
+    return tuple(role for role in feed.roles if role.object is None)
+
+
+def _free(field: str | None, taken: set[str]) -> str | None:
+    while field is not None and field in taken:
+        field += "_of"
+    return field
+
+
+def make_port(output: Output, field: str, unit: Unit) -> Port:
+    """The port that feeds ``field``, in ``unit``, from an output."""
+    same = output.unit == unit
+    change = IDENTITY if same else conversion(output.unit, unit)
+    return Port(output.field, field, output.feature, output.unit, unit, change)

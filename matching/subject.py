@@ -1,0 +1,150 @@
+"""Whose feature it is: objects, sorts of objects, and how they contain each other.
+
+[Introspection15 §4.3] matches over subsumption: `RMAX ⊑ UAV ⊑ Thing`. A `Subject` is what is
+asked for, a `Role` (of an annotation) what a stream holds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple, TypeAlias
+
+from ..languages.ssl.annotation import Role
+from ..ontology.vocabulary import SELF, THING, Vocabulary
+from ..rdf.namespaces import OWL, STREAM_SPACE, shorten
+
+TOPS = frozenset({THING, OWL + "Thing", STREAM_SPACE + "Sort"})
+"""The sorts of all things."""
+
+Roles: TypeAlias = tuple[Role, ...]
+"""Whose a content is: one role, but for n-ary features."""
+
+
+class Subject(NamedTuple):
+    """Every object of ``sort``; ``object``; or ``object``, taken to be of ``sort``. IRIs.
+
+    ``bounds`` are sorts that whatever stands for every object of ``sort`` must not go beyond: a
+    transformation for a sort does not look at sorts, so it may be fed with no others.
+    """
+
+    sort: str | None
+    object: str | None
+    bounds: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        return (
+            f"every {shorten(self.sort or THING)}" if self.object is None else shorten(self.object)
+        )
+
+
+Subjects: TypeAlias = tuple[Subject, ...]
+"""Whose a wanted feature is: one subject, but for n-ary features."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sorts:
+    """Questions about subjects, answered by the ontology."""
+
+    vocabulary: Vocabulary
+
+    def within(self, sub: str, sup: str) -> bool:
+        """``sub ⊑ sup``; everything is within the sorts of all things."""
+        return sub == sup or sup in TOPS or self.vocabulary.is_subsort(sub, sup)
+
+    def canonical(self, object: str) -> str:
+        """The object's name: ``self`` may have one of its own."""
+        return self.vocabulary.self_object if object == SELF else object
+
+    def belongs(self, subject: Subject, sort: str) -> bool:
+        """Each object meant by ``subject`` is one of ``sort``, as far as is known or was said."""
+        if sort in TOPS:
+            return True
+        if subject.object is not None and sort in self.vocabulary.sorts_of(subject.object):
+            return True
+        return subject.sort is not None and self.within(subject.sort, sort)
+
+    def bounded(self, subject: Subject, sort: str) -> Subject:
+        """``subject``, not beyond ``sort``. Contract: it belongs to ``sort``."""
+        if subject.object is not None or sort in TOPS or subject.sort is None:
+            return subject
+        narrower = [bound for bound in subject.bounds if not self.within(sort, bound)]
+        if any(self.within(bound, sort) for bound in narrower):
+            return subject
+        return subject._replace(bounds=tuple(sorted((*narrower, sort))))
+
+    def holds(self, roles: Roles, subjects: Subjects) -> bool:
+        """A content of ``roles`` holds the feature of all that ``subjects`` mean.
+
+        Further roles, beyond the subjects, may be any: who wants the distance of `uav1` to
+        whatever it is near wants each of them.
+        """
+        return len(roles) >= len(subjects) and all(
+            self._holds(role, subject) for role, subject in zip(roles, subjects, strict=False)
+        )
+
+    def _holds(self, role: Role, subject: Subject) -> bool:
+        if role.object is not None:
+            return role.object == subject.object
+        sort = role.sort or THING
+        if subject.object is not None:
+            return self.belongs(subject, sort)
+        wanted = subject.sort or THING
+        return self.within(wanted, sort) and (
+            sort == wanted or all(self.within(sort, bound) for bound in subject.bounds)
+        )
+
+    def part(self, held: Subject, wanted: Subject) -> Subject | None:
+        """What of ``wanted`` may be had where features of ``held`` are; None if nothing.
+
+        Of every object of a sort, those of a narrower one, or a single one. Of an object of which
+        it is not known, the object taken to be of the sort that is held.
+        """
+        if held.object is not None:
+            own = Subject(None, held.object)
+            if wanted.object is not None:
+                return own if held.object == wanted.object else None
+            return own if self.belongs(own, wanted.sort or THING) else None
+        sort = held.sort or THING
+        if wanted.object is None:
+            return Subject(sort, None) if self.within(sort, wanted.sort or THING) else None
+        if self.belongs(wanted, sort) or not self.within(sort, wanted.sort or THING):
+            return None
+        # What is known to be a car may be a taxi, and hardly a bird.
+        known = self.vocabulary.sorts_of(wanted.object) - TOPS
+        if known and not any(self.within(sort, one) for one in known):
+            return None
+        return Subject(sort, wanted.object)
+
+    def why_not(self, role: Role, subject: Subject) -> str:
+        """Why a content of ``role`` does not hold the feature of ``subject``; empty if it does."""
+        held = Subject(role.sort, role.object)
+        if self._holds(role, subject) or self.part(held, subject) is not None:
+            return ""
+        sort = role.sort or THING
+        if subject.object is not None:
+            if role.object is not None:
+                return f"it speaks of {shorten(role.object)}, not of {shorten(subject.object)}"
+            return f"{shorten(subject.object)} is not known to be a {shorten(sort)}"
+        wanted = subject.sort or THING
+        if role.object is not None:
+            return f"{shorten(role.object)} is not known to be a {shorten(wanted)}"
+        if self.within(wanted, sort):
+            bound = next(b for b in subject.bounds if not self.within(sort, b))
+            return f"it speaks of every {shorten(sort)}, also of those that are no {shorten(bound)}"
+        return f"sort {shorten(sort)} is not a {shorten(wanted)}"
+
+    def covers(self, wider: Subject, narrower: Subject) -> bool:
+        """Every object of ``narrower`` is one of ``wider``."""
+        if wider.object is None:
+            return self.belongs(narrower, wider.sort or THING)
+        if wider.object != narrower.object:
+            return False
+        return wider.sort is None or (
+            narrower.sort is not None and self.within(narrower.sort, wider.sort)
+        )
+
+
+def whose(subjects: Sequence[Subject]) -> str:
+    """``every dyknow:UAV``, ``dyknow:uav1``; several of an n-ary feature."""
+    return " and ".join(map(str, subjects))

@@ -1,0 +1,80 @@
+"""What a plan is worth in a stream space: its quality and its cost ([Introspection15 §4.3])."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+from .plan import Compute, Node, SelectObject, Supply, Synchronize, UseStream, below_of, nodes_of
+from .space import StreamSpace
+from .strategy import Kind, Strategy
+from .weigh import SELECTION_COST, SYNCHRONIZATION_COST
+
+NOTHING: Callable[[Node], bool] = lambda _: False  # noqa: E731
+
+
+def quality_of(supply: Supply, space: StreamSpace) -> float:
+    """The least quality of its sources: each is as good as its unit, times the worst of its
+    inputs. What is no longer in the space counts as 0."""
+    qualities: dict[Node, float] = {}
+    for node in _nodes(supply):
+        below = min((qualities[part] for part in below_of(node)), default=1.0)
+        qualities[node] = _own_quality(node, space) * below
+    return min(qualities[source.node] for source in supply.sources)
+
+
+def cost_of(
+    supply: Supply, space: StreamSpace, is_running: Callable[[Node], bool] = NOTHING
+) -> float:
+    """The sum of the costs of its distinct units that do not run yet."""
+    return sum(_own_cost(node, space, 0.0) for node in _nodes(supply) if not is_running(node))
+
+
+def weight_of(
+    supply: Supply,
+    space: StreamSpace,
+    strategy: Strategy,
+    is_running: Callable[[Node], bool] = NOTHING,
+) -> float:
+    """What the strategy compares plans by; less is better. With *quality* it is 1 less the
+    quality."""
+    if strategy.kind is Kind.QUALITY:
+        return 1.0 - quality_of(supply, space)
+    total = 0.0
+    for node in _nodes(supply):
+        cost = 0.0 if is_running(node) else _own_cost(node, space, strategy.subscribers)
+        total += strategy.weight(cost, _own_quality(node, space))
+    return total
+
+
+def _nodes(supply: Supply) -> Iterable[Node]:
+    found: dict[Node, None] = {}
+    for source in supply.sources:
+        found |= dict.fromkeys(nodes_of(source.node))
+    return found
+
+
+def _own_quality(node: Node, space: StreamSpace) -> float:
+    match node:
+        case UseStream(name):
+            stream = space.streams.get(name)
+            return 0.0 if stream is None else stream.quality
+        case Compute(name):
+            unit = space.transformations.get(name)
+            return 0.0 if unit is None else unit.quality
+        case _:
+            return 1.0
+
+
+def _own_cost(node: Node, space: StreamSpace, subscribers: float) -> float:
+    match node:
+        case UseStream(name):
+            stream = space.streams.get(name)
+            own = 0.0 if stream is None else stream.cost
+            return own + (subscribers * space.subscribers(name) if subscribers else 0.0)
+        case SelectObject():
+            return SELECTION_COST
+        case Synchronize():
+            return SYNCHRONIZATION_COST
+        case Compute(name):
+            unit = space.transformations.get(name)
+            return 0.0 if unit is None else unit.cost

@@ -1,0 +1,166 @@
+"""The strategies that compare plans: cost, quality, and a weighted mix ([Introspection15 §4.3]).
+
+What leads to the wanted features is unfolded into an AND/OR graph of goals and producers; the
+optimum over it is `least_weight`'s and `best_quality`'s. A producer is a stream, a selection, a
+transformation or a synchronization; one that several goals use is one unit and counts once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .best_quality import best_quality
+from .goals import Answer, Apart, Goal, Goals, Offer, Through
+from .hypergraph import Hypergraph
+from .least_weight import least_weight
+from .plan import Node, SelectObject, UseStream
+from .strategy import Kind, Strategy
+
+SELECTION_COST = 1.0
+"""What one more unit costs that selects an object's samples."""
+SYNCHRONIZATION_COST = 1.0
+"""What one more unit costs that synchronizes streams."""
+
+
+@dataclass(frozen=True, slots=True)
+class Weighed:
+    """The best answers. ``value`` is their total weight, or with *quality* the least quality over
+    what was wanted; no plan is better than ``bound``. With ``proven`` this one is as good."""
+
+    chosen: dict[Goal, Answer]
+    value: float
+    bound: float
+    proven: bool
+
+
+def weigh(
+    goals: Goals,
+    roots: Sequence[Goal],
+    strategy: Strategy,
+    is_running: Callable[[Node], bool] = lambda _: False,
+) -> Weighed | None:
+    """The best plan for all of ``roots`` together; None if one of them has none.
+
+    Cost: linear in what leads to the roots, and then the optimum's.
+    """
+    unfolded = _Unfolded(goals, strategy, is_running)
+    places = [unfolded.goal(root) for root in roots]
+    unfolded.unfold()
+    graph = unfolded.graph()
+    search = best_quality if strategy.kind is Kind.QUALITY else least_weight
+    choice = search(graph, places)
+    if choice is None:
+        return None
+    chosen = {}
+    for producer in choice.producers.values():
+        answered = unfolded.answered[producer]
+        if answered is not None:
+            goal, answer = answered
+            chosen[goal] = answer
+    return Weighed(chosen, choice.value, choice.bound, choice.proven)
+
+
+class _Unfolded:
+    """The graph in the making; a node of it is a goal, or a stream or selection that is shared."""
+
+    def __init__(
+        self, goals: Goals, strategy: Strategy, is_running: Callable[[Node], bool]
+    ) -> None:
+        self._goals = goals
+        self._strategy = strategy
+        self._is_running = is_running
+        self._places: dict[Hashable, int] = {}
+        self._waiting: list[Goal] = []
+        self._derives: list[int] = []
+        self._starts: list[int] = [0]
+        self._inputs: list[int] = []
+        self._weights: list[float] = []
+        self._qualities: list[float] = []
+        self.answered: list[tuple[Goal, Answer] | None] = []
+
+    def goal(self, goal: Goal) -> int:
+        """The number of a goal."""
+        place = self._places.get(goal)
+        if place is None:
+            place = self._places[goal] = len(self._places)
+            self._waiting.append(goal)
+        return place
+
+    def unfold(self) -> None:
+        """Everything below the goals asked for so far."""
+        while self._waiting:
+            goal = self._waiting.pop()
+            place = self._places[goal]
+            for offer in self._goals.offers(goal):
+                weight = self._offer(place, goal, offer)
+                if weight == 0.0 and self._strategy.kind is not Kind.QUALITY:
+                    break  # none of those that come later is better
+            for way in self._goals.ways(goal):
+                cost, quality = self._price(way)
+                weight = self._strategy.weight(cost, quality)
+                needs = [self.goal(need) for need in way.needs]
+                self._add(place, needs, weight, quality, (goal, way))
+
+    def graph(self) -> Hypergraph:
+        """What was unfolded."""
+        return Hypergraph(
+            len(self._places),
+            np.array(self._derives, np.int32),
+            np.array(self._starts, np.int32),
+            np.array(self._inputs, np.int32),
+            np.array(self._weights, np.float64),
+            np.array(self._qualities, np.float64),
+        )
+
+    def _price(self, way: Through | Apart) -> tuple[float, float]:
+        if isinstance(way, Apart):
+            return SYNCHRONIZATION_COST, 1.0
+        unit = way.unit
+        apart = SYNCHRONIZATION_COST if len(way.needs) > 1 else 0.0
+        return unit.cost + apart, unit.quality
+
+    def _offer(self, place: int, goal: Goal, offer: Offer) -> float:
+        """The producer of an offer; gives its weight alone."""
+        stream = offer.stream
+        strategy = self._strategy
+        cost = stream.cost
+        if strategy.subscribers:
+            cost += strategy.subscribers * self._goals.space.subscribers(stream.name)
+        weight = strategy.weight(cost, stream.quality)
+        shared = self._shared(("stream", stream.name), [], weight, stream.quality)
+        node: Node = UseStream(stream.name, stream.contents)
+        for role, subject in zip(offer.roles, goal.subjects, strict=False):
+            object = subject.object or role.object
+            if object and role.id_field and not (role.sort and role.object):
+                node = SelectObject(node, role.id_field, object)
+                price = 0.0 if self._is_running(node) else strategy.weight(SELECTION_COST, 1.0)
+                shared = self._shared(node, [shared], price, 1.0)
+                weight += price
+        self._add(place, [shared], 0.0, 1.0, (goal, offer))
+        return weight
+
+    def _shared(self, key: Hashable, inputs: list[int], weight: float, quality: float) -> int:
+        """The number of a stream or selection, which is there once for whoever uses it."""
+        place = self._places.get(key)
+        if place is None:
+            place = self._places[key] = len(self._places)
+            self._add(place, inputs, weight, quality, None)
+        return place
+
+    def _add(
+        self,
+        place: int,
+        inputs: list[int],
+        weight: float,
+        quality: float,
+        answered: tuple[Goal, Answer] | None,
+    ) -> None:
+        self._derives.append(place)
+        self._inputs += inputs
+        self._starts.append(len(self._inputs))
+        self._weights.append(weight)
+        self._qualities.append(quality)
+        self.answered.append(answered)
