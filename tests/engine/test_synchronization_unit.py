@@ -50,15 +50,14 @@ def unit(
     return made
 
 
-def altitude_and_speed(**more):
-    altitude = stream("altitude", uav="string", alt="float")
+def altitude_and_speed(altitude=None):
+    altitude = altitude or stream("altitude", uav="string", alt="float")
     speed = stream("speed", pilot="string", kmh="float")
     made = unit(
         [altitude, speed],
         [taken("alt"), taken(("kmh", "v", Conversion(1 / 3.6)))],
         [("uav",), ("pilot",)],
         (("uav", "object"),),
-        **more,
     )
     return altitude, speed, made
 
@@ -273,6 +272,23 @@ def test_it_goes_on_after_the_end():
     altitude.end()
     assert content(made.output)[2:] == [(8, 8, "a", 8.0, 20.0)]
     assert made.output.is_ended
+    assert made.late == 0
+
+
+def test_an_input_that_goes_on_is_waited_for():
+    """Its sample has not left its generator yet, as an earlier one may come."""
+    altitude = stream("altitude", lateness=5, uav="string", alt="float")
+    altitude, speed, made = altitude_and_speed(altitude)
+    offer(altitude, (1, 1, "a", 1.0))
+    altitude.end()
+    offer(speed, (2, 2, "a", 36.0))
+    assert made.output.watermark == 3
+    offer(altitude, (6, 6, "a", 6.0))
+    offer(speed, (7, 7, "a", 72.0))
+    assert len(content(made.output)) == 1
+    altitude.end()
+    assert content(made.output)[1:] == [(6, 6, "a", 6.0, 10.0), (7, 7, "a", 6.0, 20.0)]
+    assert made.output.watermark == 8
     assert made.late == 0
 
 

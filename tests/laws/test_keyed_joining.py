@@ -264,6 +264,14 @@ def test_many_objects_at_once_are_the_same_as_few():
             np.testing.assert_array_equal(a, b)
 
 
+def test_objects_of_one_time_stand_in_the_order_of_the_first_input_that_each_came_by():
+    world = [[(5, 5, 1)], [(1, 1, 1), (5, 5, 2)], [(2, 2, 2), (5, 5, 1)]]
+    told = Told([[(0, 0, 2), *world[0]], *world[1:]], [True] * 3)
+    for i in range(3):
+        told.push(i, 0, 2)
+    assert told.given == [(5, 5, (1, 0, 1)), (6, 5, (0, 1, 0))]
+
+
 def test_what_is_kept_is_a_copy():
     """No batch stays in memory because one of its samples is the latest."""
     join = KeyedJoin([True, False])
@@ -324,6 +332,17 @@ def test_numbers_are_equal_where_keys_are(data):
         for key, number in zip(keys.tolist(), numbering.of(keys).tolist(), strict=True):
             assert seen.setdefault(key, len(seen)) == number
     assert len(numbering) == len(seen)
+
+
+def test_a_negative_key_is_no_place_from_the_end():
+    numbering = Numbering()
+    assert numbering.of(np.arange(50)).tolist() == [*range(50)]
+    assert numbering.of(np.arange(-50, 50)).tolist() == [*range(50, 100), *range(50)]
+    assert numbering.of(np.arange(-50, 100)).tolist() == [
+        *range(50, 100),
+        *range(50),
+        *range(100, 150),
+    ]
 
 
 def test_pairs_have_keys_of_their_own():
