@@ -5,9 +5,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from keyed_join_definition import keyed_join
 from process_running import OPEN, content, offer, stream
+from synchronizing import SAME, broken, taken, unit
 
 from dyknow.converters.objects import ObjectTable
-from dyknow.engine.synchronization_unit import SynchronizationUnit, TakenField, schema_of
+from dyknow.engine.synchronization_unit import SynchronizationUnit, schema_of
 from dyknow.engine.views import Since
 from dyknow.ontology.units import Conversion
 from dyknow.rdf.dictionary import TermDictionary
@@ -15,39 +16,7 @@ from dyknow.rdf.namespaces import DYKNOW
 from dyknow.streams.generator import StreamGenerator
 from dyknow.streams.sample import FieldType, SampleError, batch_from_rows
 
-SAME = Conversion(1.0)
 ELSEWHERE = "https://example.org/"
-
-
-def taken(*fields):
-    """Fields by name, or as (source field, target field, conversion)."""
-    return [TakenField(*((f, f, SAME) if isinstance(f, str) else f)) for f in fields]
-
-
-def broken(unit):
-    raise AssertionError(unit.failure)
-
-
-def unit(
-    inputs, ports, keys, ids=(), namespaces=None, since=Since.NOW, until=None, on_failure=broken
-):
-    """A unit at work, with an output made as its caller does."""
-    schema, pools = schema_of(inputs, ports, keys, ids)
-    dictionary = TermDictionary()
-    made = SynchronizationUnit(
-        "cu1",
-        "synchronize",
-        inputs,
-        StreamGenerator("out", schema, pools=pools),
-        {},
-        on_failure,
-        ports=ports,
-        keys=keys,
-        id_fields=ids,
-        objects=lambda source: ObjectTable(dictionary, (namespaces or {}).get(source.name, DYKNOW)),
-    )
-    made.start(since, until=until)
-    return made
 
 
 def altitude_and_speed(altitude=None):
