@@ -258,6 +258,7 @@ class Engine:
         """The time is ``now``: streams that are stamped on arrival have nothing before it."""
         self._now = max(self._now, now)
         self._application.tick(now)
+        self._plans.tick(now)
         units = self._configuration.units
         for generator in list(self._configuration.streams.values()):
             if generator.stamped and generator.name not in units and not generator.is_ended:

@@ -35,10 +35,11 @@ from ..streams.sample import Field, FieldType, Schema
 from ..streams.strings import StringPool
 from ..streams.time import TIME_MIN
 from .changes import Change, ChangeKind
-from .configuration import SELECT_OBJECT, Configuration
+from .configuration import SELECT_OBJECT, SYNCHRONIZE, Configuration
 from .processes import SourceImplementation, UnitImplementation
 from .source_unit import SourceUnit
 from .supervision import DIRECT, ProcessEvent, Runner
+from .synchronization_unit import SynchronizationUnit, TakenField, schema_of
 from .transformation_unit import TransformationUnit
 from .transformations import BuiltIn, Transformation, Transformations
 from .unit import ComputationalUnit, FunctionUnit, InputPort, SelectionUnit
@@ -72,6 +73,7 @@ class Plans:
         """Streams of units that began with what came, and the last that was available before."""
         self._broken: set[str] = set()
         self._made: set[str] = set()
+        self._sources: dict[str, SourceUnit] = {}
 
     def obtain(self, node: Node, since: Since = Since.NOW) -> StreamGenerator:
         """The stream of a plan node: found if the same is made already, else built.
@@ -82,6 +84,11 @@ class Plans:
         if isinstance(node, UseStream):
             return self._configuration.stream(node.stream)
         return self._configuration.share((node, since), lambda: self._build(node, since)).output
+
+    def tick(self, now: int) -> None:
+        """The time is ``now`` (ns): read the sources that are due."""
+        for source in list(self._sources.values()):
+            source.tick(now)
 
     def makes(self, stream: str) -> bool:
         """Whether a unit of a plan makes the stream."""
@@ -130,13 +137,14 @@ class Plans:
                 self._broken.discard(change.stream)
                 self._begun.pop(change.stream, None)
                 self._made.discard(change.stream)
+                self._sources.pop(change.stream, None)
 
     def _build(self, node: SelectObject | Synchronize | Compute, since: Since) -> ComputationalUnit:
         match node:
             case SelectObject(source, id_field, object):
                 unit = self._select(self.obtain(source, since), id_field, object)
             case Synchronize():
-                raise NotImplementedError
+                unit = self._synchronize(node, since)
             case Compute():
                 unit = self._compute(node, since)
             case _:
@@ -150,6 +158,8 @@ class Plans:
         name = unit.output.name
         annotation = annotation_of(node, name)
         self._made.add(name)
+        if isinstance(unit, SourceUnit):
+            self._sources[name] = unit
         if since is Since.NOW:
             lasts = (source.stream.last_available for source in unit.inputs)
             self._begun[name] = max((last for last in lasts if last is not None), default=TIME_MIN)
@@ -173,6 +183,37 @@ class Plans:
             id_field=id_field,
             object_id=self._dictionary.id(NamedNode(object)),
             objects=ObjectTable(self._dictionary, namespace),
+        )
+
+    def _synchronize(self, node: Synchronize, since: Since) -> ComputationalUnit:
+        inputs = [self.obtain(edge.node, since) for edge in node.inputs]
+        ports = [
+            [
+                TakenField(port.source_field, port.target_field, port.conversion)
+                for port in edge.ports
+            ]
+            for edge in node.inputs
+        ]
+        # What an input holds of a single object stands for every object of the others.
+        keys = [
+            tuple(role.id_field or "" for role in edge.roles if role.object is None)
+            for edge in node.inputs
+        ]
+        first = next((place for place, own in enumerate(keys) if own), None)
+        names = () if first is None else keys[first]
+        id_fields = tuple(
+            (name, role.id_field or "") for name, role in zip(names, node.roles, strict=True)
+        )
+        schema, pools = schema_of(inputs, ports, keys, id_fields)
+        namespaces = self._configuration.namespaces
+        namespace = DYKNOW if first is None else namespaces[inputs[first].name]
+        output = self._configuration.reserved_stream(schema, namespace, dict(pools))
+        return SynchronizationUnit(
+            *self._configuration.identity(SYNCHRONIZE, inputs, output, {}),
+            ports=ports,
+            keys=keys,
+            id_fields=id_fields,
+            objects=lambda source: ObjectTable(self._dictionary, namespaces[source.name]),
         )
 
     # -- computing ---------------------------------------------------------------------------

@@ -111,7 +111,11 @@ class Rematching:
         self._subscriptions[id] = found
         self._by_output[found.output.name] = found
         self._wanting[wish.want.feature][id] = None
-        self._rematch(found, "requested")
+        try:
+            self._rematch(found, "requested")
+        except Exception:
+            self.cancel(id)
+            raise
         return found
 
     def cancel(self, id: str) -> None:
