@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 from ..languages.ssl.annotation import Content, Role, StreamAnnotation
-from ..matching.plan import Compute, Supply, SupplySource, UseStream, nodes_of, ssl_of
+from ..matching.plan import Compute, Detect, Supply, SupplySource, UseStream, nodes_of, ssl_of
 from ..matching.subject import Sorts, Subject
 from ..matching.want import Want
 from ..ontology.vocabulary import THING, Vocabulary
@@ -174,9 +174,11 @@ def behind(unit: MergeUnit, configuration: Configuration) -> Iterator[str]:
 
 def transformations_of(supply: Supply) -> frozenset[str]:
     """The transformations of a plan."""
-    return frozenset(
-        node.transformation
-        for source in supply.sources
-        for node in nodes_of(source.node)
-        if isinstance(node, Compute)
-    )
+    names = set()
+    for source in supply.sources:
+        for node in nodes_of(source.node):
+            if isinstance(node, Compute):
+                names.add(node.transformation)
+            elif isinstance(node, Detect):
+                names.add(node.event)
+    return frozenset(names)

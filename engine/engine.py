@@ -29,12 +29,13 @@ from ..templates.library import (
     TemplateLibrary,
     TemplateRefused,
 )
+from ..templates.transformations import event_transformation
 from . import explain as explanations
 from .adaptive import Rematch, Wish
 from .annotations import Annotations
 from .application import Application
-from .changes import Change, ChangeKind
-from .configuration import Configuration
+from .changes import Change, ChangeKind, KnownTransformation
+from .configuration import C_SPARQL, Configuration
 from .declared import DeclaredStreams
 from .describing import DescribedStream
 from .errors import (
@@ -166,6 +167,7 @@ class Engine:
         for event, reason in self._templates.broken.items():
             self._changed(Change(ChangeKind.NOT_RESTORED, shorten(event), specification=reason))
         self.transformations.restore()
+        self._tell_templates()
         self._declared.restore_streams()
         with self._manager.together():
             self._kpl.restore()
@@ -298,13 +300,16 @@ class Engine:
         Raises `LanguageError`, and `AlreadyExists` unless ``replace``.
         """
         try:
-            return self._template_view(self._templates.register(text, replace=replace))
+            template = self._templates.register(text, replace=replace)
         except TemplateExists as error:
             raise AlreadyExists(
                 f"there is a template {shorten(error.name)}", "replace it with PUT, or remove it"
             ) from error
         except TemplateRefused as error:
             raise Refused(error.message, error.hint) from error
+        self._tell_templates()
+        self._settle()
+        return self._template_view(template)
 
     def templates(self) -> tuple[TemplateView, ...]:
         """All templates, by name."""
@@ -324,6 +329,9 @@ class Engine:
                 "cancel the requests first",
             )
         self._templates.remove(name)
+        self._changed(
+            Change(ChangeKind.TRANSFORMATION_REMOVED, transformation=shorten(template.name))
+        )
 
     # -- events ------------------------------------------------------------------------------
 
@@ -447,6 +455,7 @@ class Engine:
         and objects are known from now on, also to queries that run. Raises `OntologyError`."""
         self.ontology.load(text, name=name, format=format)
         self._converters.clear()
+        self._tell_templates()
         self._rematching.ontology_changed()
         self._settle()
 
@@ -532,6 +541,24 @@ class Engine:
         """How samples of what the system answers are written as triples."""
         found = self._rematching.of_stream(name)
         return self._requests.rdf_of(name) if found is None else found.rdf()
+
+    def _tell_templates(self) -> None:
+        """What the event templates take and give, as matching sees it; one may have made known
+        what another needs."""
+        for name in self._templates.names():
+            template = self._templates.get(name)
+            known = event_transformation(
+                template, lambda: self.ontology.vocabulary, self._templates.needs
+            )
+            if known != self._manager.space.transformations.get(known.name):
+                self._changed(
+                    Change(
+                        ChangeKind.TRANSFORMATION_ANNOTATED,
+                        transformation=known.name,
+                        specification=template.source,
+                        described=KnownTransformation(known, C_SPARQL),
+                    )
+                )
 
     def _template(self, name: str) -> Template:
         try:

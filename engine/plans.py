@@ -18,9 +18,11 @@ from ..converters.values import field_type
 from ..matching.match import Match, match_all
 from ..matching.plan import (
     Compute,
+    Detect,
     Edge,
     Node,
     SelectObject,
+    Supply,
     Synchronize,
     UseStream,
     annotation_of,
@@ -34,9 +36,11 @@ from ..streams.generator import StreamGenerator
 from ..streams.sample import Field, FieldType, Schema
 from ..streams.strings import StringPool
 from ..streams.time import TIME_MIN
+from ..templates.transformations import EventTransformation
 from .changes import Change, ChangeKind
 from .configuration import SELECT_OBJECT, SYNCHRONIZE, Configuration
 from .processes import SourceImplementation, UnitImplementation
+from .queries import Queries
 from .source_unit import SourceUnit
 from .supervision import DIRECT, ProcessEvent, Runner
 from .synchronization_unit import SynchronizationUnit, TakenField, schema_of
@@ -69,6 +73,8 @@ class Plans:
         self._configuration = configuration
         self._changed = changed
         self._runner = runner
+        self.queries = Queries(ontology, dictionary, configuration, self.obtain)
+        """Starts continuous queries over plans."""
         self._begun: dict[str, int] = {}
         """Streams of units that began with what came, and the last that was available before."""
         self._broken: set[str] = set()
@@ -139,7 +145,12 @@ class Plans:
                 self._made.discard(change.stream)
                 self._sources.pop(change.stream, None)
 
-    def _build(self, node: SelectObject | Synchronize | Compute, since: Since) -> ComputationalUnit:
+    def _build(
+        self, node: SelectObject | Synchronize | Compute | Detect, since: Since
+    ) -> ComputationalUnit:
+        if isinstance(node, Detect):
+            return self._detect(node, since)
+        unit: ComputationalUnit
         match node:
             case SelectObject(source, id_field, object):
                 unit = self._select(self.obtain(source, since), id_field, object)
@@ -152,6 +163,18 @@ class Plans:
         self._configuration.start(unit, since)
         if not isinstance(node, SelectObject):  # its objects stand in the stream it is made of
             self._tell_meaning(node, unit, since)
+        return unit
+
+    def _detect(self, node: Detect, since: Since) -> ComputationalUnit:
+        """The query of an event template, over what its plan says."""
+        event = self._space.transformations[node.event]
+        assert isinstance(event, EventTransformation)
+        supplies = [
+            Supply(want, (source,), complete=True)
+            for want, source in zip(node.wants, node.sources, strict=True)
+        ]
+        unit = self.queries.start(event.query(node.subject), supplies, since).unit
+        self._tell_meaning(node, unit, since)
         return unit
 
     def _tell_meaning(self, node: Node, unit: ComputationalUnit, since: Since) -> None:

@@ -8,26 +8,19 @@ unit over them. Requests for the same thing share one stream.
 from __future__ import annotations
 
 import re
-from collections import defaultdict
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from pyoxigraph import Literal, Variable
 
-from ..continuous.evaluator import ContinuousEvaluator
-from ..converters.to_samples import ResultConverter
-from ..converters.to_triples import SampleConverter
-from ..languages.csparql import format_query, with_streams
 from ..languages.csparql.ast import ContinuousQuery, EventRequest, Template
-from ..languages.ssl.annotation import Content, StreamAnnotation
+from ..languages.ssl.annotation import StreamAnnotation
 from ..matching.match import Match, UnknownStrategy, match_all
-from ..matching.plan import UseStream, nodes_of, wanted_annotation
+from ..matching.plan import UseStream, nodes_of
 from ..matching.space import StreamSpace
 from ..ontology.ontology import Ontology
-from ..ontology.units import Unit
 from ..rdf.dictionary import TermDictionary
 from ..rdf.namespaces import XSD, shorten
-from ..streams.generator import StreamGenerator
 from ..templates.instantiate import ArgumentError, instantiate
 from ..templates.library import TemplateLibrary
 from ..templates.needs import Needs, NeedsError
@@ -36,7 +29,6 @@ from .changes import Change, ChangeKind
 from .configuration import Configuration
 from .errors import BadArguments, NoPlan, UnknownRequest
 from .plans import Plans
-from .results import result_form
 from .unit import QueryUnit
 from .views import EventView, PlanView, Since
 
@@ -227,57 +219,9 @@ class EventRequests:
 
     def _build(self, query: ContinuousQuery, matches: Sequence[Match], since: Since) -> _Running:
         """Start what the matches ask for, inputs first, then the query unit."""
-        vocabulary = self._ontology.vocabulary
-        inputs: dict[str, StreamGenerator] = {}
-        converters: dict[str, list[SampleConverter]] = defaultdict(list)
-        # Two patterns may want the same of one stream: its samples are still elements once.
-        read: set[tuple[str, tuple[Content, ...], Unit]] = set()
-        for match in matches:
-            assert match.supply is not None
-            for source in match.supply.sources:
-                generator = self._plans.obtain(source.node, since)
-                inputs[generator.name] = generator
-                annotation = wanted_annotation(match.supply, source, generator.name)
-                element = (generator.name, annotation.contents, source.port.target)
-                if element in read:
-                    continue
-                read.add(element)
-                units: dict[str, Unit] = {match.want.feature: source.port.target}
-                converters[generator.name].append(
-                    SampleConverter(
-                        annotation,
-                        generator.schema,
-                        vocabulary,
-                        self._dictionary,
-                        namespace=self._configuration.namespaces[generator.name],
-                        units=units,
-                    )
-                )
-        query = with_streams(query, list(inputs))
-        form = result_form(query, vocabulary)
-        roles = [r for m in matches if m.supply for s in m.supply.sources for r in s.roles]
-
-        def make(output: StreamGenerator) -> tuple[ContinuousEvaluator, ResultConverter, str]:
-            named = replace(query, name=output.name)
-            evaluator = ContinuousEvaluator(
-                named, self._dictionary, explanations.closed_ontology(self._ontology), list(inputs)
-            )
-            return evaluator, form.converter(output.stream.pools), format_query(named)
-
-        unit = self._configuration.start_query(
-            list(inputs.values()),
-            form.schema,
-            make,
-            converters,
-            since,
-        )
-        name = unit.output.name
-        return _Running(
-            unit,
-            tuple(matches),
-            form.event_annotation(name, query.name, roles),
-            form.rdf_annotation(name, roles),
-        )
+        supplies = [match.supply for match in matches if match.supply is not None]
+        built = self._plans.queries.start(query, supplies, since)
+        return _Running(built.unit, tuple(matches), built.annotation, built.rdf)
 
     def _waits_for(self, unit: QueryUnit) -> tuple[str, ...]:
         """Streams that are no unit's and have not begun."""

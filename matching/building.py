@@ -10,10 +10,22 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from ..languages.ssl.annotation import Role
-from ..ontology.units import IDENTITY, Unit, conversion
+from ..ontology.units import IDENTITY, Unit, conversion, parse_unit
 from .goals import Answer, Apart, Goal, Offer, Through
-from .plan import Compute, Edge, Node, Port, SelectObject, Synchronize, UseStream
+from .plan import (
+    Compute,
+    Detect,
+    Edge,
+    Node,
+    Port,
+    SelectObject,
+    SupplySource,
+    Synchronize,
+    UseStream,
+)
+from .space import EventDescription
 from .subject import Roles, Sorts, Subjects
+from .want import Want
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,6 +107,8 @@ class Builder:
 
     def _computed(self, through: Through, subjects: Subjects) -> Found:
         unit = through.unit
+        if isinstance(unit, EventDescription):
+            return self._detected(unit, through, subjects)
         feeds = self._feeds(through)
         feed = self._synchronized(feeds) if len(feeds) > 1 else next(iter(feeds), None)
         given = self._output_roles(through, feed, alone=len(feeds) == 1)
@@ -113,6 +127,21 @@ class Builder:
         node = Compute(unit.name, inputs, unit.output, roles, carried)
         made = Output(unit.output.field, unit.output.feature, unit.output.unit)
         return _selected(Found(node, (made,), roles, self._depth(through)), subjects, own)
+
+    def _detected(self, unit: EventDescription, through: Through, subjects: Subjects) -> Found:
+        subject = subjects[0]._replace(bounds=())
+        wants = unit.wants_of(subject) or ()
+        sources = []
+        for want, need in zip(wants, through.needs, strict=True):
+            ((found, _),) = self._built[need]
+            sources.append(source_of(found, need, want))
+        (argument,) = unit.arguments
+        sort = subject.sort or argument.sort
+        object = subject.object if unit.is_selective(subject) else None
+        roles = (Role(sort, object, unit.id_field),)
+        node = Detect(unit.name, subject, wants, tuple(sources), unit.output, roles)
+        made = Output(unit.output.field, unit.output.feature, unit.output.unit)
+        return _selected(Found(node, (made,), roles, self._depth(through)), subjects)
 
     def _depth(self, through: Through) -> int:
         below = (found.depth for need in through.needs for found, _ in self._built[need])
@@ -170,6 +199,13 @@ class Builder:
             return feed.roles
         subjects = through.needs[0].subjects
         return tuple(_role(subjects, i, feed, alone=False) for i in range(len(subjects)))
+
+
+def source_of(found: Found, goal: Goal, want: Want) -> SupplySource:
+    """What answers the goal of a want, as a source of it."""
+    (ask,), (output,) = goal.asks, found.outputs
+    unit = output.unit if ask.unit is None else parse_unit(ask.unit)
+    return SupplySource(found.node, make_port(output, want.feature, unit), found.roles)
 
 
 def _selected(found: Found, subjects: Subjects, fields: Collection[str] | None = None) -> Found:

@@ -8,7 +8,7 @@ from ..ontology.vocabulary import THING
 from ..rdf.namespaces import shorten
 from .fast import FastSearch
 from .goals import Answer, Ask, Goal, Goals, Offer, Through, why_not_convertible
-from .plan import Compute, Supply, UseStream, nodes_of
+from .plan import Compute, Detect, Supply, UseStream, nodes_of
 from .space import StreamDescription, TransformationDescription
 from .subject import Subjects, whose
 from .tree import Alternative, Outcome
@@ -235,7 +235,7 @@ def _chosen_streams(supply: Supply | None) -> Collection[str]:
     return {
         node.stream
         for source in supply.sources
-        if not any(isinstance(node, Compute) for node in nodes_of(source.node))
+        if not any(isinstance(node, Compute | Detect) for node in nodes_of(source.node))
         for node in nodes_of(source.node)
         if isinstance(node, UseStream)
     }
@@ -247,8 +247,8 @@ def _chosen_units(supply: Supply | None) -> Collection[str]:
         return ()
     lasts = (list(nodes_of(source.node)) for source in supply.sources)
     return {
-        last.transformation
+        last.transformation if isinstance(last, Compute) else last.event
         for nodes in lasts
-        for last in [next((n for n in reversed(nodes) if isinstance(n, Compute)), None)]
+        for last in [next((n for n in reversed(nodes) if isinstance(n, Compute | Detect)), None)]
         if last is not None
     }

@@ -27,7 +27,13 @@ from typing import NamedTuple, TypeAlias
 from ..languages.ssl.annotation import Argument, Content, Role
 from ..ontology.units import UnitError, conversion, parse_unit
 from ..ontology.vocabulary import SELF, THING, Vocabulary
-from .space import StreamDescription, StreamSpace, TransformationDescription, unit_text
+from .space import (
+    EventDescription,
+    StreamDescription,
+    StreamSpace,
+    TransformationDescription,
+    unit_text,
+)
 from .subject import Roles, Sorts, Subject, Subjects
 from .want import Want
 
@@ -256,6 +262,11 @@ class Goals:
             return
         bound = self._bind(unit.arguments, goal.subjects)
         if bound is None:
+            return
+        if isinstance(unit, EventDescription):
+            wants = unit.wants_of(goal.subjects[0])
+            if wants is not None:
+                yield Through(unit, tuple(self.top(want) for want in wants), ())
             return
         if not unit.inputs:
             yield Through(unit, (), ())

@@ -16,13 +16,12 @@ from collections.abc import Callable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 
-from ..ontology.units import parse_unit
 from ..ontology.vocabulary import Vocabulary
-from .building import Builder, make_port
+from .building import Builder, source_of
 from .explain import Explainer
 from .fast import FastSearch
 from .goals import Answer, Goal, Goals
-from .plan import Node, Supply, SupplySource
+from .plan import Node, Supply
 from .render import render
 from .space import StreamSpace
 from .strategy import Kind, Strategy, UnknownStrategy
@@ -157,11 +156,7 @@ def _supply(need: _Needed, builder: Builder) -> Supply | None:
     found = [builder.build(goal) for goal in need.goals]
     if not found or max(each.depth for each in found) > MAX_DEPTH:
         return None
-    sources = []
-    for goal, each in zip(need.goals, found, strict=True):
-        (ask,) = goal.asks
-        (output,) = each.outputs
-        unit = output.unit if ask.unit is None else parse_unit(ask.unit)
-        port = make_port(output, need.want.feature, unit)
-        sources.append(SupplySource(each.node, port, each.roles))
-    return Supply(need.want, tuple(sources), need.complete)
+    sources = tuple(
+        source_of(each, goal, need.want) for goal, each in zip(need.goals, found, strict=True)
+    )
+    return Supply(need.want, sources, need.complete)

@@ -14,6 +14,7 @@ from typing import TypeAlias, assert_never
 
 from ..languages.ssl.annotation import Content, PortAnnotation, Role, StreamAnnotation
 from ..ontology.units import Conversion, Unit, format_unit
+from .subject import Subject
 from .want import Want
 
 
@@ -123,7 +124,25 @@ class Compute(_Hashed):
     __hash__ = _Hashed.__hash__
 
 
-Node: TypeAlias = UseStream | SelectObject | Synchronize | Compute
+@dataclass(frozen=True, slots=True)
+class Detect(_Hashed):
+    """The continuous query of an event template for objects of ``subject`` ([Events14 §V.B]).
+
+    ``sources[i]`` gives ``wants[i]``. Its stream has the event's value in ``output.field``, and the
+    id fields of ``roles``.
+    """
+
+    event: str
+    subject: Subject
+    wants: tuple[Want, ...]
+    sources: tuple[SupplySource, ...]
+    output: PortAnnotation
+    roles: tuple[Role, ...]
+
+    __hash__ = _Hashed.__hash__
+
+
+Node: TypeAlias = UseStream | SelectObject | Synchronize | Compute | Detect
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,7 +195,7 @@ def contents_of(node: Node) -> tuple[Content, ...]:
                 for edge in inputs
                 for port in edge.ports
             )
-        case Compute(_, _, output, roles, _):
+        case Compute(output=output, roles=roles) | Detect(output=output, roles=roles):
             return (Content(output.feature, output.field, output.unit, roles),)
         case _:
             assert_never(node)
@@ -245,6 +264,8 @@ def below_of(node: Node) -> tuple[Node, ...]:
             return (source,)
         case Compute(_, inputs) | Synchronize(inputs):
             return tuple(edge.node for edge in inputs)
+        case Detect(sources=sources):
+            return tuple(source.node for source in sources)
         case _:
             assert_never(node)
 

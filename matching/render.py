@@ -8,6 +8,7 @@ from typing import assert_never
 from ..ontology.units import format_unit
 from .plan import (
     Compute,
+    Detect,
     Node,
     Port,
     SelectObject,
@@ -74,6 +75,11 @@ def _node(node: Node, ports: tuple[Port, ...]) -> list[str]:
             block = ["synchronize"]
             for place, edge in enumerate(inputs):
                 block += _indented(_node(edge.node, edge.ports), place == len(inputs) - 1)
+            return block
+        case Detect(event, _, _, sources):
+            block = [f"event {event}"]
+            for place, part in enumerate(sources):
+                block += _indented(_node(part.node, (part.port,)), place == len(sources) - 1)
             return block
         case Compute(transformation, inputs, output):
             names = [local_name(port.feature) for edge in inputs for port in edge.ports]

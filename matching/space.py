@@ -6,6 +6,7 @@ a match cost what is relevant, not what exists.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections import defaultdict
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -21,6 +22,8 @@ from ..languages.ssl.annotation import (
 )
 from ..ontology.units import Unit, format_unit
 from ..ontology.vocabulary import SELF
+from .subject import Subject
+from .want import Want
 
 ITSELF = (Argument("self", None, SELF),)
 """Whose a feature is that a source gives without saying so."""
@@ -69,6 +72,22 @@ class TransformationDescription:
     @cached_property
     def input_units(self) -> tuple[str, ...]:
         return tuple(unit_text(port.unit) for port in self.inputs)
+
+
+@dataclass(frozen=True)
+class EventDescription(TransformationDescription, ABC):
+    """An event template as a transformation ([Events14 §VI]): what it needs depends on the objects
+    of which the event is wanted. ``id_field`` names the object in its stream."""
+
+    id_field: str = "id"
+
+    @abstractmethod
+    def wants_of(self, subject: Subject) -> tuple[Want, ...] | None:
+        """What it needs to give the event of ``subject``; None if it cannot give it."""
+
+    @abstractmethod
+    def is_selective(self, subject: Subject) -> bool:
+        """Whether it gives the event of just ``subject``, and not of others too."""
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
-from .plan import Compute, Node, SelectObject, Supply, Synchronize, UseStream, below_of, nodes_of
+from .plan import (
+    Compute,
+    Detect,
+    Node,
+    SelectObject,
+    Supply,
+    Synchronize,
+    UseStream,
+    below_of,
+    nodes_of,
+)
 from .space import StreamSpace
 from .strategy import Kind, Strategy
 from .weigh import SELECTION_COST, SYNCHRONIZATION_COST
@@ -58,7 +68,7 @@ def _own_quality(node: Node, space: StreamSpace) -> float:
         case UseStream(name):
             stream = space.streams.get(name)
             return 0.0 if stream is None else stream.quality
-        case Compute(name):
+        case Compute(name) | Detect(name):
             unit = space.transformations.get(name)
             return 0.0 if unit is None else unit.quality
         case _:
@@ -75,6 +85,6 @@ def _own_cost(node: Node, space: StreamSpace, subscribers: float) -> float:
             return SELECTION_COST
         case Synchronize():
             return SYNCHRONIZATION_COST
-        case Compute(name):
+        case Compute(name) | Detect(name):
             unit = space.transformations.get(name)
             return 0.0 if unit is None else unit.cost

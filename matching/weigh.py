@@ -17,6 +17,7 @@ from .goals import Answer, Apart, Goal, Goals, Offer, Through
 from .hypergraph import Hypergraph
 from .least_weight import least_weight
 from .plan import Node, SelectObject, UseStream
+from .space import EventDescription
 from .strategy import Kind, Strategy
 
 SELECTION_COST = 1.0
@@ -119,7 +120,8 @@ class _Unfolded:
         if isinstance(way, Apart):
             return SYNCHRONIZATION_COST, 1.0
         unit = way.unit
-        apart = SYNCHRONIZATION_COST if len(way.needs) > 1 else 0.0
+        is_one = len(way.needs) <= 1 or isinstance(unit, EventDescription)
+        apart = 0.0 if is_one else SYNCHRONIZATION_COST
         return unit.cost + apart, unit.quality
 
     def _offer(self, place: int, goal: Goal, offer: Offer) -> float:

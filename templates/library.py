@@ -112,11 +112,45 @@ class TemplateLibrary:
         try:
             # A parameter in a predicate position is known only with its argument.
             if not open_predicates(template.query):
-                wants = self.needs(template.query).wants
-                if any(want.feature == name for want in wants):
-                    raise TemplateRefused(f"{shorten(name)} needs itself")
+                self._check_circle(template)
         except NeedsError as error:
             raise TemplateRefused(error.message, error.hint) from error
+
+    def _check_circle(self, template: Template) -> None:
+        """Events may build on events, but not on themselves ([Events14 §VI])."""
+        came_from: dict[str, str] = {}
+        waiting = [template]
+        while waiting:
+            user = waiting.pop()
+            try:
+                events = self._events_of(user)
+            except NeedsError:
+                if user is template:
+                    raise
+                continue  # one that was registered before, and that the ontology lets down now
+            for event in events:
+                if event == template.name:
+                    path = [user.name]
+                    while path[-1] != template.name:
+                        path.append(came_from[path[-1]])
+                    steps = " needs ".join(map(shorten, (*reversed(path), event)))
+                    raise TemplateRefused(
+                        f"{shorten(event)} would need itself: {steps}",
+                        "leave one of these out: an event builds on others, never on itself",
+                    )
+                if event not in came_from and event in self._templates:
+                    came_from[event] = user.name
+                    waiting.append(self._templates[event])
+
+    def _events_of(self, template: Template) -> tuple[str, ...]:
+        """The events that a template needs."""
+        if open_predicates(template.query):
+            return ()
+        wants = self.needs(template.query).wants
+        is_event = self._ontology.vocabulary.is_event
+        own = template.name
+        events = (w.feature for w in wants if is_event(w.feature) or w.feature == own)
+        return tuple(dict.fromkeys(events))
 
     def _resolve(self, name: str) -> str:
         bare = name[1:-1] if name.startswith("<") and name.endswith(">") else name

@@ -103,6 +103,7 @@ def test_status_tells_every_change_in_order(running):
         ("transformation annotated", "coordinatesToSpeed"),
         ("stream added", "coordinates"),
         ("stream annotated", "coordinates"),
+        ("transformation annotated", "dyknow:HighSpeedEvent"),
         ("stream added", "dyknow_reserved1"),
         ("unit started", "dyknow_reserved1"),
         ("stream annotated", "dyknow_reserved1"),
