@@ -14,12 +14,14 @@ if TYPE_CHECKING:
     from .engine.processes import computational_unit as computational_unit
     from .engine.processes import sink as sink
     from .engine.processes import source as source
+    from .engine.reports import Report as Report
     from .service.client import Client as Client
     from .streams.single import Sample as Sample
 
 __version__ = "0.1.0"
 __all__ = [
     "Client",
+    "Report",
     "Sample",
     "__version__",
     "computational_unit",
@@ -30,6 +32,7 @@ __all__ = [
 
 _WHERE = {
     "Client": "service.client",
+    "Report": "engine.reports",
     "Sample": "streams.single",
     "computational_unit": "engine.processes",
     "evaluate": "continuous.evaluate",

@@ -91,6 +91,8 @@ class AdaptiveSubscription:
         """The streams behind it: those it reads, and those that these are made from."""
         self.made_by: frozenset[str] = frozenset()
         """The transformations of its plan."""
+        self.misled = False
+        """Whether what it reads means something else by now."""
         self.avoided: set[str] = set()
         """Streams and transformations that fell silent, until they speak again."""
         self.rematches: deque[Rematch] = deque(maxlen=KEPT)

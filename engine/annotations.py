@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 
 from ..converters.errors import ConversionError
 from ..languages.errors import LanguageError
@@ -17,6 +18,7 @@ from .declared import DeclaredStreams
 from .describing import DescribedStream, Describer
 from .errors import DyknowError
 from .registered import RegisteredTransformations, check_quality
+from .reports import Report
 from .transformations import Transformations
 
 
@@ -66,6 +68,34 @@ class Annotations:
         text = f"quality {quality:g}"
         change = Change(ChangeKind.QUALITY_CHANGED, name, specification=text, quality=quality)
         self._changed(change)
+
+    def reported(self, stream: str, report: Report) -> None:
+        """A process has said something of the stream that it makes ([Introspection15 §4.4]). What
+        makes no sense is told on the status stream."""
+        try:
+            if report.quality is not None:
+                self.set_quality(stream, report.quality)
+            if report.contains is not None:
+                self._annotate_own(stream, report.contains)
+        except (LanguageError, DyknowError, ConversionError) as error:
+            self._changed(Change(ChangeKind.REFUSED, stream, specification=str(error)))
+
+    def _annotate_own(self, stream: str, contains: str) -> None:
+        """The meaning of a stream that the system makes, as its maker says. Not remembered: the
+        process says it again after a restart."""
+        text = f"stream s contains {contains}"
+        (said,) = check_ssl(parse_ssl(text), text, self._ontology.vocabulary)
+        assert isinstance(said, StreamAnnotation)
+        annotation = replace(said, stream=stream, source=f"stream {stream} contains {contains}")
+        self._streams.check_fields(annotation)
+        self._changed(
+            Change(
+                ChangeKind.STREAM_ANNOTATED,
+                stream,
+                specification=annotation.source,
+                annotation=annotation,
+            )
+        )
 
     def all(self) -> tuple[CheckedAnnotation, ...]:
         """Every annotation in force: streams first, then transformations."""

@@ -335,6 +335,7 @@ class Application:
             on_event=lambda source, event, text: self._tell_source(ChangeKind(event), source, text),
             runner=self._runner,
             name=self._configuration.unit_name(),
+            on_report=self._configuration.report,
         )
         self.sampled[output.name] = source
         self._configuration.system.add(output.name)

@@ -26,6 +26,7 @@ class ChangeKind(StrEnum):
     UNIT_STOPPED_BY_RULE = "unit stopped by rule"
     INPUTS_CHANGED = "inputs changed"
     NOT_RESTORED = "not restored"
+    REFUSED = "report refused"
 
 
 class Role(StrEnum):

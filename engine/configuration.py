@@ -23,6 +23,7 @@ from ..streams.sample import FieldType, Schema
 from ..streams.strings import StringPool
 from .changes import Change, ChangeKind
 from .errors import AlreadyExists, UnknownStream
+from .reports import Report
 from .status import STATUS
 from .stream_units import AdaptationUnit, PolicyUnit
 from .unit import ComputationalUnit, QueryUnit
@@ -78,6 +79,8 @@ class Configuration:
         self.aliases: dict[str, str] = {}
         self.namespaces: dict[str, str] = {}
         self.system: set[str] = set()
+        self.reports: list[tuple[str, Report]] = []
+        """What processes have said of their streams, and nobody has read yet."""
         self._on_change = on_change
         self._next_reserved = first_reserved
         self._next_unit = 1
@@ -366,6 +369,11 @@ class Configuration:
         self._use(gained)
         self.tell(ChangeKind.INPUTS_CHANGED, unit, specification)
         self._leave(lost)
+
+    def report(self, stream: str, report: Report) -> None:
+        """A process has said something of the stream that it makes; acted upon later, when all
+        that the sample causes has happened."""
+        self.reports.append((stream, report))
 
     def told(self, change: Change) -> None:
         """Pass on a change of a process that is no unit."""

@@ -247,6 +247,11 @@ class DeclaredStreams:
             schema = existing.schema
         self._check_fields(annotation, schema)
 
+    def check_fields(self, annotation: StreamAnnotation) -> None:
+        """Whether a stream that is there has the fields that its annotation speaks of; raises
+        `UnknownStream` and `Conflict`."""
+        self._check_fields(annotation, self._configuration.stream(annotation.stream).schema)
+
     def _check_fields(self, annotation: StreamAnnotation, schema: Schema) -> None:
         """The annotation's fields must exist, its id fields must be text or integers."""
         for name, role in _fields_of(annotation):

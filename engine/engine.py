@@ -56,7 +56,7 @@ from .rematching import Rematching
 from .requests import EventRequests
 from .semantics_manager import SemanticsManager
 from .status import RETENTION, SCHEMA, STATUS, StatusStream
-from .stream_view import stream_view
+from .stream_view import rate_of, stream_view
 from .subscriptions import Subscriptions
 from .supervision import DIRECT, Runner
 from .transformations import Transformations
@@ -96,6 +96,7 @@ class Engine:
         self.dictionary = TermDictionary()
         self._now = now
         self._counted = TIME_MIN
+        self._measured: int | None = None
         status = StatusStream(lambda: self._now)
         self._changed = status.tell
         self._transformations = Transformations(self.ontology.vocabulary, processes)
@@ -280,6 +281,20 @@ class Engine:
             self._counted = now
             streams = self._configuration.streams.items()
             self._manager.count_subscribers((name, each.subscribers) for name, each in streams)
+
+    def measure(self) -> None:
+        """Let SPARQL see the rates and subscribers there are: whoever asks calls this before.
+
+        Rates change all the time, so they are mirrored when somebody wants to know, at most once a
+        second. Cost: a look at each stream, and what changed.
+        """
+        if self._measured is not None and self._now - self._measured < SECOND:
+            return
+        self._measured = self._now
+        streams = tuple(self._configuration.streams.items())
+        with self._manager.together():
+            self._manager.count_subscribers((name, each.subscribers) for name, each in streams)
+            self._manager.measure_rates((name, rate_of(each)) for name, each in streams)
 
     def rdf_of(self, name: str, batch: SampleBatch) -> list[str]:
         """Each sample of stream ``name`` as N-Triples; empty text where it says nothing."""
@@ -503,6 +518,9 @@ class Engine:
     def _settle(self) -> None:
         with self._manager.together():
             self._application.settle()
+            reports = self._configuration.reports
+            while reports:
+                self._annotations.reported(*reports.pop(0))
             self._rematching.settle()
 
     def _heard(self, change: Change) -> None:

@@ -26,6 +26,7 @@ from ..streams.sample import (
 from ..streams.single import Sample
 from ..streams.strings import StringPool
 from ..streams.time import TIME_MAX, TIME_MIN
+from .reports import OnReport, Report, unheard
 from .supervision import ProcessError
 
 Row: TypeAlias = tuple[int, int, dict[str, Value]]
@@ -64,8 +65,10 @@ class Answers:
     and STRING. Law: the stream is the same however the answers were cut into offers.
     """
 
-    def __init__(self, output: StreamGenerator) -> None:
+    def __init__(self, output: StreamGenerator, on_report: OnReport = unheard) -> None:
         self._output = output
+        self._on_report = on_report
+        self._reports: list[Report] = []
         self._schema: Schema | None = None if output.is_open else output.schema
 
     def row(self, answer: object, time: int, valid: int) -> Row | None:
@@ -74,6 +77,7 @@ class Answers:
         ``valid`` is the valid time where the answer names none. Raises `ProcessError`. Changes
         nothing that others see: it may be called on another thread.
         """
+        answer = self._heard(answer)
         if answer is None:
             return None
         available = time
@@ -103,15 +107,33 @@ class Answers:
         return available, valid, plain
 
     def offer(self, rows: Sequence[Row | None]) -> None:
-        """Offer what `row` gave, in order."""
+        """Offer what `row` gave, in order; then pass on what was reported."""
         made = [row for row in rows if row is not None]
         if made:
             schema = self._decided()
             self._output.offer(batch_from_rows(schema, made, self._output.stream.pools))
+        self._pass_on()
+
+    def _heard(self, answer: object) -> object:
+        """The answer, out of the report that it came with; raises `ProcessError`."""
+        if not isinstance(answer, Report):
+            return answer
+        quality = answer.quality
+        if quality is not None and not (isinstance(quality, float | int) and 0 <= quality <= 1):
+            raise ProcessError(f"the quality of a stream is a number from 0 to 1, got {quality!r}")
+        if answer.contains is not None and not isinstance(answer.contains, str):
+            raise ProcessError("`contains` is SSL text: speed(UAV) = value for every UAV = id")
+        self._reports.append(answer)
+        return answer.answer
+
+    def _pass_on(self) -> None:
+        while self._reports:
+            self._on_report(self._output.name, self._reports.pop(0))
 
     def batch(self, answer: object, time: int) -> SampleBatch | None:
         """The same for the batch form: None or a `SampleBatch`, none of it available before
         ``time``. Raises `ProcessError`."""
+        answer = self._heard(answer)
         if answer is None:
             return None
         if not isinstance(answer, SampleBatch):
@@ -152,6 +174,7 @@ class Answers:
                     for name, column in batch.columns.items()
                 }
                 self._output.offer(SampleBatch(batch.available, batch.valid, columns))
+        self._pass_on()
 
     def _decided(self) -> Schema:
         """The output's fields, which it now has."""

@@ -20,6 +20,7 @@ from ..streams.single import Sample
 from ..streams.tuples import TupleBatch
 from .exchange import Answers, Row, samples_of
 from .processes import UnitImplementation
+from .reports import OnReport, unheard
 from .supervision import DIRECT, Instance, ProcessError, ProcessEvent, Runner, Supervisor
 from .unit import ComputationalUnit
 
@@ -38,7 +39,7 @@ class FunctionProcess(ComputationalUnit):
     makes is offered in the order in which it was made; it may be available later than the tuple
     was, and then the output's lateness decides whether it comes in time. A unit that stops by its
     rule ends its output: nothing more will come, and nobody waits for it. ``on_event`` hears of
-    failures, restarts and the stop.
+    failures, restarts and the stop, ``on_report`` of what the code says of its output.
 
     Law (tests/laws): output, counters and what is told do not depend on batch cuts; a batch form
     has to keep that by itself. Cost: Python per tuple in the sample form, one call a batch in the
@@ -50,6 +51,7 @@ class FunctionProcess(ComputationalUnit):
         *args: Any,
         implementation: UnitImplementation,
         on_event: Callable[[ComputationalUnit, ProcessEvent, str], None],
+        on_report: OnReport = unheard,
         runner: Runner = DIRECT,
     ) -> None:
         super().__init__(*args)
@@ -63,7 +65,7 @@ class FunctionProcess(ComputationalUnit):
         self._index = {source: i for i, source in enumerate(self.sources)}
         self._place = tuple(self._index[source] for source in self.inputs)
         self._join = Join(len(self._index))
-        self._answers = Answers(self.output)
+        self._answers = Answers(self.output, on_report)
         self._state: Any = None
         self._instance: Instance[Callable[..., Any]] = Instance(implementation.make)
         self._supervisor = Supervisor(

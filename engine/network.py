@@ -115,6 +115,7 @@ class Network:
                     *self._identity(name, terms, declaration, declaration.sort.schema, after),
                     implementation=self.implementation(name, key),
                     on_event=self._told,
+                    on_report=self._configuration.report,
                     runner=self._runner,
                 )
             case JoinOf(terms):

@@ -288,6 +288,7 @@ class Plans:
                     id_fields=edge.id_fields,
                     carried=node.carried,
                     on_event=told,
+                    on_report=self._configuration.report,
                     runner=self._runner,
                 )
             case SourceImplementation():
@@ -296,6 +297,7 @@ class Plans:
                     implementation=implementation,
                     parameters=dict(transformation.parameters),
                     on_event=told,
+                    on_report=self._configuration.report,
                     runner=self._runner,
                 )
             case _:

@@ -264,8 +264,14 @@ class Rematching:
                 for node in nodes_of(source.node)
                 if isinstance(node, UseStream) and node.stream == stream
             ]
-            if any(known is None or known.contents != node.contents for node in nodes):
-                self._lost.setdefault(id, f"{stream} means something else")
+            maker = self._configuration.units.get(stream)
+            if maker is not None and self._plans.makes(stream):
+                # It was said what it means before anybody read it: now its unit says otherwise.
+                self._avoid(found, maker.transformation)
+            elif all(known is not None and known.contents == node.contents for node in nodes):
+                continue
+            found.misled = True
+            self._lost.setdefault(id, f"{stream} means something else")
         if known is not None and not self._plans.makes(stream):
             self._note_gain(stream)
 
@@ -482,7 +488,7 @@ class Rematching:
         if self._still_reads(found):
             return None
         # Better a silent stream, which may speak again, than none.
-        match = self._best(found, unusable | own)
+        match = self._best(found, unusable | own | (found.avoided if found.misled else set()))
         found.state = State.WAITING if match.supply is None else State.STALE
         return match
 
@@ -518,8 +524,10 @@ class Rematching:
     def _still_reads(self, found: AdaptiveSubscription) -> bool:
         """Its inputs are there, and work."""
         unit = found.unit
-        return bool(unit.inputs) and (
-            self._configuration.reads_what_is_there(unit)
+        return (
+            bool(unit.inputs)
+            and not found.misled
+            and self._configuration.reads_what_is_there(unit)
             and not self._configuration.is_broken(unit)
         )
 
@@ -545,6 +553,7 @@ class Rematching:
         )
         names = found.leaves
         self._forget_reads(found)
+        found.misled = False
         found.supply = supply
         unit.switch(inputs, history=since is Since.START)
         gained = [stream for stream in unit.inputs if stream not in before]

@@ -9,6 +9,7 @@ from ..streams.generator import StreamGenerator
 from ..streams.time import TIME_MAX
 from .exchange import Answers, Row
 from .processes import SourceImplementation
+from .reports import OnReport, unheard
 from .supervision import DIRECT, ErrorCounters, Instance, ProcessEvent, Runner, Supervisor
 
 
@@ -36,6 +37,7 @@ class SampledSource:
         behind: int = 100,
         name: str | None = None,
         parameters: Mapping[str, str] | None = None,
+        on_report: OnReport = unheard,
     ) -> None:
         self.implementation = implementation
         self.output = output
@@ -45,7 +47,7 @@ class SampledSource:
         self.missed = 0
         self._next = start
         self._behind = behind
-        self._answers = Answers(output)
+        self._answers = Answers(output, on_report)
         self._instance: Instance[Callable[..., Any]] = Instance(
             lambda: implementation.make(parameters)
         )

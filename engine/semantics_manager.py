@@ -48,6 +48,7 @@ class SemanticsManager:
         self._supported: Counter[Triple] = Counter()
         self._held: dict[Triple, bool] | None = None
         self._subscribers: dict[str, int] = {}
+        self._rates: dict[str, float] = {}
 
     @contextmanager
     def together(self) -> Iterator[None]:
@@ -100,6 +101,7 @@ class SemanticsManager:
                 | ChangeKind.UNIT_RESTARTED
                 | ChangeKind.UNIT_STOPPED_BY_RULE
                 | ChangeKind.NOT_RESTORED
+                | ChangeKind.REFUSED
             ):
                 pass  # the structure of the stream space is as it was
 
@@ -135,6 +137,18 @@ class SemanticsManager:
         self.space.forget_stream(stream)
         self._assert(("stream", stream), ())
         self._assert(("subscribers", stream), ())
+        self._rates.pop(stream, None)
+        self._assert(("rate", stream), ())
+
+    def measure_rates(self, rates: Iterable[tuple[str, float]]) -> None:
+        """Mirror how many samples a second each stream has, to two digits."""
+        rounded = ((name, float(f"{rate:.2g}")) for name, rate in rates)
+        changed = [(name, rate) for name, rate in rounded if self._rates.get(name) != rate]
+        with self.together():
+            for name, rate in changed:
+                self._rates[name] = rate
+                measured = Triple(term(name), term("hasRate"), Literal(rate))
+                self._assert(("rate", name), (measured,))
 
     def count_subscribers(self, counts: Iterable[tuple[str, int]]) -> None:
         """Mirror how many subscribers each stream has. Cost: a look at each, and what changed."""

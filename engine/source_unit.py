@@ -8,6 +8,7 @@ from ..streams.generator import StreamGenerator
 from ..streams.sample import SampleBatch
 from .changes import Role
 from .processes import SourceImplementation
+from .reports import OnReport, unheard
 from .sampled_source import SampledSource
 from .supervision import DIRECT, ProcessEvent, Runner, Tell
 from .unit import ComputationalUnit
@@ -27,6 +28,7 @@ class SourceUnit(ComputationalUnit):
         implementation: SourceImplementation,
         parameters: dict[str, str],
         on_event: Tell,
+        on_report: OnReport = unheard,
         runner: Runner = DIRECT,
     ) -> None:
         super().__init__(*args)
@@ -39,6 +41,7 @@ class SourceUnit(ComputationalUnit):
             runner=runner,
             name=self.name,
             parameters=parameters,
+            on_report=on_report,
         )
         self.counters = self._source.counters
 

@@ -22,14 +22,8 @@ def stream_view(
     Cost: O(1) but for the few last batches, from which rate and lag are read.
     """
     stream = generator.stream
-    recent = stream.since(max(stream.first_number, stream.last_number - _RECENT))
-    times = (
-        (int(recent[0].batch.available[0]), int(recent[-1].batch.available[-1]))
-        if recent
-        else (0, 0)
-    )
-    number = sum(len(segment.batch) for segment in recent)
-    span = times[1] - times[0]
+    recent = stream.since(max(stream.first_number, stream.last_number - 1))
+    last_available = int(recent[-1].batch.available[-1]) if recent else 0
     last_valid = int(recent[-1].batch.valid[-1]) if recent else None
     return StreamView(
         name=generator.name,
@@ -47,9 +41,20 @@ def stream_view(
         first_available=stream.first_available,
         last_available=stream.last_available,
         last_valid=last_valid,
-        rate=(number - 1) * SECOND / max(span, SECOND) if number else 0.0,
-        lag=times[1] - last_valid if last_valid is not None else None,
+        rate=rate_of(generator),
+        lag=last_available - last_valid if last_valid is not None else None,
         annotation=None if annotation is None else annotation.source,
         producer=producer,
         subscribers=generator.subscribers,
     )
+
+
+def rate_of(generator: StreamGenerator) -> float:
+    """Samples a second, over the last thousand. Cost: O(1) but for the few last batches."""
+    stream = generator.stream
+    recent = stream.since(max(stream.first_number, stream.last_number - _RECENT))
+    if not recent:
+        return 0.0
+    number = sum(len(segment.batch) for segment in recent)
+    span = int(recent[-1].batch.available[-1]) - int(recent[0].batch.available[0])
+    return (number - 1) * SECOND / max(span, SECOND)

@@ -9,6 +9,7 @@ own: with its own state, and of a class with its own instance.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -26,6 +27,7 @@ from ..streams.single import Sample
 from ..streams.tuples import TupleBatch
 from .exchange import Answers, Row, samples_of
 from .processes import UnitImplementation
+from .reports import OnReport, Report, unheard
 from .supervision import DIRECT, Instance, ProcessError, Runner, Supervisor, Tell
 from .unit import ComputationalUnit, InputPort
 
@@ -56,6 +58,7 @@ class TransformationUnit(ComputationalUnit):
         id_fields: Sequence[str],
         carried: Sequence[tuple[str, str]],
         on_event: Tell,
+        on_report: OnReport = unheard,
         runner: Runner = DIRECT,
     ) -> None:
         super().__init__(*args)
@@ -64,7 +67,7 @@ class TransformationUnit(ComputationalUnit):
         self._ports = tuple(ports)
         self._id_fields = tuple(id_fields)
         self._carried = tuple(carried)
-        self._answers = Answers(self.output)
+        self._answers = Answers(self.output, on_report)
         self._states: dict[Objects, Any] = {}
         self._instances: dict[Objects, Instance[Callable[..., Any]]] = {}
         self._objects: Objects = ()
@@ -130,6 +133,8 @@ class TransformationUnit(ComputationalUnit):
 
     def _with_objects(self, made: object, objects: Objects) -> object:
         """The answer, with the objects that pass through."""
+        if isinstance(made, Report):
+            return replace(made, answer=self._with_objects(made.answer, objects))
         if made is None or not self._carried:
             return made
         named = dict(zip(self._id_fields, objects, strict=True))
@@ -173,13 +178,20 @@ class TransformationUnit(ComputationalUnit):
         self._offer([part for _, part in made])
 
     def _checked(self, answer: object, time: int, objects: Objects) -> SampleBatch | None:
+        if isinstance(answer, Report):
+            made = self._named(answer.answer, objects)
+            return self._answers.batch(replace(answer, answer=made), time)
+        return self._answers.batch(self._named(answer, objects), time)
+
+    def _named(self, answer: object, objects: Objects) -> object:
+        """The samples, with the objects that pass through."""
         if isinstance(answer, SampleBatch) and self._carried:
             named = dict(zip(self._id_fields, objects, strict=True))
             columns = dict(answer.columns)
             for field, output in self._carried:
                 columns[output] = _constant(self.output, output, named[field], len(answer))
-            answer = SampleBatch(answer.available, answer.valid, columns)
-        return self._answers.batch(answer, time)
+            return SampleBatch(answer.available, answer.valid, columns)
+        return answer
 
     def _offer(self, batches: Sequence[SampleBatch]) -> None:
         """The objects' samples together, in order of available time."""
@@ -198,6 +210,7 @@ class TransformationUnit(ComputationalUnit):
         if parts:
             whole = concatenate(parts)
             self.output.offer(whole.take(np.argsort(whole.available, kind="stable")))
+        self._answers.offer_batches(())
 
     # -- the code ----------------------------------------------------------------------------
 

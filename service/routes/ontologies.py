@@ -83,6 +83,7 @@ async def report(service: Context) -> OntologyReportModel:
 
     It takes about a second, longer with many streams; requests are answered meanwhile.
     """
+    service.engine.measure()
     found = await anyio.to_thread.run_sync(service.engine.ontology.validate, limiter=_ONE_AT_A_TIME)
     return OntologyReportModel(
         conforms=found.conforms,

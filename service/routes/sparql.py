@@ -144,6 +144,7 @@ def _text(parameters: list[tuple[str, str]]) -> str:
 
 async def _answer(service: Service, request: Request, text: str) -> Response:
     ontology = service.engine.ontology
+    service.engine.measure()
     with anyio.move_on_after(service.settings.sparql_deadline):
         return await anyio.to_thread.run_sync(
             _evaluate,

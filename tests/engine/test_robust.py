@@ -127,7 +127,8 @@ def test_the_answer_of_a_request_is_annotated_in_the_stream_space(engine, high_s
     view = request(engine)
     _, rows = engine.ontology.query_rows(
         "SELECT ?name WHERE { ?s a dyknow-o:Stream ; dyknow-o:hasName ?name ; "
-        "dyknow-o:hasAnnotation/dyknow-o:hasOutputAnnotation/dyknow-o:describesFeature dyknow:HighSpeedEvent }"
+        "dyknow-o:hasAnnotation/dyknow-o:hasOutputAnnotation/dyknow-o:describesFeature "
+        "dyknow:HighSpeedEvent }"
     )
     assert [row[0].value for row in rows] == [view.stream]
     assert engine.ontology.validate().conforms
