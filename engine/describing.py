@@ -84,6 +84,9 @@ class Describer:
         """The transformation that is described."""
         inputs = self._inputs(described.inputs)
         given = {argument.variable for port in inputs for argument in port.arguments}
+        if any(not port.arguments for port in inputs):
+            # Such an input speaks of what the output speaks of.
+            given |= {local(argument.name) for argument in described.output.arguments}
         output = self._output(described.output, given)
         annotation: TransformationAnnotation | SourceAnnotation
         words = ", ".join(map(port_words, inputs)) or "∅"

@@ -90,7 +90,7 @@ class Builder:
             case Offer():
                 return ((self._offered(answer, goal.subjects), everything),)
             case Through():
-                return ((self._computed(answer, goal.subjects), everything),)
+                return ((self._computed(answer, goal.subjects, len(everything)), everything),)
             case Apart(needs, places):
                 return tuple(
                     (found, tuple(group[i] for i in inner))
@@ -105,28 +105,32 @@ class Builder:
 
     # -- units -------------------------------------------------------------------------------
 
-    def _computed(self, through: Through, subjects: Subjects) -> Found:
+    def _computed(self, through: Through, subjects: Subjects, asks: int) -> Found:
         unit = through.unit
         if isinstance(unit, EventDescription):
             return self._detected(unit, through, subjects)
         feeds = self._feeds(through)
         feed = self._synchronized(feeds) if len(feeds) > 1 else next(iter(feeds), None)
         given = self._output_roles(through, feed, alone=len(feeds) == 1)
-        # The value of the output may have the name of the id field that comes with the inputs.
-        taken = {unit.output.field}
-        roles = tuple(replace(role, id_field=_free(role.id_field, taken)) for role in given)
         own = {argument.id_field for argument in unit.arguments if argument.id_field is not None}
+        # What comes with the inputs may have the name of a field of the output.
+        taken = {unit.output.field, *own}
+        found = [argument.id_field is not None for argument in unit.arguments]
+        found += [False] * (len(given) - len(found))
+        roles = tuple(
+            role if is_found else replace(role, id_field=_free(role.id_field, taken))
+            for role, is_found in zip(given, found, strict=True)
+        )
         carried = tuple(
             (before.id_field, after.id_field)
-            for before, after in zip(given, roles, strict=True)
-            if before.id_field is not None
-            and after.id_field is not None
-            and before.id_field not in own
+            for before, after, is_found in zip(given, roles, found, strict=True)
+            if not is_found and before.id_field is not None and after.id_field is not None
         )
         inputs = () if feed is None else (feed,)
         node = Compute(unit.name, inputs, unit.output, roles, carried)
         made = Output(unit.output.field, unit.output.feature, unit.output.unit)
-        return _selected(Found(node, (made,), roles, self._depth(through)), subjects, own)
+        outputs = (made,) * asks
+        return _selected(Found(node, outputs, roles, self._depth(through)), subjects, own)
 
     def _detected(self, unit: EventDescription, through: Through, subjects: Subjects) -> Found:
         subject = subjects[0]._replace(bounds=())
@@ -150,14 +154,20 @@ class Builder:
     def _feeds(self, through: Through) -> list[Edge]:
         """What feeds the inputs, each stream once."""
         ports: dict[tuple[Node, Roles], dict[str, Port]] = {}
+        wanted: dict[tuple[Node, Roles], int] = {}
         for port, (j, k) in zip(through.unit.inputs, through.feeds, strict=True):
-            parts = self._built[through.needs[j]]
-            found, asks = next(part for part in parts if k in part[1])
+            need = through.needs[j]
+            found, asks = next(part for part in self._built[need] if k in part[1])
             output = found.outputs[asks.index(k)]
-            fields = ports.setdefault((found.node, found.roles), {})
-            fields[port.field] = make_port(output, port.field, port.unit)
+            key = (found.node, found.roles)
+            ports.setdefault(key, {})[port.field] = make_port(output, port.field, port.unit)
+            wanted[key] = len(need.subjects)
+        if len(ports) == 1:
+            wanted.clear()
+        # Of what further arguments speak, nothing says how it meets the other streams.
         return [
-            Edge(node, tuple(fields.values()), roles) for (node, roles), fields in ports.items()
+            Edge(node, tuple(fields.values()), roles[: wanted.get((node, roles))])
+            for (node, roles), fields in ports.items()
         ]
 
     def _synchronized(self, feeds: Sequence[Edge]) -> Edge:
@@ -166,22 +176,31 @@ class Builder:
         Its id fields are those of the first stream that has any: of several kinds of objects only
         one is many.
         """
-        names = {port.target_field for feed in feeds for port in feed.ports}
         first = next((many for many in map(_many, feeds) if many), ())
-        kept = tuple(replace(role, id_field=_free(role.id_field, names)) for role in first)
-        ports = tuple(
-            replace(port, source_field=port.target_field, source=port.target, conversion=IDENTITY)
-            for feed in feeds
-            for port in feed.ports
-        )
-        return Edge(Synchronize(tuple(feeds), kept), ports, kept)
+        taken = {role.id_field for role in first if role.id_field is not None}
+        ports: list[Port] = []
+        edges: list[Edge] = []
+        for feed in feeds:
+            # Values stand in the tuple as they do in the stream, so that whoever needs the same
+            # streams together can read the same tuples.
+            own: dict[str, Port] = {}
+            for port in feed.ports:
+                if port.source_field not in own:
+                    name = _free(port.source_field, taken) or ""
+                    taken.add(name)
+                    own[port.source_field] = replace(
+                        port, target_field=name, target=port.source, conversion=IDENTITY
+                    )
+                ports.append(replace(port, source_field=own[port.source_field].target_field))
+            edges.append(replace(feed, ports=tuple(own.values())))
+        return Edge(Synchronize(tuple(edges), first), tuple(ports), first)
 
     def _output_roles(self, through: Through, feed: Edge | None, *, alone: bool) -> Roles:
         """Whose the output is; ``alone``: all inputs come from one stream."""
         unit = through.unit
         given: dict[str, Role] = {}
         for port, (j, _) in zip(unit.inputs, through.feeds, strict=True):
-            for place, argument in enumerate(port.arguments):
+            for place, argument in enumerate(port.arguments or unit.arguments):
                 if feed is not None and argument.object is None and argument.variable not in given:
                     role = _role(through.needs[j].subjects, place, feed, alone=alone)
                     given[argument.variable] = role

@@ -7,9 +7,9 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from ..ontology.vocabulary import THING
 from ..rdf.namespaces import shorten
 from .fast import FastSearch
-from .goals import Answer, Ask, Goal, Goals, Offer, Through, why_not_convertible
+from .goals import Answer, Goal, Goals, Offer, Through, why_not_convertible
 from .plan import Compute, Detect, Supply, UseStream, nodes_of
-from .space import StreamDescription, TransformationDescription
+from .space import Ask, StreamDescription, TransformationDescription
 from .subject import Subjects, whose
 from .tree import Alternative, Outcome
 from .want import Want
@@ -86,7 +86,7 @@ class Explainer:
         for content, unit in zip(stream.contents, stream.units, strict=True):
             if content.feature not in goals.serving(ask.feature) or not content.roles:
                 continue
-            reason = "" if not subjects else goals.sorts.why_not(content.roles[0], subjects[0])
+            reason = goals.sorts.why_not_all(content.roles, subjects)
             reason = reason or why_not_convertible(unit, ask.unit)
             if not reason:
                 whole = goals.sorts.holds(content.roles, subjects)

@@ -28,6 +28,7 @@ from ..languages.ssl.annotation import Argument, Content, Role
 from ..ontology.units import UnitError, conversion, parse_unit
 from ..ontology.vocabulary import SELF, THING, Vocabulary
 from .space import (
+    Ask,
     EventDescription,
     StreamDescription,
     StreamSpace,
@@ -41,18 +42,16 @@ PARTICIPANTS = 64
 """Objects that are tried, at most, where a transformation takes any object of a sort."""
 
 
-class Ask(NamedTuple):
-    """A feature (IRI) that is needed. ``unit`` None: in whatever unit it stands."""
-
-    feature: str
-    unit: str | None
-
-
 class Goal(NamedTuple):
-    """Features of the same objects, in samples that belong together."""
+    """Features of the same objects, in samples that belong together.
+
+    ``joined``: whoever needs it synchronizes it with others, so parts of it need no
+    synchronization of their own.
+    """
 
     asks: tuple[Ask, ...]
     subjects: Subjects
+    joined: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,6 +88,8 @@ Answer: TypeAlias = Offer | Through | Apart
 
 _Binding: TypeAlias = Mapping[str, Subject]
 _Features: TypeAlias = tuple[str, ...]
+_Group: TypeAlias = tuple[tuple[str, ...], Subjects]
+"""Inputs of the same objects: the arguments that are many, and whom all of them mean."""
 
 
 class Goals:
@@ -114,6 +115,7 @@ class Goals:
         self._offers: dict[Goal, tuple[Offer, ...]] = {}
         self._ways: dict[Goal, tuple[Through | Apart, ...]] = {}
         self._serving: dict[str, _Features] = {}
+        self._held_together: dict[tuple[Ask, ...], bool] = {}
         self._known: dict[frozenset[str], tuple[Subject, ...]] = {}
 
     # -- what is asked -----------------------------------------------------------------------
@@ -124,7 +126,11 @@ class Goals:
         unit = None if info is None or info.unit is None else unit_text(info.unit)
         own = Subject(want.sort, self.sorts.canonical(want.object)) if want.object else None
         first = own or Subject(want.wanted_sort, None)
-        return Goal((Ask(want.feature, unit),), (first, *want.others))
+        others = (
+            other._replace(object=self.sorts.canonical(other.object)) if other.object else other
+            for other in want.others
+        )
+        return Goal((Ask(want.feature, unit),), (first, *others))
 
     def parts(self, goal: Goal) -> tuple[Goal, ...]:
         """The same for parts of what is wanted, where no stream gives all of it; in order of
@@ -136,20 +142,22 @@ class Goals:
             part = self.sorts.part(held, first)
             if part is not None and part != first:
                 parts[part] = None
-        return tuple(goal._replace(subjects=(part, *others)) for part in parts)
+        return tuple(Goal(goal.asks, (part, *others)) for part in parts)
 
     # -- alternatives ------------------------------------------------------------------------
 
     def answers(self, goal: Goal) -> Iterator[Answer]:
-        """Every answer, in order of trying."""
+        """Every answer, in order of trying; looked for only when it is asked for."""
         yield from self.offers(goal)
-        yield from self.ways(goal)
+        yield from self._ways.get(goal) or self._look_for_ways(goal)
 
     def offers(self, goal: Goal) -> tuple[Offer, ...]:
         """The streams that hold all that is asked for, best first."""
         found = self._offers.get(goal)
         if found is None:
-            ranked = sorted(self._ranked_offers(goal), key=lambda pair: pair[0])
+            ranked = list(self._ranked_offers(goal))
+            if len(ranked) > 1:
+                ranked.sort(key=lambda pair: pair[0])
             found = self._offers[goal] = tuple(offer for _, offer in ranked)
         return found
 
@@ -157,10 +165,15 @@ class Goals:
         """The transformations, or the parts, that give all that is asked for, in order."""
         found = self._ways.get(goal)
         if found is None:
-            ways: Iterable[Through | Apart]
-            ways = self._throughs(goal) if len(goal.asks) == 1 else self._aparts(goal)
-            found = self._ways[goal] = tuple(ways)
+            found = self._ways[goal] = tuple(self._look_for_ways(goal))
         return found
+
+    def _look_for_ways(self, goal: Goal) -> Iterator[Through | Apart]:
+        if len(goal.asks) == 1:
+            yield from self._throughs(goal)
+        else:
+            yield from self._aparts(goal)
+            yield from self._throughs(goal)
 
     def producers(self, ask: Ask) -> Iterator[TransformationDescription]:
         """The transformations whose output is the feature or a sub-feature of it, in order."""
@@ -172,9 +185,12 @@ class Goals:
 
     def candidates(self, goal: Goal) -> Iterator[StreamDescription]:
         """The streams that hold the first feature asked for, of anything that may be meant."""
+        features = self.serving(goal.asks[0].feature)
+        if not any(map(self.space.holding, features)):
+            return
         object = goal.subjects[0].object if goal.subjects else None
         seen: dict[str, None] = {}
-        for feature in self.serving(goal.asks[0].feature):
+        for feature in features:
             if object is None:
                 seen |= dict.fromkeys(self.space.holding(feature))
             else:
@@ -250,15 +266,16 @@ class Goals:
     # -- transformations ---------------------------------------------------------------------
 
     def _throughs(self, goal: Goal) -> Iterator[Through]:
-        (ask,) = goal.asks
-        for unit in self.producers(ask):
+        for unit in self.producers(goal.asks[0]):
             yield from self.through(unit, goal)
 
     def through(self, unit: TransformationDescription, goal: Goal) -> Iterator[Through]:
         """The ways in which a transformation gives the goal, one for each choice of what it takes
         besides the objects of its output."""
-        (ask,) = goal.asks
-        if unit.lacks or why_not_convertible(unit.output_unit, ask.unit):
+        if unit.lacks or not all(self._gives(unit, ask) for ask in goal.asks):
+            return
+        if unit.passes_through and not isinstance(unit, EventDescription):
+            yield Through(unit, *self._together(unit.asks, unit.fed, goal.subjects))
             return
         bound = self._bind(unit.arguments, goal.subjects)
         if bound is None:
@@ -272,9 +289,15 @@ class Goals:
             yield Through(unit, (), ())
             return
         for binding in self._bindings(unit, bound):
-            needs = self._needs(unit, binding, goal.subjects)
+            needs = self._needs(unit, binding)
             if needs is not None:
                 yield Through(unit, *needs)
+
+    def _gives(self, unit: TransformationDescription, ask: Ask) -> bool:
+        return (
+            unit.output.feature in self.serving(ask.feature)
+            and why_not_convertible(unit.output_unit, ask.unit) == ""
+        )
 
     def _bind(self, arguments: Sequence[Argument], subjects: Subjects) -> _Binding | None:
         """What the arguments of an output are, for it to speak of ``subjects``; None: never."""
@@ -302,7 +325,7 @@ class Goals:
         free: dict[str, list[str]] = {}
         features: dict[str, set[str]] = {}
         for port in unit.inputs:
-            for argument in port.arguments:
+            for argument in port.arguments or unit.arguments:
                 if argument.object is None and argument.variable not in bound:
                     free.setdefault(argument.variable, []).append(argument.sort or THING)
                     features.setdefault(argument.variable, set()).add(port.feature)
@@ -325,26 +348,64 @@ class Goals:
         yield from (subject for subject in self._subjects(features) if subject != own)
 
     def _needs(
-        self, unit: TransformationDescription, binding: _Binding, subjects: Subjects
+        self, unit: TransformationDescription, binding: _Binding
     ) -> tuple[tuple[Goal, ...], tuple[tuple[int, int], ...]] | None:
         """The goals of the inputs, those of the same objects together, and what feeds which."""
-        groups: dict[Subjects, dict[Ask, int]] = {}
-        kinds: set[tuple[str, ...]] = set()
-        fed: list[tuple[Subjects, int]] = []
-        for port, text in zip(unit.inputs, unit.input_units, strict=True):
-            own = self._port_subjects(port.arguments, binding, subjects)
+        groups: dict[_Group, dict[Ask, None]] = {}
+        wanted: list[tuple[_Group, Ask]] = []
+        for port, place in zip(unit.inputs, unit.fed, strict=True):
+            arguments = port.arguments or unit.arguments
+            own = self._port_subjects(arguments, binding)
             if own is None:
                 return None
-            if any(subject.object is None for subject in own):
-                kinds.add(tuple(a.variable for a in port.arguments))
-            asks = groups.setdefault(own, {})
-            # What feeds two inputs is needed once.
-            fed.append((own, asks.setdefault(Ask(port.feature, text), len(asks))))
-        if len(groups) > 1 and not self._is_clear(unit, kinds):
+            pairs = zip(arguments, own, strict=True)
+            many = tuple(a.variable for a, subject in pairs if subject.object is None)
+            # Two arguments that stand for every object of a sort are still two.
+            group, ask = (many, own), unit.asks[place]
+            groups.setdefault(group, {})[ask] = None  # what feeds two inputs is needed once
+            wanted.append((group, ask))
+        if len(groups) > 1 and not self._is_clear(unit, {many for many, _ in groups if many}):
             return None
-        needs = tuple(Goal(tuple(asks), own) for own, asks in groups.items())
-        place = {own: j for j, own in enumerate(groups)}
-        return needs, tuple((place[own], k) for own, k in fed)
+        needs: list[Goal] = []
+        place_of: dict[tuple[_Group, Ask], tuple[int, int]] = {}
+        for group, found in groups.items():
+            asks = tuple(found)
+            every = tuple(range(len(asks)))
+            goals, fed = self._together(asks, every, group[1], joined=len(groups) > 1)
+            for ask, (j, k) in zip(asks, fed, strict=True):
+                place_of[group, ask] = (len(needs) + j, k)
+            needs += goals
+        return tuple(needs), tuple(place_of[each] for each in wanted)
+
+    def _together(
+        self,
+        asks: tuple[Ask, ...],
+        fed: tuple[int, ...],
+        subjects: Subjects,
+        *,
+        joined: bool = False,
+    ) -> tuple[tuple[Goal, ...], tuple[tuple[int, int], ...]]:
+        """The goals of several asks of the same subjects: one, where a stream might hold some of
+        them together, or one for each; and what feeds which input."""
+        if len(asks) == 1 or self._may_be_held_together(asks):
+            goal = Goal(asks, subjects, joined and len(asks) > 1)
+            return (goal,), tuple((0, place) for place in fed)
+        return tuple(Goal((ask,), subjects) for ask in asks), tuple((place, 0) for place in fed)
+
+    def _may_be_held_together(self, asks: tuple[Ask, ...]) -> bool:
+        """Whether there may be a stream that holds two of the features, or a unit whose output is
+        both."""
+        found = self._held_together.get(asks)
+        if found is None:
+            seen: set[str] = set()
+            found = False
+            for ask in asks:
+                serving = self.serving(ask.feature)
+                names = {*serving, *(name for f in serving for name in self.space.holding(f))}
+                found = found or not seen.isdisjoint(names)
+                seen |= names
+            self._held_together[asks] = found
+        return found
 
     def _is_clear(self, unit: TransformationDescription, kinds: set[tuple[str, ...]]) -> bool:
         """Of several kinds of objects at most one is many, and the output keeps it apart."""
@@ -353,11 +414,7 @@ class Goals:
         own = {argument.variable for argument in unit.arguments if argument.id_field is None}
         return len(kinds) == 1 and all(set(variables) <= own for variables in kinds)
 
-    def _port_subjects(
-        self, arguments: Sequence[Argument], binding: _Binding, subjects: Subjects
-    ) -> Subjects | None:
-        if not arguments:
-            return subjects
+    def _port_subjects(self, arguments: Sequence[Argument], binding: _Binding) -> Subjects | None:
         own = []
         for argument in arguments:
             if argument.object is not None:
@@ -378,7 +435,7 @@ class Goals:
         everything = range(len(goal.asks))
         groups: dict[tuple[int, ...], None] = {}
         for first in everything if len(goal.asks) > 2 else ():
-            for offer in self.offers(goal._replace(asks=(goal.asks[first],))):
+            for offer in self.offers(Goal((goal.asks[first],), goal.subjects)):
                 contents = (
                     next(self._contents(offer.stream, ask, offer.roles), None) for ask in goal.asks
                 )
@@ -390,7 +447,7 @@ class Goals:
         yield self._apart(goal, tuple((i,) for i in everything))
 
     def _apart(self, goal: Goal, places: tuple[tuple[int, ...], ...]) -> Apart:
-        needs = (goal._replace(asks=tuple(goal.asks[i] for i in group)) for group in places)
+        needs = (Goal(tuple(goal.asks[i] for i in group), goal.subjects) for group in places)
         return Apart(tuple(needs), places)
 
     # -- who there is ------------------------------------------------------------------------
@@ -413,10 +470,10 @@ class Goals:
                 if name in self.without:
                     continue
                 for content in space.streams[name].contents:
-                    if content.roles and content.feature in serving:
-                        found[_held(content.roles[0])] = None
+                    if content.feature in serving:
+                        found |= dict.fromkeys(map(_held, content.roles))
             for unit in self.producers(Ask(feature, None)):
-                for argument in unit.arguments[:1]:
+                for argument in unit.arguments:
                     if argument.object is not None:
                         found[Subject(None, self.sorts.canonical(argument.object))] = None
                     else:

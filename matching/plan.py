@@ -95,8 +95,8 @@ class Synchronize(_Hashed):
     """For each object the latest values of several streams together, whenever one has a new one.
 
     The join of [DyKnow10 Def. 5.11], object by object. What an input holds of a single object is
-    for each of the others. Its stream has the ``target_field`` of each port, in ``target`` units,
-    and the id fields of ``roles``, which are those of what is held of many objects.
+    for each of the others. Its stream has the ``target_field`` of each port, in the units of its
+    source, and the id fields of ``roles``, which are those of what is held of many objects.
     """
 
     inputs: tuple[Edge, ...]

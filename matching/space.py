@@ -9,8 +9,8 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections import defaultdict
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from ..languages.ssl.annotation import (
     Argument,
@@ -29,12 +29,23 @@ ITSELF = (Argument("self", None, SELF),)
 """Whose a feature is that a source gives without saying so."""
 
 
+class Ask(NamedTuple):
+    """A feature (IRI) that is needed. ``unit`` None: in whatever unit it stands."""
+
+    feature: str
+    unit: str | None
+
+
 @dataclass(frozen=True)
 class TransformationDescription:
     """``name : inputs ⇒ output`` ([Introspection15 §4.3]); a source has no inputs.
 
     ``cost`` is that of one more unit, ``quality`` (0..1) that of its output, given perfect inputs.
     ``lacks`` says why no unit can be made of it (empty: one can).
+
+    ``arguments`` say whose feature the output is; nothing: of whatever the inputs speak of.
+    ``asks`` are the features and units (as text) of the inputs, each once; ``fed[i]`` is the place
+    there of what feeds input i. With ``passes_through`` all speak of the same, whatever it is.
     """
 
     name: str
@@ -43,6 +54,29 @@ class TransformationDescription:
     cost: float = 1.0
     quality: float = 1.0
     lacks: str = ""
+    arguments: tuple[Argument, ...] = field(init=False, repr=False, compare=False)
+    output_unit: str = field(init=False, repr=False, compare=False)
+    asks: tuple[Ask, ...] = field(init=False, repr=False, compare=False)
+    fed: tuple[int, ...] = field(init=False, repr=False, compare=False)
+    passes_through: bool = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        # Computed when it is registered, so that matching only looks it up.
+        asks = [Ask(port.feature, unit_text(port.unit)) for port in self.inputs]
+        distinct = tuple(dict.fromkeys(asks))
+        own = (
+            self.output.arguments
+            or (ITSELF if not self.inputs else ())
+            or next((port.arguments for port in self.inputs if port.arguments), ())
+        )
+        for name, value in (
+            ("arguments", own),
+            ("output_unit", unit_text(self.output.unit)),
+            ("asks", distinct),
+            ("fed", tuple(map(distinct.index, asks))),
+            ("passes_through", not own),
+        ):
+            object.__setattr__(self, name, value)
 
     @classmethod
     def of(
@@ -55,23 +89,6 @@ class TransformationDescription:
         """From a checked annotation."""
         inputs = annotation.inputs if isinstance(annotation, TransformationAnnotation) else ()
         return cls(annotation.name, inputs, annotation.output, cost, quality, lacks)
-
-    @cached_property
-    def arguments(self) -> tuple[Argument, ...]:
-        """Whose feature the output is; nothing: of whatever the inputs speak of."""
-        if self.output.arguments:
-            return self.output.arguments
-        if not self.inputs:
-            return ITSELF
-        return next((port.arguments for port in self.inputs if port.arguments), ())
-
-    @cached_property
-    def output_unit(self) -> str:
-        return unit_text(self.output.unit)
-
-    @cached_property
-    def input_units(self) -> tuple[str, ...]:
-        return tuple(unit_text(port.unit) for port in self.inputs)
 
 
 @dataclass(frozen=True)
@@ -94,7 +111,8 @@ class EventDescription(TransformationDescription, ABC):
 class StreamDescription:
     """A stream, what it contains, how good it is (0..1) and what one more reader of it costs.
 
-    ``maker`` is the transformation whose unit makes it; empty for a stream from outside.
+    ``maker`` is the transformation whose unit makes it; empty for a stream from outside. ``units``
+    are those of ``contents``, as texts.
     """
 
     name: str
@@ -102,6 +120,11 @@ class StreamDescription:
     quality: float = 1.0
     cost: float = 0.0
     maker: str = ""
+    units: tuple[str, ...] = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        texts = tuple(unit_text(content.unit) for content in self.contents)
+        object.__setattr__(self, "units", texts)
 
     @classmethod
     def of(
@@ -109,11 +132,6 @@ class StreamDescription:
     ) -> StreamDescription:
         """From a checked annotation."""
         return cls(annotation.stream, annotation.contents, quality, cost)
-
-    @cached_property
-    def units(self) -> tuple[str, ...]:
-        """The units of ``contents``, as texts."""
-        return tuple(unit_text(content.unit) for content in self.contents)
 
 
 class StreamSpace:

@@ -116,6 +116,14 @@ class Sorts:
             return None
         return Subject(sort, wanted.object)
 
+    def why_not_all(self, roles: Roles, subjects: Subjects) -> str:
+        """Why a content of ``roles`` holds nothing of the feature of ``subjects``; empty if it
+        holds it, or a part of it."""
+        if len(roles) < len(subjects):
+            return f"it speaks of {len(roles)} at once, and {len(subjects)} are wanted"
+        reasons = (self.why_not(role, s) for role, s in zip(roles, subjects, strict=False))
+        return next((reason for reason in reasons if reason), "")
+
     def why_not(self, role: Role, subject: Subject) -> str:
         """Why a content of ``role`` does not hold the feature of ``subject``; empty if it does."""
         held = Subject(role.sort, role.object)

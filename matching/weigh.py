@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 
 import numpy as np
 
@@ -74,6 +75,8 @@ class _Unfolded:
         self._strategy = strategy
         self._is_running = is_running
         self._places: dict[Hashable, int] = {}
+        self._units: dict[Hashable, int] = {}
+        """The first producer of each unit."""
         self._waiting: list[Goal] = []
         self._derives: list[int] = []
         self._starts: list[int] = [0]
@@ -100,10 +103,10 @@ class _Unfolded:
                 if weight == 0.0 and self._strategy.kind is not Kind.QUALITY:
                     break  # none of those that come later is better
             for way in self._goals.ways(goal):
-                cost, quality = self._price(way)
-                weight = self._strategy.weight(cost, quality)
-                needs = [self.goal(need) for need in way.needs]
-                self._add(place, needs, weight, quality, (goal, way))
+                if isinstance(way, Apart):
+                    self._apart(place, goal, way)
+                else:
+                    self._through(place, goal, way)
 
     def graph(self) -> Hypergraph:
         """What was unfolded."""
@@ -116,13 +119,56 @@ class _Unfolded:
             np.array(self._qualities, np.float64),
         )
 
-    def _price(self, way: Through | Apart) -> tuple[float, float]:
-        if isinstance(way, Apart):
-            return SYNCHRONIZATION_COST, 1.0
+    def _apart(self, place: int, goal: Goal, way: Apart) -> None:
+        """Parts, and the synchronization of them, unless whoever needs them does that."""
+        needs = [self.goal(need) for need in way.needs]
+        if not goal.joined:
+            needs = [self._synchronization(way.needs, needs)]
+        self._add(place, needs, 0.0, 1.0, (goal, way))
+
+    def _synchronization(self, needs: tuple[Goal, ...], places: list[int]) -> int:
+        weight = self._strategy.weight(SYNCHRONIZATION_COST, 1.0)
+        return self._shared(("synchronize", needs), places, weight, 1.0)
+
+    def _through(self, place: int, goal: Goal, way: Through) -> None:
+        """A unit, which may give other goals too, and the selection of what it finds."""
         unit = way.unit
-        is_one = len(way.needs) <= 1 or isinstance(unit, EventDescription)
-        apart = 0.0 if is_one else SYNCHRONIZATION_COST
-        return unit.cost + apart, unit.quality
+        needs = [self.goal(need) for need in way.needs]
+        is_event = isinstance(unit, EventDescription)
+        if len(needs) > 1 and not is_event:
+            needs = [self._synchronization(way.needs, needs)]
+        weight = self._strategy.weight(unit.cost, unit.quality)
+        key = (unit.name, way.needs, goal.subjects if is_event else ())
+        selections = [
+            (argument.id_field, subject.object)
+            for argument, subject in zip(unit.arguments, goal.subjects, strict=False)
+            if argument.id_field is not None and subject.object is not None
+        ]
+        known = self._units.get(key)
+        if known is None and not selections:
+            self._units[key] = len(self._derives)
+            self._add(place, needs, weight, unit.quality, (goal, way))
+            return
+        made = self._unit(key, needs, weight, unit.quality)
+        for selection in selections:
+            price = self._strategy.weight(SELECTION_COST, 1.0)
+            made = self._shared(("select", key, selection), [made], price, 1.0)
+        self._add(place, [made], 0.0, 1.0, (goal, way))
+
+    def _unit(self, key: Hashable, needs: list[int], weight: float, quality: float) -> int:
+        """The number of a unit that gives several goals: it is paid once."""
+        known = self._units.get(key)
+        place = self._places.get(("unit", key))
+        if known is not None and place is None:
+            # It gave one goal only so far.
+            place = self._places["unit", key] = len(self._places)
+            first, answered = self._derives[known], self.answered[known]
+            self._derives[known], self.answered[known] = place, None
+            self._add(first, [place], 0.0, 1.0, answered)
+        if place is None:
+            self._units[key] = len(self._derives)
+            place = self._shared(("unit", key), needs, weight, quality)
+        return place
 
     def _offer(self, place: int, goal: Goal, offer: Offer) -> float:
         """The producer of an offer; gives its weight alone."""
@@ -134,8 +180,8 @@ class _Unfolded:
         weight = strategy.weight(cost, stream.quality)
         shared = self._shared(("stream", stream.name), [], weight, stream.quality)
         node: Node = UseStream(stream.name, stream.contents)
-        for role, subject in zip(offer.roles, goal.subjects, strict=False):
-            object = subject.object or role.object
+        for role, subject in zip_longest(offer.roles, goal.subjects[: len(offer.roles)]):
+            object = (subject and subject.object) or role.object
             if object and role.id_field and not (role.sort and role.object):
                 node = SelectObject(node, role.id_field, object)
                 price = 0.0 if self._is_running(node) else strategy.weight(SELECTION_COST, 1.0)

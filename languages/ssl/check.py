@@ -295,6 +295,9 @@ class _Checker:
         """The output; what no input speaks of gets its names in a field of the output."""
         made = self.port(port)
         given = {argument.variable for input in inputs for argument in input.arguments}
+        if any(not input.arguments for input in inputs):
+            # Such an input speaks of what the output speaks of.
+            given |= {argument.variable for argument in made.arguments}
         fields = {entity.name: entity for entity in entities}
         arguments: list[annotation.Argument] = []
         for argument in made.arguments:
