@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from ..converters.errors import ConversionError
@@ -16,7 +17,7 @@ from ..ontology.units import format_unit, parse_unit
 from .changes import Change, ChangeKind
 from .declared import DeclaredStreams
 from .describing import DescribedStream, Describer
-from .errors import DyknowError
+from .errors import BadArguments, DyknowError
 from .registered import RegisteredTransformations, check_quality
 from .reports import Report
 from .transformations import Transformations
@@ -53,13 +54,22 @@ class Annotations:
             self._apply(annotation)
         return checked
 
-    def describe(self, described: DescribedStream) -> StreamAnnotation:
-        """Annotate a stream by a description in names; as `annotate` does by SSL. Raises what
-        `Describer` raises, and `Conflict`."""
-        annotation = Describer(self._ontology.vocabulary).stream(described)
-        self._streams.check_annotation(annotation)
-        self._streams.annotate(annotation, kept=_json_of(annotation))
-        return annotation
+    def describe_all(self, described: Sequence[DescribedStream]) -> tuple[StreamAnnotation, ...]:
+        """Annotate streams by descriptions in names, all of them or none; as `annotate` does by
+        SSL. Raises what `Describer` raises, and `Conflict`."""
+        describer = Describer(self._ontology.vocabulary)
+        annotations = tuple(describer.stream(each) for each in described)
+        for name, number in Counter(each.stream for each in annotations).items():
+            if number > 1:
+                raise BadArguments(
+                    f"stream {name!r} is described twice",
+                    "one description says all that a stream contains",
+                )
+        for annotation in annotations:
+            self._streams.check_annotation(annotation)
+        for annotation in annotations:
+            self._streams.annotate(annotation, kept=_json_of(annotation))
+        return annotations
 
     def set_quality(self, stream: str, quality: float) -> None:
         """How good a stream is now (0..1); raises `UnknownStream` and `BadArguments`."""

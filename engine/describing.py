@@ -6,9 +6,11 @@ ontology and makes the annotations that SSL texts make.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+from ..converters.wire import RESERVED
 from ..languages.ssl.annotation import (
     Argument,
     Content,
@@ -26,6 +28,10 @@ from ..rdf.namespaces import shorten
 from .errors import BadArguments, UnknownFeature
 from .knowing import did_you_mean, iri_of
 from .transformations import Transformation
+
+MOST_INPUTS = 100
+"""A transformation has at most so many inputs."""
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +88,12 @@ class Describer:
 
     def transformation(self, described: DescribedTransformation) -> Transformation:
         """The transformation that is described."""
+        if not _NAME.match(described.name):
+            raise BadArguments(
+                f"{described.name!r} is no name of a transformation",
+                "letters, digits and _; the first is a letter",
+            )
+        check_inputs(len(described.inputs))
         inputs = self._inputs(described.inputs)
         given = {argument.variable for port in inputs for argument in port.arguments}
         if any(not port.arguments for port in inputs):
@@ -120,7 +132,7 @@ class Describer:
         feature = self._feature(described.feature)
         roles = tuple(self._role(argument, described) for argument in described.arguments)
         unit = self._unit(feature, described.unit)
-        return Content(feature, described.field or local(feature), unit, roles)
+        return Content(feature, _field(described), unit, roles)
 
     def _role(self, argument: DescribedArgument, described: DescribedPort) -> Role:
         sort, object = self._named(argument.name)
@@ -170,7 +182,7 @@ class Describer:
                 f"two arguments of {described.feature} have one name", 'give each an "as"'
             )
         unit = self._unit(feature, described.unit)
-        return PortAnnotation(described.field or local(feature), feature, unit, tuple(arguments))
+        return PortAnnotation(_field(described), feature, unit, tuple(arguments))
 
     def _named(self, name: str) -> tuple[str | None, str | None]:
         """A name as a sort or as an object."""
@@ -206,6 +218,26 @@ class Describer:
                 f"it is in {format_unit(own or ())}: write that or another unit of {measures}",
             )
         return unit
+
+
+def check_inputs(number: int) -> None:
+    """Raises `BadArguments` for more inputs than a transformation may have."""
+    if number > MOST_INPUTS:
+        raise BadArguments(
+            f"a transformation has at most {MOST_INPUTS} inputs, not {number}",
+            "let a transformation of some of them stand before it",
+        )
+
+
+def _field(described: DescribedPort) -> str:
+    name = described.field or local(described.feature)
+    for each in (name, *(argument.id for argument in described.arguments)):
+        if each in RESERVED:
+            raise BadArguments(
+                f"a field cannot be called {each!r}: that is a sample's time",
+                "give the field another name",
+            )
+    return name
 
 
 def local(iri: str) -> str:

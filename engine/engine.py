@@ -189,10 +189,15 @@ class Engine:
         return annotated
 
     def describe(self, described: DescribedStream) -> StreamAnnotation:
-        """Annotate a stream in IRIs; see `Annotations`."""
-        annotation = self._annotations.describe(described)
-        self._settle()
+        """Annotate a stream in names; see `Annotations`."""
+        (annotation,) = self.describe_all([described])
         return annotation
+
+    def describe_all(self, described: Sequence[DescribedStream]) -> tuple[StreamAnnotation, ...]:
+        """Annotate streams in names, all of them or none; see `Annotations`."""
+        annotations = self._annotations.describe_all(described)
+        self._settle()
+        return annotations
 
     def set_quality(self, stream: str, quality: float) -> None:
         """How good a stream is now (0..1); raises `UnknownStream` and `BadArguments`."""
@@ -418,7 +423,8 @@ class Engine:
             return self._subscriptions.start_adaptive(wish)
 
     def rematches(self, id: str) -> Sequence[Rematch]:
-        """The switches of a subscription, oldest first; raises `UnknownRequest`."""
+        """The switches of a subscription, oldest first; raises `UnknownRequest`. What is given
+        holds later ones, too, as they come."""
         return self._subscriptions.rematches(id)
 
     def subscriptions(self) -> tuple[SubscriptionView, ...]:
@@ -489,7 +495,9 @@ class Engine:
         checked_strategy(strategy)
         without = self._plans.unusable(Since.NOW)
         (found,) = self._plans.match([want], strategy, without, explained=True)
-        return explanations.match_view(want, found, strategy)
+        return explanations.match_view(
+            want, found, strategy, self._manager.space, self._plans.is_running
+        )
 
     def explain(
         self, *, event: str | None = None, template: str | None = None, query: str | None = None

@@ -5,16 +5,18 @@ The plan tree shows what runs; `request` shows how it came about, stage by stage
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from ..continuous.background import Background
 from ..continuous.evaluator import ContinuousEvaluator
 from ..languages.csparql import format_query, parse_query, with_streams
 from ..languages.csparql.ast import ContinuousQuery, EventRequest, Template
 from ..matching.match import Match
-from ..matching.plan import streams_of
+from ..matching.plan import Node, streams_of
 from ..matching.render import render
+from ..matching.space import StreamSpace
 from ..matching.tree import Alternative, Outcome
+from ..matching.valuing import cost_of, quality_of
 from ..matching.want import Want
 from ..ontology.ontology import Ontology
 from ..rdf.dictionary import TermDictionary
@@ -50,11 +52,19 @@ def plan_text(configuration: Configuration, unit: ComputationalUnit) -> str:
     return "\n".join(lines)
 
 
-def match_view(want: Want, found: Match, strategy: str) -> MatchView:
+def match_view(
+    want: Want,
+    found: Match,
+    strategy: str,
+    space: StreamSpace,
+    is_running: Callable[[Node], bool],
+) -> MatchView:
     """A match as the service shows it; nothing was started."""
-    plan = None
+    plan = cost = quality = None
     if found.supply is not None:
         plan = PlanView(render(found), streams_of(found.supply), (), "")
+        cost = cost_of(found.supply, space, is_running)
+        quality = quality_of(found.supply, space)
     return MatchView(
         feature=shorten(want.feature),
         target=str(want),
@@ -72,6 +82,9 @@ def match_view(want: Want, found: Match, strategy: str) -> MatchView:
             for alternative in found.tree
             if alternative.outcome is Outcome.FAILED and alternative.reason
         ),
+        cost=cost,
+        quality=quality,
+        proven=found.proven,
     )
 
 

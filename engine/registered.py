@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from ..languages.ssl import check_ssl, parse_ssl
@@ -24,7 +25,7 @@ from ..ontology.ontology import Ontology
 from ..ontology.units import format_unit, parse_unit
 from .changes import Change, ChangeKind, KnownTransformation
 from .configuration import Configuration
-from .describing import DescribedTransformation, Describer
+from .describing import DescribedTransformation, Describer, check_inputs
 from .errors import AlreadyExists, BadArguments, Conflict, UnknownTransformation
 from .transformations import LIBRARY_NAMES, Transformation, Transformations
 
@@ -99,9 +100,25 @@ class RegisteredTransformations:
         self, described: DescribedTransformation, *, replace: bool = False
     ) -> TransformationView:
         """Make a transformation known that is described in names; see `register`."""
-        known = Describer(self._ontology.vocabulary).transformation(described)
-        self.register(known, replace=replace)
-        return self.view(described.name)
+        (view,) = self.register_all([described], replace=replace)
+        return view
+
+    def register_all(
+        self, described: Sequence[DescribedTransformation], *, replace: bool = False
+    ) -> tuple[TransformationView, ...]:
+        """Make transformations known that are described in names, all of them or none; see
+        `register`."""
+        describer = Describer(self._ontology.vocabulary)
+        made = [describer.transformation(each) for each in described]
+        names = [each.name for each in made]
+        for name, number in Counter(names).items():
+            if number > 1:
+                raise BadArguments(f"{name!r} is described twice", "give each its own name")
+        for each in made:
+            self._admit(each, replace)
+        for each in made:
+            self._keep(each)
+        return tuple(self.view(name) for name in names)
 
     def register_annotated(
         self,
@@ -134,6 +151,11 @@ class RegisteredTransformations:
         `BadArguments`, `Conflict` and `UnknownFeature` where annotation, code and parameters do
         not fit together. Units that run already are left as they are.
         """
+        self._admit(transformation, replace)
+        self._keep(transformation)
+
+    def _admit(self, transformation: Transformation, replace: bool) -> None:
+        """Whether it may be registered; raises as `register` does."""
         name = transformation.name
         known = self._transformations.get(name)
         if known == transformation:
@@ -145,8 +167,12 @@ class RegisteredTransformations:
                 f"there is a transformation called {name!r}", "replace it with PUT, or remove it"
             )
         self._check(transformation)
-        self._ontology.set_transformation(name, _json_of(transformation))
-        self._put(transformation)
+
+    def _keep(self, transformation: Transformation) -> None:
+        name = transformation.name
+        if self._transformations.get(name) != transformation:
+            self._ontology.set_transformation(name, _json_of(transformation))
+            self._put(transformation)
 
     def check(self, annotation: TransformationAnnotation | SourceAnnotation) -> None:
         """Whether the transformation may be annotated so; raises as `register` does."""
@@ -232,6 +258,8 @@ class RegisteredTransformations:
         if not (math.isfinite(transformation.cost) and transformation.cost >= 0):
             raise BadArguments(f"a cost is a number, 0 or more, not {transformation.cost}")
         check_quality(transformation.quality)
+        if isinstance(transformation.annotation, TransformationAnnotation):
+            check_inputs(len(transformation.annotation.inputs))
         self._transformations.check(transformation)
 
     def _put(

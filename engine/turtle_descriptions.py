@@ -60,7 +60,12 @@ class _Graph:
         inputs: list[DescribedPort] = []
         holder: NamedNode | BlankNode | None = annotation
         seen = set()
-        while holder is not None and holder not in seen:
+        while holder is not None:
+            if holder in seen:
+                raise BadArguments(
+                    f"the :nextSegment of {name} comes back to itself",
+                    "the last input has no :nextSegment",
+                )
             seen.add(holder)
             segment = self._one(holder, "hasInputAnnotation", name)
             if segment is None:

@@ -116,7 +116,11 @@ class EventView:
 
 @dataclass(frozen=True, slots=True)
 class MatchView:
-    """What semantic matching found for a feature, and why."""
+    """What semantic matching found for a feature, and why.
+
+    ``cost`` and ``quality`` are those of the plan, None where there is none; ``proven`` says
+    whether the strategy's optimum was found and proven.
+    """
 
     feature: str
     target: str
@@ -125,6 +129,9 @@ class MatchView:
     plan: PlanView | None
     alternatives: tuple[str, ...]
     reasons: tuple[str, ...]
+    cost: float | None
+    quality: float | None
+    proven: bool
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,6 +6,7 @@ from contextlib import asynccontextmanager
 import anyio
 from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
+from pydantic.json_schema import models_json_schema
 
 from .. import __version__
 from ..engine.engine import Engine
@@ -15,6 +16,7 @@ from .body import BodyLimit
 from .context import Service
 from .logs import log
 from .metrics import Metrics
+from .models import READ_BY_ROUTES
 from .observe import Observe
 from .routes import (
     annotations,
@@ -31,6 +33,7 @@ from .routes import (
     streams,
     subscriptions,
     templates,
+    transformations,
 )
 from .settings import Settings
 from .sse import Feeds
@@ -42,6 +45,7 @@ RESOURCES = (
     samples,
     subscriptions,
     annotations,
+    transformations,
     ontologies,
     kpl,
     match,
@@ -131,6 +135,12 @@ def _openapi(app: FastAPI) -> dict[str, object]:
         components = schema.setdefault("components", {}).setdefault("schemas", {})
         for name in ("HTTPValidationError", "ValidationError"):
             components.pop(name, None)
+        _, bodies = models_json_schema(
+            [(model, "validation") for model in READ_BY_ROUTES],
+            ref_template="#/components/schemas/{model}",
+        )
+        for name, body in bodies["$defs"].items():
+            components.setdefault(name, body)
         components["ProblemModel"] = problems.ProblemModel.model_json_schema()
         for path in schema["paths"].values():
             for operation in path.values():

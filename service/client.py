@@ -11,20 +11,17 @@ Answers are the JSON of the routes as dicts. Refusals are `ServiceError`. Used b
 from __future__ import annotations
 
 import json
-import time
 import uuid
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from types import TracebackType
-from typing import Any, Self
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any
 from urllib.parse import quote
 
 import httpx
 import msgspec
-from httpx_sse import EventSource, ServerSentEvent
 
 from ..converters.ndjson import encode_ndjson
 from ..streams.sample import SampleBatch
+from .connection import URL, Connection, Event, ServiceError
 from .negotiation import (
     CSV,
     JSON,
@@ -35,113 +32,12 @@ from .negotiation import (
     TEXT,
     TURTLE,
 )
-from .sse import POSITION
 
-URL = "http://127.0.0.1:8000"
-RETRY_FIRST = 0.2
-RETRY_LONGEST = 5.0
-SILENCE = 60.0
-"""Seconds without a byte, not even a ping, after which an event stream is taken for dead."""
+__all__ = ["URL", "Client", "Event", "ServiceError"]
 
 
-class ServiceError(Exception):
-    """A refusal of the service: what is wrong, where, and what to do next."""
-
-    def __init__(
-        self,
-        status: int,
-        title: str,
-        detail: str,
-        *,
-        hint: str = "",
-        line: int | None = None,
-        column: int | None = None,
-        excerpt: str = "",
-        problem: Mapping[str, Any] | None = None,
-    ) -> None:
-        super().__init__(detail)
-        self.status = status
-        self.title = title
-        self.detail = detail
-        self.hint = hint
-        self.line = line
-        self.column = column
-        self.excerpt = excerpt
-        self.problem = dict(problem or {})
-        """The whole problem as it came."""
-
-    def __str__(self) -> str:
-        place = ""
-        if self.line is not None:
-            place = f"line {self.line}" + ("" if self.column is None else f", column {self.column}")
-            place += ": "
-        lines = [f"{self.title}: {place}{self.detail}"]
-        if self.excerpt:
-            lines.append(self.excerpt)
-        if self.problem.get("missing"):
-            lines += ["missing:", *(f"  - {item}" for item in self.problem["missing"])]
-        if self.hint:
-            lines.append(f"hint: {self.hint}")
-        return "\n".join(lines)
-
-
-@dataclass(frozen=True, slots=True)
-class Event:
-    """A message of an event stream: ``kind`` is sample, gap or end; ``data`` its JSON."""
-
-    kind: str
-    id: str
-    data: Mapping[str, Any] = field(repr=False)
-
-    @property
-    def values(self) -> Mapping[str, Any]:
-        """The named values of a sample."""
-        found: Mapping[str, Any] = self.data.get("values", {})
-        return found
-
-    @property
-    def rdf(self) -> str:
-        """A sample as N-Triples."""
-        return str(self.data.get("rdf", ""))
-
-
-class Client:
-    """The service's verbs over one HTTP connection pool. Not for several threads at once.
-
-    ``transport`` and ``sleep`` are for tests. Every method raises `ServiceError` for a refusal
-    and ``httpx.TransportError`` when there is no service at ``url``.
-    """
-
-    def __init__(
-        self,
-        url: str = URL,
-        *,
-        timeout: float = 30.0,
-        transport: httpx.BaseTransport | None = None,
-        sleep: Callable[[float], None] = time.sleep,
-    ) -> None:
-        self.url = url.rstrip("/")
-        self._sleep = sleep
-        self._timeout = timeout
-        # An address on this machine is not reached through a proxy of the environment.
-        self._http = httpx.Client(
-            base_url=self.url, timeout=timeout, transport=transport, trust_env=False
-        )
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Close the connections."""
-        self._http.close()
+class Client(Connection):
+    """The service's verbs over one HTTP connection pool. Not for several threads at once."""
 
     # -- streams and samples
 
@@ -250,9 +146,53 @@ class Client:
         """Annotate streams and units by an SSL text."""
         return self._list("POST", "/annotations", content=ssl, headers={"Content-Type": TEXT})
 
+    def describe(
+        self, streams: Mapping[str, Any] | Sequence[Mapping[str, Any]]
+    ) -> list[dict[str, Any]]:
+        """Annotate a stream, or several: ``{"stream", "contents": [{"feature", "field", …}]}``."""
+        return self._list("POST", "/annotations", json=streams)
+
     def annotations(self) -> list[dict[str, Any]]:
         """All annotations."""
         return self._list("GET", "/annotations")
+
+    def set_quality(self, stream: str, quality: float) -> None:
+        """How good a stream is from now on, 0 to 1."""
+        self._send("PUT", f"/streams/{_part(stream)}/quality", json={"quality": quality})
+
+    def register_transformation(
+        self, description: Mapping[str, Any] | str, *, replace: str | None = None
+    ) -> list[dict[str, Any]]:
+        """Register a transformation by its JSON, or one or several by a Turtle text; ``replace``
+        names the one that it takes the place of."""
+        body: dict[str, Any] = {"json": description}
+        if isinstance(description, str):
+            body = {"content": description, "headers": {"Content-Type": TURTLE}}
+        if replace is None:
+            found = self._send("POST", "/transformations", **body).json()
+        else:
+            found = self._send("PUT", f"/transformations/{_part(replace)}", **body).json()
+        registered: list[dict[str, Any]] = found if isinstance(found, list) else [found]
+        return registered
+
+    def transformations(self) -> list[dict[str, Any]]:
+        """All transformations."""
+        return self._list("GET", "/transformations")
+
+    def transformation(self, name: str) -> dict[str, Any]:
+        """One transformation."""
+        return self._object("GET", f"/transformations/{_part(name)}")
+
+    def change_transformation(
+        self, name: str, *, cost: float | None = None, quality: float | None = None
+    ) -> dict[str, Any]:
+        """The cost or quality of a transformation has changed."""
+        body = {"cost": cost, "quality": quality}
+        return self._object("PATCH", f"/transformations/{_part(name)}", json=body)
+
+    def remove_transformation(self, name: str) -> None:
+        """Forget a transformation, unless a unit of it runs."""
+        self._send("DELETE", f"/transformations/{_part(name)}")
 
     def subscribe(
         self, stream: str, policy: str = "", *, unit: str = "ms", since: str = "now"
@@ -261,6 +201,51 @@ class Client:
         the answer's ``stream``. ``since`` "start" begins with what is kept."""
         body = {"stream": stream, "policy": policy, "unit": unit, "since": since}
         return self._object("POST", "/subscriptions", json=body)
+
+    def subscribe_to(
+        self,
+        feature: str,
+        *,
+        sort: str | None = None,
+        objects: Sequence[str] = (),
+        strategy: str = "fast",
+        policy: str = "",
+        unit: str = "ms",
+        since: str = "now",
+        staleness: str | int | None = None,
+        min_quality: float = 0.0,
+        hold_off: str | int = "2s",
+    ) -> dict[str, Any]:
+        """Subscribe to a feature, whatever streams hold it; its samples and switches are
+        `subscription_events`."""
+        body: dict[str, Any] = {
+            "feature": feature,
+            "sort": sort,
+            "objects": list(objects),
+            "strategy": strategy,
+            "policy": policy,
+            "unit": unit,
+            "since": since,
+            "staleness": staleness,
+            "min_quality": min_quality,
+            "hold_off": hold_off,
+        }
+        return self._object("POST", "/subscriptions", json=body)
+
+    def subscription(self, id: str) -> dict[str, Any]:
+        """One subscription."""
+        return self._object("GET", f"/subscriptions/{_part(id)}")
+
+    def subscription_events(
+        self, id: str, *, since: str | None = None, resume: bool = True
+    ) -> Iterator[Event]:
+        """As `events`, of a subscription: of one to a feature with `rematched` between the
+        samples, each switch once."""
+        return self._follow(f"/subscriptions/{_part(id)}/events", since, resume)
+
+    def rematches(self, id: str) -> list[dict[str, Any]]:
+        """The switches of a subscription to a feature, oldest first."""
+        return self._list("GET", f"/subscriptions/{_part(id)}/rematches")
 
     def subscriptions(self) -> list[dict[str, Any]]:
         """The subscriptions that run."""
@@ -430,71 +415,6 @@ class Client:
         path = f"/streams/{_part(stream)}/samples"
         return self._send("GET", path, params=parameters, headers={"Accept": kind})
 
-    def _follow(self, path: str, since: str | None, resume: bool) -> Iterator[Event]:
-        last: str | None = None
-        wait = RETRY_FIRST
-        timeout = httpx.Timeout(self._timeout, read=SILENCE)
-        while True:
-            headers = {"Accept": "text/event-stream", "Cache-Control": "no-store"}
-            if last is not None:
-                headers["Last-Event-ID"] = last
-            parameters = {} if since is None or last is not None else {"since": since}
-            try:
-                with self._http.stream(
-                    "GET", path, headers=headers, params=parameters, timeout=timeout
-                ) as answer:
-                    if answer.status_code >= 500 and last is not None and resume:
-                        raise httpx.RemoteProtocolError("the service is not ready")
-                    _check(answer)
-                    # Known before the first sample: nothing is lost if the connection breaks.
-                    last = last or answer.headers.get(POSITION)
-                    for message in EventSource(answer).iter_sse():
-                        if not message.data:
-                            continue
-                        wait = RETRY_FIRST
-                        if message.event == "sample":
-                            last = message.id
-                        yield _event(message)
-                        if message.event == "end":
-                            return
-                if not resume:
-                    return
-            except httpx.TransportError:
-                # The first connection must succeed: a wrong address is no broken connection.
-                if not resume or last is None:
-                    raise
-            self._sleep(wait)
-            wait = min(wait * 2, RETRY_LONGEST)
-
-    def _again(self, method: str, path: str, **arguments: Any) -> httpx.Response:
-        """Send until the service has room; a connection that broke is tried once more."""
-        broken = False
-        while True:
-            try:
-                return self._send(method, path, **arguments)
-            except ServiceError as error:
-                if error.status != 429:
-                    raise
-                self._sleep(float(error.problem.get("retry_after", 1)))
-            except (httpx.ReadError, httpx.RemoteProtocolError):
-                if broken:
-                    raise
-                broken = True
-
-    def _send(self, method: str, path: str, **arguments: Any) -> httpx.Response:
-        answer = self._http.request(method, path, **arguments)
-        _check(answer)
-        return answer
-
-    def _object(self, method: str, path: str, **arguments: Any) -> dict[str, Any]:
-        found: dict[str, Any] = self._send(method, path, **arguments).json()
-        return found
-
-    def _list(self, method: str, path: str, **arguments: Any) -> list[dict[str, Any]]:
-        headers = {"Accept": JSON, **arguments.pop("headers", {})}
-        found: list[dict[str, Any]] = self._send(method, path, headers=headers, **arguments).json()
-        return found
-
 
 def _part(name: str) -> str:
     return quote(name, safe="")
@@ -502,32 +422,3 @@ def _part(name: str) -> str:
 
 def _unstamped(row: dict[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in row.items() if key != "available"}
-
-
-def _event(message: ServerSentEvent) -> Event:
-    return Event(message.event, message.id, msgspec.json.decode(message.data))
-
-
-def _check(answer: httpx.Response) -> None:
-    if answer.is_success:
-        return
-    answer.read()
-    try:
-        problem = answer.json()
-    except ValueError:
-        problem = {}
-    if not isinstance(problem, dict) or "title" not in problem:
-        # Not ours: a proxy, or another service at this address.
-        problem = {"title": answer.reason_phrase or "error", "detail": answer.text[:500]}
-    if "retry-after" in answer.headers:
-        problem["retry_after"] = answer.headers["retry-after"]
-    raise ServiceError(
-        answer.status_code,
-        str(problem["title"]),
-        str(problem.get("detail", "")),
-        hint=str(problem.get("hint", "")),
-        line=problem.get("line"),
-        column=problem.get("column"),
-        excerpt=str(problem.get("excerpt", "")),
-        problem=problem,
-    )

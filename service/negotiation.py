@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from codecs import BOM_UTF8
 from collections.abc import Sequence
+from typing import Any
 
 import mimeparse
 from fastapi import Request
+from fastapi.exceptions import RequestValidationError
+from pydantic import TypeAdapter, ValidationError
 
 from ..ontology.reading import TextFormat
 from .problems import Problem
@@ -100,3 +103,20 @@ def utf8(body: bytes) -> str:
     if not text.strip():
         raise Problem(400, "empty body", "the body is empty", hint="send the text as the body")
     return text
+
+
+def json_value(body: bytes, shape: Any) -> Any:
+    """``body`` as JSON of ``shape``, for routes that take JSON beside other media types.
+
+    Raises a 400 `Problem` for what is no JSON, `RequestValidationError` for what does not fit.
+    """
+    try:
+        return TypeAdapter(shape).validate_json(body.removeprefix(BOM_UTF8))
+    except ValidationError as error:
+        errors = error.errors(include_url=False, include_context=False, include_input=False)
+        if errors[0]["type"] == "json_invalid":
+            hint = "send JSON in UTF-8, not nested deeply"
+            raise Problem(400, "bad JSON", errors[0]["msg"], hint=hint) from error
+        raise RequestValidationError(
+            [{**item, "loc": ("body", *item["loc"])} for item in errors]
+        ) from error

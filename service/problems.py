@@ -77,6 +77,7 @@ class Problem(HTTPException):
 _STATUS: tuple[tuple[type[DyknowError], int], ...] = (
     (engine_errors.UnknownStream, 404),
     (engine_errors.UnknownTemplate, 404),
+    (engine_errors.UnknownTransformation, 404),
     (engine_errors.UnknownEvent, 404),
     (engine_errors.UnknownRequest, 404),
     (engine_errors.UnknownFeature, 404),
@@ -175,7 +176,7 @@ def install(app: FastAPI) -> None:
 def _allowed(request: Request) -> list[str]:
     """The methods of all routes of the address: the framework knows those of the first only."""
     found = []
-    for method in ("GET", "POST", "PUT", "DELETE"):
+    for method in ("GET", "POST", "PUT", "PATCH", "DELETE"):
         scope = {**request.scope, "method": method}
         if any(route.matches(scope)[0] is Match.FULL for route in request.app.routes):
             # HEAD is answered wherever GET is.

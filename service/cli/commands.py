@@ -28,6 +28,7 @@ from .run import run
 from .serve import serve
 from .streams import annotate, streams
 from .templates import template
+from .transformations import transformation
 
 RECURSION_LIMIT = 20_000
 """Calls inside each other: enough for chains of some two thousand units."""
@@ -104,6 +105,7 @@ app.command()(events)
 app.command()(streams)
 app.command()(follow)
 app.command()(annotate)
+app.add_typer(transformation, name="transformation")
 app.add_typer(ontology, name="ontology")
 app.command()(sparql)
 app.command()(match)

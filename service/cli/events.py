@@ -5,7 +5,6 @@ from __future__ import annotations
 import signal
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
-from enum import StrEnum
 from types import FrameType
 from typing import Annotated, Any
 
@@ -29,16 +28,13 @@ from .output import (
     show_values,
 )
 
-
-class Strategy(StrEnum):
-    """How a plan is chosen when there are several."""
-
-    FAST = "fast"
-    COST = "cost"
-    QUALITY = "quality"
-
-
-STRATEGY: Any = typer.Option(help="How a plan is chosen. Only fast is there so far.")
+Strategy = Annotated[
+    str,
+    typer.Option(
+        help="How a plan is chosen: fast, cost, quality, weighted; with parameters: "
+        "weighted:cost=1,quality=10, cost:subscribers=0.1."
+    ),
+]
 
 
 def events(
@@ -46,7 +42,7 @@ def events(
         str | None,
         typer.Argument(help="Such as 'dyknow:HighSpeedEvent(?o, dyknow:UAV, 100)'."),
     ] = None,
-    strategy: Annotated[Strategy, STRATEGY] = Strategy.FAST,
+    strategy: Strategy = "fast",
     since: Annotated[
         Since, typer.Option(help="Begin with what comes, or with what the streams keep.")
     ] = Since.NOW,
@@ -78,7 +74,7 @@ def events(
         if request is None:
             _list(client, as_json)
             return
-        view = client.request_event(request, strategy=strategy.value, since=since.value)
+        view = client.request_event(request, strategy=strategy, since=since.value)
         if not follow:
             if as_json:
                 show_json(view)

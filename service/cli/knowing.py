@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from ...rdf.namespaces import shorten
-from .events import STRATEGY, Strategy
+from .events import Strategy
 from .output import DEFAULT_URL, Json, Url, connect, show_json, show_table, show_text
 from .streams import text_or_file
 
@@ -39,21 +39,23 @@ def match(
     sort: Annotated[str | None, typer.Option(help="Of every object of this sort.")] = None,
     object: Annotated[
         list[str] | None,
-        typer.Option(help="Of this object. May be repeated; the service matches one so far."),
+        typer.Option(help="Of this object. May be repeated: the arguments of an n-ary feature."),
     ] = None,
-    strategy: Annotated[Strategy, STRATEGY] = Strategy.FAST,
+    strategy: Strategy = "fast",
     url: Url = DEFAULT_URL,
     as_json: Json = False,
 ) -> None:
     """Show how a feature could be had, without starting anything. Status 1 if it cannot."""
     with connect(url) as client:
-        found = client.match(feature, sort=sort, objects=object or (), strategy=strategy.value)
+        found = client.match(feature, sort=sort, objects=object or (), strategy=strategy)
     if as_json:
         show_json(found)
     else:
         show_text(f"{found['target']}: {'found' if found['found'] else 'not found'}")
         if found["plan"] is not None:
             show_text(found["plan"]["text"])
+            proven = "" if found["proven"] else "; not proven to be the best"
+            show_text(f"cost {found['cost']:g}, quality {found['quality']:g}{proven}")
         _section("why", found["reasons"])
         _section("also considered", found["alternatives"])
     if not found["found"]:

@@ -2,32 +2,74 @@
 
 from __future__ import annotations
 
+from typing import Annotated, TypeAlias
+
 from fastapi import APIRouter, Request
 from fastapi.responses import JSONResponse, PlainTextResponse, Response
+from pydantic import Field
 
 from ..context import Context
-from ..models import AnnotationModel, text_schema
-from ..negotiation import JSON, TEXT, accepted, text_body
+from ..models import AnnotationModel, ContentsIn, schema_of, text_schema
+from ..negotiation import JSON, TEXT, accepted, content_type, json_value, utf8
 from ..problems import responses
 
 router = APIRouter(tags=["annotations"])
 
+STREAMS = 1000
+"""So many streams are annotated in one request in JSON."""
 EXAMPLE = "stream s1 contains altitude(Aircraft) = alt [ft] for every Aircraft = icao24"
+DESCRIBED = {
+    "stream": "s1",
+    "contents": [
+        {
+            "feature": "dyknow:altitude",
+            "field": "alt",
+            "unit": "ft",
+            "of": [{"name": "dyknow:Aircraft", "id": "icao24"}],
+        }
+    ],
+}
 BODY = {
     "requestBody": {
         "required": True,
-        "content": {TEXT: text_schema("declarations in SSL", EXAMPLE)},
+        "content": {
+            TEXT: text_schema("declarations in SSL", EXAMPLE),
+            JSON: {
+                "schema": {
+                    "anyOf": [
+                        schema_of(ContentsIn),
+                        {"type": "array", "items": schema_of(ContentsIn), "maxItems": STREAMS},
+                    ]
+                },
+                "example": DESCRIBED,
+            },
+        },
     }
 }
+Described: TypeAlias = ContentsIn | Annotated[list[ContentsIn], Field(max_length=STREAMS)]
 
 
 @router.post(
-    "/annotations", status_code=201, openapi_extra=BODY, responses=responses(409, 413, 415)
+    "/annotations",
+    status_code=201,
+    openapi_extra=BODY,
+    responses=responses(403, 404, 409, 413, 415, 422),
 )
 async def annotate(request: Request, service: Context) -> list[AnnotationModel]:
-    """Annotate streams, sources and units. All of the text takes effect, or none."""
-    text = await text_body(request, (TEXT,))
-    return [AnnotationModel.of(found) for found in service.engine.annotate(text)]
+    """Annotate streams, sources and units in SSL, or streams in JSON.
+
+    All of it takes effect, or none. What is said of a stream replaces what was said before. In
+    JSON names may be IRIs that SSL has no words for: 404 for a feature that is not known.
+    """
+    kind = content_type(request, (TEXT, JSON))
+    body = await request.body()
+    if kind == TEXT:
+        found = service.engine.annotate(utf8(body))
+        return [AnnotationModel.of(annotation) for annotation in found]
+    described: ContentsIn | list[ContentsIn] = json_value(body, Described)
+    several = described if isinstance(described, list) else [described]
+    made = service.engine.describe_all([each.described() for each in several])
+    return [AnnotationModel.of(annotation) for annotation in made]
 
 
 @router.get(

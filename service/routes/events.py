@@ -6,13 +6,11 @@ from codecs import BOM_UTF8
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request, Response
-from fastapi.exceptions import RequestValidationError
-from pydantic import ValidationError
 
 from ...engine.views import Since
 from ..context import Context
-from ..models import EventIn, EventModel, Strategy, text_schema
-from ..negotiation import JSON, TEXT, content_type, utf8
+from ..models import EventIn, EventModel, Strategy, schema_of, text_schema
+from ..negotiation import JSON, TEXT, content_type, json_value, utf8
 from ..problems import responses
 
 router = APIRouter(tags=["events"])
@@ -23,7 +21,7 @@ BODY: dict[str, Any] = {
         "required": True,
         "content": {
             JSON: {
-                "schema": EventIn.model_json_schema(),
+                "schema": schema_of(EventIn),
                 "example": {
                     "event": "dyknow:HighSpeedEvent",
                     "arguments": ["?o", "dyknow:UAV", "100"],
@@ -63,7 +61,7 @@ async def request_event(
     if kind == TEXT or not ("content-type" in request.headers or body.lstrip().startswith(b"{")):
         parsed = engine.parse_request(utf8(body))
     else:
-        wanted = _read(body)
+        wanted = json_value(body, EventIn)
         parsed = engine.make_request(wanted.event, wanted.arguments)
         strategy, since = wanted.strategy, wanted.since
     view = engine.request_event(parsed, strategy, since)
@@ -90,12 +88,3 @@ async def cancel_event(id: str, service: Context) -> Response:
     service.engine.cancel_event(id)
     service.feeds.review()
     return Response(status_code=204)
-
-
-def _read(body: bytes) -> EventIn:
-    try:
-        return EventIn.model_validate_json(body)
-    except ValidationError as error:
-        raise RequestValidationError(
-            [{**item, "loc": ("body", *item["loc"])} for item in error.errors()]
-        ) from error

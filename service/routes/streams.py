@@ -8,7 +8,7 @@ from fastapi import APIRouter, Depends, Path, Query, Request, Response
 
 from ...engine.errors import UnknownStream
 from ..context import Context, Service
-from ..models import StreamIn, StreamModel
+from ..models import QualityIn, StreamIn, StreamModel
 from ..negotiation import EVENT_STREAM, JSON, content_type
 from ..problems import responses
 from ..sse import event_stream
@@ -78,6 +78,19 @@ async def remove_stream(name: str, service: Context) -> Response:
     """
     service.engine.remove_stream(name)
     service.feeds.review()
+    return Response(status_code=204)
+
+
+@router.put(
+    "/streams/{name}/quality",
+    status_code=204,
+    dependencies=[Depends(json_only)],
+    responses=responses(404, 413, 415, 422),
+)
+async def set_quality(name: str, known: QualityIn, service: Context) -> Response:
+    """How good the stream is from now on, 0 to 1: matching by quality looks at it, and adaptive
+    subscriptions that want more than it has switch."""
+    service.engine.set_quality(name, known.quality)
     return Response(status_code=204)
 
 

@@ -142,7 +142,7 @@ def test_help_says_what_it_does() -> None:
         return " ".join(result.stdout.split())
 
     assert "left running" in help_of("events")
-    assert "Only fast" in help_of("events")
-    assert "Only fast" in help_of("match")
+    assert "weighted:cost=1,quality=10" in help_of("events")
+    assert "weighted:cost=1,quality=10" in help_of("match")
     assert help_of("run").count("May be repeated") == 2
     assert "May be repeated" in help_of("match")

@@ -1,0 +1,67 @@
+"""What goes over the wire as JSON, by resource. Times are ISO-8601 in UTC, durations such as
+``5s``."""
+
+from .annotations import AnnotationModel
+from .events import EventIn, EventModel, PlanModel, TemplateModel, UnitModel
+from .kpl import DeclarationModel, OneDeclarationModel, RemovedModel
+from .matching import MatchIn, MatchModel
+from .parts import Strategy, schema_of, text_schema
+from .state import (
+    ExplainModel,
+    HealthModel,
+    OntologyModel,
+    OntologyReportModel,
+    StatusModel,
+    ViolationModel,
+)
+from .streams import AcceptedModel, CountersModel, FieldModel, RetentionModel, StreamIn, StreamModel
+from .subscriptions import SubscriptionIn, SubscriptionModel
+from .transformations import (
+    ContentsIn,
+    PortModel,
+    QualityIn,
+    TransformationIn,
+    TransformationModel,
+    WorthIn,
+)
+
+READ_BY_ROUTES = (EventIn, TransformationIn, ContentsIn)
+"""Bodies beside which a route takes other media types, so that the framework does not see them."""
+
+__all__ = [
+    "READ_BY_ROUTES",
+    "AcceptedModel",
+    "AnnotationModel",
+    "ContentsIn",
+    "CountersModel",
+    "DeclarationModel",
+    "EventIn",
+    "EventModel",
+    "ExplainModel",
+    "FieldModel",
+    "HealthModel",
+    "MatchIn",
+    "MatchModel",
+    "OneDeclarationModel",
+    "OntologyModel",
+    "OntologyReportModel",
+    "PlanModel",
+    "PortModel",
+    "QualityIn",
+    "RemovedModel",
+    "RetentionModel",
+    "StatusModel",
+    "Strategy",
+    "StreamIn",
+    "StreamModel",
+    "SubscriptionIn",
+    "SubscriptionModel",
+    "TemplateModel",
+    "TransformationIn",
+    "TransformationModel",
+    "UnitModel",
+    "ViolationModel",
+    "WorthIn",
+    "schema_of",
+    "text_schema",
+]

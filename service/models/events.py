@@ -1,0 +1,109 @@
+"""Templates, requests for events and their plans, as JSON."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import BaseModel, Field, StringConstraints
+
+from ...engine import views
+from .parts import Body, Name, Strategy
+
+
+class TemplateModel(BaseModel):
+    """An event template."""
+
+    name: str = Field(description="the IRI of the event concept")
+    local_name: str
+    parameters: list[str]
+    source: str
+    etag: str
+
+    @classmethod
+    def of(cls, view: views.TemplateView) -> TemplateModel:
+        return cls(
+            name=view.name,
+            local_name=view.local_name,
+            parameters=list(view.parameters),
+            source=view.source,
+            etag=view.etag,
+        )
+
+
+class EventIn(Body):
+    """A request for an event. An argument is text: ``?o``, ``dyknow:UAV``, ``100``."""
+
+    event: Name
+    arguments: list[Annotated[str, StringConstraints(max_length=8192)]] = Field(
+        default_factory=list, max_length=100
+    )
+    strategy: Strategy = "fast"
+    since: views.Since = views.Since.NOW
+    """``start`` begins with the kept history of the streams that are read."""
+
+
+class UnitModel(BaseModel):
+    """A computational unit of a plan."""
+
+    name: str
+    transformation: str
+    inputs: list[str]
+    output: str
+    parameters: dict[str, str]
+    users: int
+
+
+class PlanModel(BaseModel):
+    """How a request is met."""
+
+    text: str = Field(description="the plan as a tree, for people")
+    streams: list[str]
+    units: list[UnitModel]
+    query: str = Field(description="the continuous query as C-SPARQL text")
+
+    @classmethod
+    def of(cls, view: views.PlanView) -> PlanModel:
+        units = [
+            UnitModel(
+                name=unit.name,
+                transformation=unit.transformation,
+                inputs=list(unit.inputs),
+                output=unit.output,
+                parameters=dict(unit.parameters),
+                users=unit.users,
+            )
+            for unit in view.units
+        ]
+        return cls(text=view.text, streams=list(view.streams), units=units, query=view.query)
+
+
+class EventModel(BaseModel):
+    """A running request for an event; its samples come at ``events``."""
+
+    id: str
+    event: str
+    arguments: list[str]
+    strategy: str
+    since: views.Since
+    stream: str
+    position: str = Field(
+        description="id of the stream's last sample before the request: follow with since=position"
+    )
+    waits_for: list[str]
+    events: str
+    plan: PlanModel
+
+    @classmethod
+    def of(cls, view: views.EventView, epoch: str) -> EventModel:
+        return cls(
+            id=view.id,
+            event=view.event,
+            arguments=list(view.arguments),
+            strategy=view.strategy,
+            since=views.Since(view.since),
+            stream=view.stream,
+            position=f"{epoch}-{view.position}",
+            waits_for=list(view.waits_for),
+            events=f"/streams/{view.stream}/events",
+            plan=PlanModel.of(view.plan),
+        )

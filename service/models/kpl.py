@@ -1,0 +1,46 @@
+"""KPL declarations, as JSON."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from typing import Any
+
+from pydantic import BaseModel, Field
+
+from ...engine import views
+
+
+class DeclarationModel(BaseModel):
+    """A KPL declaration and what became of it."""
+
+    name: str = Field(description="name, label, or `sort NAME`")
+    kind: str = Field(description="the declaration's first word")
+    text: str
+    stream: str | None = Field(description="the stream that it makes or names")
+    unit: str | None = Field(description="the process that makes the stream")
+    uses: list[str]
+    failure: str | None
+    errors: int
+    restarts: int
+    last_error: str | None
+    counters: dict[str, Any] = Field(
+        description="what became of samples under its policy; which objects it has"
+    )
+    violations: str | None = Field(description="the stream of samples that were not passed on")
+
+    @classmethod
+    def of(cls, view: views.DeclarationView) -> DeclarationModel:
+        given = {field.name: getattr(view, field.name) for field in fields(view)}
+        return cls(**given | {"uses": list(view.uses), "counters": dict(view.counters)})
+
+
+class OneDeclarationModel(DeclarationModel):
+    """A declaration with what cannot be without it, users first."""
+
+    used_by: list[str]
+
+
+class RemovedModel(BaseModel):
+    """What was removed, users first."""
+
+    removed: list[str]

@@ -1,0 +1,53 @@
+"""The service itself and what it knows, as JSON."""
+
+from __future__ import annotations
+
+from pydantic import BaseModel, Field
+
+
+class OntologyModel(BaseModel):
+    """A loaded ontology; FROM and GRAPH mean it by its name."""
+
+    name: str
+
+
+class ViolationModel(BaseModel):
+    """What a shape refuses: a node, the property concerned (if it is one), and why."""
+
+    node: str
+    path: str | None
+    message: str
+
+
+class OntologyReportModel(BaseModel):
+    """Whether the ontologies and the live stream space are well-formed."""
+
+    conforms: bool
+    violations: list[ViolationModel]
+
+
+class StatusModel(BaseModel):
+    """The service at a glance."""
+
+    version: str
+    epoch: str = Field(description="the life of the service that ids of samples speak of")
+    started: str
+    now: str
+    streams: int
+    templates: int
+    requests: int = Field(description="event requests that run")
+    clients: int = Field(description="clients that listen to streams")
+    accepted: int = Field(description="samples accepted since the start")
+
+
+class HealthModel(BaseModel):
+    """``ok``, or what is wrong."""
+
+    status: str
+    reason: str | None = None
+
+
+class ExplainModel(BaseModel):
+    """Every stage of a query, template, request or match, as text."""
+
+    text: str

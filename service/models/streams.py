@@ -1,0 +1,169 @@
+"""Streams and their samples, as JSON."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, BeforeValidator, Field, field_validator
+
+from ...converters.wire import RESERVED
+from ...engine import views
+from ...rdf.namespaces import DYKNOW
+from ...streams import fluent, sample
+from ...streams.time import format_duration
+from .parts import Body, Duration, Name, iso, signed
+
+_TYPES = {
+    "double": "float",
+    "number": "float",
+    "int": "integer",
+    "long": "integer",
+    "bool": "boolean",
+    "str": "string",
+    "text": "string",
+}
+
+
+def _type(value: object) -> object:
+    return _TYPES.get(value, value) if isinstance(value, str) else value
+
+
+def _fields(value: object) -> object:
+    """A mapping of names to types says the same as a list of fields."""
+    if isinstance(value, dict):
+        return [{"name": name, "type": kind} for name, kind in value.items()]
+    return value
+
+
+def _retention(value: object) -> object:
+    return {"samples": value} if isinstance(value, int) and not isinstance(value, bool) else value
+
+
+class FieldModel(Body):
+    """A named value of a stream's samples."""
+
+    name: Name
+    type: Annotated[Literal["float", "integer", "boolean", "string"], BeforeValidator(_type)]
+
+
+class RetentionModel(Body):
+    """How much history is kept: at least so many samples of at most such an age. What is beyond
+    goes in whole batches, as they came."""
+
+    samples: int | None = Field(default=None, gt=0, le=100_000_000)
+    age: Duration | None = None
+
+
+class StreamIn(Body):
+    """The declaration of a stream."""
+
+    @field_validator("fields")
+    @classmethod
+    def _tell_apart(cls, fields: list[FieldModel]) -> list[FieldModel]:
+        names = [field.name for field in fields]
+        for name in names:
+            if name in RESERVED:
+                raise ValueError(f"a field cannot be called {name!r}: that is a sample's time")
+            if names.count(name) > 1:
+                raise ValueError(f"the field {name!r} is there twice")
+        return fields
+
+    fields: Annotated[list[FieldModel], BeforeValidator(_fields)] = Field(
+        min_length=1,
+        max_length=1000,
+        description="a list of names and types; an object of name: type will do",
+        examples=[[{"name": "id", "type": "string"}, {"name": "speed", "type": "float"}]],
+    )
+    lateness: Duration = Field(0, description="how far behind the newest a sample may be")
+    retention: Annotated[RetentionModel, BeforeValidator(_retention)] = RetentionModel()
+    namespace: str = Field(
+        DYKNOW, min_length=1, description="where the objects of id fields have their names"
+    )
+
+    def declaration(self, name: str, samples: int) -> views.StreamDeclaration:
+        """For the engine; ``samples`` is the history kept when the request does not say."""
+        fields = tuple(sample.Field(f.name, sample.FieldType(f.type)) for f in self.fields)
+        kept = fluent.Retention(self.retention.samples or samples, self.retention.age)
+        return views.StreamDeclaration(name, fields, self.lateness, kept, self.namespace)
+
+
+class CountersModel(BaseModel):
+    """Where the samples went: accepted = used + late + duplicate + expired + pending."""
+
+    accepted: int
+    used: int
+    late: int
+    duplicate: int
+    expired: int
+    pending: int
+
+
+class StreamModel(BaseModel):
+    """A stream as it is now."""
+
+    name: str
+    fields: list[FieldModel]
+    namespace: str
+    lateness: str
+    retention: dict[str, int | str | None]
+    stamped: bool | None = Field(description="samples are stamped on arrival; null: none came yet")
+    ended: bool
+    counters: CountersModel
+    kept: int = Field(description="samples in history")
+    first: int = Field(description="number of the oldest sample kept")
+    last: int = Field(description="number of the newest sample; 0 before the first")
+    watermark: str | None
+    first_available: str | None = Field(description="how far the kept history reaches")
+    last_available: str | None
+    last_valid: str | None
+    rate: float = Field(description="samples a second of available time, lately")
+    lag: str | None = Field(description="how far the stream is behind the clock")
+    annotation: str | None = Field(description="the SSL text")
+    producer: str | None = Field(description="the unit that makes the stream")
+    subscribers: int
+    samples: str
+    events: str
+
+    @classmethod
+    def of(cls, view: views.StreamView) -> StreamModel:
+        age = view.retention.age
+        return cls(
+            name=view.name,
+            fields=[FieldModel(name=f.name, type=f.type.value) for f in view.fields],
+            namespace=view.namespace,
+            lateness=format_duration(view.lateness),
+            retention={
+                "samples": view.retention.samples,
+                "age": None if age is None else format_duration(age),
+            },
+            stamped=view.stamped,
+            ended=view.ended,
+            counters=CountersModel(
+                accepted=view.counters.accepted,
+                used=view.counters.used,
+                late=view.counters.late,
+                duplicate=view.counters.duplicate,
+                expired=view.counters.expired,
+                pending=view.counters.pending,
+            ),
+            kept=view.samples_kept,
+            first=view.first_number,
+            last=view.last_number,
+            watermark=iso(view.watermark),
+            first_available=iso(view.first_available),
+            last_available=iso(view.last_available),
+            last_valid=iso(view.last_valid),
+            rate=round(view.rate, 3),
+            lag=None if view.lag is None else signed(view.lag),
+            annotation=view.annotation,
+            producer=view.producer,
+            subscribers=view.subscribers,
+            samples=f"/streams/{view.name}/samples",
+            events=f"/streams/{view.name}/events",
+        )
+
+
+class AcceptedModel(BaseModel):
+    """How many samples were taken; a batch is taken whole or refused whole."""
+
+    accepted: int

@@ -1,0 +1,183 @@
+"""Transformations and the ports of annotations, as JSON ([Introspection15 §3.1, Listing 3])."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from ...engine.describing import (
+    DescribedArgument,
+    DescribedPort,
+    DescribedStream,
+    DescribedTransformation,
+)
+from ...engine.registered import TransformationView
+from ...languages.ssl.annotation import Argument, PortAnnotation, SourceAnnotation
+from ...ontology.units import format_unit
+from ...ontology.vocabulary import SELF
+from ...rdf.namespaces import shorten
+from .parts import Body, Name, Quality
+
+PORTS = 100
+"""A transformation has at most so many inputs, a feature so many arguments."""
+
+
+class ArgumentModel(Body):
+    """A sort, an object or ``self``. ``as`` tells two of a sort apart, ``id`` is the field that
+    names the object."""
+
+    model_config = ConfigDict(extra="forbid", serialize_by_alias=True)
+
+    name: Name
+    alias: Name | None = Field(None, alias="as")
+    id: Name | None = None
+
+
+class PortModel(Body):
+    """A feature and the field it is in; ``unit`` null: the feature's own."""
+
+    model_config = ConfigDict(extra="forbid", serialize_by_alias=True)
+
+    feature: Name
+    field: Name | None = None
+    unit: str | None = Field(None, max_length=200, examples=["m.s-1"])
+    of: list[Name | ArgumentModel] = Field(
+        default_factory=list,
+        max_length=PORTS,
+        description="whose feature it is: names of sorts and objects, or objects with `name`, "
+        "`as` and `id`",
+    )
+
+    @classmethod
+    def of_port(cls, port: PortAnnotation) -> PortModel:
+        return cls(
+            feature=shorten(port.feature),
+            field=port.field,
+            unit=format_unit(port.unit) or None,
+            of=[_argument(argument) for argument in port.arguments],
+        )
+
+    def described(self) -> DescribedPort:
+        """For the engine."""
+        arguments = (
+            DescribedArgument(one)
+            if isinstance(one, str)
+            else DescribedArgument(one.name, one.alias, one.id)
+            for one in self.of
+        )
+        return DescribedPort(self.feature, self.field, self.unit, tuple(arguments))
+
+
+class ContentsIn(Body):
+    """What a stream contains: the JSON form of an annotation."""
+
+    stream: Name
+    contents: list[PortModel] = Field(min_length=1, max_length=1000)
+
+    def described(self) -> DescribedStream:
+        """For the engine."""
+        return DescribedStream(self.stream, tuple(each.described() for each in self.contents))
+
+
+class TransformationIn(Body):
+    """A transformation: what it takes and gives, by an ``annotation`` in SSL or by ``name``,
+    ``inputs`` and ``output``; and the code behind it."""
+
+    annotation: str | None = Field(
+        None,
+        max_length=100_000,
+        description="one `compunit` or `source` in SSL, in place of name, inputs and output",
+    )
+    name: Name | None = None
+    inputs: list[PortModel] = Field(
+        default_factory=list, max_length=PORTS, description="none: it is a source"
+    )
+    output: PortModel | None = None
+    implementation: Name | None = Field(None, description="the code; null: that of its name")
+    parameters: dict[Name, bool | int | float | str] = Field(
+        default_factory=dict, max_length=PORTS, description="of the code; the others have defaults"
+    )
+    cost: float = Field(1.0, ge=0, allow_inf_nan=False, description="of a unit of it")
+    quality: Quality = 1.0
+
+    @property
+    def texts(self) -> dict[str, str]:
+        """The parameters as the engine takes them."""
+        return {
+            key: str(value).lower() if isinstance(value, bool) else str(value)
+            for key, value in self.parameters.items()
+        }
+
+    def described(self) -> DescribedTransformation:
+        """For the engine. Contract: it has a name and an output."""
+        assert self.name is not None
+        assert self.output is not None
+        return DescribedTransformation(
+            self.name,
+            tuple(port.described() for port in self.inputs),
+            self.output.described(),
+            self.implementation,
+            self.texts,
+            self.cost,
+            self.quality,
+        )
+
+
+class WorthIn(Body):
+    """What has changed of a transformation."""
+
+    cost: float | None = Field(None, ge=0, allow_inf_nan=False)
+    quality: Quality | None = None
+
+
+class QualityIn(Body):
+    """How good a stream is from now on."""
+
+    quality: Quality
+
+
+class TransformationModel(BaseModel):
+    """A transformation, and the units of it that run."""
+
+    name: str
+    kind: Literal["source", "transformation"]
+    text: str = Field(description="what it takes and gives, for people")
+    annotation: str = Field(description="the SSL text, or the same in words")
+    inputs: list[PortModel]
+    output: PortModel
+    implementation: str
+    parameters: dict[str, str]
+    cost: float
+    quality: float
+    lacks: str = Field(description="why no unit can be made of it; empty: one can")
+    units: list[str]
+
+    @classmethod
+    def of(cls, view: TransformationView) -> TransformationModel:
+        annotation = view.annotation
+        is_source = isinstance(annotation, SourceAnnotation)
+        inputs = () if isinstance(annotation, SourceAnnotation) else annotation.inputs
+        return cls(
+            name=view.name,
+            kind="source" if is_source else "transformation",
+            text=view.text,
+            annotation=annotation.source,
+            inputs=[PortModel.of_port(port) for port in inputs],
+            output=PortModel.of_port(annotation.output),
+            implementation=view.implementation,
+            parameters=dict(view.parameters),
+            cost=view.cost,
+            quality=view.quality,
+            lacks=view.lacks,
+            units=list(view.units),
+        )
+
+
+def _argument(argument: Argument) -> ArgumentModel:
+    named = argument.object or argument.sort or ""
+    return ArgumentModel(
+        name="self" if named == SELF else shorten(named),
+        id=argument.id_field,
+        **{"as": argument.variable},
+    )

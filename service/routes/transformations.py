@@ -1,0 +1,189 @@
+"""Transformations ([Introspection15 §3.1, Listing 3]): register, read, replace, remove."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Depends, Path, Request, Response
+
+from ...engine.describing import DescribedTransformation
+from ...engine.errors import UnknownTransformation
+from ...engine.registered import TransformationView
+from ...engine.turtle_descriptions import read_transformations
+from ...languages.ssl import parse_ssl
+from ..context import Context, Service
+from ..models import TransformationIn, TransformationModel, WorthIn, schema_of, text_schema
+from ..negotiation import JSON, TURTLE, content_type, json_value, utf8
+from ..problems import Problem, responses
+from .streams import json_only
+
+router = APIRouter(tags=["transformations"])
+
+EXAMPLE = {
+    "annotation": "compunit coordinatesToSpeed10s transforms latitude:latitude [deg], "
+    "longitude:longitude [deg] to speed:speed [m.s-1]",
+    "implementation": "coordinatesToSpeed",
+    "parameters": {"baseline": "10s"},
+    "cost": 2,
+    "quality": 0.9,
+}
+LISTING = """@prefix : <http://www.dyknow.eu/ontology#> .
+@prefix dyknow: <http://www.ida.liu.se/dyknow/> .
+:coordinatesToSpeed10s a :Transformation ;
+    :hasAnnotation [
+        :hasInputAnnotation [ :describesFeature dyknow:latitude ;
+            :nextSegment [ :hasInputAnnotation [ :describesFeature dyknow:longitude ] ] ] ;
+        :hasOutputAnnotation [ :describesFeature dyknow:speed ; :hasUnit "m.s-1" ] ] ;
+    :hasImplementation [ :hasName "coordinatesToSpeed" ] ;
+    :hasParameter [ :hasName "baseline" ; :hasText "10s" ] ;
+    :hasCost 2 ; :hasQuality 0.9 ."""
+BODY: dict[str, Any] = {
+    "requestBody": {
+        "required": True,
+        "content": {
+            JSON: {"schema": schema_of(TransformationIn), "example": EXAMPLE},
+            TURTLE: text_schema("transformations as Listing 3 has them", LISTING),
+        },
+    }
+}
+FORM = 'give "annotation" with one compunit or source in SSL, or "name", "inputs" and "output"'
+Name = Annotated[str, Path(max_length=200)]
+Wanted = TransformationIn | Sequence[DescribedTransformation]
+
+
+@router.post(
+    "/transformations",
+    status_code=201,
+    openapi_extra=BODY,
+    responses=responses(403, 404, 409, 413, 415, 422),
+)
+async def register_transformations(
+    request: Request, response: Response, service: Context
+) -> TransformationModel | list[TransformationModel]:
+    """Register a transformation in JSON, or one or several in Turtle: all of them, or none.
+
+    Matching uses it at once. The same again changes nothing. 400 with line and column for SSL and
+    Turtle that cannot be read, 404 for a feature or an implementation that is not known, 409 for a
+    name that is taken, or code that takes or gives otherwise. Turtle is answered with a list.
+    """
+    wanted = await _read(request)
+    views = _register(service, wanted)
+    if len(views) == 1:
+        response.headers["Location"] = f"/transformations/{views[0].name}"
+    found = [TransformationModel.of(view) for view in views]
+    return found[0] if isinstance(wanted, TransformationIn) else found
+
+
+@router.get("/transformations")
+async def list_transformations(service: Context) -> list[TransformationModel]:
+    """All transformations, in the order of registration."""
+    return [TransformationModel.of(view) for view in service.engine.transformations.views()]
+
+
+@router.get("/transformations/{name}", responses=responses(404))
+async def read_transformation(name: Name, service: Context) -> TransformationModel:
+    """One transformation; `lacks` says why no unit can be made of it."""
+    return TransformationModel.of(service.engine.transformations.view(name))
+
+
+@router.put(
+    "/transformations/{name}",
+    openapi_extra=BODY,
+    responses={
+        201: {"model": TransformationModel},
+        **responses(403, 404, 409, 413, 415, 422),
+    },
+)
+async def put_transformation(
+    name: Name, request: Request, response: Response, service: Context
+) -> TransformationModel:
+    """Register the transformation of this name, or replace it. Units that run stay as they are."""
+    wanted = await _read(request)
+    named = _names(wanted)
+    if named != [name]:
+        raise Problem(
+            409,
+            "conflict",
+            f"the body describes {', '.join(named)}, the address names {name}",
+            hint="PUT one transformation to the address of its name",
+        )
+    is_new = not _is_known(service, name)
+    (view,) = _register(service, wanted, replace=True)
+    if is_new:
+        response.status_code = 201
+        response.headers["Location"] = f"/transformations/{name}"
+    return TransformationModel.of(view)
+
+
+@router.patch(
+    "/transformations/{name}",
+    dependencies=[Depends(json_only)],
+    responses=responses(404, 413, 415, 422),
+)
+async def change_transformation(
+    name: Name, worth: WorthIn, service: Context
+) -> TransformationModel:
+    """The cost or quality of a transformation has changed; who reads a unit of it may switch."""
+    transformations = service.engine.transformations
+    transformations.change(name, cost=worth.cost, quality=worth.quality)
+    return TransformationModel.of(transformations.view(name))
+
+
+@router.delete("/transformations/{name}", status_code=204, responses=responses(404, 409))
+async def remove_transformation(name: Name, service: Context) -> Response:
+    """Forget a transformation. 409 while a unit of it runs, and for those of the system."""
+    service.engine.transformations.remove(name)
+    return Response(status_code=204)
+
+
+async def _read(request: Request) -> Wanted:
+    """What the body describes; raises a 400 `Problem` for JSON of neither form."""
+    kind = content_type(request, (JSON, TURTLE))
+    body = await request.body()
+    if kind == TURTLE:
+        return read_transformations(utf8(body))
+    wanted: TransformationIn = json_value(body, TransformationIn)
+    described = (wanted.name, wanted.output) != (None, None) or bool(wanted.inputs)
+    if described == (wanted.annotation is not None):
+        what = "both ways" if described else "neither way"
+        raise Problem(400, "wrong arguments", f"it is described {what}", hint=FORM)
+    if described and (wanted.name is None or wanted.output is None):
+        lacks = "name" if wanted.name is None else "output"
+        raise Problem(400, "wrong arguments", f"it has no {lacks}", hint=FORM)
+    return wanted
+
+
+def _register(
+    service: Service, wanted: Wanted, *, replace: bool = False
+) -> tuple[TransformationView, ...]:
+    transformations = service.engine.transformations
+    if not isinstance(wanted, TransformationIn):
+        return transformations.register_all(wanted, replace=replace)
+    if wanted.annotation is None:
+        return transformations.register_all([wanted.described()], replace=replace)
+    view = transformations.register_annotated(
+        wanted.annotation,
+        implementation=wanted.implementation,
+        parameters=wanted.texts,
+        cost=wanted.cost,
+        quality=wanted.quality,
+        replace=replace,
+    )
+    return (view,)
+
+
+def _names(wanted: Wanted) -> list[str]:
+    if not isinstance(wanted, TransformationIn):
+        return [described.name for described in wanted]
+    if wanted.annotation is None:
+        return [wanted.name or ""]
+    return [declaration.name for declaration in parse_ssl(wanted.annotation)]
+
+
+def _is_known(service: Service, name: str) -> bool:
+    try:
+        service.engine.transformations.get(name)
+    except UnknownTransformation:
+        return False
+    return True
