@@ -2,7 +2,8 @@
 
 The ring is the stream's own history; a client is the number of the next sample it wants. Samples
 are encoded when somebody listens, once for all clients, and kept in a bounded cache. A client
-that comes back after a gap in the history is told the gap.
+that comes back after a gap in the history is told the gap. Of an adaptive subscription the switches
+stand between the samples (`marks`): what is sent in one go ends there.
 
 Cost: a publish wakes the waiting clients (O(clients), nothing a sample); encoding is per sample,
 once. Memory: the cache's limit, and one piece a client. There is no queue a client.
@@ -12,7 +13,7 @@ from __future__ import annotations
 
 import asyncio
 from collections import OrderedDict
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import count
 from typing import Any
@@ -22,11 +23,14 @@ from fastapi import Request
 from fastapi.responses import Response
 from sse_starlette import EventSourceResponse
 
+from ..engine.adaptive import Rematch
 from ..engine.engine import Engine
 from ..engine.errors import UnknownStream
 from ..streams.generator import StreamGenerator
 from ..streams.sample import SampleBatch
 from ..streams.time import format_time
+from .marks import Marks
+from .models import RematchModel
 from .negotiation import EVENT_STREAM, accepted
 from .observe import HEAD
 from .problems import Problem
@@ -50,6 +54,12 @@ class Piece:
     def since(self, number: int) -> bytes:
         """The messages from sample ``number`` on."""
         return self.data if number == self.first else self.data[self.bounds[number - self.first] :]
+
+    def part(self, number: int, last: int) -> bytes:
+        """The messages from sample ``number`` to sample ``last``, both included."""
+        begin, end = number - self.first, last + 1 - self.first
+        stop = self.bounds[end] if end < len(self.bounds) else len(self.data)
+        return self.data[self.bounds[begin] : stop]
 
 
 class PieceCache:
@@ -95,6 +105,9 @@ class Feed:
         self.clients = 0
         self.removed = False
         self.changed = asyncio.Event()
+        self.switches: Sequence[Rematch] = ()
+        """Those of the subscription whose stream this is."""
+        self._newest: Rematch | None = None
         self._engine = engine
         self._cache = cache
         self._encoder = msgspec.json.Encoder()
@@ -116,8 +129,16 @@ class Feed:
         self.changed.set()
         self.changed = asyncio.Event()
 
-    def messages(self, number: int) -> Iterator[tuple[int, bytes]]:
-        """The kept samples from ``number`` on in pieces: last sample's number and messages."""
+    def look(self) -> None:
+        """Wake the cursors where there is a switch that they may not have heard of: it need not
+        come with a sample."""
+        if self.switches and self.switches[-1] is not self._newest:
+            self._newest = self.switches[-1]
+            self.wake()
+
+    def messages(self, number: int, until: int | None = None) -> Iterator[tuple[int, bytes]]:
+        """The kept samples from ``number`` on, up to ``until`` (included), in pieces: last sample's
+        number and messages."""
         for segment in self.generator.stream.since(number, READ):
             first = segment.first
             while first <= segment.last:
@@ -128,6 +149,9 @@ class Feed:
                     rows = slice(first - segment.first, last + 1 - segment.first)
                     piece = self._encode(first, segment.batch.take(rows))
                     self._cache.put(self.serial, last, piece)
+                if until is not None and until <= last:
+                    yield until, piece.part(first, until)
+                    return
                 yield last, piece.since(first)
                 first = last + 1
 
@@ -217,27 +241,37 @@ class Feeds:
         lost = {"stream": name, "from": number, "to": None, "epoch": epoch, "reason": reason}
         return Start(1, _message("gap", lost))
 
-    async def listen(self, name: str, start: Start) -> AsyncIterator[bytes]:
-        """The messages for one client, from ``start`` until the stream's end."""
+    async def listen(
+        self, name: str, start: Start, switches: Sequence[Rematch] | None = None
+    ) -> AsyncIterator[bytes]:
+        """The messages for one client, from ``start`` until the stream's end, with the
+        ``switches`` that stand after the sample before it, or later."""
         feed = self._join(name)
         number = start.number
+        marks = Marks(() if switches is None else switches, number - 1)
+        if switches is not None:
+            feed.switches = switches
         try:
             yield b": dyknow\n" + start.opening
             while not self._leaving():
                 # Taken before looking, so that a wake in between is not lost.
                 changed = feed.changed
                 stream = feed.generator.stream
+                for switch in marks.before(number):
+                    yield _message("rematched", RematchModel.of(switch).model_dump())
                 if number < stream.first_number:
                     yield _gap(name, number, stream.first_number - 1)
                     number = stream.first_number
-                for last, data in feed.messages(number):
+                    continue
+                for last, data in feed.messages(number, marks.next):
                     yield data
                     number = last + 1
                     # A fast client must not keep the loop from everybody else.
                     await asyncio.sleep(0)
                     if self._leaving():
                         return
-                if number <= stream.last_number:
+                waiting = marks.next
+                if number <= stream.last_number or (waiting is not None and waiting < number):
                     continue
                 if feed.removed or feed.generator.is_ended:
                     reason = "removed" if feed.removed else "ended"
@@ -249,7 +283,8 @@ class Feeds:
             self._leave(feed)
 
     def review(self) -> None:
-        """Tell the clients of streams that are no longer there. Called at each tick."""
+        """Tell the clients of streams that are no longer there, and of switches. Called at each
+        tick."""
         for name, feed in list(self._feeds.items()):
             try:
                 gone = self._engine.generator(name) is not feed.generator
@@ -259,6 +294,8 @@ class Feeds:
                 del self._feeds[name]
                 feed.removed = True
                 feed.wake()
+            else:
+                feed.look()
 
     def close(self) -> None:
         """Let all clients go: the service stops. They resume when it is back."""
@@ -290,16 +327,24 @@ class Feeds:
 
 
 def event_stream(
-    feeds: Feeds, request: Request, name: str, since: str | None, *, ping: float, timeout: float
+    feeds: Feeds,
+    request: Request,
+    name: str,
+    since: str | None,
+    *,
+    switches: Sequence[Rematch] | None = None,
+    ping: float,
+    timeout: float,
 ) -> Response:
-    """The response that is a stream's events; ``Last-Event-ID`` goes before ``since``."""
+    """The response that is a stream's events, with ``switches`` between them if it is an adaptive
+    subscription's; ``Last-Event-ID`` goes before ``since``."""
     accepted(request, [EVENT_STREAM])
     start = feeds.start(name, request.headers.get("last-event-id") or since)
     headers = {POSITION: f"{feeds.epoch}-{start.number - 1}"}
     if request.scope.get(HEAD):
         return Response(headers=headers, media_type=EVENT_STREAM)
     return EventSourceResponse(
-        feeds.listen(name, start),
+        feeds.listen(name, start, switches),
         headers=headers,
         ping=ping,
         # A comment without an empty line: a reader that dispatches empty messages stays quiet.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Annotated, Any
@@ -28,13 +28,10 @@ from .output import (
     show_values,
 )
 
-Strategy = Annotated[
-    str,
-    typer.Option(
-        help="How a plan is chosen: fast, cost, quality, weighted; with parameters: "
-        "weighted:cost=1,quality=10, cost:subscribers=0.1."
-    ),
-]
+STRATEGY: Any = typer.Option(
+    help="How a plan is chosen: fast, cost, quality, weighted; with parameters: "
+    "weighted:cost=1,quality=10, cost:subscribers=0.1."
+)
 
 
 def events(
@@ -42,7 +39,7 @@ def events(
         str | None,
         typer.Argument(help="Such as 'dyknow:HighSpeedEvent(?o, dyknow:UAV, 100)'."),
     ] = None,
-    strategy: Strategy = "fast",
+    strategy: Annotated[str, STRATEGY] = "fast",
     since: Annotated[
         Since, typer.Option(help="Begin with what comes, or with what the streams keep.")
     ] = Since.NOW,
@@ -157,9 +154,18 @@ def show_events(messages: Iterable[Event], count: int | None, as_json: bool) -> 
             first, last = message.data.get("from"), message.data.get("to")
             reason = message.data.get("reason", "")
             err().print(f"gap: samples {first} to {last or '?'}: {reason}", markup=False)
+        elif message.kind == "rematched":
+            err().print(_switch_words(message.data), markup=False)
         else:
             err().print(f"end: the stream has {message.data.get('reason')}", markup=False)
         seen += message.kind == "sample"
         if count is not None and seen >= count:
             break
     return seen
+
+
+def _switch_words(switch: Mapping[str, Any]) -> str:
+    """``19:12:55Z  s1 → s2: s1 ended``."""
+    before, after = (", ".join(switch[key]) or "nothing" for key in ("before", "after"))
+    lost = " (samples between them are lost)" if switch["lost"] else ""
+    return f"{clock_of(str(switch['time']))}  {before} → {after}: {switch['why']}{lost}"

@@ -1,21 +1,51 @@
-"""``dyknow follow``: the samples of a stream as they come, under a policy if one is given."""
+"""``dyknow follow``: the samples of a stream, or of a feature whatever streams hold it, as they
+come; under a policy if one is given."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from contextlib import suppress
-from typing import Annotated
+from typing import Annotated, Any
 
 import httpx
 import typer
 
 from ...engine.views import Since
-from ..client import ServiceError
-from .events import show_events, stoppable
+from ..client import Client, Event, ServiceError
+from .events import STRATEGY, show_events, stoppable
 from .output import DEFAULT_URL, Json, Url, connect, err
 
 
 def follow(
-    stream: Annotated[str, typer.Argument(help="The name of a stream, or a KPL label.")],
+    stream: Annotated[
+        str | None, typer.Argument(help="The name of a stream, or a KPL label.")
+    ] = None,
+    feature: Annotated[
+        str | None, typer.Option(help="In place of a stream: whatever streams hold it.")
+    ] = None,
+    sort: Annotated[
+        str | None, typer.Option(help="The feature of every object of this sort.")
+    ] = None,
+    object: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="The feature of this object. May be repeated: the arguments of an n-ary feature."
+        ),
+    ] = None,
+    strategy: Annotated[str | None, STRATEGY] = None,
+    staleness: Annotated[
+        str | None,
+        typer.Option(
+            help="So long a source of the feature may be silent: 5s. Else as its usual gap says."
+        ),
+    ] = None,
+    min_quality: Annotated[
+        float | None,
+        typer.Option(help="The least quality of the feature that is good enough, 0 to 1."),
+    ] = None,
+    hold_off: Annotated[
+        str | None, typer.Option(help="So long a better source must have been there: 2s.")
+    ] = None,
     policy: Annotated[
         str,
         typer.Option(help="As after `with` in KPL: 'sample every 1s, max delay 200'."),
@@ -29,15 +59,37 @@ def follow(
     url: Url = DEFAULT_URL,
     as_json: Json = False,
 ) -> None:
-    """Follow a stream, under a policy of one's own."""
+    """Follow a stream, under a policy of one's own; or a feature, with a line for each switch."""
+    if (stream is None) == (feature is None):
+        raise typer.BadParameter("give the name of a stream, or --feature")
+    given: dict[str, Any] = {
+        "sort": sort,
+        "objects": object,
+        "strategy": strategy,
+        "staleness": staleness,
+        "min_quality": min_quality,
+        "hold_off": hold_off,
+    }
+    wanted = {key: value for key, value in given.items() if value is not None}
+    if stream is not None and wanted:
+        raise typer.BadParameter("only --policy, --since and --count go with a stream")
     with connect(url) as client, stoppable():
-        view = client.subscribe(stream, policy, since=since.value)
+        if feature is not None:
+            view = client.subscribe_to(feature, policy=policy, since=since.value, **wanted)
+        else:
+            view = client.subscribe(stream or "", policy, since=since.value)
         try:
-            begin = "start" if since is Since.START else None
-            show_events(client.events(view["stream"], since=begin), count, as_json)
+            show_events(_events(client, view, since), count, as_json)
         except KeyboardInterrupt:
             err().print("stopped", markup=False)
         finally:
             # The service may be gone already; then there is nothing to give up.
             with suppress(ServiceError, httpx.TransportError):
                 client.unsubscribe(view["id"])
+
+
+def _events(client: Client, view: dict[str, Any], since: Since) -> Iterator[Event]:
+    if view.get("adaptive") is not None:
+        # Its stream began with the request: nothing of it is somebody else's past.
+        return client.subscription_events(view["id"], since="start")
+    return client.events(view["stream"], since="start" if since is Since.START else None)

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from ...rdf.namespaces import shorten
-from .events import Strategy
+from .events import STRATEGY
 from .output import DEFAULT_URL, Json, Url, connect, show_json, show_table, show_text
 from .streams import text_or_file
 
@@ -41,7 +41,7 @@ def match(
         list[str] | None,
         typer.Option(help="Of this object. May be repeated: the arguments of an n-ary feature."),
     ] = None,
-    strategy: Strategy = "fast",
+    strategy: Annotated[str, STRATEGY] = "fast",
     url: Url = DEFAULT_URL,
     as_json: Json = False,
 ) -> None:

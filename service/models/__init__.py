@@ -15,7 +15,7 @@ from .state import (
     ViolationModel,
 )
 from .streams import AcceptedModel, CountersModel, FieldModel, RetentionModel, StreamIn, StreamModel
-from .subscriptions import SubscriptionIn, SubscriptionModel
+from .subscriptions import AdaptiveModel, RematchModel, SubscriptionIn, SubscriptionModel
 from .transformations import (
     ContentsIn,
     PortModel,
@@ -31,6 +31,7 @@ READ_BY_ROUTES = (EventIn, TransformationIn, ContentsIn)
 __all__ = [
     "READ_BY_ROUTES",
     "AcceptedModel",
+    "AdaptiveModel",
     "AnnotationModel",
     "ContentsIn",
     "CountersModel",
@@ -48,6 +49,7 @@ __all__ = [
     "PlanModel",
     "PortModel",
     "QualityIn",
+    "RematchModel",
     "RemovedModel",
     "RetentionModel",
     "StatusModel",

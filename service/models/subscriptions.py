@@ -7,13 +7,23 @@ from typing import Any, Literal
 from pydantic import BaseModel, Field
 
 from ...engine import views
-from .parts import Body, Name
+from ...engine.adaptive import Rematch
+from ...streams.time import SECOND, format_duration, format_time
+from .parts import Body, Duration, Name, Quality, Strategy
 
 
 class SubscriptionIn(Body):
-    """A stream, and what it is to be like."""
+    """What is subscribed to, a ``stream`` or a ``feature``, and what it is to be like."""
 
-    stream: Name
+    stream: Name | None = Field(None, description="a stream, and no feature")
+    feature: Name | None = Field(None, description="a feature, whatever streams hold it")
+    sort: Name | None = Field(None, description="the feature of every object of the sort")
+    objects: list[Name] = Field(
+        default_factory=list,
+        max_length=100,
+        description="the feature of this object; of an n-ary feature its arguments",
+    )
+    strategy: Strategy = "fast"
     policy: str = Field(
         "",
         max_length=2000,
@@ -24,6 +34,70 @@ class SubscriptionIn(Body):
     """What integers of the policy are."""
     since: views.Since = views.Since.NOW
     """``start`` begins with the kept history of the stream."""
+    staleness: Duration | None = Field(
+        None, description="so long a source may be silent; null: five times its usual gap"
+    )
+    min_quality: Quality = Field(0.0, description="the least quality that is good enough")
+    hold_off: Duration = Field(
+        2 * SECOND, description="so long a better source must have been there"
+    )
+
+
+class AdaptiveModel(BaseModel):
+    """What a subscription to a feature is to, and how it is."""
+
+    want: str
+    strategy: str
+    state: str = Field(
+        description="running; stale: what it reads is silent or too bad, and there is nothing "
+        "better; waiting: nothing gives what is wanted"
+    )
+    failure: str | None
+    reads: list[str] = Field(description="the streams and sources behind it")
+    missing: list[str] = Field(description="of one that waits: what would have to be there")
+    staleness: str | None
+    min_quality: float
+    hold_off: str
+    rematches: int = Field(description="how many switches are kept")
+
+    @classmethod
+    def of(cls, view: views.AdaptiveView) -> AdaptiveModel:
+        return cls(
+            want=view.want,
+            strategy=view.strategy,
+            state=view.state,
+            failure=view.failure,
+            reads=list(view.reads),
+            missing=list(view.missing),
+            staleness=None if view.staleness is None else format_duration(view.staleness),
+            min_quality=view.quality,
+            hold_off=format_duration(view.hold_off),
+            rematches=view.rematches,
+        )
+
+
+class RematchModel(BaseModel):
+    """A switch of a subscription to a feature, after sample ``position`` of its stream."""
+
+    time: str
+    position: int
+    why: str
+    before: list[str] = Field(description="the streams and sources that it read")
+    after: list[str] = Field(description="and those that it reads from then on")
+    lost: bool = Field(
+        description="the new source had forgotten some of what followed the last sample"
+    )
+
+    @classmethod
+    def of(cls, switch: Rematch) -> RematchModel:
+        return cls(
+            time=format_time(switch.time),
+            position=switch.position,
+            why=switch.why,
+            before=list(switch.before),
+            after=list(switch.after),
+            lost=switch.lost,
+        )
 
 
 class SubscriptionModel(BaseModel):
@@ -37,6 +111,7 @@ class SubscriptionModel(BaseModel):
     counters: dict[str, Any] = Field(description="what became of the samples under the policy")
     violations: str | None = Field(description="the stream of samples that were not passed on")
     events: str
+    adaptive: AdaptiveModel | None = Field(description="of a subscription to a feature")
 
     @classmethod
     def of(cls, view: views.SubscriptionView) -> SubscriptionModel:
@@ -49,4 +124,5 @@ class SubscriptionModel(BaseModel):
             counters=dict(view.counters),
             violations=view.violations,
             events=f"/subscriptions/{view.id}/events",
+            adaptive=None if view.adaptive is None else AdaptiveModel.of(view.adaptive),
         )

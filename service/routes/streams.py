@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Path, Query, Request, Response
 
+from ...engine.adaptive import Rematch
 from ...engine.errors import UnknownStream
 from ..context import Context, Service
 from ..models import QualityIn, StreamIn, StreamModel
@@ -120,14 +122,22 @@ async def follow_stream(
     return follow(service, request, name, since)
 
 
-def follow(service: Service, request: Request, name: str, since: str | None) -> Response:
-    """The event stream of ``name``, with the service's settings."""
+def follow(
+    service: Service,
+    request: Request,
+    name: str,
+    since: str | None,
+    switches: Sequence[Rematch] | None = None,
+) -> Response:
+    """The event stream of ``name``, with the service's settings; ``switches`` as `event_stream`
+    takes them."""
     settings = service.settings
     return event_stream(
         service.feeds,
         request,
         name,
         since,
+        switches=switches,
         ping=settings.sse_ping,
         timeout=settings.sse_send_timeout,
     )

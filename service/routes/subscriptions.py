@@ -1,15 +1,29 @@
-"""Subscriptions to a stream under a policy ([DyKnow10 Def. 4.8])."""
+"""Subscriptions to a stream under a policy ([DyKnow10 Def. 4.8]), and to a feature, whatever
+streams hold it ([Introspection15 §4.4])."""
 
 from __future__ import annotations
 
+from typing import Any
+
 from fastapi import APIRouter, Depends, Query, Request, Response
 
-from ..context import Context
-from ..models import SubscriptionIn, SubscriptionModel
-from ..problems import responses
-from .streams import EVENTS, follow, json_only
+from ...engine.views import SubscriptionView
+from ..context import Context, Service
+from ..models import RematchModel, SubscriptionIn, SubscriptionModel
+from ..negotiation import EVENT_STREAM
+from ..problems import Problem, responses
+from .streams import follow, json_only
 
 router = APIRouter(tags=["subscriptions"])
+
+FORM = 'give "stream" with a policy, or "feature" with "sort" or "objects"'
+OF_A_FEATURE = {"sort", "objects", "strategy", "staleness", "min_quality", "hold_off"}
+REMATCHED: dict[int | str, dict[str, Any]] = {
+    200: {
+        "description": "server-sent events: sample, rematched, gap, end",
+        "content": {EVENT_STREAM: {"schema": {"type": "string"}}},
+    }
+}
 
 
 @router.post(
@@ -21,12 +35,14 @@ router = APIRouter(tags=["subscriptions"])
 async def subscribe(
     wanted: SubscriptionIn, response: Response, service: Context
 ) -> SubscriptionModel:
-    """Subscribe to a stream under a policy, from now on or from the start of what is kept.
+    """Subscribe to a stream, or to a feature, from now on or from the start of what is kept.
 
-    Equal subscriptions share one adapted stream. 400 with line and column for a policy that is
-    none; 404 for an unknown stream.
+    Equal subscriptions to a stream share one adapted stream. One to a feature has a stream of its
+    own, whose sources change when one ends, falls silent or is not good enough; it waits where
+    nothing gives the feature. 400 with line and column for a policy that is none; 404 for an
+    unknown stream, feature or sort.
     """
-    view = service.engine.subscribe(wanted.stream, wanted.policy, wanted.unit, wanted.since)
+    view = _subscribed(wanted, service)
     response.headers["Location"] = f"/subscriptions/{view.id}"
     return SubscriptionModel.of(view)
 
@@ -45,18 +61,61 @@ async def read_subscription(id: str, service: Context) -> SubscriptionModel:
 
 @router.delete("/subscriptions/{id}", status_code=204, responses=responses(404))
 async def cancel_subscription(id: str, service: Context) -> Response:
-    """Give a subscription up. Its stream goes with the last of those that share it."""
+    """Give a subscription up; clients that follow it are told.
+
+    Its stream goes with the last of those that share it.
+    """
     service.engine.unsubscribe(id)
     service.feeds.review()
     return Response(status_code=204)
 
 
-@router.get("/subscriptions/{id}/events", responses={**EVENTS, **responses(404, 406)})
+@router.get("/subscriptions/{id}/rematches", responses=responses(404))
+async def list_rematches(id: str, service: Context) -> list[RematchModel]:
+    """The last switches of a subscription to a feature, oldest first; none of another."""
+    return [RematchModel.of(switch) for switch in service.engine.rematches(id)]
+
+
+@router.get("/subscriptions/{id}/events", responses={**REMATCHED, **responses(404, 406)})
 async def follow_subscription(
     id: str,
     request: Request,
     service: Context,
     since: str | None = Query(None, description="`start` of what is kept, or the id of a sample"),
 ) -> Response:
-    """The samples as server-sent events; see `/streams/{name}/events`."""
-    return follow(service, request, service.engine.subscription(id).stream, since)
+    """The samples as server-sent events; see `/streams/{name}/events`.
+
+    Of a subscription to a feature also `rematched`, with no id: it stands after sample `position`,
+    before the next one. A client that resumes after a sample is told again of the switches since.
+    """
+    view = service.engine.subscription(id)
+    switches = None if view.adaptive is None else service.engine.rematches(id)
+    return follow(service, request, view.stream, since, switches)
+
+
+def _subscribed(wanted: SubscriptionIn, service: Service) -> SubscriptionView:
+    """Raises a 400 `Problem` for what is neither or both, and for parts of the other one."""
+    engine = service.engine
+    if (wanted.stream is None) == (wanted.feature is None):
+        which = "neither" if wanted.stream is None else "both"
+        told = f"a stream or a feature is subscribed to, not {which}"
+        raise Problem(400, "wrong arguments", told, hint=FORM)
+    if wanted.stream is not None:
+        more = sorted(wanted.model_fields_set & OF_A_FEATURE)
+        if more:
+            told = f"{', '.join(more)}: only with a feature"
+            raise Problem(400, "wrong arguments", told, hint=FORM)
+        return engine.subscribe(wanted.stream, wanted.policy, wanted.unit, wanted.since)
+    assert wanted.feature is not None
+    return engine.subscribe_to_feature(
+        wanted.feature,
+        sort=wanted.sort,
+        objects=wanted.objects,
+        strategy=wanted.strategy,
+        policy=wanted.policy,
+        unit=wanted.unit,
+        since=wanted.since,
+        staleness=wanted.staleness,
+        quality=wanted.min_quality,
+        hold_off=wanted.hold_off,
+    )

@@ -70,7 +70,7 @@ def test_what_is_wrong(http: httpx.Client) -> None:
     assert answer.status_code == 400
     assert (answer.json()["line"], answer.json()["column"]) == (1, 8)
     assert http.post("/subscriptions", json={"stream": "q"}).status_code == 404
-    assert http.post("/subscriptions", json={}).status_code == 422
+    assert http.post("/subscriptions", json={}).status_code == 400
     assert http.get("/subscriptions/subscription9").status_code == 404
     assert http.get("/subscriptions/subscription9/events").status_code == 404
     assert http.delete("/subscriptions/subscription9").status_code == 404

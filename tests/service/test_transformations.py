@@ -156,7 +156,7 @@ CYCLE = (
     [
         (glider(annotation="compunit glider trnsforms a:b to c:d"), 400, "cannot stand here"),
         (glider(annotation=SSL + " " + SSL), 400, "twice"),
-        (glider(annotation="stream s contains speed(UAV) = v"), 400, "one declaration"),
+        (glider(annotation="stream s contains speed(UAV) = v for every UAV = id"), 400, "one declaration"),
         (glider(annotation=""), 400, "one declaration"),
         (glider(implementation="Scald"), 404, "Scald"),
         (glider(parameters={"factr": 1}), 400, "factr"),
@@ -178,7 +178,7 @@ CYCLE = (
         (described(output={"feature": "sped"}), 404, "speed"),
         (described(output={"feature": "speed", "unit": "kg"}), 400, "[mass]"),
         (described(output={"feature": "speed", "field": "valid"}), 400, "sample's time"),
-        (described(output={"feature": "speed", "of": ["UAV", "UAV"]}), 400, '"as"'),
+        (described(output={"feature": "speed", "of": ["UAV", "UAV"]}), 400, "one name"),
         (described(inputs=[{"feature": "altitude", "field": "h"}] * 2), 400, "two inputs"),
         (described(inputs=[{"feature": "altitude"}] * 10_000), 422, "at most 100"),
         ({}, 400, "neither way"),
