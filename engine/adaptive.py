@@ -116,13 +116,15 @@ class AdaptiveSubscription:
                     found[node.transformation] = None
         return tuple(found)
 
-    def rdf(self) -> StreamAnnotation:
-        """How its samples are written as triples: they are the wanted feature's."""
+    def rdf(self, vocabulary: Vocabulary) -> StreamAnnotation:
+        """How its samples are written as triples: they are the wanted feature's, in its unit."""
         name = self.output.name
         want = self.wish.want
+        info = vocabulary.feature(want.feature)
+        unit = None if info is None else info.unit
         others = [Role(s.sort, s.object, f"{OBJECT}{i}") for i, s in enumerate(want.others, 2)]
         roles = (Role(want.wanted_sort, None, OBJECT), *others)
-        contents = (Content(want.feature, value_field(want), (), roles),)
+        contents = (Content(want.feature, value_field(want), unit or (), roles),)
         return StreamAnnotation(name, contents, ssl_of(name, contents))
 
 

@@ -566,7 +566,7 @@ class Engine:
     def _rdf_of(self, name: str) -> StreamAnnotation | None:
         """How samples of what the system answers are written as triples."""
         found = self._rematching.of_stream(name)
-        return self._requests.rdf_of(name) if found is None else found.rdf()
+        return self._requests.rdf_of(name) if found is None else found.rdf(self.ontology.vocabulary)
 
     def _tell_templates(self) -> None:
         """What the event templates take and give, as matching sees it; one may have made known

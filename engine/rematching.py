@@ -165,6 +165,7 @@ class Rematching:
             return
         match change.kind:
             case ChangeKind.STREAM_ENDED:
+                self._silent.clear()  # what was found silent at this moment lacks it
                 self._pass_over(change.stream)
                 self._note_loss(change.stream, f"{change.stream} ended")
             case ChangeKind.STREAM_REMOVED:

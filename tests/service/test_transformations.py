@@ -156,7 +156,7 @@ CYCLE = (
     [
         (glider(annotation="compunit glider trnsforms a:b to c:d"), 400, "cannot stand here"),
         (glider(annotation=SSL + " " + SSL), 400, "twice"),
-        (glider(annotation="stream s contains speed(UAV) = v for every UAV = id"), 400, "one declaration"),
+        (glider(annotation="stream s contains speed(uav1) = v"), 400, "one declaration"),
         (glider(annotation=""), 400, "one declaration"),
         (glider(implementation="Scald"), 404, "Scald"),
         (glider(parameters={"factr": 1}), 400, "factr"),
