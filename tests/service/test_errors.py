@@ -275,7 +275,7 @@ def test_ten_megabytes_are_too_many(http: httpx.Client, path: str) -> None:
         ("POST", "/templates", "application/json"),
         ("PUT", "/templates/HighSpeedEvent", "application/json"),
         ("POST", "/events", "application/xml"),
-        ("POST", "/annotations", "application/json"),
+        ("POST", "/annotations", "application/xml"),
         ("POST", "/streams/s5/samples", "application/json"),
         ("PUT", "/streams/s6", "text/plain"),
         ("POST", "/match", "text/plain"),
