@@ -49,8 +49,8 @@ class AdaptiveModel(BaseModel):
     want: str
     strategy: str
     state: str = Field(
-        description="running; stale: what it reads is silent or too bad, and there is nothing "
-        "better; waiting: nothing gives what is wanted"
+        description="running; stale: what it reads is silent, and there is nothing else; "
+        "waiting: nothing gives what is wanted"
     )
     failure: str | None
     reads: list[str] = Field(description="the streams and sources behind it")
