@@ -22,8 +22,9 @@ from .plan import (
     SupplySource,
     Synchronize,
     UseStream,
+    tuple_roles,
 )
-from .space import EventDescription
+from .space import EventDescription, TransformationDescription
 from .subject import Roles, Sorts, Subjects
 from .want import Want
 
@@ -109,28 +110,12 @@ class Builder:
         unit = through.unit
         if isinstance(unit, EventDescription):
             return self._detected(unit, through, subjects)
-        feeds = self._feeds(through)
-        feed = self._synchronized(feeds) if len(feeds) > 1 else next(iter(feeds), None)
-        given = self._output_roles(through, feed, alone=len(feeds) == 1)
-        own = {argument.id_field for argument in unit.arguments if argument.id_field is not None}
-        # What comes with the inputs may have the name of a field of the output.
-        taken = {unit.output.field, *own}
-        found = [argument.id_field is not None for argument in unit.arguments]
-        found += [False] * (len(given) - len(found))
-        roles = tuple(
-            role if is_found else replace(role, id_field=_free(role.id_field, taken))
-            for role, is_found in zip(given, found, strict=True)
-        )
-        carried = tuple(
-            (before.id_field, after.id_field)
-            for before, after, is_found in zip(given, roles, found, strict=True)
-            if not is_found and before.id_field is not None and after.id_field is not None
-        )
-        inputs = () if feed is None else (feed,)
-        node = Compute(unit.name, inputs, unit.output, roles, carried)
+        feeds, places = self._feeds(through)
+        node = computed(unit, feeds, places, self._sorts)
+        own = _own_fields(unit)
         made = Output(unit.output.field, unit.output.feature, unit.output.unit)
-        outputs = (made,) * asks
-        return _selected(Found(node, outputs, roles, self._depth(through)), subjects, own)
+        found = Found(node, (made,) * asks, node.roles, self._depth(through))
+        return _selected(found, subjects, own)
 
     def _detected(self, unit: EventDescription, through: Through, subjects: Subjects) -> Found:
         subject = subjects[0]._replace(bounds=())
@@ -151,73 +136,116 @@ class Builder:
         below = (found.depth for need in through.needs for found, _ in self._built[need])
         return 1 + max(below, default=0)
 
-    def _feeds(self, through: Through) -> list[Edge]:
-        """What feeds the inputs, each stream once."""
-        ports: dict[tuple[Node, Roles], dict[str, Port]] = {}
-        wanted: dict[tuple[Node, Roles], int] = {}
+    def _feeds(self, through: Through) -> tuple[list[Edge], list[int]]:
+        """What feeds the inputs, each stream once, and which of it feeds which."""
+        fed = []
         for port, (j, k) in zip(through.unit.inputs, through.feeds, strict=True):
-            need = through.needs[j]
-            found, asks = next(part for part in self._built[need] if k in part[1])
+            found, asks = next(part for part in self._built[through.needs[j]] if k in part[1])
             output = found.outputs[asks.index(k)]
-            key = (found.node, found.roles)
-            ports.setdefault(key, {})[port.field] = make_port(output, port.field, port.unit)
-            wanted[key] = len(need.subjects)
-        if len(ports) == 1:
-            wanted.clear()
-        # Of what further arguments speak, nothing says how it meets the other streams.
-        return [
-            Edge(node, tuple(fields.values()), roles[: wanted.get((node, roles))])
-            for (node, roles), fields in ports.items()
-        ]
+            fed.append((found.node, found.roles, make_port(output, port.field, port.unit)))
+        edges, places = gathered(fed)
+        if len(edges) > 1:
+            # Of what further arguments speak, nothing says how it meets the other streams.
+            for (j, _), place in zip(through.feeds, places, strict=True):
+                wanted = len(through.needs[j].subjects)
+                edges[place] = replace(edges[place], roles=edges[place].roles[:wanted])
+        return edges, places
 
-    def _synchronized(self, feeds: Sequence[Edge]) -> Edge:
-        """One stream of tuples of what several streams hold of the same objects.
 
-        Its id fields are those of the first stream that has any: of several kinds of objects only
-        one is many.
-        """
-        first = next((many for many in map(_many, feeds) if many), ())
-        taken = {role.id_field for role in first if role.id_field is not None}
-        ports: list[Port] = []
-        edges: list[Edge] = []
-        for feed in feeds:
-            # Values stand in the tuple as they do in the stream, so that whoever needs the same
-            # streams together can read the same tuples.
-            own: dict[str, Port] = {}
-            for port in feed.ports:
-                if port.source_field not in own:
-                    name = _free(port.source_field, taken) or ""
-                    taken.add(name)
-                    own[port.source_field] = replace(
-                        port, target_field=name, target=port.source, conversion=IDENTITY
-                    )
-                ports.append(replace(port, source_field=own[port.source_field].target_field))
-            edges.append(replace(feed, ports=tuple(own.values())))
-        return Edge(Synchronize(tuple(edges), first), tuple(ports), first)
+def gathered(fed: Sequence[tuple[Node, Roles, Port]]) -> tuple[list[Edge], list[int]]:
+    """What feeds the inputs of a unit, each stream once, and which of it feeds which.
 
-    def _output_roles(self, through: Through, feed: Edge | None, *, alone: bool) -> Roles:
-        """Whose the output is; ``alone``: all inputs come from one stream."""
-        unit = through.unit
-        given: dict[str, Role] = {}
-        for port, (j, _) in zip(unit.inputs, through.feeds, strict=True):
-            for place, argument in enumerate(port.arguments or unit.arguments):
-                if feed is not None and argument.object is None and argument.variable not in given:
-                    role = _role(through.needs[j].subjects, place, feed, alone=alone)
-                    given[argument.variable] = role
-        roles = []
-        for argument in unit.arguments:
-            if argument.object is not None:
-                roles.append(Role(None, self._sorts.canonical(argument.object), None))
-            elif argument.id_field is not None:
-                roles.append(Role(argument.sort, None, argument.id_field))
-            else:
-                roles.append(given[argument.variable])
-        if roles or feed is None:
-            return tuple(roles)
-        if alone:
-            return feed.roles
-        subjects = through.needs[0].subjects
-        return tuple(_role(subjects, i, feed, alone=False) for i in range(len(subjects)))
+    ``fed[i]`` is the node, the roles of what it holds, and the port that feed input ``i``.
+    """
+    ports: dict[tuple[Node, Roles], list[Port]] = {}
+    for node, roles, port in fed:
+        ports.setdefault((node, roles), []).append(port)
+    order = list(ports)
+    edges = [Edge(node, tuple(own), roles) for (node, roles), own in ports.items()]
+    return edges, [order.index((node, roles)) for node, roles, _ in fed]
+
+
+def computed(
+    unit: TransformationDescription, feeds: Sequence[Edge], places: Sequence[int], sorts: Sorts
+) -> Compute:
+    """The unit of a transformation whose input ``i`` is fed by ``feeds[places[i]]``; several feeds
+    are synchronized. Where nobody says whose an input is, nobody says whose the output is."""
+    feed = synchronized(feeds) if len(feeds) > 1 else next(iter(feeds), None)
+    given = _output_roles(unit, feeds, places, feed, sorts)
+    # What comes with the inputs may have the name of a field of the output.
+    taken = {unit.output.field, *_own_fields(unit)}
+    found = [argument.id_field is not None for argument in unit.arguments][: len(given)]
+    found += [False] * (len(given) - len(found))
+    roles = tuple(
+        role if is_found else replace(role, id_field=_free(role.id_field, taken))
+        for role, is_found in zip(given, found, strict=True)
+    )
+    carried = tuple(
+        (before.id_field, after.id_field)
+        for before, after, is_found in zip(given, roles, found, strict=True)
+        if not is_found and before.id_field is not None and after.id_field is not None
+    )
+    return Compute(unit.name, () if feed is None else (feed,), unit.output, roles, carried)
+
+
+def synchronized(feeds: Sequence[Edge]) -> Edge:
+    """One stream of tuples of what several streams hold of the same objects.
+
+    Its id fields are those of the first stream that has any: of several kinds of objects only
+    one is many.
+    """
+    first = next((many for many in map(many_roles, feeds) if many), ())
+    taken = {role.id_field for role in first if role.id_field is not None}
+    ports: list[Port] = []
+    edges: list[Edge] = []
+    for feed in feeds:
+        # Values stand in the tuple as they do in the stream, so that whoever needs the same
+        # streams together can read the same tuples.
+        own: dict[str, Port] = {}
+        for port in feed.ports:
+            if port.source_field not in own:
+                name = _free(port.source_field, taken) or ""
+                taken.add(name)
+                own[port.source_field] = replace(
+                    port, target_field=name, target=port.source, conversion=IDENTITY
+                )
+            ports.append(replace(port, source_field=own[port.source_field].target_field))
+        edges.append(replace(feed, ports=tuple(own.values())))
+    return Edge(Synchronize(tuple(edges), first), tuple(ports), first)
+
+
+def _own_fields(unit: TransformationDescription) -> set[str]:
+    """The id fields of objects that a unit finds itself."""
+    return {argument.id_field for argument in unit.arguments if argument.id_field is not None}
+
+
+def _output_roles(
+    unit: TransformationDescription,
+    feeds: Sequence[Edge],
+    places: Sequence[int],
+    feed: Edge | None,
+    sorts: Sorts,
+) -> Roles:
+    """Whose the output is."""
+    whose = []
+    if feed is not None:
+        whose = [feed.roles if len(feeds) == 1 else tuple_roles(f, feed.roles) for f in feeds]
+    given: dict[str, Role] = {}
+    for port, place in zip(unit.inputs, places, strict=True):
+        for argument, role in zip(port.arguments or unit.arguments, whose[place], strict=False):
+            if argument.object is None:
+                given.setdefault(argument.variable, role)
+    roles = []
+    for argument in unit.arguments:
+        if argument.object is not None:
+            roles.append(Role(None, sorts.canonical(argument.object), None))
+        elif argument.id_field is not None:
+            roles.append(Role(argument.sort, None, argument.id_field))
+        elif argument.variable in given:
+            roles.append(given[argument.variable])
+        else:
+            return ()
+    return tuple(roles) if roles or not whose else whose[places[0]]
 
 
 def source_of(found: Found, goal: Goal, want: Want) -> SupplySource:
@@ -247,18 +275,7 @@ def _selected(found: Found, subjects: Subjects, fields: Collection[str] | None =
     return replace(found, node=node, roles=tuple(roles))
 
 
-def _role(subjects: Subjects, place: int, feed: Edge, *, alone: bool) -> Role:
-    """The role in a unit's stream of inputs of what one of its inputs speaks of."""
-    if alone:
-        return feed.roles[place]
-    subject = subjects[place]
-    if subject.object is not None:
-        return Role(None, subject.object, None)
-    many = sum(earlier.object is None for earlier in subjects[:place])
-    return feed.roles[many]
-
-
-def _many(feed: Edge) -> Roles:
+def many_roles(feed: Edge) -> Roles:
     """The roles that stand for many objects."""
     return tuple(role for role in feed.roles if role.object is None)
 

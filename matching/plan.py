@@ -112,7 +112,8 @@ class Compute(_Hashed):
     ``inputs`` is one edge, or none for a source. ``roles`` say whose its output is: the objects of
     its inputs, or those that it finds itself. Its stream has their id fields (none where the
     object is constant) and ``output.field``; ``carried`` are pairs of an id field of the input and
-    the id field of the output that takes it over.
+    the id field of the output that takes it over. ``parameters`` override the transformation's: a
+    specification may give some, matching never does.
     """
 
     transformation: str
@@ -120,6 +121,7 @@ class Compute(_Hashed):
     output: PortAnnotation
     roles: tuple[Role, ...]
     carried: tuple[tuple[str, str], ...] = ()
+    parameters: tuple[tuple[str, str], ...] = ()
 
     __hash__ = _Hashed.__hash__
 
@@ -191,7 +193,7 @@ def contents_of(node: Node) -> tuple[Content, ...]:
             )
         case Synchronize(inputs, roles):
             return tuple(
-                Content(port.feature, port.target_field, port.target, _tuple_roles(edge, roles))
+                Content(port.feature, port.target_field, port.target, tuple_roles(edge, roles))
                 for edge in inputs
                 for port in edge.ports
             )
@@ -201,7 +203,7 @@ def contents_of(node: Node) -> tuple[Content, ...]:
             assert_never(node)
 
 
-def _tuple_roles(edge: Edge, kept: tuple[Role, ...]) -> tuple[Role, ...]:
+def tuple_roles(edge: Edge, kept: tuple[Role, ...]) -> tuple[Role, ...]:
     """Whose a part of a tuple is: many objects are named by the tuple's own id fields."""
     many = iter(kept)
     return tuple(
