@@ -15,6 +15,7 @@ class ChangeKind(StrEnum):
     STREAM_ADDED = "stream added"
     STREAM_REMOVED = "stream removed"
     STREAM_ANNOTATED = "stream annotated"
+    STREAM_NAMED = "stream named"
     STREAM_ENDED = "stream ended"
     QUALITY_CHANGED = "quality changed"
     TRANSFORMATION_ANNOTATED = "transformation annotated"
@@ -44,6 +45,7 @@ class Change:
     ``specification`` is the text by which the change was made: SSL, KPL, C-SPARQL, or a
     transformation with its parameters; of a failure, the reason, and so of an annotation kept by
     an earlier run that does not hold any more. ``policy`` is what ``stream`` keeps, in KPL.
+    ``aliases`` are all further names of ``stream``, if it was named.
     ``annotation`` is what ``stream`` contains from now on, ``quality`` (0..1) how good it is,
     ``described`` what ``transformation`` takes and gives; None where nothing is said of it.
     """
@@ -59,6 +61,7 @@ class Change:
     annotation: StreamAnnotation | None = None
     quality: float | None = None
     described: KnownTransformation | None = None
+    aliases: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

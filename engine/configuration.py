@@ -8,8 +8,9 @@ shares it, and it stops when the last user leaves. Every change is told to one l
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
+from contextlib import contextmanager
 from typing import Protocol
 
 from ..continuous.evaluator import ContinuousEvaluator
@@ -65,7 +66,8 @@ class Configuration:
     """Streams by name, units by the stream they make, readers (units without output) by name.
 
     ``aliases`` are further names of streams. ``namespaces`` says for a stream in which namespace
-    its id fields name objects. ``system`` names streams that the system makes without a unit.
+    its id fields name objects. ``system`` names streams that the system makes without a unit,
+    ``named`` those that were specified by name.
     """
 
     def __init__(
@@ -81,11 +83,13 @@ class Configuration:
         self.system: set[str] = set()
         self.reports: list[tuple[str, Report]] = []
         """What processes have said of their streams, and nobody has read yet."""
+        self.named: set[str] = set()
         self._on_change = on_change
         self._next_reserved = first_reserved
         self._next_unit = 1
         self._shared: dict[Hashable, ComputationalUnit] = {}
         self._keys: dict[ComputationalUnit, Hashable] = {}
+        self._specified: tuple[str | None, str] = (None, "")
 
     def stream(self, name: str) -> StreamGenerator:
         """The generator of ``name``, a stream or an alias of one; raises `UnknownStream`."""
@@ -146,6 +150,7 @@ class Configuration:
     def remove_stream(self, name: str) -> None:
         """Forget a stream that no unit makes and none reads."""
         generator = self.streams.pop(name)
+        self.named.discard(name)
         del self.namespaces[name]
         if not generator.is_ended:
             generator.end()  # whoever follows it hears that nothing more comes
@@ -186,8 +191,23 @@ class Configuration:
                     todo.append(unit.output)
         return None
 
+    @contextmanager
+    def as_specified(self, name: str | None, specification: str) -> Iterator[None]:
+        """What starts or stops meanwhile does so by this text; the first stream that the system
+        makes is called ``name``, if it is given."""
+        self._specified = (name, specification)
+        try:
+            yield
+        finally:
+            self._specified = (None, "")
+
     def reserved_name(self) -> str:
-        """The next free ``dyknow_reserved<N>``."""
+        """The next free ``dyknow_reserved<N>``, or the name that somebody specified."""
+        given, specification = self._specified
+        if given is not None:
+            self._specified = (None, specification)
+            self.named.add(given)
+            return given
         while True:
             name = f"{RESERVED}{self._next_reserved}"
             self._next_reserved += 1
@@ -269,7 +289,7 @@ class Configuration:
         key = self._keys.pop(unit, None)
         if key is not None and self._shared.get(key) is unit:
             del self._shared[key]
-        self.tell(ChangeKind.UNIT_STOPPED, unit)
+        self.tell(ChangeKind.UNIT_STOPPED, unit, self._specified[1])
         self.remove_stream(unit.output.name)
         self._leave(unit.inputs)
 
@@ -355,7 +375,8 @@ class Configuration:
         self.units[unit.output.name] = unit
         self._use(unit.inputs)
         text = ", ".join(f"{key}={value}" for key, value in unit.parameters.items())
-        self.tell(ChangeKind.UNIT_STARTED, unit, specification or f"{unit.transformation}({text})")
+        specification = self._specified[1] or specification or f"{unit.transformation}({text})"
+        self.tell(ChangeKind.UNIT_STARTED, unit, specification)
         unit.start(since, after, until)
 
     def change_inputs(
@@ -416,6 +437,10 @@ class Configuration:
         """Whether there is a running unit for ``key``; see `share`."""
         unit = self._shared.get(key)
         return unit is not None and not self.is_broken(unit) and self.reads_what_is_there(unit)
+
+    def key_of(self, unit: ComputationalUnit) -> Hashable | None:
+        """What a running unit was built for; None if it is not shared. See `share`."""
+        return self._keys.get(unit)
 
     def _failed(self, unit: ComputationalUnit) -> None:
         self.tell(ChangeKind.UNIT_FAILED, unit, unit.failure or "")

@@ -235,6 +235,11 @@ class DeclaredStreams:
         other = self._configuration.aliases.get(name)
         if other is not None:
             raise Refused(f"{name!r} is another name of {other!r}", "annotate that")
+        if name in self._configuration.named:
+            raise Refused(
+                f"stream {name!r} is made by a specification",
+                "annotate its transformation: that says what its streams contain",
+            )
         existing = self._configuration.streams.get(name)
         if existing is not None and existing.is_open and name in self._configuration.units:
             raise Conflict(

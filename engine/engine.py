@@ -15,7 +15,7 @@ from ..converters.wire import Incoming
 from ..languages.csparql import parse_argument, parse_event_request
 from ..languages.csparql.ast import EventRequest, Template
 from ..languages.kpl import parse_policy
-from ..languages.ssl.annotation import CheckedAnnotation, StreamAnnotation
+from ..languages.ssl.annotation import CheckedAnnotation, Content, StreamAnnotation
 from ..ontology.ontology import Ontology
 from ..ontology.reading import TextFormat
 from ..rdf.dictionary import TermDictionary
@@ -55,16 +55,20 @@ from .registered import RegisteredTransformations, check_quality
 from .rematching import Rematching
 from .requests import EventRequests
 from .semantics_manager import SemanticsManager
+from .specifications import Specifications
 from .status import RETENTION, SCHEMA, STATUS, StatusStream
 from .stream_view import rate_of, stream_view
 from .subscriptions import Subscriptions
 from .supervision import DIRECT, Runner
 from .transformations import Transformations
+from .users import Users
 from .views import (
     DeclarationView,
     EventView,
+    InsertionView,
     MatchView,
     Since,
+    SpecificationView,
     StreamDeclaration,
     StreamView,
     SubscriptionView,
@@ -163,6 +167,18 @@ class Engine:
         )
         self._subscriptions.rematch_with(self._rematching)
         status.listen(self._rematching.heard)
+        self._specifications = Specifications(
+            self.ontology,
+            self._transformations,
+            self._configuration,
+            self._plans,
+            self._subscriptions,
+            self._changed,
+            contents=self._contents,
+            check_name=self._declared.check_name,
+            users=Users(self._requests, self._subscriptions, self._kpl),
+        )
+        status.listen(self._specifications.heard)
         status.open(self._configuration.add_stream(STATUS, SCHEMA, retention=RETENTION))
         self.transformations.tell_all()
         for event, reason in self._templates.broken.items():
@@ -173,6 +189,8 @@ class Engine:
         with self._manager.together():
             self._kpl.restore()
         self._annotations.restore()
+        with self._manager.together():
+            self._specifications.restore()
 
     # -- streams -----------------------------------------------------------------------------
 
@@ -469,6 +487,24 @@ class Engine:
         with self._manager.together():
             return self._kpl.remove(name, cascade=cascade)
 
+    # -- specifications ----------------------------------------------------------------------
+
+    def apply_specification(self, text: str | bytes) -> SpecificationView:
+        """Insert and remove units as an XML text says ([Introspection15 §3.2]); all of it or
+        nothing. Raises `LanguageError`."""
+        with self._manager.together():
+            view = self._specifications.apply(text)
+            self._settle()
+        return view
+
+    def current_specification(self) -> str:
+        """The running configuration as an XML text that `apply_specification` takes."""
+        return self._specifications.current()
+
+    def insertions(self) -> tuple[InsertionView, ...]:
+        """What specifications inserted, in order."""
+        return self._specifications.views()
+
     # -- meaning -----------------------------------------------------------------------------
 
     def load_ontology(self, text: str, *, name: str, format: TextFormat = "turtle") -> None:
@@ -536,6 +572,10 @@ class Engine:
         if change.kind is ChangeKind.STREAM_REMOVED:
             self._intake.forget(change.stream)
         self._converters.pop(change.stream, None)
+
+    def _contents(self, stream: str) -> tuple[Content, ...]:
+        annotation = self._manager.annotations.get(stream)
+        return () if annotation is None else annotation.contents
 
     def _subscribers(self, name: str) -> int:
         generator = self._configuration.streams.get(name)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from collections.abc import Set as AbstractSet
+from dataclasses import replace
 from typing import assert_never
 
 from pyoxigraph import NamedNode
@@ -242,7 +243,8 @@ class Plans:
     # -- computing ---------------------------------------------------------------------------
 
     def _compute(self, node: Compute, since: Since) -> ComputationalUnit:
-        transformation = self._transformations[node.transformation]
+        known = self._transformations[node.transformation]
+        transformation = replace(known, parameters={**known.parameters, **dict(node.parameters)})
         source = None
         for edge in node.inputs:
             source = self.obtain(edge.node, since)

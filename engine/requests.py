@@ -139,6 +139,11 @@ class EventRequests:
         """The ids of the requests that run for ``event`` (an IRI)."""
         return tuple(r.id for r in self._requests.values() if r.request.event == event)
 
+    def of_stream(self, stream: str) -> tuple[str, ...]:
+        """The ids of the requests that a stream answers."""
+        requests = self._requests.values()
+        return tuple(r.id for r in requests if r.running.unit.output.name == stream)
+
     def view(self, id: str) -> EventView:
         """One running request; raises `UnknownRequest`."""
         request = self._request(id)

@@ -78,6 +78,8 @@ class SemanticsManager:
                 assert change.quality is not None
                 self._qualities[change.stream] = change.quality
                 self._know(change.stream)
+            case ChangeKind.STREAM_NAMED:
+                self._assert(("aliases", change.stream), alias_triples(change))
             case ChangeKind.STREAM_REMOVED:
                 self._forget(change.stream)
             case ChangeKind.UNIT_STARTED | ChangeKind.INPUTS_CHANGED:
@@ -136,6 +138,7 @@ class SemanticsManager:
         self._subscribers.pop(stream, None)
         self.space.forget_stream(stream)
         self._assert(("stream", stream), ())
+        self._assert(("aliases", stream), ())
         self._assert(("subscribers", stream), ())
         self._rates.pop(stream, None)
         self._assert(("rate", stream), ())
@@ -200,6 +203,12 @@ def stream_triples(
         yield Triple(segment, RDF_TYPE, term("OutputAnnotation"))
         yield from _describes(segment, content.feature, format_unit(content.unit))
         yield from _roles(segment, content)
+
+
+def alias_triples(change: Change) -> Iterable[Triple]:
+    """The further names of a stream."""
+    for alias in change.aliases:
+        yield Triple(term(change.stream), term("hasAlias"), Literal(alias))
 
 
 def unit_triples(change: Change) -> Iterable[Triple]:

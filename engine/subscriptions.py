@@ -93,6 +93,13 @@ class Subscriptions:
         """The subscriptions that run, oldest first."""
         return tuple(self.view(id) for id in self._subscriptions)
 
+    def of_stream(self, stream: str) -> tuple[str, ...]:
+        """The ids of the subscriptions whose samples come on a stream, which they read as it is
+        or which was made for them."""
+        return tuple(
+            id for id, found in self._subscriptions.items() if stream in _streams_of(found)
+        )
+
     def view(self, id: str) -> SubscriptionView:
         """One subscription; raises `UnknownRequest`."""
         found = self._get(id)
@@ -124,11 +131,16 @@ class Subscriptions:
 
     def _adapted(self, source: StreamGenerator, policy: Policy, since: Since) -> AdaptationUnit:
         """The unit that keeps a policy, shared, with one user more."""
+        made = self.obtain(source, policy, since)
+        made.users += 1
+        return made
+
+    def obtain(self, source: StreamGenerator, policy: Policy, since: Since) -> AdaptationUnit:
+        """The unit that keeps a policy, found or built; its user is still to be counted."""
         made = self._configuration.share(
             (source, policy, since), lambda: self._build(source, policy, since)
         )
         assert isinstance(made, AdaptationUnit)
-        made.users += 1
         return made
 
     def _build(self, source: StreamGenerator, policy: Policy, since: Since) -> AdaptationUnit:
@@ -149,6 +161,12 @@ class Subscriptions:
         )
         self._configuration.start(unit, since, text)
         return unit
+
+
+def _streams_of(found: _Subscription | AdaptiveSubscription) -> tuple[str, ...]:
+    if isinstance(found, AdaptiveSubscription):
+        return found.unit.output.name, found.output.name
+    return (found.source.name if found.unit is None else found.unit.output.name,)
 
 
 def _adaptive_view(found: AdaptiveSubscription) -> SubscriptionView:

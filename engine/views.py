@@ -160,6 +160,33 @@ class DeclarationView:
 
 
 @dataclass(frozen=True, slots=True)
+class InsertionView:
+    """A `cu` that a specification inserted, and what became of it.
+
+    ``name`` is the one it was given, ``text`` its element as XML, ``stream`` and ``unit`` what it
+    is at work; None of one of an earlier run that does not hold any more: ``failure`` says why.
+    """
+
+    name: str | None
+    transformation: str
+    text: str
+    stream: str | None
+    unit: str | None
+    failure: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class SpecificationView:
+    """What applying a specification changed. ``there`` are units that it speaks of and that ran
+    already; ``named`` pairs of a name that it gave and the stream that has it."""
+
+    started: tuple[UnitView, ...]
+    stopped: tuple[UnitView, ...]
+    there: tuple[UnitView, ...]
+    named: tuple[tuple[str, str], ...]
+
+
+@dataclass(frozen=True, slots=True)
 class SubscriptionView:
     """A subscription to ``source`` under a policy; its samples come on ``stream``.
 

@@ -37,6 +37,8 @@ TRANSFORMATIONS: Final = NamedNode(_OWN + "transformations")
 """Registered transformations, one JSON text a transformation."""
 KPL: Final = NamedNode(_OWN + "kpl")
 """All KPL declarations, as one text."""
+SPECIFICATIONS: Final = NamedNode(_OWN + "specifications")
+"""What specifications inserted, as one text."""
 CONCEPT_ENTAILMENTS: Final = NamedNode(_OWN + "concept-entailments")
 """What the ontology entails of templates, annotations and declarations."""
 STREAM_SPACE: Final = NamedNode(_OWN + "stream-space")
@@ -54,6 +56,7 @@ SYSTEM: Final = frozenset(
         DECLARATIONS,
         TRANSFORMATIONS,
         KPL,
+        SPECIFICATIONS,
         CONCEPT_ENTAILMENTS,
         STREAM_SPACE,
         STREAM_SPACE_ENTAILMENTS,

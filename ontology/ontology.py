@@ -229,6 +229,16 @@ class Ontology:
         """The KPL declarations; empty if there are none."""
         return self._named_texts(graphs.KPL).get("KPL", "")
 
+    def set_specifications(self, text: str) -> None:
+        """Keeps what specifications inserted, as one text; empty text forgets it."""
+        node = graphs.SPECIFICATIONS
+        kept = _named_text(node, _SPECIFICATION, "specifications", text) if text else set()
+        self._keep(graphs.SPECIFICATIONS, node, kept)
+
+    def specifications(self) -> str:
+        """What specifications inserted; empty if nothing."""
+        return self._named_texts(graphs.SPECIFICATIONS).get("specifications", "")
+
     # -- the live stream space ---------------------------------------------------------------
 
     def mirror(self, added: Iterable[Triple], removed: Iterable[Triple]) -> None:
@@ -412,6 +422,7 @@ class Ontology:
             graphs.DECLARATIONS,
             graphs.TRANSFORMATIONS,
             graphs.KPL,
+            graphs.SPECIFICATIONS,
         )
         return frozenset().union(*map(self._graph, kept))
 

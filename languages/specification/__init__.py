@@ -9,7 +9,7 @@ from .ast import (
     UnitSpecification,
 )
 from .parser import parse_specification
-from .printer import format_specification
+from .printer import format_element, format_specification
 
 __all__ = [
     "Input",
@@ -18,6 +18,7 @@ __all__ = [
     "Specification",
     "StreamReference",
     "UnitSpecification",
+    "format_element",
     "format_specification",
     "parse_specification",
 ]

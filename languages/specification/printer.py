@@ -47,6 +47,13 @@ def format_specification(specification: Specification) -> str:
     return "\n".join(lines)
 
 
+def format_element(part: UnitSpecification | Removal) -> str:
+    """A `cu` by itself, with what is in it and the namespace; raises as the above does."""
+    first, *others = (line.removeprefix("    ") for line in _lines((part,)))
+    declared = f'<spec:cu xmlns:spec="{NAMESPACE}"'
+    return "\n".join([first.replace("<spec:cu", declared, 1), *others])
+
+
 def _section(name: str, parts: tuple[UnitSpecification, ...] | tuple[Removal, ...]) -> list[str]:
     if not parts:
         return []

@@ -1,0 +1,26 @@
+"""Who uses a unit: requests, subscriptions and KPL declarations, by name."""
+
+from __future__ import annotations
+
+from .kpl import KplDeclarations
+from .requests import EventRequests
+from .subscriptions import Subscriptions
+
+
+class Users:
+    """Names the users of a unit or a stream, for people to find them."""
+
+    def __init__(
+        self, requests: EventRequests, subscriptions: Subscriptions, kpl: KplDeclarations
+    ) -> None:
+        self._requests = requests
+        self._subscriptions = subscriptions
+        self._kpl = kpl
+
+    def __call__(self, unit: str, stream: str) -> tuple[str, ...]:
+        """Those that have ``unit`` at work for them, read ``stream`` as it is, or are answered by
+        it. Either may be empty."""
+        answered = self._requests.of_stream(stream)
+        subscribed = self._subscriptions.of_stream(stream)
+        declared = (view.name for view in self._kpl.views() if unit and view.unit == unit)
+        return (*answered, *subscribed, *(f"`{name}` of KPL" for name in declared))
