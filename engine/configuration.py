@@ -442,5 +442,17 @@ class Configuration:
         """What a running unit was built for; None if it is not shared. See `share`."""
         return self._keys.get(unit)
 
+    def unshare(self, unit: ComputationalUnit) -> None:
+        """Whoever wants the same from now on gets another unit; `share_again` undoes it."""
+        key = self._keys.get(unit)
+        if key is not None and self._shared.get(key) is unit:
+            del self._shared[key]
+
+    def share_again(self, unit: ComputationalUnit) -> None:
+        """Undo `unshare`. Contract: nobody has got another unit since."""
+        key = self._keys.get(unit)
+        if key is not None:
+            self._shared.setdefault(key, unit)
+
     def _failed(self, unit: ComputationalUnit) -> None:
         self.tell(ChangeKind.UNIT_FAILED, unit, unit.failure or "")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 from ..languages.specification import UnitSpecification
 from ..matching.plan import Compute, Node, SelectObject, Synchronize, UseStream
@@ -33,12 +33,14 @@ class Inserting:
         subscriptions: Subscriptions,
         insertions: Insertions,
         running: Running,
+        removed: Collection[ComputationalUnit],
     ) -> None:
         self.units: dict[Shape, ComputationalUnit] = dict(running.unit_of)
         self._configuration = configuration
         self._plans = plans
         self._subscriptions = subscriptions
         self._insertions = insertions
+        self._removed = tuple(removed)
         self._before = list(insertions.all)
         self._lost = list(insertions.lost)
         self._there = set(configuration.units.values())
@@ -58,7 +60,10 @@ class Inserting:
         return tuple(dict.fromkeys(streams))
 
     def start(self, made: Sequence[Elaborated], free: Mapping[Shape, str]) -> None:
-        """Start what does not run, inputs first. ``free`` are names that streams can have."""
+        """Start what does not run, inputs first, and nothing with what is removed. ``free`` are
+        names that streams can have."""
+        for unit in self._removed:
+            self._configuration.unshare(unit)
         for one in made:
             if one.shape not in self.units:
                 text = told(one.element)
@@ -112,6 +117,8 @@ class Inserting:
         for unit in self._added:
             unit.users -= 1
         self._configuration.release_unused()
+        for unit in self._removed:
+            self._configuration.share_again(unit)
 
     def _stream(self, one: Elaborated, name: str | None, text: str) -> StreamGenerator:
         recipe = one.piece.recipe

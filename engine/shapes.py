@@ -7,7 +7,7 @@ reads the shapes of the units that run, `elaboration` makes those that a text sp
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -87,6 +87,13 @@ class Running:
         for unit in configuration.units.values():
             self._add(unit, said)
         self.implied -= said
+
+    def leave_out(self, units: Iterable[ComputationalUnit]) -> None:
+        """Nothing is to be made with ``units``, which are about to stop."""
+        for unit in units:
+            shape = self.shape_of.get(unit.output.name)
+            if shape is not None and self.unit_of.get(shape) is unit:
+                del self.unit_of[shape]
 
     def is_broken(self, unit: ComputationalUnit) -> bool:
         """Whether nothing more comes of a unit."""

@@ -198,6 +198,7 @@ class Specifications:
         """The change that a text is; raises `LanguageError`."""
         running = self._running()
         removed = self._removed(specification, running)
+        running.leave_out(removed)
         given_up = tuple(one for one in self._insertions.all if self._is_given_up(one, removed))
         elaboration = Elaboration(
             specification.source,
@@ -224,10 +225,11 @@ class Specifications:
             self._subscriptions,
             self._insertions,
             change.running,
+            change.removed,
         )
         left = [one for one in self._insertions.all if one not in change.given_up]
         tops = change.specification.insertions
-        stopped = tuple(map(unit_view, change.gone))
+        stopped = [(unit, unit_view(unit)) for unit in change.gone]
         try:
             inserting.start(change.made, free)
             inserting.name(change.made)
@@ -244,12 +246,15 @@ class Specifications:
         started = inserting.started
         return SpecificationView(
             started=tuple(map(unit_view, started)),
-            stopped=stopped,
+            stopped=tuple(view for unit, view in stopped if not self._runs(unit)),
             there=tuple(unit_view(unit) for unit in units if unit not in started),
             named=tuple(
                 (name, inserting.units[one.shape].output.name) for name, one in change.named
             ),
         )
+
+    def _runs(self, unit: ComputationalUnit) -> bool:
+        return self._configuration.units.get(unit.output.name) is unit
 
     def _give_up(self, change: _Change) -> None:
         """Stop what is removed, told by the removal."""
@@ -301,9 +306,8 @@ class Specifications:
 
     def _check_removed(self, change: _Change) -> None:
         """Nobody else needs what is removed."""
-        kept = change.kept
         for unit, removals in change.removed.items():
-            if unit in change.gone or unit in kept:
+            if unit in change.gone:
                 continue
             needing_it = needing(
                 self._configuration,
