@@ -204,7 +204,7 @@ def synchronized(feeds: Sequence[Edge]) -> Edge:
         own: dict[str, Port] = {}
         for port in feed.ports:
             if port.source_field not in own:
-                name = _free(port.source_field, taken) or ""
+                name = _numbered(port.source_field, taken)
                 taken.add(name)
                 own[port.source_field] = replace(
                     port, target_field=name, target=port.source, conversion=IDENTITY
@@ -278,6 +278,14 @@ def _selected(found: Found, subjects: Subjects, fields: Collection[str] | None =
 def many_roles(feed: Edge) -> Roles:
     """The roles that stand for many objects."""
     return tuple(role for role in feed.roles if role.object is None)
+
+
+def _numbered(field: str, taken: set[str]) -> str:
+    """``v``, or ``v_2`` where there is a ``v`` already."""
+    name, number = field, 2
+    while name in taken:
+        name, number = f"{field}_{number}", number + 1
+    return name
 
 
 def _free(field: str | None, taken: set[str]) -> str | None:
