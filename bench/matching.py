@@ -5,8 +5,8 @@ layers, 3 transformations each, of 1 to 3 inputs from the layer below; one input
 lower layer (diamonds), one in a hundred from the same or a higher one (cycles). The features of the
 lowest layer stand in streams of every UAV. *Near*: inputs come from features close by, so that much
 is shared. Costs are uniform in 1 … 10, qualities in 0.5 … 1. 20 libraries a row, from fixed seeds;
-the first match of each, of a feature of the top layer, without explanation. Time: of the process, once
-loops are compiled. Memory: the most that Python held at once for the match (tracemalloc).
+the first match of each, of a feature of the top layer, without explanation. Time: of the process,
+once loops are compiled. Memory: the most that Python held at once for the match (tracemalloc).
 """
 
 from __future__ import annotations

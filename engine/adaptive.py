@@ -8,12 +8,13 @@ subscriptions concerned, and switches them.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 
 from ..languages.ssl.annotation import Content, Role, StreamAnnotation
-from ..matching.plan import Compute, Detect, Supply, SupplySource, UseStream, nodes_of, ssl_of
+from ..matching.plan import Compute, Detect, Node, Supply, SupplySource, UseStream, nodes_of, ssl_of
+from ..matching.strategy import Kind, Strategy
 from ..matching.subject import Sorts, Subject
 from ..matching.want import Want
 from ..ontology.vocabulary import THING, Vocabulary
@@ -57,6 +58,16 @@ class Wish:
     quality: float = 0.0
     hold_off: int = 2 * SECOND
 
+    @property
+    def kind(self) -> Kind:
+        """By what the strategy chooses."""
+        return Strategy.parse(self.strategy).kind
+
+    @property
+    def minds_quality(self) -> bool:
+        """Whether it matters how good a plan is."""
+        return self.quality > 0 or self.kind in (Kind.QUALITY, Kind.WEIGHTED)
+
 
 @dataclass(frozen=True, slots=True)
 class Rematch:
@@ -85,6 +96,12 @@ class AdaptiveSubscription:
         self.unit = unit
         self.adapted = adapted
         self.supply: Supply | None = None
+        self.streams: tuple[StreamGenerator, ...] = ()
+        """The streams of the sources of its supply."""
+        self.quality = 1.0
+        """How good its supply was when that was last looked at."""
+        self.has_begun = False
+        """Whether it has ever read anything."""
         self.state = State.WAITING
         self.missing: tuple[str, ...] = ()
         self.reads: frozenset[str] = frozenset()
@@ -92,9 +109,19 @@ class AdaptiveSubscription:
         self.made_by: frozenset[str] = frozenset()
         """The transformations of its plan."""
         self.misled = False
-        """Whether what it reads means something else by now."""
+        """Whether a unit of its plan has said that its stream means something else by now."""
         self.avoided: set[str] = set()
-        """Streams and transformations that fell silent, until they speak again."""
+        """Streams and transformations that fell silent or failed, until they speak again or some
+        time is over."""
+        self.young: dict[str, int] = {}
+        """Streams and transformations that might be better, and since when (ns) they are there:
+        none of them is taken for that before its hold-off."""
+        self.timed: set[str] = set()
+        """Those of them that do not speak for themselves, and are looked at when it is time."""
+        self.watched: set[StreamGenerator] = set()
+        """Those of which it is settled when they are looked at next."""
+        self.looks_again = False
+        """Whether it is settled when it is matched again."""
         self.rematches: deque[Rematch] = deque(maxlen=KEPT)
 
     @property
@@ -103,18 +130,29 @@ class AdaptiveSubscription:
         return self.unit.output if self.adapted is None else self.adapted.output
 
     @property
+    def nodes(self) -> tuple[Node, ...]:
+        """The nodes of its plan, inputs first."""
+        return () if self.supply is None else nodes_of_supply(self.supply)
+
+    @property
     def leaves(self) -> tuple[str, ...]:
         """The streams and sources of its plan, each once."""
+        found: dict[str, None] = {}
+        for node in self.nodes:
+            if isinstance(node, UseStream):
+                found[node.stream] = None
+            elif isinstance(node, Compute) and not node.inputs:
+                found[node.transformation] = None
+        return tuple(found)
+
+    def nodes_behind(self, stream: StreamGenerator) -> tuple[Node, ...]:
+        """The nodes of its plan that ``stream``, which it reads, is made from."""
         if self.supply is None:
             return ()
-        found: dict[str, None] = {}
-        for source in self.supply.sources:
-            for node in nodes_of(source.node):
-                if isinstance(node, UseStream):
-                    found[node.stream] = None
-                elif isinstance(node, Compute) and not node.inputs:
-                    found[node.transformation] = None
-        return tuple(found)
+        read = zip(self.supply.sources, self.streams, strict=True)
+        return tuple(
+            node for source, own in read if own is stream for node in nodes_of(source.node)
+        )
 
     def rdf(self, vocabulary: Vocabulary) -> StreamAnnotation:
         """How its samples are written as triples: they are the wanted feature's, in its unit."""
@@ -136,7 +174,7 @@ def value_field(want: Want) -> str:
 
 def merge_inputs(
     supply: Supply,
-    streams: list[StreamGenerator],
+    streams: Sequence[StreamGenerator],
     configuration: Configuration,
     vocabulary: Callable[[], Vocabulary],
 ) -> list[MergeInput]:
@@ -176,13 +214,24 @@ def behind(unit: MergeUnit, configuration: Configuration) -> Iterator[str]:
             yield source.name
 
 
-def transformations_of(supply: Supply) -> frozenset[str]:
-    """The transformations of a plan."""
+def nodes_of_supply(supply: Supply) -> tuple[Node, ...]:
+    """The nodes of a plan, inputs first; one that is needed twice may come twice."""
+    return tuple(node for source in supply.sources for node in nodes_of(source.node))
+
+
+def transformations_of(nodes: Iterable[Node]) -> frozenset[str]:
+    """The transformations among the nodes of a plan."""
     names = set()
-    for source in supply.sources:
-        for node in nodes_of(source.node):
-            if isinstance(node, Compute):
-                names.add(node.transformation)
-            elif isinstance(node, Detect):
-                names.add(node.event)
+    for node in nodes:
+        if isinstance(node, Compute):
+            names.add(node.transformation)
+        elif isinstance(node, Detect):
+            names.add(node.event)
     return frozenset(names)
+
+
+def names_of(nodes: Iterable[Node]) -> frozenset[str]:
+    """The streams and transformations among the nodes of a plan."""
+    nodes = tuple(nodes)
+    streams = frozenset(node.stream for node in nodes if isinstance(node, UseStream))
+    return streams | transformations_of(nodes)

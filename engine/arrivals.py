@@ -1,7 +1,8 @@
 """When samples come, by the clock of the engine: which streams have fallen silent (SPEC §7).
 
-A stream is *silent* that has not spoken for longer than it ever lets people wait: five times the
-usual gap between what comes, at least a second. Whoever knows better declares it.
+A stream is *silent* that has not spoken for much longer than usual: five times the usual gap
+between what comes, at least a second. Whoever knows better declares it, as of a stream whose
+bursts come one by one and whose pauses between them are no news.
 """
 
 from __future__ import annotations
@@ -21,25 +22,29 @@ _WEIGHT = 0.2
 class Arrivals:
     """The arrivals of one stream. Cost: O(1) an arrival, which is a batch. Memory: four numbers.
 
-    ``last`` is the time (ns) of the latest one, ``gap`` the usual time between two.
+    ``last`` is the time (ns) of the latest one, of the beginning before there is any; ``gap`` the
+    usual time between two, of which ``count`` have been seen.
     """
 
-    __slots__ = ("count", "first", "gap", "last")
+    __slots__ = ("count", "gap", "has_spoken", "last")
 
     def __init__(self, now: int) -> None:
-        self.first = now
         self.last = now
+        self.has_spoken = False
         self.count = 0
         self.gap = 0.0
 
     def came(self, now: int) -> None:
         """Something has come. What comes at the same moment is one arrival."""
         gap = now - self.last
-        if gap <= 0:
-            return
-        self.count += 1
-        self.gap = float(gap) if self.count == 1 else self.gap + _WEIGHT * (gap - self.gap)
-        self.last = now
+        if not self.has_spoken:
+            # How long the first one was waited for says nothing of how often they come.
+            self.has_spoken = True
+            self.last = max(self.last, now)
+        elif gap > 0:
+            self.count += 1
+            self.gap = float(gap) if self.count == 1 else self.gap + _WEIGHT * (gap - self.gap)
+            self.last = now
 
     @property
     def patience(self) -> int | None:

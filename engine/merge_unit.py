@@ -79,51 +79,81 @@ class MergeUnit(ComputationalUnit):
         self._clock = clock
         self._feeds: dict[StreamGenerator, list[_Feed]] = {}
         self._reached: dict[StreamGenerator, int] = {}
+        self._place = TIME_MIN
+        """How far what was lost last had been."""
+        self._left: dict[StreamGenerator, int] = {}
+        """How far inputs were that were left, while nothing else has begun in their stead."""
         self.arrivals: dict[StreamGenerator, Arrivals] = {}
         """When each input spoke, by the clock."""
         self.delivered = TIME_MIN
-        """The available time that the last sample passed on brought (ns)."""
+        """The greatest available time (ns) that a sample passed on brought, or, where it began
+        with what comes, the last one before."""
 
     @property
     def merged(self) -> tuple[MergeInput, ...]:
         """What is merged now."""
         return tuple(feed.input for feeds in self._feeds.values() for feed in feeds)
 
-    def switch(self, inputs: Sequence[MergeInput], *, history: bool) -> None:
+    def switch(self, inputs: Sequence[MergeInput], *, history: bool) -> bool:
         """Read ``inputs`` from now on and nothing else; with ``history`` what they keep of later
-        than was passed on last goes first. An input that is read already goes on."""
+        than was passed on last goes first. An input that is read already goes on, and one that was
+        left and that nothing has taken the place of goes on from there.
+
+        Returns whether an input had forgotten some of what followed, as far as can be known.
+        """
         wanted: dict[StreamGenerator, list[MergeInput]] = {}
         for input in inputs:
             wanted.setdefault(input.source, []).append(input)
         lost = [source for source in self._feeds if source not in wanted]
         # Of several streams, one may have been ahead of the one that is replaced.
-        after = max((self._reached[source] for source in lost), default=self.delivered)
+        after = self.delivered
+        if lost or not self._feeds:
+            self._place = max((self._reached[source] for source in lost), default=self._place)
+            after = self._place
         for source in lost:
+            self._left[source] = self._reached[source]
             self._leave(source)
+        new = [source for source in wanted if source not in self._feeds]
+        begins = {source: self._left.pop(source, None) for source in new}
+        if None in begins.values():
+            self._left.clear()
+        forgotten = False
         for source, parts in wanted.items():
-            known = self._feeds.get(source)
-            if known is not None and [_same(feed.input) for feed in known] == list(
-                map(_same, parts)
-            ):
-                continue
-            is_new = known is None
-            self._feeds[source] = [
-                _Feed(part, self._dictionary, self._value, self.output) for part in parts
-            ]
-            if is_new:
-                self.arrivals[source] = Arrivals(self._clock())
-                self._reached[source] = after
-                self._begin(source, after if history else None)
+            known = [_same(feed.input) for feed in self._feeds.get(source, ())]
+            if known != [_same(part) for part in parts]:
+                self._feeds[source] = [
+                    _Feed(part, self._dictionary, self._value, self.output) for part in parts
+                ]
+            if source in begins:
+                place = begins[source]
+                forgotten |= self._begin(source, after if place is None else place, history)
         self.inputs = self.sources = tuple(self._feeds)
+        return forgotten
 
-    def _begin(self, source: StreamGenerator, after: int | None) -> None:
-        if after is not None:
-            for segment in source.stream.since(0):
+    def _begin(self, source: StreamGenerator, after: int, history: bool) -> bool:
+        """Read a source after ``after``, or without ``history`` what comes. Returns whether some
+        of it is forgotten."""
+        stream = source.stream
+        self.arrivals[source] = Arrivals(self._clock())
+        if not history and stream.last_available is not None:
+            after = stream.last_available
+            self.delivered = max(self.delivered, after)
+        self._reached[source] = after
+        forgotten = False
+        if history and stream.first_available is not None:
+            forgotten = TIME_MIN < after < stream.first_available and stream.first_number > 1
+            for segment in stream.since(0):
                 batch = segment.batch
-                if batch.available[-1] <= after:
-                    continue
-                self.receive(source, batch.take(batch.available > after))
+                if batch.available[-1] > after:
+                    self.receive(source, batch.take(batch.available > after))
         self.connect(source)
+        return forgotten
+
+    def ask_again(self) -> None:
+        """More may be known of the objects: who is meant is asked again."""
+        for feeds in self._feeds.values():
+            for feed in feeds:
+                feed.ask_again()
 
     def _leave(self, source: StreamGenerator) -> None:
         del self._feeds[source]
@@ -165,7 +195,8 @@ class MergeUnit(ComputationalUnit):
 
 
 def _same(input: MergeInput) -> tuple[object, ...]:
-    return input.source, input.field, input.conversion, input.whose
+    # A subscription asks of every object the same, or nothing.
+    return input.field, input.conversion, input.whose, input.wanted is None
 
 
 class _Feed:
@@ -199,6 +230,11 @@ class _Feed:
         columns[self._value] = self._converted(column)
         made = SampleBatch(batch.available, batch.valid, columns)
         return made if bool(present.all()) else made.take(present)
+
+    def ask_again(self) -> None:
+        """See `MergeUnit.ask_again`."""
+        for naming in self._namings.values():
+            naming.ask_again()
 
     def _converted(self, column: Column) -> Column:
         if not self.input.conversion.is_identity:
@@ -244,6 +280,10 @@ class _Naming:
             codes[present] = np.maximum(known[place], 0)
             meant[present] = known[place] >= 0
         return codes, meant
+
+    def ask_again(self) -> None:
+        """Forget of each object whether it is meant."""
+        self._codes.clear()
 
     def _code(self, id: int) -> int:
         code = self._codes.get(id)

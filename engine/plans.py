@@ -90,6 +90,8 @@ class Plans:
         """
         if isinstance(node, UseStream):
             return self._configuration.stream(node.stream)
+        if isinstance(node, Compute) and not node.inputs:
+            since = Since.NOW  # it has no past to begin with, and a sensor is read once
         return self._configuration.share((node, since), lambda: self._build(node, since)).output
 
     def tick(self, now: int) -> None:
@@ -124,13 +126,18 @@ class Plans:
             explained=explained,
         )
 
-    def unusable(self, since: Since, after: int = TIME_MIN) -> AbstractSet[str]:
-        """Streams of plans that answer nobody else: no more comes of them, or, where what was
-        available after ``after`` (ns) is wanted, they began later."""
+    def unusable(self, since: Since) -> AbstractSet[str]:
+        """Streams of plans that answer nobody else: no more comes of them, or, where the past is
+        wanted, they began later."""
         if since is Since.NOW:
             return self._broken
-        late = {name for name, begun in self._begun.items() if begun > after}
+        late = {name for name, begun in self._begun.items() if begun > TIME_MIN}
         return self._broken | late
+
+    @property
+    def made(self) -> AbstractSet[str]:
+        """The streams that units of plans make."""
+        return self._made
 
     def heard(self, change: Change) -> None:
         """The stream space has changed: a unit that fails takes those with it that read it."""

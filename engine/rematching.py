@@ -10,43 +10,41 @@ from __future__ import annotations
 import heapq
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import replace
+from functools import partial
 from itertools import count
+from typing import TypeAlias
 
-from ..converters.values import field_type
-from ..matching.plan import Supply, UseStream, nodes_of, streams_of
-from ..matching.reach import Reach
-from ..matching.space import StreamSpace
-from ..matching.strategy import Kind, Strategy
-from ..matching.subject import Sorts, Subject
-from ..matching.tree import Match
-from ..matching.valuing import quality_of, weight_of
+from ..matching.plan import Supply, UseStream
+from ..matching.space import StreamSpace, TransformationDescription
+from ..matching.strategy import Kind
 from ..ontology.ontology import Ontology
 from ..rdf.dictionary import TermDictionary
 from ..streams.generator import StreamGenerator
-from ..streams.sample import Field, FieldType, Schema
-from ..streams.strings import StringPool
 from ..streams.time import SECOND
 from .adaptive import (
     AdaptiveSubscription,
-    Rematch,
     State,
     Wish,
     behind,
-    merge_inputs,
+    names_of,
+    nodes_of_supply,
     transformations_of,
-    value_field,
 )
-from .arrivals import Arrivals
 from .changes import Change, ChangeKind
-from .configuration import MERGE, Configuration
-from .merge_unit import MergeUnit, object_fields
+from .choosing import Choosing
+from .configuration import Configuration
+from .errors import Conflict, DyknowError
 from .plans import Plans
+from .silences import Silences
 from .stream_units import AdaptationUnit
-from .views import Since
+from .switching import Switching
+from .unit import ComputationalUnit
 
+_Index: TypeAlias = dict[str, dict[str, None]]
+"""Ids of subscriptions, in order, by a name that concerns them."""
 _LOOK_AGAIN = SECOND
-"""After so long (ns) a source is looked at again of which nobody knows when it is silent."""
+"""After so long (ns) a source is looked at again, if not before: nothing that learns falls silent
+sooner after it spoke (`arrivals.LEAST`)."""
 _FORGIVEN = 30 * SECOND
 """After so long (ns) a transformation is tried again that failed, or made nothing."""
 _AT_ONCE = 5
@@ -71,38 +69,35 @@ class Rematching:
         clock: Callable[[], int],
         adapted: Callable[[StreamGenerator, Wish], AdaptationUnit | None],
     ) -> None:
-        self._ontology = ontology
-        self._dictionary = dictionary
         self._configuration = configuration
         self._plans = plans
         self._space = space
         self._clock = clock
         self._adapted = adapted
-        self._reach = Reach(space)
+        self._silences = Silences(configuration, space, plans.makes)
+        self._choosing = Choosing(ontology, configuration, plans, space, self._silences)
+        self._switching = Switching(ontology, dictionary, configuration, plans, clock)
         self._subscriptions: dict[str, AdaptiveSubscription] = {}
         self._by_output: dict[str, AdaptiveSubscription] = {}
-        self._readers: dict[str, dict[str, None]] = defaultdict(dict)
-        self._users: dict[str, dict[str, None]] = defaultdict(dict)
-        self._wanting: dict[str, dict[str, None]] = defaultdict(dict)
-        self._avoiders: dict[str, dict[str, None]] = defaultdict(dict)
-        self._arrivals: dict[str, Arrivals] = {}
-        self._gone: dict[str, int] = {}
-        """Streams that were passed over as silent or ended, until they speak again, with how many
-        samples they had then."""
+        self._readers: _Index = {}
+        self._users: _Index = {}
+        self._wanting: _Index = {}
+        self._avoiders: _Index = {}
+        self._candidates: _Index = {}
+        """Whose `AdaptiveSubscription.young` a stream or transformation is among."""
         self._lost: dict[str, str] = {}
-        self._better: dict[str, int] = {}
-        self._due: list[tuple[int, int, str, StreamGenerator]] = []
-        self._forgiven: list[tuple[int, str, str]] = []
+        """Who has lost something, and what."""
+        self._ripe: dict[str, None] = {}
+        """Who may have something better."""
+        self._alarms: list[tuple[int, int, Callable[[int], None]]] = []
+        """What is to be done when: a heap."""
         self._serial = count()
-        self._looked = -1
-        self._silent: dict[int | None, frozenset[str]] = {}
 
     # -- subscriptions -----------------------------------------------------------------------
 
     def start(self, id: str, wish: Wish) -> AdaptiveSubscription:
         """Subscribe. What cannot be met now waits until it can."""
-        name = self._configuration.reserved_name()
-        unit = self._unit(name, wish)
+        unit = self._switching.make(wish)
         self._configuration.start(unit, specification=f"{wish.want} by {wish.strategy}")
         adapted = self._adapted(unit.output, wish)
         if adapted is None:
@@ -110,9 +105,10 @@ class Rematching:
         found = AdaptiveSubscription(id, wish, unit, adapted)
         self._subscriptions[id] = found
         self._by_output[found.output.name] = found
-        self._wanting[wish.want.feature][id] = None
+        _put(self._wanting, wish.want.feature, id)
         try:
             self._rematch(found, "requested")
+            self.settle()
         except Exception:
             self.cancel(id)
             raise
@@ -123,11 +119,11 @@ class Rematching:
         found = self._subscriptions.pop(id)
         self._by_output.pop(found.output.name, None)
         self._forget_reads(found)
-        for name in found.avoided:
-            self._avoiders[name].pop(id, None)
-        del self._wanting[found.wish.want.feature][id]
+        _drop(self._avoiders, found.avoided, id)
+        _drop(self._candidates, found.young, id)
+        _drop(self._wanting, (found.wish.want.feature,), id)
         self._lost.pop(id, None)
-        self._better.pop(id, None)
+        self._ripe.pop(id, None)
         last = found.unit if found.adapted is None else found.adapted
         if self._configuration.units.get(last.output.name) is last:
             self._configuration.release(last)
@@ -140,205 +136,267 @@ class Rematching:
         """The subscription whose stream this is."""
         return self._by_output.get(name)
 
-    def _unit(self, name: str, wish: Wish) -> MergeUnit:
-        want = wish.want
-        info = self._ontology.vocabulary.feature(want.feature)
-        objects = object_fields(1 + len(want.others))
-        value = value_field(want)
-        type = field_type(None if info is None else info.range)
-        fields = (*(Field(n, FieldType.STRING) for n in objects), Field(value, type))
-        pools = {each.name: StringPool() for each in fields if each.type is FieldType.STRING}
-        output = self._configuration.add_stream(name, Schema(fields), pools=pools)
-        parameters = {"feature": str(want), "strategy": wish.strategy}
-        return MergeUnit(
-            *self._configuration.identity(MERGE, (), output, parameters),
-            dictionary=self._dictionary,
-            value=value,
-            clock=self._clock,
-        )
-
     # -- what has happened -------------------------------------------------------------------
 
     def heard(self, change: Change) -> None:
         """Note whom a change of the stream space concerns."""
-        if not self._subscriptions:
-            return
         match change.kind:
             case ChangeKind.STREAM_ENDED:
-                self._silent.clear()  # what was found silent at this moment lacks it
-                self._pass_over(change.stream)
+                self._silences.ended(change.stream)
                 self._note_loss(change.stream, f"{change.stream} ended")
             case ChangeKind.STREAM_REMOVED:
-                self._arrivals.pop(change.stream, None)
-                self._gone.pop(change.stream, None)
-                self._note_loss(change.stream, f"{change.stream} was removed")
+                self._forget_stream(change.stream)
             case ChangeKind.UNIT_FAILED | ChangeKind.UNIT_STOPPED_BY_RULE:
-                self._note_failure(change)
-            case ChangeKind.STREAM_ANNOTATED:
+                unit = self._configuration.units.get(change.stream)
+                if unit is not None and unit.failure is not None:  # else it goes on
+                    self._note_failure(unit)
+            case ChangeKind.STREAM_ANNOTATED if not self._plans.makes(change.stream):
+                self._silences.changed()
                 self._note_meaning(change.stream)
+            case ChangeKind.STREAM_ANNOTATED:
+                self._note_misled(change.stream)
+            case ChangeKind.QUALITY_CHANGED if change.quality is not None:
+                self._note_quality(change.stream, change.quality)
             case ChangeKind.QUALITY_CHANGED | ChangeKind.TRANSFORMATION_ANNOTATED:
-                self._note_quality(change)
+                assert change.described is not None
+                self._note_transformation(change.described.description)
+            case ChangeKind.TRANSFORMATION_REMOVED:
+                self._choosing.forget()
+                self._drop_candidate(change.transformation)
             case _:
                 pass
 
-    def _note_failure(self, change: Change) -> None:
-        unit = self._configuration.units.get(change.stream)
-        if unit is None or unit.failure is None:
-            return  # it has begun anew, or goes on
-        for id in self._readers.get(change.stream, ()):
-            self._avoid(self._subscriptions[id], change.transformation)
-        self._note_loss(change.stream, f"{change.unit} ({change.transformation}) failed")
+    def _forget_stream(self, stream: str) -> None:
+        self._silences.forget(stream)
+        self._admit(stream)
+        self._note_loss(stream, f"{stream} was removed")
+
+    def _note_misled(self, stream: str) -> None:
+        """The stream of a plan's unit means something; to who reads it already, something else."""
+        unit = self._configuration.units.get(stream)
+        for id in self._readers.get(stream, ()):
+            found = self._subscriptions[id]
+            if unit is not None:
+                self._avoid(found, unit.transformation)
+            found.misled = True
+            self._lost.setdefault(id, f"{stream} means something else")
+
+    def _note_failure(self, unit: ComputationalUnit) -> None:
+        stream = unit.output.name
+        for id in self._readers.get(stream, ()):
+            self._avoid(self._subscriptions[id], unit.transformation)
+        self._note_loss(stream, f"{unit.name} ({unit.transformation}) failed")
 
     def _avoid(self, found: AdaptiveSubscription, name: str) -> None:
-        """Use a stream no more until it speaks again, a transformation for a while."""
+        """Use a stream that is silent no more until it speaks again, and for a while what fails,
+        or gives nothing of what is wanted."""
+        if name in found.avoided:
+            return
         found.avoided.add(name)
-        self._avoiders[name][found.id] = None
-        if name in self._space.streams:
-            self._pass_over(name)
+        _put(self._avoiders, name, found.id)
+        now = self._clock()
+        silent = self._silences.at(now, found.wish.staleness)
+        speaks = self._silences.has_spoken(name) and name not in silent
+        if name in self._space.streams and not speaks:
+            self._silences.pass_over(name)
         else:
-            heapq.heappush(self._forgiven, (self._clock() + _FORGIVEN, name, found.id))
+            self._at(now + _FORGIVEN, partial(self._forgive, found.id, name))
 
-    def _pass_over(self, stream: str) -> None:
-        if stream not in self._gone and stream in self._configuration.streams:
-            self._gone[stream] = self._configuration.streams[stream].counters.accepted
+    def _admit(self, name: str) -> None:
+        """Nobody avoids a stream or transformation any longer."""
+        for id in self._avoiders.pop(name, ()):
+            self._subscriptions[id].avoided.discard(name)
 
     def came(self, stream: str, now: int) -> None:
-        """Samples of a stream have come (from outside)."""
-        arrivals = self._arrivals.get(stream)
-        if arrivals is None:
-            self._arrivals[stream] = Arrivals(now)
-        else:
-            arrivals.came(now)
-        if stream in self._gone:
+        """Something was published to a stream."""
+        if not self._silences.has_news(stream):
+            return  # it brought no sample, or only such as were late
+        if self._silences.is_back(stream):
             self._back(stream)
+        for id in list(self._candidates.get(stream, ())):
+            self._note_stay(self._subscriptions[id], stream, now)
+        self._silences.came(stream, now)
+
+    def _note_stay(self, found: AdaptiveSubscription, stream: str, now: int) -> None:
+        """What may be better speaks: it has been there since it last was silent."""
+        if self._silences.is_new_or_silent(stream, now, found.wish.staleness):
+            found.young[stream] = now
+        if now - found.young[stream] >= found.wish.hold_off:
+            self._ripen(found, stream)
 
     def withdraw(self, stream: str) -> None:
-        """A stream is about to be removed: nobody reads it any more, whatever there is instead."""
+        """A stream is about to be removed: nobody reads it any more, whatever there is instead.
+
+        Raises `Conflict`, changing nothing, while anybody else needs it."""
+        others = self._others(stream)
+        if others:
+            raise Conflict(
+                f"stream {stream!r} is read by {', '.join(others)}",
+                "cancel the requests that need it first",
+            )
         for id in list(self._readers.get(stream, ())):
-            found = self._subscriptions[id]
-            found.avoided.add(stream)
-            self._avoiders[stream][id] = None
-            match = self._match(found)
-            supply = None if match is None else match.supply
-            if supply is not None and stream in streams_of(supply):
-                supply = None
-            if supply is None:
-                found.state = State.WAITING
-            self._switch(found, supply, f"{stream} is removed")
+            self._rematch(self._subscriptions[id], f"{stream} is removed", removed=stream)
+
+    def _others(self, stream: str) -> tuple[str, ...]:
+        """The names of the readers of a stream that serve somebody else, too. Cost: O(units)."""
+        merges = {found.unit for found in self._subscriptions.values()}
+        names = {unit.name for unit in merges}
+        unsure = tuple(n for n in self._configuration.readers_of(stream) if n not in names)
+        if not unsure:
+            return ()
+        readers: dict[StreamGenerator, list[ComputationalUnit]] = defaultdict(list)
+        for unit in self._configuration.units.values():
+            for source in unit.inputs:
+                readers[source].append(unit)
+
+        def is_ours(unit: ComputationalUnit) -> bool:
+            own = readers.get(unit.output, [])
+            return unit in merges or (
+                bool(own) and unit.users == len(own) and all(map(is_ours, own))
+            )
+
+        ours = {unit.name for unit in readers[self._configuration.streams[stream]] if is_ours(unit)}
+        return tuple(name for name in unsure if name not in ours)
 
     def ontology_changed(self) -> None:
         """Sorts and features may contain each other otherwise: everybody is looked at again."""
-        self._reach.forget()
-        for id in self._subscriptions:
-            self._better[id] = self._clock()
+        self._choosing.forget()
+        for id, found in self._subscriptions.items():
+            found.unit.ask_again()
+            if found.supply is not None and not self._choosing.means_the_same(found):
+                self._lost.setdefault(id, "the ontology has changed")
+            else:
+                self._ripe[id] = None
 
     def _back(self, stream: str) -> None:
         """A stream that was passed over speaks again."""
-        del self._gone[stream]
-        self._silent.clear()
-        for id in list(self._avoiders.pop(stream, ())):
-            self._subscriptions[id].avoided.discard(stream)
+        self._admit(stream)
+        self._drop_candidate(stream)
         self._note_gain(stream)
         for id in self._readers.get(stream, ()):
-            found = self._subscriptions[id]
-            if found.state is State.STALE:
-                found.state = State.RUNNING
+            if self._subscriptions[id].state is State.STALE:
+                self._lost.setdefault(id, f"{stream} speaks again")
 
     def _note_loss(self, stream: str, why: str) -> None:
         for id in self._readers.get(stream, ()):
             self._lost.setdefault(id, why)
-        self._postpone(stream)
-
-    def _postpone(self, stream: str) -> None:
-        """What might have been better is gone, or bad: whoever waits to take it waits anew."""
-        for id in list(self._better):
-            if self._may_serve(stream, self._subscriptions[id]):
-                self._better[id] = self._clock() + self._subscriptions[id].wish.hold_off
+        self._drop_candidate(stream)
 
     def _note_meaning(self, stream: str) -> None:
-        known = self._space.streams.get(stream)
         for id in self._readers.get(stream, ()):
+            if not self._choosing.means_the_same(self._subscriptions[id]):
+                self._lost.setdefault(id, f"{stream} means something else")
+        for id in list(self._candidates.get(stream, ())):
+            if not self._choosing.may_serve(stream, self._subscriptions[id]):
+                self._drop_young(self._subscriptions[id], stream)
+        self._note_gain(stream)
+
+    def _note_quality(self, stream: str, quality: float) -> None:
+        for id in self._readers.get(stream, ()):
+            self._doubt(self._subscriptions[id], f"quality of {stream} is {quality:g}")
+        self._note_worth(stream, quality)
+        self._note_gain(stream, is_only_quality=True)
+
+    def _note_transformation(self, description: TransformationDescription) -> None:
+        self._choosing.forget()
+        name = description.name
+        for id in self._users.get(name, ()):
             found = self._subscriptions[id]
-            nodes = [
-                node
-                for source in (found.supply.sources if found.supply else ())
-                for node in nodes_of(source.node)
-                if isinstance(node, UseStream) and node.stream == stream
-            ]
-            maker = self._configuration.units.get(stream)
-            if maker is not None and self._plans.makes(stream):
-                # It was said what it means before anybody read it: now its unit says otherwise.
-                self._avoid(found, maker.transformation)
-            elif all(known is not None and known.contents == node.contents for node in nodes):
-                continue
-            found.misled = True
-            self._lost.setdefault(id, f"{stream} means something else")
-        if known is not None and not self._plans.makes(stream):
-            self._note_gain(stream)
+            if self._choosing.means_the_same(found):
+                self._doubt(found, f"quality of {name}")
+            else:
+                self._lost.setdefault(id, f"{name} means something else")
+        self._note_worth(name, description.quality)
+        for found in self._interested(description.output.feature):
+            self._consider(found, name)
 
-    def _note_quality(self, change: Change) -> None:
-        if change.described is not None:
-            self._reach.forget()
-            name = change.transformation
-            concerned = dict(self._users.get(name, {}))
-            text = f"quality of {name}"
-            self._note_gain_of(change.described.description.output.feature, None)
-        else:
-            name = change.stream
-            concerned = dict(self._readers.get(name, {}))
-            text = f"quality of {name} is {change.quality:g}"
-            self._note_gain(name)
-        for id in concerned:
+    def _doubt(self, found: AdaptiveSubscription, why: str) -> None:
+        """The quality of what a subscription reads has changed."""
+        if found.supply is None or not found.wish.minds_quality:
+            return
+        before, found.quality = found.quality, self._choosing.quality(found.supply)
+        has_fallen = found.quality < before and found.wish.kind is not Kind.FAST
+        if has_fallen or found.quality < found.wish.quality or found.state is State.STALE:
+            self._lost.setdefault(found.id, why)
+
+    def _note_worth(self, name: str, quality: float) -> None:
+        """Who waits to take what has become too bad waits for it no more."""
+        for id in list(self._candidates.get(name, ())):
             found = self._subscriptions[id]
-            strategy = Strategy.parse(found.wish.strategy)
-            if found.wish.quality > 0 or strategy.kind in (Kind.QUALITY, Kind.WEIGHTED):
-                self._lost.setdefault(id, text)
+            if not self._choosing.is_worth(found, quality):
+                self._drop_young(found, name)
 
-    def _note_gain(self, stream: str) -> None:
-        """A stream is there that might be better for somebody."""
-        known = self._space.streams.get(stream)
-        for content in known.contents if known is not None else ():
-            self._note_gain_of(content.feature, stream)
+    # -- what may be better ------------------------------------------------------------------
 
-    def _note_gain_of(self, feature: str, stream: str | None) -> None:
-        now = self._clock()
-        for id in self._interested(feature):
-            found = self._subscriptions[id]
-            if stream is not None and stream in found.reads:
-                continue
-            if stream is None or self._may_serve(stream, found):
-                waits = found.state is not State.RUNNING
-                self._better[id] = now if waits else now + found.wish.hold_off
-
-    def _interested(self, feature: str) -> Iterator[str]:
-        """The subscriptions to whose feature ``feature`` may lead."""
-        vocabulary = self._ontology.vocabulary
-        for wanted, ids in self._wanting.items():
-            if feature in self._reach.of(wanted, vocabulary):
-                yield from ids
-
-    def _may_serve(self, stream: str, found: AdaptiveSubscription) -> bool:
-        """Whether a stream may have anything to do with what is wanted."""
+    def _note_gain(self, stream: str, *, is_only_quality: bool = False) -> None:
+        """A stream is there, or has another quality, that might be better for somebody."""
         known = self._space.streams.get(stream)
         if known is None:
-            return False
-        want = found.wish.want
-        vocabulary = self._ontology.vocabulary
-        reach = self._reach.of(want.feature, vocabulary)
-        direct = vocabulary.subfeatures(want.feature)
-        sorts = Sorts(vocabulary)
-        subject = (
-            Subject(want.sort, want.object) if want.object else Subject(want.wanted_sort, None)
-        )
-        return any(
-            content.feature in reach
-            and (
-                content.feature not in direct
-                or not content.roles
-                or not sorts.why_not(content.roles[0], subject)
-            )
-            for content in known.contents
-        )
+            return
+        for feature in dict.fromkeys(content.feature for content in known.contents):
+            for found in self._interested(feature):
+                minds = found.wish.minds_quality
+                if (
+                    stream not in found.reads
+                    and (minds or not is_only_quality)
+                    and self._choosing.is_worth(found, known.quality)
+                    and self._choosing.may_serve(stream, found)
+                ):
+                    self._consider(found, stream)
+
+    def _interested(self, feature: str) -> Iterator[AdaptiveSubscription]:
+        """The subscriptions to whose feature ``feature`` may lead."""
+        for wanted, ids in self._wanting.items():
+            if self._choosing.leads(feature, wanted):
+                yield from (self._subscriptions[id] for id in ids)
+
+    def _consider(self, found: AdaptiveSubscription, name: str) -> None:
+        """Take what might be better when it has been there for a while; at once if need be.
+
+        A stream from outside proves by speaking that it is there, anything else by time.
+        """
+        now = self._clock()
+        due = now + found.wish.hold_off
+        if found.state is not State.RUNNING:
+            self._ripe[found.id] = None
+        elif name in found.made_by:
+            if not found.looks_again:
+                found.looks_again = True
+                self._at(due, partial(self._look_again, found.id))
+        elif name not in found.young:
+            found.young[name] = now
+            _put(self._candidates, name, found.id)
+            is_published = name in self._space.streams and name not in self._configuration.units
+            if not is_published and name not in found.timed:
+                found.timed.add(name)
+                self._at(due, partial(self._has_stayed, found.id, name))
+
+    def _has_stayed(self, id: str, name: str, now: int) -> None:
+        found = self._subscriptions.get(id)
+        if found is None:
+            return
+        found.timed.discard(name)
+        if name not in found.young:
+            return
+        due = found.young[name] + found.wish.hold_off
+        if due <= now:
+            self._ripen(found, name)
+        else:
+            found.timed.add(name)
+            self._at(due, partial(self._has_stayed, id, name))
+
+    def _ripen(self, found: AdaptiveSubscription, name: str) -> None:
+        self._drop_young(found, name)
+        self._ripe[found.id] = None
+
+    def _drop_candidate(self, name: str) -> None:
+        """What might have been better is gone: when it comes again that is anew."""
+        for id in self._candidates.pop(name, ()):
+            del self._subscriptions[id].young[name]
+
+    def _drop_young(self, found: AdaptiveSubscription, name: str) -> None:
+        if found.young.pop(name, None) is not None:
+            _drop(self._candidates, (name,), found.id)
 
     # -- time --------------------------------------------------------------------------------
 
@@ -347,255 +405,195 @@ class Rematching:
 
         Cost: what is due, and a look at what was passed over.
         """
-        for name, accepted in list(self._gone.items()):
-            generator = self._configuration.streams.get(name)
-            if generator is not None and generator.counters.accepted != accepted:
-                self._back(name)
-        while self._forgiven and self._forgiven[0][0] <= now:
-            _, name, id = heapq.heappop(self._forgiven)
-            self._avoiders[name].pop(id, None)
-            forgiven = self._subscriptions.get(id)
-            if forgiven is not None:
-                forgiven.avoided.discard(name)
-                if forgiven.state is not State.RUNNING:
-                    self._better[id] = now
-        while self._due and self._due[0][0] <= now:
-            _, _, id, source = heapq.heappop(self._due)
-            found = self._subscriptions.get(id)
-            if found is not None and source in found.unit.arrivals:
-                self._look_at(found, source, now)
+        for name in self._silences.back():
+            self._back(name)
+        while self._alarms and self._alarms[0][0] <= now:
+            _, _, act = heapq.heappop(self._alarms)
+            act(now)
         self.settle()
 
-    def _look_at(self, found: AdaptiveSubscription, source: StreamGenerator, now: int) -> None:
-        silent_at = found.unit.arrivals[source].silent_at(found.wish.staleness)
-        if silent_at is None or silent_at > now or found.state is State.STALE:
-            next = now + _LOOK_AGAIN if silent_at is None or silent_at <= now else silent_at
-            self._watch(found, source, next)
-            return
-        culprits = self._culprits(found, now)
-        for name in culprits:
-            self._avoid(found, name)
-        self._lost.setdefault(found.id, f"{' and '.join(culprits)} fell silent")
-        self._watch(found, source, now + _LOOK_AGAIN)
+    def _at(self, time: int, act: Callable[[int], None]) -> None:
+        heapq.heappush(self._alarms, (time, next(self._serial), act))
 
-    def _culprits(self, found: AdaptiveSubscription, now: int) -> tuple[str, ...]:
-        """Of what a silent plan is made from, what is silent itself: streams from outside, or
-        else the transformations, which make nothing of what they get."""
-        silent = self._silent_at(now, found.wish.staleness)
-        streams = tuple(name for name in found.leaves if name in silent)
-        if streams:
-            return streams
-        return tuple(sorted(found.made_by)) or found.leaves
+    def _look_again(self, id: str, now: int) -> None:
+        found = self._subscriptions.get(id)
+        if found is not None:
+            found.looks_again = False
+            self._ripe[id] = None
+
+    def _forgive(self, id: str, name: str, now: int) -> None:
+        found = self._subscriptions.get(id)
+        if found is None or name not in found.avoided:
+            return
+        found.avoided.discard(name)
+        _drop(self._avoiders, (name,), id)
+        if found.state is not State.RUNNING:
+            self._ripe[id] = None
 
     def _watch(self, found: AdaptiveSubscription, source: StreamGenerator, time: int) -> None:
-        heapq.heappush(self._due, (time, next(self._serial), found.id, source))
+        """Look at a source at ``time``, or before; there is one alarm for each."""
+        if source not in found.watched:
+            found.watched.add(source)
+            soon = min(time, self._clock() + _LOOK_AGAIN)
+            self._at(soon, partial(self._look_at, found.id, source))
 
-    def _silent_at(self, now: int, declared: int | None) -> frozenset[str]:
-        """The streams from outside that are silent by now, or have ended."""
-        if self._looked != now:
-            self._looked = now
-            self._silent.clear()
-        found = self._silent.get(declared)
+    def _look_at(self, id: str, source: StreamGenerator, now: int) -> None:
+        found = self._subscriptions.get(id)
         if found is None:
-            streams = self._configuration.streams
-            found = self._silent[declared] = frozenset(
-                name
-                for name in self._space.streams
-                if name in streams
-                and not self._plans.makes(name)
-                and (streams[name].is_ended or self._is_silent(name, now, declared))
-            )
-        return found
+            return
+        found.watched.discard(source)
+        if source not in found.unit.arrivals:
+            return
+        silent_at = self._silent_from(found, source)
+        if silent_at is not None and silent_at <= now:
+            culprits = self._culprits(found, source, now)
+            if not found.avoided.issuperset(culprits):
+                for name in culprits:
+                    self._avoid(found, name)
+                self._lost.setdefault(id, f"{' and '.join(culprits)} fell silent")
+        elif silent_at is not None and found.state is State.STALE:
+            again = found.avoided & names_of(found.nodes_behind(source))
+            for name in again:
+                self._forgive(id, name, now)
+            if again:
+                self._lost.setdefault(id, f"{' and '.join(sorted(again))} speaks again")
+        if silent_at is None or silent_at <= now:
+            silent_at = now + _LOOK_AGAIN
+        self._watch(found, source, silent_at)
 
-    def _is_silent(self, name: str, now: int, declared: int | None) -> bool:
-        arrivals = self._arrivals.get(name)
-        if arrivals is None:
-            return False
-        silent_at = arrivals.silent_at(declared)
-        return silent_at is not None and silent_at <= now
+    def _silent_from(self, found: AdaptiveSubscription, source: StreamGenerator) -> int | None:
+        """From when on (ns) a source is silent; None: nobody knows.
+
+        Of what is made, and read since a short time only, what it is made from may tell."""
+        staleness = found.wish.staleness
+        if self._silences.has_spoken(source.name):
+            return self._silences.silent_at(source.name, staleness)
+        silent_at = found.unit.arrivals[source].silent_at(staleness)
+        if silent_at is not None:
+            return silent_at
+        times = [
+            self._silences.silent_at(node.stream)
+            for node in found.nodes_behind(source)
+            if isinstance(node, UseStream)
+        ]
+        known = [time for time in times if time is not None]
+        return max(known) if known and len(known) == len(times) else None
+
+    def _culprits(
+        self, found: AdaptiveSubscription, source: StreamGenerator, now: int
+    ) -> tuple[str, ...]:
+        """Of what a silent source is made from, what is silent itself: streams from outside, or
+        else the transformations, which make nothing of what they get."""
+        nodes = found.nodes_behind(source)
+        streams = dict.fromkeys(node.stream for node in nodes if isinstance(node, UseStream))
+        silent = self._silences.at(now, found.wish.staleness)
+        return (
+            tuple(name for name in streams if name in silent)
+            or tuple(sorted(transformations_of(nodes)))
+            or tuple(streams)
+        )
 
     def settle(self) -> None:
         """Match again whoever has lost something, or may have something better by now."""
-        now = self._clock()
         times: Counter[str] = Counter()
-        while True:
-            lost, self._lost = self._lost, {}
-            due = [id for id, time in self._better.items() if time <= now]
-            for id in due:
-                del self._better[id]
-            if not lost and not due:
-                return
-            for id in due:
-                if id not in lost and id in self._subscriptions:
-                    self._improve(self._subscriptions[id])
-            for id, why in lost.items():
-                times[id] += 1
-                if id not in self._subscriptions:
-                    continue
-                found = self._subscriptions[id]
-                if times[id] > _AT_ONCE:
-                    self._better[id] = now + max(found.wish.hold_off, SECOND)
-                else:
-                    self._rematch(found, why)
+        while self._lost or self._ripe:
+            id = next(iter(self._lost or self._ripe))
+            why = self._lost.pop(id, None)
+            self._ripe.pop(id, None)
+            found = self._subscriptions.get(id)
+            if found is None:
+                continue
+            times[id] += 1
+            if times[id] > _AT_ONCE:
+                later = self._clock() + max(found.wish.hold_off, SECOND)
+                self._at(later, partial(self._look_again, id))
+            elif why is not None:
+                self._rematch(found, why)
+            else:
+                self._improve(found)
 
     # -- matching again ----------------------------------------------------------------------
 
     def _improve(self, found: AdaptiveSubscription) -> None:
         """Take a better plan if there is one."""
-        if found.state is not State.RUNNING or found.supply is None:
+        choosing = self._choosing
+        if found.state is not State.RUNNING or not choosing.serves(found):
             self._rematch(found, "something appeared")
             return
-        match = self._match(found)
-        if match is None or match.supply is None or self._is_same(found, match.supply):
-            return
-        strategy = Strategy.parse(found.wish.strategy)
-        if strategy.kind is not Kind.FAST and match.supply.complete == found.supply.complete:
-            new, old = (
-                weight_of(supply, self._space, strategy, self._is_running(found))
-                for supply in (match.supply, found.supply)
-            )
-            if not new < old:
-                return
-        self._switch(found, match.supply, "a better source appeared")
+        unusable = choosing.unusable(found, self._clock())
+        supply = choosing.best(found, unusable | found.young.keys()).supply
+        if supply is not None and choosing.is_better(found, supply):
+            found.state = choosing.state_of(found, supply)
+            self._switch(found, supply, "a better source appeared")
 
-    def _rematch(self, found: AdaptiveSubscription, why: str) -> None:
-        """What it reads is lost or bad: take what is there."""
-        match = self._match(found)
-        if match is None or match.supply is None:
-            if self._still_reads(found):
-                found.state = State.STALE
-                return
-            (told,) = self._plans.match([found.wish.want], found.wish.strategy, explained=True)
-            found.missing = told.missing
-            self._switch(found, None, why)
+    def _rematch(self, found: AdaptiveSubscription, why: str, removed: str | None = None) -> None:
+        """What it reads is lost or bad: take what is there, but not what is about to be
+        ``removed``."""
+        choosing = self._choosing
+        without = frozenset() if removed is None else frozenset((removed,))
+        match = choosing.best(found, choosing.unusable(found, self._clock()) | without)
+        if match.supply is not None:
+            found.state = choosing.state_of(found, match.supply)
+        elif removed is None and choosing.serves(found):
+            found.state = State.STALE
             return
-        if self._is_same(found, match.supply):
+        else:
+            # Better a silent stream, which may speak again, than none.
+            failing = found.avoided - self._space.streams.keys()
+            match = choosing.best(
+                found, choosing.made_streams() | failing | without, explained=True
+            )
+            found.state = State.WAITING if match.supply is None else State.STALE
+        if match.supply is None:
+            found.missing = match.missing
+            if found.supply is None and found.rematches:
+                return  # it waits already
+        elif choosing.is_same(found, match.supply):
             return
         self._switch(found, match.supply, why)
 
-    def _match(self, found: AdaptiveSubscription) -> Match | None:
-        """The best plan of what is not silent; None where only silent streams would do."""
-        wish = found.wish
-        now = self._clock()
-        unusable = self._plans.unusable(Since.START, found.unit.delivered)
-        own = {found.output.name, found.unit.output.name}
-        silent = self._silent_at(now, wish.staleness) | found.avoided
-        for name in silent:
-            self._pass_over(name)
-        match = self._best(found, unusable | silent | own)
-        if match.supply is not None:
-            found.state = State.RUNNING
-            return match
-        if self._still_reads(found):
-            return None
-        # Better a silent stream, which may speak again, than none.
-        match = self._best(found, unusable | own | (found.avoided if found.misled else set()))
-        found.state = State.WAITING if match.supply is None else State.STALE
-        return match
-
-    def _best(self, found: AdaptiveSubscription, without: Iterable[str]) -> Match:
-        wish = found.wish
-        excluded = frozenset(without)
-        (match,) = self._plans.match([wish.want], wish.strategy, excluded)
-        bound = wish.quality
-        if match.supply is not None and bound > 0 and self._quality(match.supply) < bound:
-            (other,) = self._plans.match([wish.want], str(Kind.QUALITY), excluded)
-            if other.supply is not None:
-                match = replace(other, strategy=wish.strategy)
-        return match
-
-    def _quality(self, supply: Supply) -> float:
-        return quality_of(supply, self._space)
-
-    def _is_running(self, found: AdaptiveSubscription) -> Callable[[object], bool]:
-        own = {
-            node
-            for source in (found.supply.sources if found.supply else ())
-            for node in nodes_of(source.node)
-        }
-        return lambda node: node in own
-
-    def _is_same(self, found: AdaptiveSubscription, supply: Supply) -> bool:
-        return (
-            found.supply is not None
-            and found.supply.sources == supply.sources
-            and self._still_reads(found)
-        )
-
-    def _still_reads(self, found: AdaptiveSubscription) -> bool:
-        """Its inputs are there, and work."""
-        unit = found.unit
-        return (
-            bool(unit.inputs)
-            and not found.misled
-            and self._configuration.reads_what_is_there(unit)
-            and not self._configuration.is_broken(unit)
-        )
-
     def _switch(self, found: AdaptiveSubscription, supply: Supply | None, why: str) -> None:
-        unit = found.unit
-        before = unit.inputs
-        is_first = not found.rematches and supply is not None and found.supply is None
-        since = found.wish.since if is_first else Since.START
-        position = found.output.stream.last_number
-        sources = () if supply is None else supply.sources
         try:
-            streams = [self._plans.obtain(source.node, since) for source in sources]
-        except Exception:
-            self._configuration.release_unused()
-            raise
-        lost_some = self._has_forgotten(unit, streams)
-        inputs = (
-            []
-            if supply is None
-            else merge_inputs(
-                supply, streams, self._configuration, lambda: self._ontology.vocabulary
-            )
-        )
-        names = found.leaves
+            streams = self._switching.streams_of(found, supply)
+        except DyknowError as error:
+            # A plan that cannot be carried out: do without its transformations for a while.
+            for name in transformations_of(() if supply is None else nodes_of_supply(supply)):
+                self._avoid(found, name)
+            self._lost[found.id] = f"{why}; {error.detail}"
+            return
         self._forget_reads(found)
-        found.misled = False
-        found.supply = supply
-        unit.switch(inputs, history=since is Since.START)
-        gained = [stream for stream in unit.inputs if stream not in before]
-        lost = [stream for stream in before if stream not in unit.inputs]
-        text = f"{found.wish.want}: {why}"
-        self._configuration.change_inputs(unit, gained, lost, text)
+        gained = self._switching.switch(found, supply, streams, why)
         self._remember_reads(found)
         now = self._clock()
         for stream in gained:
-            silent_at = unit.arrivals[stream].silent_at(found.wish.staleness)
-            self._watch(found, stream, silent_at or now + _LOOK_AGAIN)
-        found.rematches.append(Rematch(now, position, why, names, found.leaves, lost_some))
+            self._watch(found, stream, self._silent_from(found, stream) or now + _LOOK_AGAIN)
         if supply is not None:
             found.missing = ()
-
-    def _has_forgotten(self, unit: MergeUnit, streams: Iterable[StreamGenerator]) -> bool:
-        """Whether one of new sources has forgotten samples that follow the last one passed on."""
-        if unit.output.stream.last_number == 0:
-            return False
-        for source in streams:
-            if source in unit.arrivals or source.stream.first_number <= 1:
-                continue
-            kept = next(iter(source.stream.since(0)), None)
-            if kept is not None and int(kept.batch.available[0]) > unit.delivered:
-                return True
-        return False
+            found.quality = self._choosing.quality(supply)
+        for part in self._configuration.units_behind(found.unit):
+            if part is not found.unit and part.failure is not None:
+                self._note_failure(part)  # it failed on the past, before anybody read it
 
     def _remember_reads(self, found: AdaptiveSubscription) -> None:
         found.reads = frozenset(behind(found.unit, self._configuration))
-        found.made_by = frozenset() if found.supply is None else transformations_of(found.supply)
+        found.made_by = transformations_of(found.nodes)
         for name in found.reads:
-            self._readers[name][found.id] = None
+            _put(self._readers, name, found.id)
         for name in found.made_by:
-            self._users[name][found.id] = None
+            _put(self._users, name, found.id)
+        for name in found.reads | found.made_by:
+            self._drop_young(found, name)
 
     def _forget_reads(self, found: AdaptiveSubscription) -> None:
         _drop(self._readers, found.reads, found.id)
         _drop(self._users, found.made_by, found.id)
 
 
-def _drop(index: dict[str, dict[str, None]], keys: Iterable[str], id: str) -> None:
+def _put(index: _Index, key: str, id: str) -> None:
+    index.setdefault(key, {})[id] = None
+
+
+def _drop(index: _Index, keys: Iterable[str], id: str) -> None:
     for key in keys:
         known = index.get(key)
         if known is not None:
