@@ -34,11 +34,11 @@ class Silences:
 
     def has_news(self, stream: str) -> bool:
         """Whether samples have come since this was last asked: late ones are none."""
+        self._silent.clear()  # an ended stream goes on with a late one, too
         used = self._configuration.streams[stream].counters.used
         if used == self._used.get(stream, 0):
             return False
         self._used[stream] = used
-        self._silent.clear()
         return True
 
     def came(self, stream: str, now: int) -> None:

@@ -276,6 +276,19 @@ class Client(Connection):
         removed: list[str] = answer["removed"]
         return removed
 
+    def apply_specification(self, xml: str | bytes) -> dict[str, Any]:
+        """Insert and remove units as an XML text says; all of it or nothing."""
+        headers = {"Content-Type": "application/xml"}
+        return self._object("POST", "/specifications", content=xml, headers=headers)
+
+    def insertions(self) -> list[dict[str, Any]]:
+        """What specifications inserted, in order."""
+        return self._list("GET", "/specifications")
+
+    def current_specification(self) -> str:
+        """The running configuration as an XML text."""
+        return self._send("GET", "/specifications/current").text
+
     def load_ontology(
         self, text: str, name: str | None = None, media_type: str = TURTLE
     ) -> dict[str, Any]:

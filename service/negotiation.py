@@ -16,6 +16,8 @@ from .problems import Problem
 
 JSON = "application/json"
 TEXT = "text/plain"
+XML = "application/xml"
+TEXT_XML = "text/xml"
 NDJSON = "application/x-ndjson"
 CSV = "text/csv"
 ARROW = "application/vnd.apache.arrow.stream"

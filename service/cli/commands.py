@@ -26,6 +26,7 @@ from .output import JSON_WANTED, fail
 from .replay import replay
 from .run import run
 from .serve import serve
+from .specifications import specification
 from .streams import annotate, streams
 from .templates import template
 from .transformations import transformation
@@ -106,6 +107,7 @@ app.command()(streams)
 app.command()(follow)
 app.command()(annotate)
 app.add_typer(transformation, name="transformation")
+app.add_typer(specification, name="specification")
 app.add_typer(ontology, name="ontology")
 app.command()(sparql)
 app.command()(match)

@@ -6,6 +6,7 @@ from .events import EventIn, EventModel, PlanModel, TemplateModel, UnitModel
 from .kpl import DeclarationModel, OneDeclarationModel, RemovedModel
 from .matching import MatchIn, MatchModel
 from .parts import Strategy, schema_of, text_schema
+from .specifications import InsertionModel, SpecificationModel
 from .state import (
     ExplainModel,
     HealthModel,
@@ -41,6 +42,7 @@ __all__ = [
     "ExplainModel",
     "FieldModel",
     "HealthModel",
+    "InsertionModel",
     "MatchIn",
     "MatchModel",
     "OneDeclarationModel",
@@ -52,6 +54,7 @@ __all__ = [
     "RematchModel",
     "RemovedModel",
     "RetentionModel",
+    "SpecificationModel",
     "StatusModel",
     "Strategy",
     "StreamIn",

@@ -52,6 +52,17 @@ class UnitModel(BaseModel):
     parameters: dict[str, str]
     users: int
 
+    @classmethod
+    def of(cls, view: views.UnitView) -> UnitModel:
+        return cls(
+            name=view.name,
+            transformation=view.transformation,
+            inputs=list(view.inputs),
+            output=view.output,
+            parameters=dict(view.parameters),
+            users=view.users,
+        )
+
 
 class PlanModel(BaseModel):
     """How a request is met."""
@@ -63,17 +74,7 @@ class PlanModel(BaseModel):
 
     @classmethod
     def of(cls, view: views.PlanView) -> PlanModel:
-        units = [
-            UnitModel(
-                name=unit.name,
-                transformation=unit.transformation,
-                inputs=list(unit.inputs),
-                output=unit.output,
-                parameters=dict(unit.parameters),
-                users=unit.users,
-            )
-            for unit in view.units
-        ]
+        units = [UnitModel.of(unit) for unit in view.units]
         return cls(text=view.text, streams=list(view.streams), units=units, query=view.query)
 
 

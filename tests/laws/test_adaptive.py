@@ -91,21 +91,14 @@ class History:
             ]
             before = generator.stream.last_number
             if self.id is None:
-                self.definition.sources[name].samples += samples
-                if samples:
-                    self.definition.sources[name].ended = False
-                    self.definition.sources[name].arrivals.append(self.now)
-                self.definition.now = self.now
+                self.definition.overhear(name, self.now, samples)
             else:
                 self.definition.publish(name, self.now, samples)
 
     def _end(self, name):
         if name in self.definition.sources:
             self.world.engine.end(name)
-            if self.id is None:
-                self.definition.sources[name].ended = True
-            else:
-                self.definition.end(name)
+            self.definition.end(name)
 
     def _remove(self, name):
         if name in self.definition.sources:

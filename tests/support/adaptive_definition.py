@@ -39,6 +39,8 @@ class Source:
     """What makes its values the feature's; None: it holds something else."""
     quality: float = 1.0
     ended: bool = False
+    has_left: bool = False
+    """It has ended, and no sample has come since; a late one resumes it without being one."""
     samples: list[tuple[int, float]] = field(default_factory=list)
     arrivals: list[int] = field(default_factory=list)
 
@@ -99,19 +101,16 @@ class Subscription:
 
     def publish(self, name, now, samples):
         """``samples`` are those that came into the stream: none of those that were late."""
-        self.now = max(self.now, now)
-        if not samples:
-            return
         source = self.sources[name]
         was_gone = (
             not source.arrivals
-            or source.ended
+            or source.has_left
             or name in self._given_up
-            or source.is_silent(self.now, self.staleness)
+            or source.is_silent(max(self.now, now), self.staleness)
         )
-        source.ended = False
-        source.samples += samples
-        source.arrivals.append(self.now)
+        self.overhear(name, now, samples)
+        if not samples:
+            return
         self._given_up.discard(name)
         if name == self.reading:
             self._deliver(samples)
@@ -127,8 +126,18 @@ class Subscription:
                 del self._since[name]
                 self._improve()
 
+    def overhear(self, name, now, samples):
+        """The same before there is a subscription."""
+        self.now = max(self.now, now)
+        source = self.sources[name]
+        source.ended = False
+        if samples:
+            source.has_left = False
+            source.samples += samples
+            source.arrivals.append(self.now)
+
     def end(self, name):
-        self.sources[name].ended = True
+        self.sources[name].ended = self.sources[name].has_left = True
         self._gone(name)
 
     def remove(self, name):
