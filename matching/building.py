@@ -199,12 +199,11 @@ def synchronized(feeds: Sequence[Edge]) -> Edge:
     ports: list[Port] = []
     edges: list[Edge] = []
     for feed in feeds:
-        # Values stand in the tuple as they do in the stream, so that whoever needs the same
-        # streams together can read the same tuples.
+        # Values stand in the tuple as they do in the stream: whoever reads it converts.
         own: dict[str, Port] = {}
         for port in feed.ports:
             if port.source_field not in own:
-                name = _numbered(port.source_field, taken)
+                name = _numbered(port.target_field, taken)
                 taken.add(name)
                 own[port.source_field] = replace(
                     port, target_field=name, target=port.source, conversion=IDENTITY

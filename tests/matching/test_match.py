@@ -252,7 +252,7 @@ def test_inputs_in_different_streams_are_synchronized(vocabulary):
     (source,) = found.supply.sources
     (edge,) = source.node.inputs
     assert isinstance(edge.node, Synchronize)
-    assert [c.field for c in contents_of(edge.node)] == ["v", "v_2"]
+    assert [c.field for c in contents_of(edge.node)] == ["latitude", "longitude"]
     assert [port.target_field for port in edge.ports] == ["latitude", "longitude"]
     assert source.roles == (Role(iri("UAV"), None, "id"),)
 
