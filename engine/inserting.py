@@ -46,6 +46,7 @@ class Inserting:
         self._there = set(configuration.units.values())
         self._added: list[ComputationalUnit] = []
         self._aliases: list[tuple[str, str | None]] = []
+        self._further: list[UnitSpecification] = []
 
     @property
     def started(self) -> tuple[ComputationalUnit, ...]:
@@ -79,6 +80,8 @@ class Inserting:
                 continue
             before = self._configuration.aliases.get(name)
             if before != stream:
+                if not is_invented(stream) or self._insertions.has_alias(stream):
+                    self._further.append(one.element)
                 self._insertions.give_alias(name, stream)
                 self._aliases.append((name, before))
 
@@ -88,11 +91,13 @@ class Inserting:
         tops: Sequence[UnitSpecification],
         left: Sequence[Inserted],
     ) -> None:
-        """The insertions from now on: those that are ``left``, and ``tops``. One that is there
-        already, under the same name or without one, is the same."""
+        """The insertions from now on: those that are ``left``, ``tops``, and what gave a unit a
+        further name. One that is there already, under the same name or without one, is the
+        same."""
         shapes = {id(one.element): one.shape for one in made}
         now = list(left)
-        for element in tops:
+        inner = [one for one in self._further if not any(one is top for top in tops)]
+        for element in (*tops, *inner):
             unit = self.units[shapes[id(element)]]
             named = element.name is not None and not is_invented(element.name)
             one = Inserted(element.name if named else None, unit, element)

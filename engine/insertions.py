@@ -2,7 +2,8 @@
 ([Introspection15 §3.2]).
 
 An insertion that is no input of another `cu` holds its unit: it is one of its users. What the unit
-reads is held by the unit.
+reads is held by the unit. A name for a unit that has one already is an insertion by itself,
+wherever it stands.
 """
 
 from __future__ import annotations
@@ -123,6 +124,10 @@ class Insertions:
         if before is not None:
             self.give_alias(alias, before)
 
+    def has_alias(self, stream: str) -> bool:
+        """Whether a stream was given a further name."""
+        return stream in self._aliases.values()
+
     def tell_aliases(self, stream: str) -> None:
         """The further names of a stream have changed."""
         names = tuple(alias for alias, of in self._aliases.items() if of == stream)
@@ -162,8 +167,9 @@ class Insertions:
     def _text(self, running: Running) -> str:
         names = self.names(running)
         known = [one for one in self.all if one.unit.output.name in running.shape_of]
-        tops = tuple(dict.fromkeys(running.shape_of[one.unit.output.name] for one in known))
-        invented = None if can_be_copied(tops, names) else running.stream_of.__getitem__
+        tops = [(running.shape_of[one.unit.output.name], one.name) for one in known]
+        shapes = [shape for shape, _ in tops]
+        invented = None if can_be_copied(shapes, names) else running.stream_of.__getitem__
         writer = Writer(names, invented)
         # What has lost an input is kept as it was written.
         others = [one.element for one in self.all if one not in known]

@@ -1,8 +1,8 @@
 """Shapes as a specification in XML: the running configuration, and what is kept over a restart
 ([Introspection15 §3.2]).
 
-A unit that is read once stands where it is read; one that is read more often, or that was inserted
-by itself, stands once, and its readers say `stream`.
+A unit that is read once stands where it is read; one that is read more often stands there once,
+one that was inserted by itself by itself, and others say `stream`.
 """
 
 from __future__ import annotations
@@ -45,25 +45,38 @@ class Writer:
     ) -> None:
         self._names = names
         self._invented = invented
-        self._labels: dict[Shape, str] = {}
-        self._written: set[Shape] = set()
         self._tops: set[Shape] = set()
+        self._labels: dict[Shape, str] = {}
+        self._inner: dict[Shape, str] = {}
+        """Names that are given where the unit is read for the first time."""
+        self._written: set[Shape] = set()
 
-    def write(self, tops: Sequence[Shape]) -> tuple[UnitSpecification, ...]:
-        """The insertions: ``tops`` in order, and once more for each further name of a unit."""
-        self._tops = set(tops)
-        shapes = list(_behind(tops))
-        further = [(shape, name) for shape in shapes for name in self._names.get(shape, ())[1:]]
+    def write(self, tops: Sequence[tuple[Shape, str | None]]) -> tuple[UnitSpecification, ...]:
+        """The insertions: ``tops`` in order, each under its name, with all that they read."""
+        self._tops = {shape for shape, _ in tops}
+        shapes = list(_behind(self._tops_in_order(tops)))
         read = Counter(below for shape in shapes for below in _inputs(shape))
-        read.update(below for shape, _ in further for below in _inputs(shape))
         for shape in shapes:
-            own = self._names.get(shape, ())
-            if own:
-                self._labels[shape] = own[0]
-            elif self._invented is not None and read[shape] > (shape not in self._tops):
-                self._labels[shape] = self._invented(shape)
-        inserted = [self._element(shape, self._labels.get(shape)) for shape in tops]
-        return (*inserted, *(self._element(shape, name) for shape, name in further))
+            self._label(shape, {name for top, name in tops if top is shape}, read[shape])
+        return tuple(self._element(shape, name or self._needed(shape)) for shape, name in tops)
+
+    def _tops_in_order(self, tops: Sequence[tuple[Shape, str | None]]) -> tuple[Shape, ...]:
+        return tuple(dict.fromkeys(shape for shape, _ in tops))
+
+    def _label(self, shape: Shape, given: set[str | None], read: int) -> None:
+        """By which name a shape is read."""
+        names = self._names.get(shape, ())
+        others = [name for name in names if name not in given]
+        if others and read:
+            self._inner[shape] = self._labels[shape] = others[0]
+        elif names:
+            self._labels[shape] = next((name for name in names if name in given), names[0])
+        elif self._invented is not None and read > (shape not in self._tops):
+            self._labels[shape] = self._invented(shape)
+
+    def _needed(self, shape: Shape) -> str | None:
+        """The invented name of an insertion that others read."""
+        return None if self._names.get(shape) else self._labels.get(shape)
 
     def _element(self, shape: Shape, name: str | None) -> UnitSpecification:
         self._written.add(shape)
@@ -74,6 +87,9 @@ class Writer:
     def _input(self, one: Shape | str) -> Input:
         if isinstance(one, str):
             return StreamReference(one, _NOWHERE)
+        inner = self._inner.pop(one, None)
+        if inner is not None:
+            return self._element(one, inner)
         label = self._labels.get(one)
         if label is not None and (one in self._tops or one in self._written):
             return StreamReference(label, _NOWHERE)

@@ -163,21 +163,25 @@ class Specifications:
     def _running(self) -> Running:
         return Running(self._configuration, self._transformations)
 
-    def _tops(self, running: Running, names: dict[Shape, list[str]]) -> tuple[Shape, ...]:
-        """The shapes that stand by themselves: those that nothing reads, those that were inserted
-        so, and those with several names."""
-        held = {one.unit for one in self._insertions.all}
-        said = {
-            shape: unit
-            for shape, unit in running.unit_of.items()
-            if unit in held or unit not in running.implied
-        }
+    def _tops(
+        self, running: Running, names: dict[Shape, list[str]]
+    ) -> tuple[tuple[Shape, str | None], ...]:
+        """The shapes that stand by themselves, with their names: those that were inserted so, and
+        those that nothing reads."""
+        held: dict[Shape, dict[str | None, None]] = {}
+        for one in self._insertions.all:
+            shape = running.shape_of.get(one.unit.output.name)
+            if shape in running.unit_of:
+                held.setdefault(shape, {})[one.name] = None
+        said = {s for s, unit in running.unit_of.items() if unit not in running.implied} | {*held}
         read = {below for shape in said for below in shape.inputs}
-        return tuple(
-            shape
-            for shape, unit in said.items()
-            if shape not in read or unit in held or len(names.get(shape, ())) > 1
-        )
+        tops: list[tuple[Shape, str | None]] = []
+        for shape in running.unit_of:
+            if shape in held:
+                tops += [(shape, name) for name in held[shape]]
+            elif shape in said and shape not in read:
+                tops.append((shape, next(iter(names.get(shape, ())), None)))
+        return tuple(tops)
 
     def _not_restored(self, reason: str) -> None:
         self._changed(Change(ChangeKind.NOT_RESTORED, specification=reason))

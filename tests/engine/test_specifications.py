@@ -860,7 +860,7 @@ def test_what_does_not_hold_any_more_is_told_and_kept(tmp_path):
     del engine
     engine = world_of(tmp_path)
     assert sorted(types(engine)) == sorted(
-        ["rgbCam", "irCam", "irCam", "synchronize", "fusionRGBIR", "gps", "GPSto3D", "policy"][1:]
+        ["rgbCam", "irCam", "synchronize", "fusionRGBIR", "gps", "GPSto3D", "policy"]
     )
     assert all(view.stream for view in engine.insertions())
 
