@@ -348,8 +348,8 @@ def blocks(language: str) -> list[str]:
 def test_the_examples_of_the_page() -> None:
     (example,) = blocks("xml")
     assert format_specification(parse_specification(example)) == example
-    (code,) = blocks("python")
-    exec(code, {})
+    for code in blocks("python"):
+        exec(code, {})
     (error,) = blocks("text")
     text = insertions('\n\n    <spec:cu name="result" typ="gps"/>\n')
     assert refused(text).render() == error.rstrip()
