@@ -42,7 +42,6 @@ class Inserting:
         self._insertions = insertions
         self._removed = tuple(removed)
         self._before = list(insertions.all)
-        self._lost = list(insertions.lost)
         self._there = set(configuration.units.values())
         self._added: list[ComputationalUnit] = []
         self._aliases: list[tuple[str, str | None]] = []
@@ -116,7 +115,6 @@ class Inserting:
     def undo(self) -> None:
         """Everything as it was."""
         self._insertions.all = self._before
-        self._insertions.lost = self._lost
         for alias, before in reversed(self._aliases):
             self._insertions.take_alias(alias, before)
         for unit in self._added:

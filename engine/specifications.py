@@ -153,10 +153,14 @@ class Specifications:
                 return
             except LanguageError as error:
                 # The element that is wrong, or in which something is.
-                failed = [one for one in left if one.span.start <= error.span.start][-1]
-                left = [one for one in left if one is not failed]
-                self._insertions.lost.append(Lost(failed, str(error)))
-                self._not_restored(f"{error}\n{told(failed)}")
+                failed = [one for one in left if one.span.start <= error.span.start][-1:]
+                reason = str(error)
+            except Exception as error:  # noqa: BLE001  the engine starts without them, and says why
+                failed, reason = left, f"{type(error).__name__}: {error}"
+            left = [one for one in left if not any(one is other for other in failed)]
+            for element in failed:
+                self._insertions.lost.append(Lost(element, reason))
+                self._not_restored(f"{reason}\n{told(element)}")
 
     # -- what runs ---------------------------------------------------------------------------
 
@@ -192,11 +196,10 @@ class Specifications:
         lost = list(self._insertions.lost)
         try:
             change = self._understood(specification, restoring=restoring)
-            free = self._free_names(change)
-        except Exception:
+            return self._carry_out(change, self._free_names(change))
+        except BaseException:
             self._insertions.lost = lost
             raise
-        return self._carry_out(change, free)
 
     def _understood(self, specification: Specification, *, restoring: bool) -> _Change:
         """The change that a text is; raises `LanguageError`."""

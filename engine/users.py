@@ -22,5 +22,6 @@ class Users:
         it. Either may be empty."""
         answered = self._requests.of_stream(stream)
         subscribed = self._subscriptions.of_stream(stream)
-        declared = (view.name for view in self._kpl.views() if unit and view.unit == unit)
+        views = self._kpl.views() if unit else ()
+        declared = (view.name for view in views if view.unit == unit)
         return (*answered, *subscribed, *(f"`{name}` of KPL" for name in declared))

@@ -865,6 +865,28 @@ def test_what_does_not_hold_any_more_is_told_and_kept(tmp_path):
     assert all(view.stream for view in engine.insertions())
 
 
+def test_the_engine_starts_without_what_fails(tmp_path, monkeypatch):
+    engine = world(tmp_path)
+    apply(engine, PLACE)
+    del engine
+
+    def fail(*_):
+        raise RuntimeError("no more units")
+
+    with monkeypatch.context() as patched:
+        patched.setattr("dyknow.engine.plans.Plans._build", fail)
+        engine = world_of(tmp_path)
+        assert [view.failure for view in engine.insertions()] == ["RuntimeError: no more units"]
+    # Whoever fails to remove it has not forgotten it.
+    monkeypatch.setattr(engine.ontology, "set_specifications", fail)
+    with pytest.raises(RuntimeError):
+        apply(engine, removals='<cu name="place"/>')
+    assert len(engine.insertions()) == 1
+    monkeypatch.undo()
+    del engine
+    assert types(world_of(tmp_path)) == ["gps", "GPSto3D"]
+
+
 def test_what_was_not_restored_can_be_removed_or_replaced(tmp_path):
     engine = world(tmp_path)
     apply(
