@@ -113,6 +113,24 @@ def test_where_only_a_silent_one_is_left_that_is_read(world):
     assert world.values(id) == [0, 1, 2, 102]
 
 
+def test_after_a_pause_it_goes_on_where_the_lost_one_had_been(world):
+    """Another one had been further before that; what is its own time says nothing of others."""
+    world.declare("a", "b", meaning=OF_ALL)
+    world.declare("c")
+    id = world.subscribe()
+    world.say("a", 1, 1, own=50)
+    world.engine.end("a")
+    for time in range(2, 5):
+        world.say("b", time, time, own=time)
+        world.say("c", time, 100 + time, own=time)
+    world.say("c", 5, 105, own=5)
+    world.engine.annotate(ALTITUDE.format("a"))
+    world.engine.remove_stream("b")
+    assert world.state(id) == "waiting"
+    world.engine.annotate(OF_ALL.format("c"))
+    assert world.values(id) == [1, 2, 3, 4, 105]
+
+
 def test_the_only_stream_is_removed_and_comes_again(world):
     world.declare("a", meaning=OF_ALL)
     id = world.subscribe()

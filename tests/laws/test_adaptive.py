@@ -156,20 +156,30 @@ def events(names, offsets):
         st.tuples(st.just("mean"), name, st.sampled_from([None, *UNITS])),
         st.tuples(st.just("rate"), name, QUALITIES),
     )
-    # Now and then the streams just go on, so that there is something to learn.
-    steady = st.builds(
-        lambda speakers, gap, own: [
-            event
-            for _ in range(8)
-            for event in [("tick", gap), *(("say", name, 1, own) for name in speakers)]
-        ],
-        st.lists(name, unique=True, max_size=3),
-        st.sampled_from([0.2, 1, 2]),
-        offsets,
-    )
-    return st.lists(st.one_of(one.map(lambda event: [event]), steady), max_size=25).map(
-        lambda parts: [event for part in parts for event in part]
-    )
+    return st.lists(
+        st.one_of(one.map(lambda event: [event]), goings_on(names, offsets)), max_size=25
+    ).map(lambda parts: [event for part in parts for event in part])
+
+
+@st.composite
+def goings_on(draw, names, offsets):
+    """Streams just go on, so that there is something to learn; then one of them may fall behind,
+    and be lost."""
+    gap, own = draw(st.sampled_from([0.2, 1, 2])), draw(offsets)
+    speakers = draw(st.lists(st.sampled_from(names), unique=True, max_size=3))
+
+    sizes = {name: draw(st.integers(1, 2)) for name in speakers}
+
+    def turns(count, speakers):
+        said = [("say", name, sizes[name], own) for name in speakers]
+        return [("tick", gap), *said] * count
+
+    if not speakers or draw(st.booleans()):
+        return turns(8, speakers)
+    lost, *others = speakers
+    ends = [("end", lost), ("remove", lost), ("mean", lost, None), ("rate", lost, 0.1)]
+    loss = draw(st.sampled_from([*ends, ("tick", 2 * gap), ("tick", 4 * gap)]))
+    return [*turns(8, speakers), *turns(draw(st.integers(1, 6)), others), loss]
 
 
 @st.composite
