@@ -193,8 +193,9 @@ class Running:
             for edge, source in zip(together.inputs, synchronizing.inputs, strict=True)
             for port in edge.ports
         }
+        read = {port.target_field: port.source_field for port in node.inputs[0].ports}
         self.implied.add(synchronizing)
-        return tuple(feeding[field] for field in fields)
+        return tuple(feeding[read[field]] for field in fields)
 
 
 def is_implied(edge: Edge, fields: list[str]) -> bool:
@@ -202,11 +203,9 @@ def is_implied(edge: Edge, fields: list[str]) -> bool:
     brought together for it alone."""
     if not isinstance(edge.node, Synchronize):
         return False
-    made = sorted(port.target_field for feed in edge.node.inputs for port in feed.ports)
-    return made == sorted(fields) and all(
-        port.source_field == port.target_field and port.conversion.is_identity
-        for port in edge.ports
-    )
+    made = {port.target_field for feed in edge.node.inputs for port in feed.ports}
+    read = {port.target_field: port.source_field for port in edge.ports}
+    return read.keys() == set(fields) and made == set(read.values()) and made <= set(fields)
 
 
 def _since(key: object) -> object:

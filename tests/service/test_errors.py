@@ -157,15 +157,15 @@ def test_wrong_arguments(http: httpx.Client, arguments: list[str]) -> None:
 
 
 def test_no_plan_says_what_is_missing(http: httpx.Client) -> None:
-    before = state(http)
     text = TEMPLATE.replace("HighSpeedEvent", "HotEvent").replace("dyknow:speed", "dyknow:altitude")
     assert http.post("/templates", content=text, headers=TEXT).status_code == 201
+    before = state(http)
     body = {"event": "dyknow:HotEvent", "arguments": ["?o", "dyknow:UAV", "30"]}
     found = problem(http.post("/events", json=body), 422)
     assert any("altitude" in missing for missing in found["missing"])
-    assert http.delete("/templates/HotEvent").status_code == 204
     after = state(http)
     assert (after["streams"], after["events"]) == (before["streams"], before["events"])
+    assert http.delete("/templates/HotEvent").status_code == 204
 
 
 @pytest.mark.parametrize(
