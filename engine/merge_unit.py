@@ -18,7 +18,7 @@ from ..ontology.units import Conversion
 from ..rdf.dictionary import TermDictionary
 from ..rdf.namespaces import DYKNOW
 from ..streams.generator import StreamGenerator
-from ..streams.sample import Column, FieldType, Mask, SampleBatch, Times
+from ..streams.sample import Column, FieldType, Mask, SampleBatch, Times, column_from_values
 from ..streams.strings import StringPool
 from ..streams.time import TIME_MIN
 from .arrivals import Arrivals
@@ -244,6 +244,9 @@ class _Feed:
         assert field is not None
         if column.pool is not None:
             return column.recoded(self._output.stream.pools[self._value])
+        if field.type is FieldType.STRING:  # nobody says what the values of the feature are
+            texts = [None if value is None else str(value) for value in column.tolist()]
+            return column_from_values(field, texts, self._output.stream.pools[self._value])
         if field.type is FieldType.FLOAT and column.type is FieldType.INTEGER:
             return Column(FieldType.FLOAT, column.values.astype(np.float64), column.null)
         return column

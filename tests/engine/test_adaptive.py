@@ -1265,4 +1265,6 @@ def test_a_feature_without_a_range(world):
     id = world.subscribe("position")
     world.say("a", 1)
     assert world.view(id).failure is None
-    assert len(world.values(id)) == 1
+    assert world.values(id) == ["1.0"]
+    made = world.engine.generator(world.engine.subscription(id).stream)
+    assert "1.0" in world.engine.rdf_of(made.name, made.stream.all())[0]
