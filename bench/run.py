@@ -19,6 +19,10 @@ TABLES = (
     "policies.py",
     "joining.py",
     "growth.py",
+    "matching.py",
+    "optimum.py",
+    "keyed_joining.py",
+    "adaptive.py",
 )
 
 

@@ -379,7 +379,9 @@ class Ontology:
         }
         if not added and not removed:
             return
-        if any(_has_blank(quad) for quad in removed | added):
+        if not removed:
+            self.store.extend(added)  # all at once, and without a text to be parsed
+        elif any(_has_blank(quad) for quad in removed | added):
             # SPARQL's DELETE DATA names no blank nodes, so these go one after the other: what
             # comes first, so that nothing that stays is missing in between.
             self.store.extend(added)
