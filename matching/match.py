@@ -11,9 +11,11 @@ no sample counts twice.
 
 from __future__ import annotations
 
+import gc
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 from ..ontology.vocabulary import Vocabulary
@@ -66,6 +68,35 @@ def match_all(
     trees are left out. Raises `UnknownStrategy`. Law: the same arguments give equal matches.
     """
     chosen = Strategy.parse(strategy)
+    with _uncollected():
+        return _match_all(
+            wants, space, vocabulary, chosen, without, is_running, explained=explained
+        )
+
+
+@contextmanager
+def _uncollected() -> Iterator[None]:
+    """Without Python's collector: a match makes many small values and drops few of them, and a
+    large stream space would be walked through again and again for nothing."""
+    was_enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_enabled:
+            gc.enable()
+
+
+def _match_all(
+    wants: Sequence[Want],
+    space: StreamSpace,
+    vocabulary: Vocabulary,
+    chosen: Strategy,
+    without: AbstractSet[str],
+    is_running: Callable[[Node], bool],
+    *,
+    explained: bool,
+) -> tuple[Match, ...]:
     favoured = _favoured(wants, space, vocabulary, without)
     goals = Goals(space, vocabulary, without=without, favoured=favoured)
     search = FastSearch(goals)
