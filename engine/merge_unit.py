@@ -79,6 +79,8 @@ class MergeUnit(ComputationalUnit):
         self._clock = clock
         self._feeds: dict[StreamGenerator, list[_Feed]] = {}
         self._reached: dict[StreamGenerator, int] = {}
+        self._begun: dict[StreamGenerator, tuple[int, int]] = {}
+        """When, by the clock, each input began, and after which available time."""
         self._place = TIME_MIN
         """How far what was lost last had been."""
         self._left: dict[StreamGenerator, int] = {}
@@ -139,13 +141,14 @@ class MergeUnit(ComputationalUnit):
             after = stream.last_available
             self.delivered = max(self.delivered, after)
         self._reached[source] = after
+        self._begun[source] = self._clock(), after
         forgotten = False
         if history and stream.first_available is not None:
             forgotten = TIME_MIN < after < stream.first_available and stream.first_number > 1
             for segment in stream.since(0):
                 batch = segment.batch
                 if batch.available[-1] > after:
-                    self.receive(source, batch.take(batch.available > after))
+                    self.receive(source, batch)
         self.connect(source)
         return forgotten
 
@@ -159,6 +162,7 @@ class MergeUnit(ComputationalUnit):
         del self._feeds[source]
         del self.arrivals[source]
         del self._reached[source]
+        del self._begun[source]
         self._ended.discard(source)
         self._watermarks.pop(source, None)
         if source in self._subscribed:
@@ -166,7 +170,13 @@ class MergeUnit(ComputationalUnit):
             source.unsubscribe(self)
 
     def process(self, source: StreamGenerator, batch: SampleBatch) -> None:
-        self.arrivals[source].came(self._clock())
+        now = self._clock()
+        self.arrivals[source].came(now)
+        begun, after = self._begun[source]
+        if begun == now:  # the rest of a batch that was cut is judged like what is kept
+            batch = batch.take(batch.available > after)
+            if not len(batch):
+                return
         self._reached[source] = int(batch.available[-1])
         self.delivered = max(self.delivered, self._reached[source])
         for feed in self._feeds[source]:

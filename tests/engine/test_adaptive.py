@@ -54,6 +54,20 @@ def test_what_the_new_source_held_and_the_lost_one_did_not(world):
     assert not world.engine.rematches(id)[-1].lost
 
 
+def test_the_rest_of_a_batch_that_was_cut(world):
+    """It comes in the moment of the switch, and is no more than what was kept."""
+    world.declare("a", meaning=OF_ALL)
+    world.engine.set_quality("a", 0.5)
+    id = world.subscribe(strategy="quality", hold_off=0)
+    world.declare("b", meaning=OF_ALL)
+    world.say("a", 1, 1, own=10)
+    world.say("b", 1, 9, own=9)
+    assert world.reads(id) == ("b",)
+    world.say("b", 1, 10, own=10)
+    world.say("b", 1, 11, own=11)
+    assert world.values(id) == [1, 11]
+
+
 def test_what_the_new_source_had_forgotten(world):
     world.declare("a", meaning=OF_ALL)
     world.declare("b", meaning=OF_ALL, retention=Retention(samples=2))

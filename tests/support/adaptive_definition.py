@@ -76,6 +76,7 @@ class Subscription:
     """Since when what might be better is there."""
     _given_up: set[str] = field(default_factory=set)
     _begun_at: int = 0
+    _begun_after: int = LONG_AGO
     _reached: int = LONG_AGO
     _begun: bool = False
     _places: int = 0
@@ -113,7 +114,9 @@ class Subscription:
             return
         self._given_up.discard(name)
         if name == self.reading:
-            self._deliver(samples)
+            # What comes in the very moment of a switch is kept by then, as it were.
+            is_kept = self.now == self._begun_at
+            self._deliver([s for s in samples if not is_kept or s[0] > self._begun_after])
             if self.state != "running":
                 self._rematch()
         elif self._may_be_better(name):
@@ -260,6 +263,7 @@ class Subscription:
             # It begins with what comes: what there is already is behind it.
             self._reached = source.samples[-1][0] if source.samples else LONG_AGO
         self._begun = True
+        self._begun_after = self._reached
         self._deliver([sample for sample in source.samples if sample[0] > self._reached])
 
     def _deliver(self, samples):
