@@ -401,9 +401,11 @@ class Goals:
             found = False
             for ask in asks:
                 serving = self.serving(ask.feature)
-                names = {*serving, *(name for f in serving for name in self.space.holding(f))}
+                names = list(serving)
+                for feature in serving:
+                    names.extend(self.space.holding(feature))
                 found = found or not seen.isdisjoint(names)
-                seen |= names
+                seen.update(names)
             self._held_together[asks] = found
         return found
 
