@@ -8,7 +8,7 @@ output is the feature (a `Through`), or, of several features, parts that are syn
 The order of answers is the order of trying: streams before transformations; of streams those that
 serve more wants of the same query, then exact features before sub-features, then those about the
 wanted object itself, then those made for the sort before more general ones, then as registered;
-of transformations exact outputs first, then as registered.
+of transformations exact outputs first, then sub-features by name, each as registered.
 
 Arguments with the same name in an annotation are the same object. What no argument of the output
 names (the `RMAX` that sees a `Human`) may be any object there is: `self` first, then those that
@@ -149,7 +149,7 @@ class Goals:
     def answers(self, goal: Goal) -> Iterator[Answer]:
         """Every answer, in order of trying; looked for only when it is asked for."""
         yield from self.offers(goal)
-        yield from self._ways.get(goal) or self._look_for_ways(goal)
+        yield from self._throughs(goal) if len(goal.asks) == 1 else self._aparts(goal)
 
     def offers(self, goal: Goal) -> tuple[Offer, ...]:
         """The streams that hold all that is asked for, best first."""
@@ -162,18 +162,17 @@ class Goals:
         return found
 
     def ways(self, goal: Goal) -> tuple[Through | Apart, ...]:
-        """The transformations, or the parts, that give all that is asked for, in order."""
+        """The transformations, or the parts, that give all that is asked for, in order.
+
+        Of several features a unit's output may be all. That is no way of its own, for the parts
+        find the unit as well; but then nothing is synchronized, which counts where plans are
+        weighed.
+        """
         found = self._ways.get(goal)
         if found is None:
-            found = self._ways[goal] = tuple(self._look_for_ways(goal))
+            apart = () if len(goal.asks) == 1 else self._aparts(goal)
+            found = self._ways[goal] = (*apart, *self._throughs(goal))
         return found
-
-    def _look_for_ways(self, goal: Goal) -> Iterator[Through | Apart]:
-        if len(goal.asks) == 1:
-            yield from self._throughs(goal)
-        else:
-            yield from self._aparts(goal)
-            yield from self._throughs(goal)
 
     def producers(self, ask: Ask) -> Iterator[TransformationDescription]:
         """The transformations whose output is the feature or a sub-feature of it, in order."""

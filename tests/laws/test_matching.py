@@ -46,10 +46,6 @@ from dyknow.ontology.units import conversion, format_unit, parse_unit
 from dyknow.ontology.vocabulary import SELF, Vocabulary
 from dyknow.rdf.namespaces import DYKNOW, OWL, RDF, RDFS, STREAM_SPACE
 
-OPTIMA = True
-"""Whether *cost*, *quality* and *weighted* are there to be tested."""
-optima = pytest.mark.skipif(not OPTIMA, reason="only the strategy fast is written yet")
-
 LIMITS = settings(deadline=None, max_examples=150)
 FEWER = settings(deadline=None, max_examples=60)
 SORTS = {"Thing": (), "UAV": ("Thing",), "RMAX": ("UAV", "Thing"), "Car": ("Thing",)}
@@ -717,7 +713,6 @@ compunit t transforms c:c(UAV) to v:b(UAV, Car)""",
         """
 stream s contains b(UAV)=x for every UAV=id""",
     ),
-    # FAILS (with a name for self): self as a further argument is not called by its name.
     "self is called by its name everywhere": (
         wanted("b", "UAV", None, only("self")),
         """
@@ -818,7 +813,6 @@ compunit cd transforms i:d(Thing) to v:c(Thing)
         3,
         5.0,
     ),
-    # WILL FAIL: `weigh` counts two synchronizations, one a goal.
     # Three streams of two kinds of objects meet in one synchronization.
     (
         """
@@ -836,7 +830,6 @@ compunit one transforms i:b(UAV) to v:a(UAV)
         2,
         2.0,
     ),
-    # WILL FAIL: `weigh` counts the unit once a goal, and a synchronization.
     # What gives b1 gives b too: one unit, one stream, no synchronization.
     (
         """
@@ -853,7 +846,6 @@ compunit one transforms i:d(Thing) to v:a(Thing)
         2,
         2.0,
     ),
-    # WILL FAIL: `weigh` leaves the selection out.
     # One of many objects that a unit finds is selected, and that is one more unit.
     (
         """
@@ -890,7 +882,6 @@ def test_the_definition_lists_all_plans(
     assert found == pytest.approx(best)
 
 
-@optima
 @pytest.mark.parametrize(
     ("text", "sort", "object", "costs", "qualities", "strategy", "count", "best"), KNOWN
 )
@@ -926,7 +917,6 @@ STRATEGIES = [
 ]
 
 
-@optima
 @pytest.mark.parametrize("strategy", STRATEGIES)
 @FEWER
 @given(problem=problems(most=5))
@@ -956,7 +946,6 @@ def test_what_is_best_is_found(strategy, problem):
         assume(False)
 
 
-@optima
 @FEWER
 @given(problems(most=5))
 def test_a_selection_that_runs_costs_nothing(problem):
@@ -977,7 +966,6 @@ def test_a_selection_that_runs_costs_nothing(problem):
         assume(False)
 
 
-@optima
 @FEWER
 @given(problems(most=4), st.data())
 def test_what_several_wants_need_counts_once(problem, data):

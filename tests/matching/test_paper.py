@@ -13,10 +13,6 @@ from dyknow.matching.want import Want
 from dyknow.ontology.ontology import Ontology
 from dyknow.rdf.namespaces import DYKNOW
 
-OPTIMA = True
-"""Whether *cost*, *quality* and *weighted* are there to be tested."""
-optima = pytest.mark.skipif(not OPTIMA, reason="only the strategy fast is written yet")
-
 ONTOLOGY = """
 @prefix : <http://www.dyknow.eu/ontology#> .
 @prefix dyknow: <http://www.ida.liu.se/dyknow/> .
@@ -159,7 +155,6 @@ def test_an_rmax_is_no_human(vocabulary, space):
     assert {a.outcome for a in found.tree} == {Outcome.FAILED}
 
 
-@optima
 @pytest.mark.parametrize("whose", ["self", "Human"])
 @pytest.mark.parametrize(
     ("strategy", "chosen", "left_out"),
