@@ -13,7 +13,17 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 from ..languages.ssl.annotation import Content, Role, StreamAnnotation
-from ..matching.plan import Compute, Detect, Node, Supply, SupplySource, UseStream, nodes_of, ssl_of
+from ..matching.plan import (
+    Compute,
+    Detect,
+    Node,
+    Supply,
+    SupplySource,
+    UseStream,
+    nodes_of,
+    nodes_of_supply,
+    ssl_of,
+)
 from ..matching.strategy import Kind, Strategy
 from ..matching.subject import Sorts, Subject
 from ..matching.want import Want
@@ -212,11 +222,6 @@ def behind(unit: MergeUnit, configuration: Configuration) -> Iterator[str]:
     for part in configuration.units_behind(unit):
         for source in part.inputs:
             yield source.name
-
-
-def nodes_of_supply(supply: Supply) -> tuple[Node, ...]:
-    """The nodes of a plan, inputs first; one that is needed twice may come twice."""
-    return tuple(node for source in supply.sources for node in nodes_of(source.node))
 
 
 def transformations_of(nodes: Iterable[Node]) -> frozenset[str]:

@@ -14,7 +14,7 @@ from functools import partial
 from itertools import count
 from typing import TypeAlias
 
-from ..matching.plan import Supply, UseStream
+from ..matching.plan import Supply, UseStream, nodes_of_supply
 from ..matching.space import StreamSpace, TransformationDescription
 from ..matching.strategy import Kind
 from ..ontology.ontology import Ontology
@@ -27,7 +27,6 @@ from .adaptive import (
     Wish,
     behind,
     names_of,
-    nodes_of_supply,
     transformations_of,
 )
 from .changes import Change, ChangeKind

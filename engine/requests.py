@@ -16,7 +16,7 @@ from pyoxigraph import Literal, Variable
 from ..languages.csparql.ast import ContinuousQuery, EventRequest, Template
 from ..languages.ssl.annotation import StreamAnnotation
 from ..matching.match import Match, UnknownStrategy, match_all
-from ..matching.plan import UseStream, nodes_of
+from ..matching.plan import UseStream, nodes_of_supply
 from ..matching.space import StreamSpace
 from ..ontology.ontology import Ontology
 from ..rdf.dictionary import TermDictionary
@@ -243,8 +243,7 @@ class EventRequests:
             node.stream in streams and streams[node.stream].contents == node.contents
             for match in running.matches
             if match.supply is not None
-            for source in match.supply.sources
-            for node in nodes_of(source.node)
+            for node in nodes_of_supply(match.supply)
             if isinstance(node, UseStream)
         )
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from ..languages.ssl.annotation import Content, PortAnnotation
-from ..matching.building import computed, gathered, many_roles, synchronized
+from ..matching.building import computed, gathered, many_roles, numbered, synchronized
 from ..matching.plan import Compute, Edge, Node, Port, SelectObject, Synchronize, UseStream
 from ..matching.space import TransformationDescription
 from ..matching.subject import Roles, Sorts
@@ -112,7 +112,7 @@ def together(pieces: Sequence[Piece]) -> Synchronize:
             )
         by_roles: dict[Roles, list[Port]] = {}
         for content in piece.contents:
-            target = _free(content.field, taken)
+            target = numbered(content.field, taken)
             taken.add(target)
             unit = content.unit
             port = Port(content.field, target, content.feature, unit, unit, IDENTITY)
@@ -283,11 +283,3 @@ def _check_many(edges: Sequence[Edge]) -> None:
 
 def _known_fields(piece: Piece) -> str:
     return f"its fields are {', '.join(piece.fields)}" if piece.fields else "it has no fields yet"
-
-
-def _free(field: str, taken: set[str]) -> str:
-    name, number = field, 1
-    while name in taken:
-        number += 1
-        name = f"{field}_{number}"
-    return name

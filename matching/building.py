@@ -203,7 +203,7 @@ def synchronized(feeds: Sequence[Edge]) -> Edge:
         own: dict[str, Port] = {}
         for port in feed.ports:
             if port.source_field not in own:
-                name = _numbered(port.target_field, taken)
+                name = numbered(port.target_field, taken)
                 taken.add(name)
                 own[port.source_field] = replace(
                     port, target_field=name, target=port.source, conversion=IDENTITY
@@ -279,7 +279,7 @@ def many_roles(feed: Edge) -> Roles:
     return tuple(role for role in feed.roles if role.object is None)
 
 
-def _numbered(field: str, taken: set[str]) -> str:
+def numbered(field: str, taken: set[str]) -> str:
     """``v``, or ``v_2`` where there is a ``v`` already."""
     name, number = field, 2
     while name in taken:

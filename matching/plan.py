@@ -272,15 +272,18 @@ def below_of(node: Node) -> tuple[Node, ...]:
             assert_never(node)
 
 
+def nodes_of_supply(supply: Supply) -> tuple[Node, ...]:
+    """The nodes of all sources, each once, inputs first."""
+    found: dict[Node, None] = {}
+    for source in supply.sources:
+        found |= dict.fromkeys(nodes_of(source.node))
+    return tuple(found)
+
+
 def streams_of(supply: Supply) -> tuple[str, ...]:
     """Names of the existing streams that the supply rests on, each once, in order of use."""
-    names = (
-        node.stream
-        for source in supply.sources
-        for node in nodes_of(source.node)
-        if isinstance(node, UseStream)
-    )
-    return tuple(dict.fromkeys(names))
+    nodes = nodes_of_supply(supply)
+    return tuple(dict.fromkeys(node.stream for node in nodes if isinstance(node, UseStream)))
 
 
 def local_name(iri: str) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 
 from .plan import (
     Compute,
@@ -13,7 +13,7 @@ from .plan import (
     Synchronize,
     UseStream,
     below_of,
-    nodes_of,
+    nodes_of_supply,
 )
 from .space import StreamSpace
 from .strategy import Kind, Strategy
@@ -26,7 +26,7 @@ def quality_of(supply: Supply, space: StreamSpace) -> float:
     """The least quality of its sources: each is as good as its unit, times the worst of its
     inputs. What is no longer in the space counts as 0."""
     qualities: dict[Node, float] = {}
-    for node in _nodes(supply):
+    for node in nodes_of_supply(supply):
         below = min((qualities[part] for part in below_of(node)), default=1.0)
         qualities[node] = _own_quality(node, space) * below
     return min(qualities[source.node] for source in supply.sources)
@@ -36,7 +36,9 @@ def cost_of(
     supply: Supply, space: StreamSpace, is_running: Callable[[Node], bool] = NOTHING
 ) -> float:
     """The sum of the costs of its distinct units that do not run yet."""
-    return sum(_own_cost(node, space, 0.0) for node in _nodes(supply) if not is_running(node))
+    return sum(
+        _own_cost(node, space, 0.0) for node in nodes_of_supply(supply) if not is_running(node)
+    )
 
 
 def weight_of(
@@ -50,17 +52,10 @@ def weight_of(
     if strategy.kind is Kind.QUALITY:
         return 1.0 - quality_of(supply, space)
     total = 0.0
-    for node in _nodes(supply):
+    for node in nodes_of_supply(supply):
         cost = 0.0 if is_running(node) else _own_cost(node, space, strategy.subscribers)
         total += strategy.weight(cost, _own_quality(node, space))
     return total
-
-
-def _nodes(supply: Supply) -> Iterable[Node]:
-    found: dict[Node, None] = {}
-    for source in supply.sources:
-        found |= dict.fromkeys(nodes_of(source.node))
-    return found
 
 
 def _own_quality(node: Node, space: StreamSpace) -> float:
