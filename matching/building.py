@@ -143,13 +143,11 @@ class Builder:
             found, asks = next(part for part in self._built[through.needs[j]] if k in part[1])
             output = found.outputs[asks.index(k)]
             fed.append((found.node, found.roles, make_port(output, port.field, port.unit)))
-        edges, places = gathered(fed)
-        if len(edges) > 1:
+        if len({(node, roles) for node, roles, _ in fed}) > 1:
             # Of what further arguments speak, nothing says how it meets the other streams.
-            for (j, _), place in zip(through.feeds, places, strict=True):
-                wanted = len(through.needs[j].subjects)
-                edges[place] = replace(edges[place], roles=edges[place].roles[:wanted])
-        return edges, places
+            counts = [len(through.needs[j].subjects) for j, _ in through.feeds]
+            fed = [(n, roles[:count], p) for (n, roles, p), count in zip(fed, counts, strict=True)]
+        return gathered(fed)
 
 
 def gathered(fed: Sequence[tuple[Node, Roles, Port]]) -> tuple[list[Edge], list[int]]:

@@ -22,6 +22,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import islice, product
 from typing import NamedTuple, TypeAlias
 
 from ..languages.ssl.annotation import Argument, Content, Role
@@ -40,6 +41,8 @@ from .want import Want
 
 PARTICIPANTS = 64
 """Objects that are tried, at most, where a transformation takes any object of a sort."""
+COMBINED = 4096
+"""Combinations of parts that are tried, at most, where several subjects are wanted at once."""
 
 
 class Goal(NamedTuple):
@@ -134,15 +137,16 @@ class Goals:
 
     def parts(self, goal: Goal) -> tuple[Goal, ...]:
         """The same for parts of what is wanted, where no stream gives all of it; in order of
-        trying. Cost: what leads to the feature is looked through once."""
-        features = frozenset(ask.feature for ask in goal.asks)
-        first, *others = goal.subjects
-        parts: dict[Subject, None] = {}
-        for held in self._subjects(features):
-            part = self.sorts.part(held, first)
-            if part is not None and part != first:
-                parts[part] = None
-        return tuple(Goal(goal.asks, (part, *others)) for part in parts)
+        trying. Cost: what leads to the feature is looked through once for each subject."""
+        held = self._subjects(frozenset(ask.feature for ask in goal.asks))
+        choices = []
+        for wanted in goal.subjects:
+            parts = (self.sorts.part(each, wanted) for each in held)
+            choices.append(dict.fromkeys((wanted, *(part for part in parts if part is not None))))
+        combined = islice(product(*choices), 1, None)  # the first is the whole
+        if len(choices) > 1:
+            combined = islice(combined, COMBINED)
+        return tuple(Goal(goal.asks, subjects) for subjects in combined)
 
     # -- alternatives ------------------------------------------------------------------------
 
@@ -466,13 +470,13 @@ class Goals:
         found: dict[Subject, None] = {}
         waiting, seen = sorted(features), set(features)
         for feature in waiting:
-            serving = self.serving(feature)
-            for name in (name for served in serving for name in space.holding(served)):
-                if name in self.without:
-                    continue
-                for content in space.streams[name].contents:
-                    if content.feature in serving:
-                        found |= dict.fromkeys(map(_held, content.roles))
+            for served in self.serving(feature):
+                for name in space.holding(served):
+                    if name in self.without:
+                        continue
+                    for content in space.streams[name].contents:
+                        if content.feature == served:
+                            found |= dict.fromkeys(map(_held, content.roles))
             for unit in self.producers(Ask(feature, None)):
                 for argument in unit.arguments:
                     if argument.object is not None:

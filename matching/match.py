@@ -12,11 +12,13 @@ no sample counts twice.
 from __future__ import annotations
 
 import gc
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import chain
+from typing import TypeAlias
 
 from ..ontology.vocabulary import Vocabulary
 from .building import Builder, source_of
@@ -27,7 +29,7 @@ from .plan import Node, Supply
 from .render import render
 from .space import StreamSpace
 from .strategy import Kind, Strategy, UnknownStrategy
-from .subject import Sorts, Subject
+from .subject import Sorts, Subjects
 from .tree import Alternative, Match, Outcome
 from .want import Want
 from .weigh import weigh
@@ -153,18 +155,31 @@ def _needed(goals: Goals, search: FastSearch, want: Want) -> _Needed:
 
 def _widest(sorts: Sorts, parts: Sequence[Goal]) -> Sequence[Goal]:
     """Those whose objects no other covers; of equals the first."""
-    # Only a sort can cover more than itself, and sorts are few where objects may be many.
-    wide = [(i, part.subjects[0]) for i, part in enumerate(parts) if part.subjects[0].sort]
+    # Only a sort covers other objects, and sorts are few where objects may be many.
+    wide: list[int] = []
+    alike: defaultdict[_Objects, list[int]] = defaultdict(list)
+    for place, part in enumerate(parts):
+        objects = tuple(subject.object for subject in part.subjects)
+        alike[objects].append(place)
+        if None in objects:
+            wide.append(place)
 
-    def is_covered(place: int, subject: Subject) -> bool:
-        return any(
-            i != place
-            and sorts.covers(other, subject)
-            and (i < place or not sorts.covers(subject, other))
-            for i, other in wide
-        )
+    def covers(wider: Subjects, narrower: Subjects) -> bool:
+        return all(map(sorts.covers, wider, narrower))
 
-    return [part for i, part in enumerate(parts) if not is_covered(i, part.subjects[0])]
+    def is_covered(place: int, subjects: Subjects) -> bool:
+        for i in chain(wide, alike[tuple(subject.object for subject in subjects)]):
+            other = parts[i].subjects
+            is_wider = i != place and covers(other, subjects)
+            if is_wider and (i < place or not covers(subjects, other)):
+                return True
+        return False
+
+    return [part for i, part in enumerate(parts) if not is_covered(i, part.subjects)]
+
+
+_Objects: TypeAlias = tuple[str | None, ...]
+"""The objects of several subjects; None for every object of a sort."""
 
 
 def _choose(

@@ -15,6 +15,7 @@ Where the text leaves it open:
 """
 
 from collections import namedtuple
+from itertools import product
 
 from dyknow.ontology.units import UnitError, conversion
 from dyknow.ontology.vocabulary import SELF, THING
@@ -242,9 +243,9 @@ class Definition:
             # Two variables that mean every UAV are not the same UAV; one object is one object.
             many = [a.variable for a, s in zip(arguments, whose, strict=False) if s.object is None]
             needs.setdefault((tuple(many), whose), []).append(number)
-        of_many = [set(many) for many, _ in needs if many]
+        of_many = {frozenset(many) for many, _ in needs if many}
         kept = {a.variable for a in t.arguments if a.id_field is None}
-        if len(needs) > 1 and of_many and (len(of_many) > 1 or not of_many[0] <= kept):
+        if len(needs) > 1 and (len(of_many) > 1 or not all(many <= kept for many in of_many)):
             return None
         return tuple(
             (Goal(asks_of(t, numbers), whose), tuple(numbers))
@@ -407,13 +408,12 @@ class Definition:
     def parts(self, want):
         """The parts of a want that are tried, as goals."""
         whole = self.whole(want)
-        wanted, *others = whole.subjects
-        found = {}
-        for held in self.spoken_of([want.feature]):
-            part = self.part(held, wanted)
-            if part is not None and part != wanted:
-                found[part] = None
-        return [Goal(whole.asks, (part, *others)) for part in found]
+        spoken_of = self.spoken_of([want.feature])
+        choices = []
+        for wanted in whole.subjects:
+            parts = [self.part(held, wanted) for held in spoken_of]
+            choices.append(dict.fromkeys([wanted, *filter(None, parts)]))
+        return [Goal(whole.asks, each) for each in product(*choices) if each != whole.subjects]
 
     def part(self, held, wanted):
         """ "Narrower sorts, single objects, or an unknown object taken to be of a sort"."""
@@ -454,11 +454,13 @@ class Definition:
     def widest(self, goals):
         """Of parts that cover each other the first is taken."""
 
+        def covers(wider, narrower):
+            return all(map(self.covers, wider.subjects, narrower.subjects))
+
         def is_covered(i, goal):
-            (mine, *_), others = goal.subjects, [g.subjects[0] for g in goals]
             return any(
-                self.covers(other, mine) and (k < i or not self.covers(mine, other))
-                for k, other in enumerate(others)
+                covers(other, goal) and (k < i or not covers(goal, other))
+                for k, other in enumerate(goals)
                 if k != i
             )
 
