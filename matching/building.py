@@ -143,24 +143,38 @@ class Builder:
             found, asks = next(part for part in self._built[through.needs[j]] if k in part[1])
             output = found.outputs[asks.index(k)]
             fed.append((found.node, found.roles, make_port(output, port.field, port.unit)))
-        if len({(node, roles) for node, roles, _ in fed}) > 1:
-            # Of what further arguments speak, nothing says how it meets the other streams.
-            counts = [len(through.needs[j].subjects) for j, _ in through.feeds]
-            fed = [(n, roles[:count], p) for (n, roles, p), count in zip(fed, counts, strict=True)]
-        return gathered(fed)
+        return gathered(fed, [len(through.needs[j].subjects) for j, _ in through.feeds])
 
 
-def gathered(fed: Sequence[tuple[Node, Roles, Port]]) -> tuple[list[Edge], list[int]]:
+def gathered(
+    fed: Sequence[tuple[Node, Roles, Port]], wanted: Sequence[int] | None = None
+) -> tuple[list[Edge], list[int]]:
     """What feeds the inputs of a unit, each stream once, and which of it feeds which.
 
-    ``fed[i]`` is the node, the roles of what it holds, and the port that feed input ``i``.
+    ``fed[i]`` is the node, the roles of what it holds, and the port that feed input ``i``. Where
+    several streams meet, input ``i`` speaks of the first ``wanted[i]`` roles: of what further ones
+    speak, nothing says how it meets the other streams.
     """
-    ports: dict[tuple[Node, Roles], list[Port]] = {}
-    for node, roles, port in fed:
-        ports.setdefault((node, roles), []).append(port)
-    order = list(ports)
-    edges = [Edge(node, tuple(own), roles) for (node, roles), own in ports.items()]
-    return edges, [order.index((node, roles)) for node, roles, _ in fed]
+    if len(fed) == 1:
+        ((node, roles, port),) = fed
+        return [Edge(node, (port,), roles)], [0]
+    counts = [len(roles) for _, roles, _ in fed]
+    if wanted is not None and len({(node, roles) for node, roles, _ in fed}) > 1:
+        counts = list(wanted)
+    places: dict[tuple[Node, Roles, int], int] = {}
+    ports: list[list[Port]] = []
+    order = []
+    for (node, roles, port), count in zip(fed, counts, strict=True):
+        place = places.setdefault((node, roles, count), len(ports))
+        if place == len(ports):
+            ports.append([])
+        ports[place].append(port)
+        order.append(place)
+    edges = [
+        Edge(node, tuple(own), roles[:count])
+        for (node, roles, count), own in zip(places, ports, strict=True)
+    ]
+    return edges, order
 
 
 def computed(
@@ -174,8 +188,13 @@ def computed(
     taken = {unit.output.field, *_own_fields(unit)}
     found = [argument.id_field is not None for argument in unit.arguments][: len(given)]
     found += [False] * (len(given) - len(found))
+    names: dict[str, str] = {}
+    for role, is_found in zip(given, found, strict=True):
+        if role.id_field is not None and not is_found and role.id_field not in names:
+            names[role.id_field] = _free(role.id_field, taken)
+            taken.add(names[role.id_field])
     roles = tuple(
-        role if is_found else replace(role, id_field=_free(role.id_field, taken))
+        role if is_found or role.id_field is None else _named(role, names[role.id_field])
         for role, is_found in zip(given, found, strict=True)
     )
     carried = tuple(
@@ -203,11 +222,16 @@ def synchronized(feeds: Sequence[Edge]) -> Edge:
             if port.source_field not in own:
                 name = numbered(port.target_field, taken)
                 taken.add(name)
-                own[port.source_field] = replace(
-                    port, target_field=name, target=port.source, conversion=IDENTITY
+                own[port.source_field] = Port(
+                    port.source_field, name, port.feature, port.source, port.source, IDENTITY
                 )
-            ports.append(replace(port, source_field=own[port.source_field].target_field))
-        edges.append(replace(feed, ports=tuple(own.values())))
+            name = own[port.source_field].target_field
+            ports.append(
+                Port(
+                    name, port.target_field, port.feature, port.source, port.target, port.conversion
+                )
+            )
+        edges.append(Edge(feed.node, tuple(own.values()), feed.roles))
     return Edge(Synchronize(tuple(edges), first), tuple(ports), first)
 
 
@@ -269,7 +293,7 @@ def _selected(found: Found, subjects: Subjects, fields: Collection[str] | None =
             node = SelectObject(node, field, object)
             role = replace(role, object=object)
         roles.append(role)
-    return replace(found, node=node, roles=tuple(roles))
+    return found if node is found.node else replace(found, node=node, roles=tuple(roles))
 
 
 def many_roles(feed: Edge) -> Roles:
@@ -285,8 +309,13 @@ def numbered(field: str, taken: set[str]) -> str:
     return name
 
 
-def _free(field: str | None, taken: set[str]) -> str | None:
-    while field is not None and field in taken:
+def _named(role: Role, field: str) -> Role:
+    """The same, named by ``field``."""
+    return role if role.id_field == field else replace(role, id_field=field)
+
+
+def _free(field: str, taken: set[str]) -> str:
+    while field in taken:
         field += "_of"
     return field
 

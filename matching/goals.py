@@ -20,7 +20,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass
 from functools import lru_cache
 from itertools import islice, product
 from typing import NamedTuple, TypeAlias
@@ -57,8 +56,7 @@ class Goal(NamedTuple):
     joined: bool = False
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Offer:
+class Offer(NamedTuple):
     """A stream that holds all that is asked for; ``contents`` one an ask, all of the same roles."""
 
     stream: StreamDescription
@@ -69,8 +67,7 @@ class Offer:
         return self.contents[0].roles
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Through:
+class Through(NamedTuple):
     """A transformation fed with ``needs``: input ``i`` with ask ``k`` of ``needs[j]``, where
     ``feeds[i]`` is ``(j, k)``."""
 
@@ -79,8 +76,7 @@ class Through:
     feeds: tuple[tuple[int, int], ...]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Apart:
+class Apart(NamedTuple):
     """Several asks answered by different streams; ``needs[j]`` answers those at ``places[j]``."""
 
     needs: tuple[Goal, ...]
@@ -90,6 +86,8 @@ class Apart:
 Answer: TypeAlias = Offer | Through | Apart
 
 _Binding: TypeAlias = Mapping[str, Subject]
+_Said: TypeAlias = Mapping[str | None, Subject]
+"""What is said of the objects of a goal: it holds for them in its inputs, too."""
 _Features: TypeAlias = tuple[str, ...]
 _Group: TypeAlias = tuple[tuple[str, ...], Subjects]
 """Inputs of the same objects: the arguments that are many, and whom all of them mean."""
@@ -118,7 +116,7 @@ class Goals:
         self._offers: dict[Goal, tuple[Offer, ...]] = {}
         self._ways: dict[Goal, tuple[Through | Apart, ...]] = {}
         self._serving: dict[str, _Features] = {}
-        self._held_together: dict[tuple[Ask, ...], bool] = {}
+        self._holders: dict[str, frozenset[str]] = {}
         self._known: dict[frozenset[str], tuple[Subject, ...]] = {}
 
     # -- what is asked -----------------------------------------------------------------------
@@ -291,16 +289,16 @@ class Goals:
         if not unit.inputs:
             yield Through(unit, (), ())
             return
-        for binding in self._bindings(unit, bound):
-            needs = self._needs(unit, binding)
+        said: _Said = {subject.object: subject for subject in goal.subjects if subject.object}
+        for binding in self._bindings(unit, bound, said):
+            needs = self._needs(unit, binding, said)
             if needs is not None:
                 yield Through(unit, *needs)
 
     def _gives(self, unit: TransformationDescription, ask: Ask) -> bool:
         return (
-            unit.output.feature in self.serving(ask.feature)
-            and why_not_convertible(unit.output_unit, ask.unit) == ""
-        )
+            unit.output.feature == ask.feature or unit.output.feature in self.serving(ask.feature)
+        ) and (unit.output_unit == ask.unit or not why_not_convertible(unit.output_unit, ask.unit))
 
     def _bind(self, arguments: Sequence[Argument], subjects: Subjects) -> _Binding | None:
         """What the arguments of an output are, for it to speak of ``subjects``; None: never."""
@@ -323,7 +321,9 @@ class Goals:
                 return None
         return binding
 
-    def _bindings(self, unit: TransformationDescription, bound: _Binding) -> Iterator[_Binding]:
+    def _bindings(
+        self, unit: TransformationDescription, bound: _Binding, said: _Said
+    ) -> Iterator[_Binding]:
         """``bound`` with every choice for what is not bound."""
         free: dict[str, list[str]] = {}
         features: dict[str, set[str]] = {}
@@ -337,12 +337,13 @@ class Goals:
             return
         variable, *_ = free
         count = 0
-        for subject in self._participants(frozenset(features[variable])):
+        for participant in self._participants(frozenset(features[variable])):
             if count == PARTICIPANTS:
                 return
+            subject = said.get(participant.object, participant)
             if all(self.sorts.belongs(subject, sort) for sort in free[variable]):
                 count += 1
-                yield from self._bindings(unit, {**bound, variable: subject})
+                yield from self._bindings(unit, {**bound, variable: subject}, said)
 
     def _participants(self, features: frozenset[str]) -> Iterator[Subject]:
         """Objects and sorts that there may be streams of: ``self`` first."""
@@ -351,14 +352,14 @@ class Goals:
         yield from (subject for subject in self._subjects(features) if subject != own)
 
     def _needs(
-        self, unit: TransformationDescription, binding: _Binding
+        self, unit: TransformationDescription, binding: _Binding, said: _Said
     ) -> tuple[tuple[Goal, ...], tuple[tuple[int, int], ...]] | None:
         """The goals of the inputs, those of the same objects together, and what feeds which."""
         groups: dict[_Group, dict[Ask, None]] = {}
         wanted: list[tuple[_Group, Ask]] = []
         for port, place in zip(unit.inputs, unit.fed, strict=True):
             arguments = port.arguments or unit.arguments
-            own = self._port_subjects(arguments, binding)
+            own = self._port_subjects(arguments, binding, said)
             if own is None:
                 return None
             pairs = zip(arguments, own, strict=True)
@@ -398,18 +399,22 @@ class Goals:
     def _may_be_held_together(self, asks: tuple[Ask, ...]) -> bool:
         """Whether there may be a stream that holds two of the features, or a unit whose output is
         both."""
-        found = self._held_together.get(asks)
+        first, *others = asks
+        seen = self._where(first.feature)
+        for ask in others:
+            names = self._where(ask.feature)
+            if not seen.isdisjoint(names):
+                return True
+            seen = seen | names
+        return False
+
+    def _where(self, feature: str) -> frozenset[str]:
+        """The feature and its sub-features, and the streams that hold them."""
+        found = self._holders.get(feature)
         if found is None:
-            seen: set[str] = set()
-            found = False
-            for ask in asks:
-                serving = self.serving(ask.feature)
-                names = list(serving)
-                for feature in serving:
-                    names.extend(self.space.holding(feature))
-                found = found or not seen.isdisjoint(names)
-                seen.update(names)
-            self._held_together[asks] = found
+            serving = self.serving(feature)
+            streams = (name for served in serving for name in self.space.holding(served))
+            found = self._holders[feature] = frozenset((*serving, *streams))
         return found
 
     def _is_clear(self, unit: TransformationDescription, kinds: set[tuple[str, ...]]) -> bool:
@@ -419,11 +424,14 @@ class Goals:
         own = {argument.variable for argument in unit.arguments if argument.id_field is None}
         return len(kinds) == 1 and all(set(variables) <= own for variables in kinds)
 
-    def _port_subjects(self, arguments: Sequence[Argument], binding: _Binding) -> Subjects | None:
+    def _port_subjects(
+        self, arguments: Sequence[Argument], binding: _Binding, said: _Said
+    ) -> Subjects | None:
         own = []
         for argument in arguments:
             if argument.object is not None:
-                own.append(Subject(None, self.sorts.canonical(argument.object)))
+                object = self.sorts.canonical(argument.object)
+                own.append(said.get(object, Subject(None, object)))
                 continue
             subject = binding[argument.variable]
             sort = argument.sort or THING

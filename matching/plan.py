@@ -8,8 +8,9 @@ plans that hold equal nodes share it. `match` makes plans, the engine carries th
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields, replace
+from operator import attrgetter
 from typing import TypeAlias, assert_never
 
 from ..languages.ssl.annotation import Content, PortAnnotation, Role, StreamAnnotation
@@ -27,9 +28,18 @@ class _Hashed:
         try:
             return self._hash  # type: ignore[attr-defined,no-any-return]
         except AttributeError:
-            values = tuple(getattr(self, field.name) for field in fields(self))  # type: ignore[arg-type]
-            object.__setattr__(self, "_hash", hash((type(self).__name__, values)))
-            return self._hash  # type: ignore[attr-defined,no-any-return]
+            kind = type(self)
+            values_of = _VALUES.get(kind)
+            if values_of is None:
+                names = (field.name for field in fields(kind))  # type: ignore[arg-type]
+                values_of = _VALUES[kind] = attrgetter(*names)
+            found = hash((kind.__name__, values_of(self)))
+            object.__setattr__(self, "_hash", found)
+            return found
+
+
+_VALUES: dict[type, Callable[[object], tuple[object, ...]]] = {}
+"""What reads the fields of each class of nodes."""
 
 
 @dataclass(frozen=True, slots=True)

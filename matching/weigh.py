@@ -75,9 +75,10 @@ class _Unfolded:
         self._strategy = strategy
         self._is_running = is_running
         self._places: dict[Hashable, int] = {}
+        self._synchronizing = strategy.weight(SYNCHRONIZATION_COST, 1.0)
         self._units: dict[Hashable, int] = {}
         """The first producer of each unit."""
-        self._waiting: list[Goal] = []
+        self._waiting: list[tuple[Goal, int]] = []
         self._derives: list[int] = []
         self._starts: list[int] = [0]
         self._inputs: list[int] = []
@@ -90,14 +91,13 @@ class _Unfolded:
         place = self._places.get(goal)
         if place is None:
             place = self._places[goal] = len(self._places)
-            self._waiting.append(goal)
+            self._waiting.append((goal, place))
         return place
 
     def unfold(self) -> None:
         """Everything below the goals asked for so far."""
         while self._waiting:
-            goal = self._waiting.pop()
-            place = self._places[goal]
+            goal, place = self._waiting.pop()
             for offer in self._goals.offers(goal):
                 weight = self._offer(place, goal, offer)
                 if weight == 0.0 and self._strategy.kind is not Kind.QUALITY:
@@ -123,12 +123,12 @@ class _Unfolded:
         """Parts, and the synchronization of them, unless whoever needs them does that."""
         needs = [self.goal(need) for need in way.needs]
         if not goal.joined:
-            needs = [self._synchronization(way.needs, needs)]
+            needs = [self._synchronization(needs)]
         self._add(place, needs, 0.0, 1.0, (goal, way))
 
-    def _synchronization(self, needs: tuple[Goal, ...], places: list[int]) -> int:
-        weight = self._strategy.weight(SYNCHRONIZATION_COST, 1.0)
-        return self._shared(("synchronize", needs), places, weight, 1.0)
+    def _synchronization(self, needs: list[int]) -> int:
+        # Numbers of goals tell them apart as well as goals do, and are looked up faster.
+        return self._shared(("synchronize", *needs), needs, self._synchronizing, 1.0)
 
     def _through(self, place: int, goal: Goal, way: Through) -> None:
         """A unit, which may give other goals too, and the selection of what it finds."""
@@ -136,14 +136,18 @@ class _Unfolded:
         needs = [self.goal(need) for need in way.needs]
         is_event = isinstance(unit, EventDescription)
         if len(needs) > 1 and not is_event:
-            needs = [self._synchronization(way.needs, needs)]
+            needs = [self._synchronization(needs)]
         weight = self._strategy.weight(unit.cost, unit.quality)
-        key = (unit.name, way.needs, goal.subjects if is_event else ())
-        selections = [
-            (argument.id_field, subject.object)
-            for argument, subject in zip(unit.arguments, goal.subjects, strict=False)
-            if argument.id_field is not None and subject.object is not None
-        ]
+        key: Hashable = (unit.name, *needs, goal.subjects if is_event else ())
+        selections = (
+            [
+                (argument.id_field, subject.object)
+                for argument, subject in zip(unit.arguments, goal.subjects, strict=False)
+                if argument.id_field is not None and subject.object is not None
+            ]
+            if unit.arguments
+            else ()
+        )
         known = self._units.get(key)
         if known is None and not selections:
             self._units[key] = len(self._derives)

@@ -243,6 +243,9 @@ class Problem(NamedTuple):
             lines.append(f"{t.name} : {inputs or '∅'} ⇒ {_port(t.output)} {t.lacks}")
         return "\n  ".join(lines)
 
+    def _repr_pretty_(self, printer, _cycle):
+        printer.text(repr(self))  # Hypothesis would write a tuple of everything
+
 
 def _content(content):
     whose = [f"{r.object or r.sort}={r.id_field}" for r in content.roles]

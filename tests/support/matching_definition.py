@@ -216,10 +216,11 @@ class Definition:
                 return []
         ways = [bound]
         for variable in free_variables(t, bound):
-            ways = [{**way, variable: subject} for way in ways for subject in self.who(t, variable)]
+            who = self.who(t, variable, subjects)
+            ways = [{**way, variable: subject} for way in ways for subject in who]
         return [tuple(way.items()) for way in ways]
 
-    def who(self, t, variable):
+    def who(self, t, variable, subjects):
         """``self`` first, then who is spoken of on the way to the features of ``variable``."""
         features, sorts = set(), set()
         for port in t.inputs:
@@ -228,7 +229,7 @@ class Definition:
                     features.add(port.feature)
                     sorts.add(argument.sort)
         own = Subject(None, self.vocabulary.self_object)
-        found = dict.fromkeys([own, *self.spoken_of(features)])
+        found = dict.fromkeys(as_said(each, subjects) for each in [own, *self.spoken_of(features)])
         return [who for who in found if all(self.belongs(who, sort) for sort in sorts)]
 
     def kinds(self, t, binding, subjects):
@@ -237,7 +238,8 @@ class Definition:
         needs = {}
         for number, port in enumerate(t.inputs):
             arguments = arguments_of(t, port)
-            whose = tuple(self.meant(t, argument, bound) for argument in arguments) or subjects
+            meant = (self.meant(t, argument, bound) for argument in arguments)
+            whose = tuple(each and as_said(each, subjects) for each in meant) or subjects
             if None in whose:
                 return None
             # Two variables that mean every UAV are not the same UAV; one object is one object.
@@ -468,6 +470,11 @@ class Definition:
 
 
 # -- what ports speak of -------------------------------------------------------------------
+
+
+def as_said(subject, subjects):
+    """What the asker said of an object holds wherever it is spoken of."""
+    return next((s for s in subjects if s.object and s.object == subject.object), subject)
 
 
 def arguments_of(t, port):
