@@ -7,7 +7,8 @@ names the objects, and in which unit it is.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 from ..languages.ssl.annotation import Role
 from ..ontology.units import IDENTITY, Unit, conversion, parse_unit
@@ -29,8 +30,7 @@ from .subject import Roles, Sorts, Subjects
 from .want import Want
 
 
-@dataclass(frozen=True, slots=True)
-class Output:
+class Output(NamedTuple):
     """A field of a node's stream, with the feature in it and its unit."""
 
     field: str
@@ -38,8 +38,7 @@ class Output:
     unit: Unit
 
 
-@dataclass(frozen=True, slots=True)
-class Found:
+class Found(NamedTuple):
     """A node that answers asks: ``outputs`` one an ask, all of ``roles``.
 
     ``depth`` is the greatest number of transformations on a path below it, itself included.
@@ -293,7 +292,7 @@ def _selected(found: Found, subjects: Subjects, fields: Collection[str] | None =
             node = SelectObject(node, field, object)
             role = replace(role, object=object)
         roles.append(role)
-    return found if node is found.node else replace(found, node=node, roles=tuple(roles))
+    return found if node is found.node else found._replace(node=node, roles=tuple(roles))
 
 
 def many_roles(feed: Edge) -> Roles:

@@ -11,7 +11,7 @@ import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields, replace
 from operator import attrgetter
-from typing import TypeAlias, assert_never
+from typing import NamedTuple, TypeAlias, assert_never
 
 from ..languages.ssl.annotation import Content, PortAnnotation, Role, StreamAnnotation
 from ..ontology.units import Conversion, Unit, format_unit
@@ -68,8 +68,7 @@ class SelectObject(_Hashed):
     __hash__ = _Hashed.__hash__
 
 
-@dataclass(frozen=True, slots=True)
-class Port:
+class Port(NamedTuple):
     """A field of a node's stream feeds a field of the consumer, with the change of unit.
 
     ``feature`` is what the stream says the field holds; it is, or is a sub-feature of, what the

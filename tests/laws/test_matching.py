@@ -364,7 +364,7 @@ class Checker:
             assert (first.target, first.feature) == (second.source, second.feature)
             # Tuples hold values as the streams do; whoever reads them converts.
             assert first.conversion.is_identity
-            whole = replace(second, source_field=first.source_field)
+            whole = second._replace(source_field=first.source_field)
             leaves.append(((i.feature, i.unit), below.node, below.roles, whole))
         return leaves
 
