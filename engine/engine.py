@@ -16,6 +16,7 @@ from ..languages.csparql import parse_argument, parse_event_request
 from ..languages.csparql.ast import EventRequest, Template
 from ..languages.kpl import parse_policy
 from ..languages.ssl.annotation import CheckedAnnotation, Content, StreamAnnotation
+from ..matching.uncollected import uncollected
 from ..ontology.ontology import Ontology
 from ..ontology.reading import TextFormat
 from ..rdf.dictionary import TermDictionary
@@ -315,7 +316,7 @@ class Engine:
             return
         self._measured = self._now
         streams = tuple(self._configuration.streams.items())
-        with self._manager.together():
+        with uncollected(), self._manager.together():
             self._manager.count_subscribers((name, each.subscribers) for name, each in streams)
             self._manager.measure_rates((name, rate_of(each)) for name, each in streams)
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import lru_cache
 from urllib.parse import quote
 
 from pyoxigraph import Literal, NamedNode, Triple
@@ -24,10 +25,15 @@ from ..rdf.namespaces import RDF_TYPE, STREAM_SPACE
 from .changes import Change, ChangeKind, KnownTransformation
 
 
+@lru_cache(maxsize=65_536)
 def term(name: str) -> NamedNode:
     """A term of the stream space: of the ontology, or an individual by its name, of which what an
     IRI cannot have is percent-encoded (``speed%5Bcar1%5D``)."""
     return NamedNode(STREAM_SPACE + quote(name, safe=""))
+
+
+_HAS_RATE = term("hasRate")
+_HAS_SUBSCRIBER_COUNT = term("hasSubscriberCount")
 
 
 class SemanticsManager:
@@ -144,14 +150,21 @@ class SemanticsManager:
         self._assert(("rate", stream), ())
 
     def measure_rates(self, rates: Iterable[tuple[str, float]]) -> None:
-        """Mirror how many samples a second each stream has, to two digits."""
-        rounded = ((name, float(f"{rate:.2g}")) for name, rate in rates)
-        changed = [(name, rate) for name, rate in rounded if self._rates.get(name) != rate]
+        """Mirror how many samples a second each stream has, to two digits.
+
+        A rate that has moved by less than one in twenty stays as it is: what differs by chance
+        alone would be written again and again.
+        """
+        changed = [(name, rate) for name, rate in rates if self._has_moved(name, rate)]
         with self.together():
             for name, rate in changed:
                 self._rates[name] = rate
-                measured = Triple(term(name), term("hasRate"), Literal(rate))
+                measured = Triple(term(name), _HAS_RATE, Literal(float(f"{rate:.2g}")))
                 self._assert(("rate", name), (measured,))
+
+    def _has_moved(self, stream: str, rate: float) -> bool:
+        before = self._rates.get(stream)
+        return before is None or abs(rate - before) > before / 20
 
     def count_subscribers(self, counts: Iterable[tuple[str, int]]) -> None:
         """Mirror how many subscribers each stream has. Cost: a look at each, and what changed."""
@@ -159,7 +172,7 @@ class SemanticsManager:
         with self.together():
             for name, count in changed:
                 self._subscribers[name] = count
-                counted = Triple(term(name), term("hasSubscriberCount"), Literal(count))
+                counted = Triple(term(name), _HAS_SUBSCRIBER_COUNT, Literal(count))
                 self._assert(("subscribers", name), (counted,))
 
     def assertions(self) -> frozenset[Triple]:

@@ -11,11 +11,9 @@ no sample counts twice.
 
 from __future__ import annotations
 
-import gc
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
-from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import chain
 from typing import TypeAlias
@@ -31,6 +29,7 @@ from .space import StreamSpace
 from .strategy import Kind, Strategy, UnknownStrategy
 from .subject import Sorts, Subjects
 from .tree import Alternative, Match, Outcome
+from .uncollected import uncollected
 from .want import Want
 from .weigh import weigh
 
@@ -70,23 +69,10 @@ def match_all(
     trees are left out. Raises `UnknownStrategy`. Law: the same arguments give equal matches.
     """
     chosen = Strategy.parse(strategy)
-    with _uncollected():
+    with uncollected():
         return _match_all(
             wants, space, vocabulary, chosen, without, is_running, explained=explained
         )
-
-
-@contextmanager
-def _uncollected() -> Iterator[None]:
-    """Without Python's collector: a match makes many small values and drops few of them, and a
-    large stream space would be walked through again and again for nothing."""
-    was_enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if was_enabled:
-            gc.enable()
 
 
 def _match_all(

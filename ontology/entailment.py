@@ -12,8 +12,9 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import TypeAlias
 
-from pyoxigraph import Literal, NamedNode, Triple
+from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
 from ..rdf.namespaces import OWL, RDF_TYPE, RDFS
 
@@ -30,6 +31,10 @@ class _Consequences:
     object: frozenset[NamedNode]
 
 
+Kinds: TypeAlias = tuple[NamedNode | BlankNode, frozenset[NamedNode]]
+"""A node and the classes that it is of."""
+
+
 class Rules:
     """The schema of a closed ontology as rules on single triples.
 
@@ -44,6 +49,7 @@ class Rules:
         self._domains: dict[NamedNode, set[NamedNode]] = defaultdict(set)
         self._ranges: dict[NamedNode, set[NamedNode]] = defaultdict(set)
         self._known: dict[NamedNode, _Consequences] = {}
+        self._proper: dict[NamedNode, frozenset[NamedNode]] = {}
         for triple in schema:
             self._learn(triple)
 
@@ -68,20 +74,32 @@ class Rules:
 
     def entail(self, triple: Triple) -> set[Triple]:
         """All triples that the rules derive from this one, without itself."""
+        derived, kinds = self.derive(triple)
+        derived.update(Triple(node, RDF_TYPE, c) for node, classes in kinds for c in classes)
+        derived.discard(triple)
+        return derived
+
+    def derive(self, triple: Triple) -> tuple[set[Triple], tuple[Kinds, ...]]:
+        """What `entail` derives, with what nodes are by classes and not by triples: many triples
+        say the same of a node. Of a type triple the classes may be its own."""
         subject, object = triple.subject, triple.object
         assert not isinstance(subject, Triple)  # read_triples and mirror take RDF 1.1 only
         if triple.predicate == RDF_TYPE and isinstance(object, NamedNode):
-            derived = {Triple(subject, RDF_TYPE, c) for c in self._superclasses.get(object, _NONE)}
-        else:
-            rules = self._consequences(triple.predicate)
-            derived = {Triple(subject, p, object) for p in rules.along}
-            derived.update(Triple(subject, RDF_TYPE, c) for c in rules.subject)
-            # A literal is no subject in RDF, so nothing is said of it.
-            if not isinstance(object, Literal | Triple):
-                derived.update(Triple(object, p, subject) for p in rules.back)
-                derived.update(Triple(object, RDF_TYPE, c) for c in rules.object)
+            return set(), ((subject, self._above(object)),)
+        rules = self._consequences(triple.predicate)
+        derived = {Triple(subject, p, object) for p in rules.along if p != triple.predicate}
+        # A literal is no subject in RDF, so nothing is said of it.
+        if isinstance(object, Literal | Triple):
+            return derived, ((subject, rules.subject),)
+        derived.update(Triple(object, p, subject) for p in rules.back)
         derived.discard(triple)
-        return derived
+        return derived, ((subject, rules.subject), (object, rules.object))
+
+    def _above(self, kind: NamedNode) -> frozenset[NamedNode]:
+        found = self._proper.get(kind)
+        if found is None:
+            found = self._proper[kind] = frozenset(self._superclasses.get(kind, _NONE)) - {kind}
+        return found
 
     def _consequences(self, predicate: NamedNode) -> _Consequences:
         found = self._known.get(predicate)
@@ -134,6 +152,9 @@ class Entailments:
         self._rules = rules
         self._held: set[Triple] = set()
         self._count: Counter[Triple] = Counter()
+        """How often each triple is entailed: by triples held, and by what nodes are known to be."""
+        self._kinds: Counter[Kinds] = Counter()
+        """How many of the triples held say so of a node."""
         self.update(triples, ())
 
     @property
@@ -155,9 +176,19 @@ class Entailments:
         going = (set(removed) - coming) & self._held
         coming -= self._held
         touched: dict[Triple, int] = {}
+        # What comes first: of a value that is replaced, what the node is stays known.
         for triples, step in ((coming, 1), (going, -1)):
             for triple in triples:
-                for entailed in self._rules.entail(triple):
+                derived, kinds = self._rules.derive(triple)
+                entails = [*derived]
+                for each in kinds:
+                    self._kinds[each] += step
+                    if self._kinds[each] == (1 if step > 0 else 0):
+                        node, classes = each
+                        entails += (Triple(node, RDF_TYPE, c) for c in classes)
+                    if not self._kinds[each]:
+                        del self._kinds[each]
+                for entailed in entails:
                     touched.setdefault(entailed, self._count[entailed])
                     self._count[entailed] += step
         self._held |= coming

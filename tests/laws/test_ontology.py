@@ -4,7 +4,7 @@ from functools import cache
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pyoxigraph import NamedNode, Triple
+from pyoxigraph import Literal, NamedNode, Triple
 
 from dyknow.ontology.closure import entailed
 from dyknow.ontology.entailment import Entailments, Rules
@@ -22,6 +22,9 @@ SCHEMA = [
     ("Sensor", OWL + "equivalentClass", "Source"),
     ("Unit", RDFS + "subClassOf", "Process"),
     ("isInput", RDFS + "range", "Consumer"),
+    ("hasRate", RDFS + "domain", "Stream"),
+    ("hasRate", RDFS + "subPropertyOf", "hasValue"),
+    ("hasValue", RDFS + "domain", "Placed"),
 ]
 PROPERTIES = ["hasInput", "isInput", "hasMainInput", "hasFirstInput", "beside"]
 CLASSES = ["Unit", "Stream", "Source", "Sensor", "Process", "Placed", "Consumer"]
@@ -36,6 +39,11 @@ def triple(subject: str, predicate: str, object: str) -> Triple:
 
 
 individuals = st.sampled_from("abc")
+values = st.builds(
+    lambda subject, value: Triple(node(subject), node("hasRate"), Literal(value)),
+    individuals,
+    st.sampled_from([1.0, 2.0]),
+)
 triples = st.one_of(
     st.builds(triple, individuals, st.sampled_from(PROPERTIES), individuals),
     st.builds(triple, individuals, st.just(RDF_TYPE.value), st.sampled_from(CLASSES)),
@@ -70,3 +78,30 @@ def test_entailments_equal_owlrl(changes: list[tuple[list[Triple], list[Triple]]
     twin = entailed(schema() | model)
     assert live.current - model == twin
     assert live.current == Entailments(rules, model).current
+
+
+@given(
+    st.lists(
+        st.tuples(
+            st.lists(st.one_of(triples, values), max_size=8),
+            st.lists(st.one_of(triples, values), max_size=8),
+        ),
+        max_size=6,
+    )
+)
+@settings(deadline=None)
+def test_entailments_are_those_of_each_triple(
+    changes: list[tuple[list[Triple], list[Triple]]],
+) -> None:
+    rules = Rules(schema())
+    live = Entailments(rules)
+    model: set[Triple] = set()
+    for added, removed in changes:
+        before = live.current
+        model = (model - set(removed)) | set(added)
+        _, implied = live.update(added, removed)
+        assert live.held == model
+        assert live.current == set().union(*map(rules.entail, model))
+        assert live.current == (before - implied.removed) | implied.added
+        assert not implied.added & before
+        assert implied.removed <= before
