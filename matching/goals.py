@@ -151,7 +151,9 @@ class Goals:
     def answers(self, goal: Goal) -> Iterator[Answer]:
         """Every answer, in order of trying; looked for only when it is asked for."""
         yield from self.offers(goal)
-        yield from self._throughs(goal) if len(goal.asks) == 1 else self._aparts(goal)
+        yield from self._throughs(goal)
+        if len(goal.asks) > 1:
+            yield from self._aparts(goal)
 
     def offers(self, goal: Goal) -> tuple[Offer, ...]:
         """The streams that hold all that is asked for, best first."""
@@ -164,16 +166,11 @@ class Goals:
         return found
 
     def ways(self, goal: Goal) -> tuple[Through | Apart, ...]:
-        """The transformations, or the parts, that give all that is asked for, in order.
-
-        Of several features a unit's output may be all. That is no way of its own, for the parts
-        find the unit as well; but then nothing is synchronized, which counts where plans are
-        weighed.
-        """
+        """The transformations, then the parts, that give all that is asked for, in order."""
         found = self._ways.get(goal)
         if found is None:
             apart = () if len(goal.asks) == 1 else self._aparts(goal)
-            found = self._ways[goal] = (*apart, *self._throughs(goal))
+            found = self._ways[goal] = (*self._throughs(goal), *apart)
         return found
 
     def producers(self, ask: Ask) -> Iterator[TransformationDescription]:

@@ -971,7 +971,7 @@ def test_what_is_best_is_found(strategy, problem):
         else:
             weight = weight_of(definition, space, chosen)
             distinct = {node for source in nodes for node in all_below(source)}
-            assert sum(map(weight, distinct)) == pytest.approx(definition.least(goals, weight))
+            check_least(sum(map(weight, distinct)), definition, goals, weight)
         assert found.proven
     except TooMuch:
         assume(False)
@@ -980,19 +980,23 @@ def test_what_is_best_is_found(strategy, problem):
 @FEWER
 @given(problems(most=5))
 def test_a_selection_that_runs_costs_nothing(problem):
+    """One from a stream: what is selected from a unit that is yet to be made does not run."""
     want, space, vocabulary = problem
     definition = Definition(space, vocabulary, budget=30_000)
     weight = weight_of(definition, space, Strategy.parse("cost"))
 
     def rest(node):
-        return 0.0 if node[0] == "select" else weight(node)
+        source = node
+        while source[0] == "select":
+            source = source[1]
+        return 0.0 if node[0] == "select" and source[0] == "stream" else weight(node)
 
     (found,) = match_all([want], space, vocabulary, "cost", is_running=lambda _: True)
     try:
         goals, _ = definition.supplied(want)
         if goals:
             nodes = {n for s in found.supply.sources for n in all_below(as_made(s.node))}
-            assert sum(map(rest, nodes)) == pytest.approx(definition.least(goals, rest))
+            check_least(sum(map(rest, nodes)), definition, goals, rest)
     except TooMuch:
         assume(False)
 
@@ -1009,9 +1013,16 @@ def test_what_several_wants_need_counts_once(problem, data):
         goals = [goal for each in both for goal in definition.supplied(each)[0]]
         if goals:
             nodes = {n for m in found for s in sources_of(m) for n in all_below(as_made(s.node))}
-            assert sum(map(weight, nodes)) == pytest.approx(definition.least(goals, weight))
+            check_least(sum(map(weight, nodes)), definition, goals, weight)
     except TooMuch:
         assume(False)
+
+
+def check_least(found, definition, goals, weight):
+    """Plans are compared as if inputs of different subjects were always synchronized. Where one
+    stream has both, which is rare, the plan costs less than was thought."""
+    counted = definition.least(goals, weight, apart=True)
+    assert definition.least(goals, weight) - 1e-9 <= found <= counted + 1e-9
 
 
 def as_made(node):

@@ -144,9 +144,8 @@ class Definition:
         self.step()
         if goal not in self.known_answers:
             found = [*self.in_streams(goal.asks, goal.subjects)]
-            if len(goal.asks) == 1:
-                found += self.by_units(goal.asks[0], goal.subjects)
-            else:
+            found += self.by_units(goal.asks, goal.subjects)
+            if len(goal.asks) > 1:
                 found += self.in_parts(goal)
             self.known_answers[goal] = found
         return self.known_answers[goal]
@@ -188,9 +187,10 @@ class Definition:
         ]
         return min(contents, key=lambda content: content.feature != ask[0], default=None)
 
-    def by_units(self, ask, subjects):
-        for t in self.giving(ask[0]):
-            if not t.lacks and self.serves(t.output.feature, t.output.unit, ask):
+    def by_units(self, asks, subjects):
+        """Units whose output is all that is asked for."""
+        for t in self.giving(asks[0][0]):
+            if not t.lacks and all(self.serves(t.output.feature, t.output.unit, a) for a in asks):
                 for binding in self.bindings(t, subjects):
                     kinds = self.kinds(t, binding, subjects)
                     if kinds is not None:
@@ -337,10 +337,11 @@ class Definition:
 
     # -- what plans weigh ------------------------------------------------------------------
 
-    def made(self, goal, choice):
+    def made(self, goal, choice, apart=False):
         """Where each ask of a goal stands if it is made as was chosen: (node, roles, field).
 
         A node is a tuple: a stream, or a unit with all that it reads. Equal ones are one unit.
+        ``apart``: inputs of different subjects are synchronized even where one stream has both.
         """
         match choice[goal]:
             case InStream(stream, roles, contents, selected):
@@ -353,36 +354,37 @@ class Definition:
             case InParts(shares):
                 found = {}
                 for share in shares:
-                    found |= dict(zip(share.asks, self.made(share, choice), strict=True))
+                    found |= dict(zip(share.asks, self.made(share, choice, apart), strict=True))
                 return [found[ask] for ask in goal.asks]
             case ByUnit(name, _, kinds, selected):
                 (t,) = (t for t in self.transformations if t.name == name)
                 edges = {}
-                for need, numbers in kinds:
-                    found = dict(zip(need.asks, self.made(need, choice), strict=True))
+                for kind, (need, numbers) in enumerate(kinds):
+                    found = dict(zip(need.asks, self.made(need, choice, apart), strict=True))
                     for port in (t.inputs[number] for number in numbers):
                         node, roles, field = found[port.feature, port.unit]
-                        edges.setdefault((node, roles), []).append((field, port.field, port.unit))
-                inputs = tuple((*edge, frozenset(fields)) for edge, fields in edges.items())
+                        edge = (node, roles, kind if apart else None)
+                        edges.setdefault(edge, []).append((field, port.field, port.unit))
+                inputs = tuple((n, r, frozenset(fields)) for (n, r, _), fields in edges.items())
                 if len(inputs) > 1:
                     inputs = (("synchronize", *inputs),)
                 node = ("unit", name, *inputs)
                 for field, object in sorted(selected):
                     node = ("select", node, field, object)
-                return [(node, None, t.output.field)]
+                return [(node, None, t.output.field)] * len(goal.asks)
 
-    def units(self, goals, choice):
+    def units(self, goals, choice, apart=False):
         """The distinct units and streams of a plan."""
-        found, waiting = set(), [n for goal in goals for n, _, _ in self.made(goal, choice)]
+        found, waiting = set(), [n for goal in goals for n, _, _ in self.made(goal, choice, apart)]
         while waiting:
             node = waiting.pop()
             found.add(node)
             waiting += below(node)
         return found
 
-    def least(self, goals, weight):
+    def least(self, goals, weight, apart=False):
         """The least sum, over all plans, of the weights of their distinct units and streams."""
-        return min(sum(map(weight, self.units(goals, plan))) for plan in self.plans(goals))
+        return min(sum(map(weight, self.units(goals, plan, apart))) for plan in self.plans(goals))
 
     def best(self, goal, quality):
         """The best quality, over all plans, of what was wanted. ``quality``: a node's own."""
