@@ -275,7 +275,9 @@ class Goals:
         if unit.passes_through and not isinstance(unit, EventDescription):
             yield Through(unit, *self._together(unit.asks, unit.fed, goal.subjects))
             return
-        bound = self._bind(unit.arguments, goal.subjects)
+        said = _said_of(goal.subjects)
+        whose = [said.get(subject.object, subject) for subject in goal.subjects]
+        bound = self._bind(unit.arguments, whose)
         if bound is None:
             return
         if isinstance(unit, EventDescription):
@@ -286,7 +288,6 @@ class Goals:
         if not unit.inputs:
             yield Through(unit, (), ())
             return
-        said: _Said = {subject.object: subject for subject in goal.subjects if subject.object}
         for binding in self._bindings(unit, bound, said):
             needs = self._needs(unit, binding, said)
             if needs is not None:
@@ -297,7 +298,7 @@ class Goals:
             unit.output.feature == ask.feature or unit.output.feature in self.serving(ask.feature)
         ) and (unit.output_unit == ask.unit or not why_not_convertible(unit.output_unit, ask.unit))
 
-    def _bind(self, arguments: Sequence[Argument], subjects: Subjects) -> _Binding | None:
+    def _bind(self, arguments: Sequence[Argument], subjects: Sequence[Subject]) -> _Binding | None:
         """What the arguments of an output are, for it to speak of ``subjects``; None: never."""
         if not arguments:
             return {}
@@ -493,6 +494,16 @@ class Goals:
                         seen.add(port.feature)
                         waiting.append(port.feature)
         return found
+
+
+def _said_of(subjects: Subjects) -> _Said:
+    """What is said of each object; where two things are, the first."""
+    said: dict[str | None, Subject] = {}
+    for subject in subjects:
+        object = subject.object
+        if object is not None and (object not in said or said[object].sort is None):
+            said[object] = subject
+    return said
 
 
 def _held(role: Role) -> Subject:

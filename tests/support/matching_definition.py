@@ -191,6 +191,7 @@ class Definition:
         """Units whose output is all that is asked for."""
         for t in self.giving(asks[0][0]):
             if not t.lacks and all(self.serves(t.output.feature, t.output.unit, a) for a in asks):
+                subjects = tuple(as_said(subject, subjects) for subject in subjects)
                 for binding in self.bindings(t, subjects):
                     kinds = self.kinds(t, binding, subjects)
                     if kinds is not None:
@@ -245,9 +246,9 @@ class Definition:
             # Two variables that mean every UAV are not the same UAV; one object is one object.
             many = [a.variable for a, s in zip(arguments, whose, strict=False) if s.object is None]
             needs.setdefault((tuple(many), whose), []).append(number)
-        of_many = {frozenset(many) for many, _ in needs if many}
+        of_many = {many for many, _ in needs if many}
         kept = {a.variable for a in t.arguments if a.id_field is None}
-        if len(needs) > 1 and (len(of_many) > 1 or not all(many <= kept for many in of_many)):
+        if len(needs) > 1 and (len(of_many) > 1 or not all(set(m) <= kept for m in of_many)):
             return None
         return tuple(
             (Goal(asks_of(t, numbers), whose), tuple(numbers))
@@ -475,8 +476,9 @@ class Definition:
 
 
 def as_said(subject, subjects):
-    """What the asker said of an object holds wherever it is spoken of."""
-    return next((s for s in subjects if s.object and s.object == subject.object), subject)
+    """What the asker said of an object holds wherever it is spoken of; if twice, the first."""
+    same = [s for s in subjects if s.object and s.object == subject.object]
+    return next((s for s in same if s.sort), same[0] if same else subject)
 
 
 def arguments_of(t, port):
