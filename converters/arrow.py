@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from ..streams.sample import Column, Field, FieldType, SampleBatch, Schema, Times
+from ..streams.sample import TIME_FIELDS, Column, Field, FieldType, SampleBatch, Schema, Times
 from ..streams.strings import StringPool
 from .errors import WireError
 from .inference import TIME_UNITS, TimeReader
-from .wire import RESERVED, Incoming, check_names, pool_of
+from .wire import Incoming, check_names, pool_of
 
 CONTENT_TYPE = "application/vnd.apache.arrow.stream"
 
@@ -35,13 +35,13 @@ def decode_arrow(data: bytes, schema: Schema, pools: dict[str, StringPool]) -> I
     table = _read(data)
     names = table.column_names
     if not schema.fields and len(set(names)) == len(names):
-        own = [(name, table.column(name).type) for name in names if name not in RESERVED]
+        own = [(name, table.column(name).type) for name in names if name not in TIME_FIELDS]
         schema = Schema(tuple(Field(name, arrow_field_type(name, type)) for name, type in own))
     check_names(schema)
     for name in names:
         if names.count(name) > 1:
             raise WireError(None, f"column {name!r} is there twice")
-        if name not in RESERVED and schema.get(name) is None:
+        if name not in TIME_FIELDS and schema.get(name) is None:
             raise WireError(
                 None, f"{name!r} is not declared", f"the fields are {', '.join(schema.names)}"
             )

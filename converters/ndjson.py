@@ -15,13 +15,21 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from ..streams.sample import Column, Field, FieldType, SampleBatch, Schema, Times, Value
+from ..streams.sample import (
+    TIME_FIELDS,
+    Column,
+    Field,
+    FieldType,
+    SampleBatch,
+    Schema,
+    Times,
+    Value,
+)
 from ..streams.strings import StringPool
 from ..streams.time import format_time
 from .errors import WireError
 from .wire import (
     BOM,
-    RESERVED,
     TIME_HINT,
     Incoming,
     check_names,
@@ -95,7 +103,7 @@ def _decided_by(data: bytes) -> Schema:
         rows = [row for row in msgspec.json.Decoder().decode_lines(data) if isinstance(row, dict)]
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
         rows = []  # the line is told where every line is read
-    names = [name for name in (rows[0] if rows else ()) if name not in RESERVED]
+    names = [name for name in (rows[0] if rows else ()) if name not in TIME_FIELDS]
     types = {name: {type(row.get(name)) for row in rows} - {type(None)} for name in names}
     for name, found in types.items():
         if not found:
@@ -253,11 +261,11 @@ def _line_error(line: bytes, number: int, schema: Schema) -> WireError | None:
             )
             return WireError(number, f"{name!r} is missing", hint)
     for name in values:
-        if name not in RESERVED and schema.get(name) is None:
+        if name not in TIME_FIELDS and schema.get(name) is None:
             return WireError(
                 number, f"{name!r} is not declared", f"the fields are {', '.join(schema.names)}"
             )
-    for key in RESERVED:
+    for key in TIME_FIELDS:
         if key in values:
             try:
                 time_of(values[key], key, number)

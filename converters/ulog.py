@@ -19,13 +19,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from ..streams.sample import Column, Field, FieldType, SampleBatch, Schema, Times
+from ..streams.sample import TIME_FIELDS, Column, Field, FieldType, SampleBatch, Schema, Times
 from ..streams.time import MICROSECOND, MILLISECOND, TIME_MAX, TIME_MIN
 from .csv_table import CHUNK
 from .errors import WireError
 from .names import distinct, valid_name
 from .recording import Recording, increasing
-from .wire import RESERVED
 
 _TIMES: Final = ("timestamp", "timestamp_sample")
 _MAGIC: Final = b"ULog\x01\x12\x35"
@@ -205,7 +204,7 @@ def _batch(
         if key in _TIMES or key.rpartition(".")[2].startswith("_padding"):
             continue
         short = valid_name(key, "field")
-        if short in RESERVED:
+        if short in TIME_FIELDS:
             short += "_"
         column = _column(values, key in truths)
         if column.type is FieldType.FLOAT and values.dtype.kind == "u":

@@ -8,15 +8,13 @@ from reprlib import repr as brief
 
 import numpy as np
 
-from ..streams.sample import Column, Field, FieldType, Mask, SampleBatch, Schema, Times
+from ..streams.sample import TIME_FIELDS, Column, Field, FieldType, Mask, SampleBatch, Schema, Times
 from ..streams.strings import StringPool
 from ..streams.time import TIME_MIN, format_time, parse_time
 from .errors import WireError
 
 BOM = b"\xef\xbb\xbf"
 """The byte order mark that some editors put before UTF-8; it is no part of the text."""
-RESERVED = ("available", "valid")
-"""Keys of a sample beside its fields; no field may be called so on the wire."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +28,7 @@ class Incoming:
 
 def check_names(schema: Schema) -> None:
     """Refuse a schema with a field that the wire formats cannot tell from a time."""
-    for name in RESERVED:
+    for name in TIME_FIELDS:
         if schema.get(name) is not None:
             raise WireError(None, f"a field cannot be called {name!r}: that is a sample's time")
 

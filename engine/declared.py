@@ -21,7 +21,7 @@ from ..rdf.dictionary import TermDictionary
 from ..rdf.namespaces import DYKNOW
 from ..streams.fluent import Retention
 from ..streams.generator import StreamGenerator
-from ..streams.sample import Field, FieldType, Schema
+from ..streams.sample import TIME_FIELDS, Field, FieldType, Schema
 from ..streams.strings import StringPool
 from .application import BUILT_IN
 from .changes import Change, ChangeKind
@@ -66,7 +66,7 @@ class DeclaredStreams:
         if not schema.fields:
             raise Refused("a stream has at least one field", 'give "fields": [{"name", "type"}]')
         for name in schema.names:
-            if name in ("valid", "available"):
+            if name in TIME_FIELDS:
                 raise Refused(f"a field cannot be called {name!r}: that is a sample's time")
         try:
             NamedNode(declaration.namespace)

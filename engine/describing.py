@@ -10,7 +10,6 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from ..converters.wire import RESERVED
 from ..languages.ssl.annotation import (
     Argument,
     Content,
@@ -25,6 +24,7 @@ from ..matching.words import port_words
 from ..ontology.units import DIMENSIONLESS, Unit, UnitError, dimension, format_unit, parse_unit
 from ..ontology.vocabulary import SELF, Vocabulary
 from ..rdf.namespaces import shorten
+from ..streams.sample import TIME_FIELDS
 from .errors import BadArguments, UnknownFeature
 from .knowing import did_you_mean, iri_of
 from .transformations import Transformation
@@ -232,7 +232,7 @@ def check_inputs(number: int) -> None:
 def _field(described: DescribedPort) -> str:
     name = described.field or local(described.feature)
     for each in (name, *(argument.id for argument in described.arguments)):
-        if each in RESERVED:
+        if each in TIME_FIELDS:
             raise BadArguments(
                 f"a field cannot be called {each!r}: that is a sample's time",
                 "give the field another name",

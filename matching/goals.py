@@ -131,7 +131,7 @@ class Goals:
             other._replace(object=self.sorts.canonical(other.object)) if other.object else other
             for other in want.others
         )
-        return Goal((Ask(want.feature, unit),), (first, *others))
+        return Goal((Ask(want.feature, unit),), _as_said((first, *others)))
 
     def parts(self, goal: Goal) -> tuple[Goal, ...]:
         """The same for parts of what is wanted, where no stream gives all of it; in order of
@@ -141,9 +141,11 @@ class Goals:
         for wanted in goal.subjects:
             parts = (self.sorts.part(each, wanted) for each in held)
             choices.append(dict.fromkeys((wanted, *(part for part in parts if part is not None))))
-        combined = islice(product(*choices), 1, None)  # the first is the whole
-        if len(choices) > 1:
-            combined = islice(combined, COMBINED)
+        if len(choices) == 1:
+            combined: dict[Subjects, None] = {(part,): None for part in choices[0]}
+        else:
+            combined = dict.fromkeys(map(_as_said, islice(product(*choices), COMBINED)))
+        combined.pop(goal.subjects, None)
         return tuple(Goal(goal.asks, subjects) for subjects in combined)
 
     # -- alternatives ------------------------------------------------------------------------
@@ -276,8 +278,7 @@ class Goals:
             yield Through(unit, *self._together(unit.asks, unit.fed, goal.subjects))
             return
         said = _said_of(goal.subjects)
-        whose = [said.get(subject.object, subject) for subject in goal.subjects]
-        bound = self._bind(unit.arguments, whose)
+        bound = self._bind(unit.arguments, goal.subjects)
         if bound is None:
             return
         if isinstance(unit, EventDescription):
@@ -298,7 +299,7 @@ class Goals:
             unit.output.feature == ask.feature or unit.output.feature in self.serving(ask.feature)
         ) and (unit.output_unit == ask.unit or not why_not_convertible(unit.output_unit, ask.unit))
 
-    def _bind(self, arguments: Sequence[Argument], subjects: Sequence[Subject]) -> _Binding | None:
+    def _bind(self, arguments: Sequence[Argument], subjects: Subjects) -> _Binding | None:
         """What the arguments of an output are, for it to speak of ``subjects``; None: never."""
         if not arguments:
             return {}
@@ -494,6 +495,12 @@ class Goals:
                         seen.add(port.feature)
                         waiting.append(port.feature)
         return found
+
+
+def _as_said(subjects: Subjects) -> Subjects:
+    """The same, where of one object the same is said wherever it stands."""
+    said = _said_of(subjects)
+    return tuple(said.get(subject.object, subject) for subject in subjects)
 
 
 def _said_of(subjects: Subjects) -> _Said:

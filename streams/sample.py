@@ -21,6 +21,9 @@ Times: TypeAlias = NDArray[np.int64]
 Mask: TypeAlias = NDArray[np.bool_]
 Value: TypeAlias = float | int | bool | str | None
 
+TIME_FIELDS = ("available", "valid")
+"""The names of a sample's times: no field is called so."""
+
 
 class FieldType(StrEnum):
     """What a field's values are. Text is dictionary-encoded."""

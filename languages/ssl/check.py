@@ -14,6 +14,7 @@ from typing import assert_never
 from ...ontology.units import DIMENSIONLESS, Unit, UnitError, dimension, format_unit
 from ...ontology.vocabulary import SELF, Vocabulary
 from ...rdf.namespaces import DYKNOW
+from ...streams.sample import TIME_FIELDS
 from ..errors import LanguageError, Span
 from . import annotation
 from .annotation import (
@@ -96,6 +97,7 @@ class _Checker:
             feature = self.feature(term.feature, span)
             roles = self.roles(term, stream)
             unit = self.unit(feature, term.feature, term.unit, term.unit_span)
+            self.check_field(term.field, term.field_span)
             if any(c.feature == feature and c.roles == roles for c in contents):
                 raise self.error(
                     f"`{term.feature}` of the same object is declared twice",
@@ -104,6 +106,14 @@ class _Checker:
                 )
             contents.append(Content(feature, term.field, unit, roles))
         return tuple(contents)
+
+    def check_field(self, field: str, span: Span) -> None:
+        if field in TIME_FIELDS:
+            raise self.error(
+                f"a field cannot be called `{field}`: that is a sample's time",
+                span,
+                "give the field another name",
+            )
 
     def check_entities(self, stream: StreamDeclaration) -> None:
         """Each entity names something in the features, once, and fits with or without `every`."""
@@ -118,6 +128,7 @@ class _Checker:
                     "one field names it; tell two of a sort apart: `(UAV as a, UAV as b)`",
                 )
             seen[entity.name] = entity
+            self.check_field(entity.field, entity.span)
             named = [argument for argument in arguments if _is_named(argument, entity)]
             if not named:
                 known = sorted({argument.alias or argument.name for argument in arguments})
@@ -294,10 +305,13 @@ class _Checker:
     ) -> PortAnnotation:
         """The output; what no input speaks of gets its names in a field of the output."""
         made = self.port(port)
+        self.check_field(port.field, port.span)
         given = {argument.variable for input in inputs for argument in input.arguments}
         if any(not input.arguments for input in inputs):
             # Such an input speaks of what the output speaks of.
             given |= {argument.variable for argument in made.arguments}
+        for named in entities:
+            self.check_field(named.field, named.span)
         fields = {entity.name: entity for entity in entities}
         arguments: list[annotation.Argument] = []
         for argument in made.arguments:

@@ -6,10 +6,10 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, BeforeValidator, Field, field_validator
 
-from ...converters.wire import RESERVED
 from ...engine import views
 from ...rdf.namespaces import DYKNOW
 from ...streams import fluent, sample
+from ...streams.sample import TIME_FIELDS
 from ...streams.time import format_duration
 from .parts import Body, Duration, Name, iso, signed
 
@@ -62,7 +62,7 @@ class StreamIn(Body):
     def _tell_apart(cls, fields: list[FieldModel]) -> list[FieldModel]:
         names = [field.name for field in fields]
         for name in names:
-            if name in RESERVED:
+            if name in TIME_FIELDS:
                 raise ValueError(f"a field cannot be called {name!r}: that is a sample's time")
             if names.count(name) > 1:
                 raise ValueError(f"the field {name!r} is there twice")

@@ -191,7 +191,6 @@ class Definition:
         """Units whose output is all that is asked for."""
         for t in self.giving(asks[0][0]):
             if not t.lacks and all(self.serves(t.output.feature, t.output.unit, a) for a in asks):
-                subjects = tuple(as_said(subject, subjects) for subject in subjects)
                 for binding in self.bindings(t, subjects):
                     kinds = self.kinds(t, binding, subjects)
                     if kinds is not None:
@@ -408,7 +407,8 @@ class Definition:
             Subject(s.sort if s.object or s.sort else THING, s.object and self.name(s.object))
             for s in want.others
         )
-        return Goal((ask,), (first, *others))
+        subjects = (first, *others)
+        return Goal((ask,), tuple(as_said(subject, subjects) for subject in subjects))
 
     def parts(self, want):
         """The parts of a want that are tried, as goals."""
@@ -418,7 +418,10 @@ class Definition:
         for wanted in whole.subjects:
             parts = [self.part(held, wanted) for held in spoken_of]
             choices.append(dict.fromkeys([wanted, *filter(None, parts)]))
-        return [Goal(whole.asks, each) for each in product(*choices) if each != whole.subjects]
+        found = {}
+        for each in product(*choices):
+            found[tuple(as_said(subject, each) for subject in each)] = None
+        return [Goal(whole.asks, each) for each in found if each != whole.subjects]
 
     def part(self, held, wanted):
         """ "Narrower sorts, single objects, or an unknown object taken to be of a sort"."""
