@@ -3,11 +3,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from collections.abc import Set as AbstractSet
 from dataclasses import replace
 
-from ..matching.plan import Compute, Detect, Node, Supply, UseStream
+from ..matching.plan import (
+    Compute,
+    Detect,
+    Node,
+    Supply,
+    UseStream,
+    contents_of,
+    expanded,
+    nodes_of,
+)
 from ..matching.reach import Reach
 from ..matching.space import StreamSpace
 from ..matching.strategy import Kind, Strategy
@@ -16,7 +25,7 @@ from ..matching.tree import Match
 from ..matching.valuing import quality_of, weight_of
 from ..matching.want import Want
 from ..ontology.ontology import Ontology
-from .adaptive import AdaptiveSubscription, State
+from .adaptive import AdaptiveSubscription, State, names_of
 from .configuration import Configuration
 from .plans import Plans
 from .silences import Silences
@@ -80,7 +89,7 @@ class Choosing:
 
     def is_better(self, found: AdaptiveSubscription, supply: Supply) -> bool:
         """Whether a plan, that the strategy has chosen, is better than the one that is carried
-        out: with *fast* the first one is."""
+        out: with *fast* the first one is. What runs for either, or for somebody else, is paid."""
         old = found.supply
         if old is None or self.is_same(found, supply):
             return False
@@ -116,12 +125,42 @@ class Choosing:
         wish = found.wish
         if wish.quality > 0:
             bad = self._too_bad(wish.quality)
-            (match,) = self._plans.match([wish.want], wish.strategy, without | bad)
+            match = self._match(found, wish.strategy, without | bad, explained=False)
             if match.supply is not None and self.quality(match.supply) >= wish.quality:
                 return match
         strategy = str(Kind.QUALITY) if wish.quality > 0 else wish.strategy
-        (match,) = self._plans.match([wish.want], strategy, without, explained=explained)
+        match = self._match(found, strategy, without, explained=explained)
         return replace(match, strategy=wish.strategy)
+
+    def _match(
+        self,
+        found: AdaptiveSubscription,
+        strategy: str,
+        without: AbstractSet[str],
+        *,
+        explained: bool,
+    ) -> Match:
+        counts = Strategy.parse(strategy).kind is Kind.COST
+        shared = self._shared(found, without) if counts else {}
+        (match,) = self._plans.match(
+            [found.wish.want], strategy, without - shared.keys(), explained=explained
+        )
+        supply = None if match.supply is None else expanded(match.supply, shared)
+        return replace(match, supply=supply)
+
+    def _shared(self, found: AdaptiveSubscription, without: AbstractSet[str]) -> Mapping[str, Node]:
+        """The streams of units that run and cost nothing more, and what makes them: a subscription
+        has to know what it rests on. None of it is ``without``, or means something else by now."""
+        since = Since.START if found.has_begun else found.wish.since
+        without = without - self._plans.made
+        return {
+            name: node
+            for name, node in self._plans.shared(since).items()
+            if name in self._space.streams
+            and self._space.streams[name].contents == contents_of(node)
+            and without.isdisjoint(names_of(nodes_of(node)))
+            and all(map(self._is_known, nodes_of(node)))
+        }
 
     def _too_bad(self, bound: float) -> AbstractSet[str]:
         """What nothing good enough is made of: a plan is as good as the worst of it at most."""
@@ -134,9 +173,9 @@ class Choosing:
     def quality(self, supply: Supply) -> float:
         return quality_of(supply, self._space)
 
-    def _is_running(self, found: AdaptiveSubscription) -> Callable[[object], bool]:
+    def _is_running(self, found: AdaptiveSubscription) -> Callable[[Node], bool]:
         own = set(found.nodes)
-        return lambda node: node in own
+        return lambda node: node in own or self._plans.is_running(node)
 
     def is_same(self, found: AdaptiveSubscription, supply: Supply) -> bool:
         return (

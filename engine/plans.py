@@ -7,7 +7,7 @@ What a unit computes is annotated like any other stream, so that matching finds 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import replace
 from typing import assert_never
@@ -27,6 +27,8 @@ from ..matching.plan import (
     Synchronize,
     UseStream,
     annotation_of,
+    below_of,
+    nodes_of,
 )
 from ..matching.space import StreamSpace
 from ..matching.want import Want
@@ -79,7 +81,8 @@ class Plans:
         self._begun: dict[str, int] = {}
         """Streams of units that began with what came, and the last that was available before."""
         self._broken: set[str] = set()
-        self._made: set[str] = set()
+        self._made: dict[str, tuple[Node, Since]] = {}
+        """The streams that units of plans make, and of which nodes they were made."""
         self._sources: dict[str, SourceUnit] = {}
 
     def obtain(self, node: Node, since: Since = Since.NOW) -> StreamGenerator:
@@ -137,7 +140,18 @@ class Plans:
     @property
     def made(self) -> AbstractSet[str]:
         """The streams that units of plans make."""
-        return self._made
+        return self._made.keys()
+
+    def shared(self, since: Since) -> Mapping[str, Node]:
+        """The streams of units that a plan may share which begins with ``since``, and what they
+        are made from: streams from outside and sources."""
+        return {
+            name: node
+            for name, (node, begun) in self._made.items()
+            if (begun is since or not below_of(node))
+            and name not in self._broken
+            and not any(isinstance(n, UseStream) and n.stream in self._made for n in nodes_of(node))
+        }
 
     def heard(self, change: Change) -> None:
         """The stream space has changed: a unit that fails takes those with it that read it."""
@@ -150,7 +164,7 @@ class Plans:
             case ChangeKind.STREAM_REMOVED:
                 self._broken.discard(change.stream)
                 self._begun.pop(change.stream, None)
-                self._made.discard(change.stream)
+                self._made.pop(change.stream, None)
                 self._sources.pop(change.stream, None)
 
     def _build(
@@ -188,7 +202,7 @@ class Plans:
     def _tell_meaning(self, node: Node, unit: ComputationalUnit, since: Since) -> None:
         name = unit.output.name
         annotation = annotation_of(node, name)
-        self._made.add(name)
+        self._made[name] = (node, since)
         if isinstance(unit, SourceUnit):
             self._sources[name] = unit
         if since is Since.NOW:

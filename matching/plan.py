@@ -8,7 +8,7 @@ plans that hold equal nodes share it. `match` makes plans, the engine carries th
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from operator import attrgetter
 from typing import NamedTuple, TypeAlias, assert_never
@@ -293,6 +293,33 @@ def streams_of(supply: Supply) -> tuple[str, ...]:
     """Names of the existing streams that the supply rests on, each once, in order of use."""
     nodes = nodes_of_supply(supply)
     return tuple(dict.fromkeys(node.stream for node in nodes if isinstance(node, UseStream)))
+
+
+def expanded(supply: Supply, made: Mapping[str, Node]) -> Supply:
+    """The same plan, with the nodes that make the streams ``made`` instead of these streams."""
+    known: dict[Node, Node] = {}
+
+    def of_edge(edge: Edge) -> Edge:
+        return Edge(known[edge.node], edge.ports, edge.roles)
+
+    def of_sources(sources: Sequence[SupplySource]) -> tuple[SupplySource, ...]:
+        return tuple(SupplySource(known[s.node], s.port, s.roles) for s in sources)
+
+    for node in nodes_of_supply(supply):
+        match node:
+            case UseStream(stream):
+                known[node] = made.get(stream, node)
+            case SelectObject(source, id_field, object):
+                known[node] = SelectObject(known[source], id_field, object)
+            case Synchronize(inputs, roles):
+                known[node] = Synchronize(tuple(map(of_edge, inputs)), roles)
+            case Compute():
+                known[node] = replace(node, inputs=tuple(map(of_edge, node.inputs)))
+            case Detect():
+                known[node] = replace(node, sources=of_sources(node.sources))
+            case _:
+                assert_never(node)
+    return replace(supply, sources=of_sources(supply.sources))
 
 
 def local_name(iri: str) -> str:

@@ -831,6 +831,71 @@ def test_the_plan_is_not_taken_for_a_better_one(kitchen):
     assert world.path(id) == ["a"]
 
 
+# -- units that run already ----------------------------------------------------------------------
+
+
+def dear_and_cheap(kitchen):
+    """``second`` is the better one and costs more; both want the stream a."""
+    world = kitchen.world("first", "second")
+    world.engine.transformations.change("first", cost=2.0, quality=0.5)
+    world.engine.transformations.change("second", cost=3.0, quality=1.0)
+    world.declare("a", meaning=RAW)
+    return world
+
+
+def test_a_unit_that_runs_for_somebody_else_costs_nothing(kitchen):
+    world = dear_and_cheap(kitchen)
+    best = world.subscribe("cooked", strategy="quality")
+    cheap = world.subscribe("cooked", strategy="cost")
+    world.say("a", 1)
+    assert world.values(best) == world.values(cheap) == [2001]
+    assert len(world.ask("?x :instantiationOf :second")) == 1
+    assert not world.ask("?x :instantiationOf :first")
+    assert world.reads(cheap) == ("a",)
+
+
+def test_what_a_shared_unit_is_made_from_is_known_to_all_that_share_it(kitchen):
+    world = dear_and_cheap(kitchen)
+    world.declare("b", meaning=RAW)
+    ids = [world.subscribe("cooked", strategy=strategy) for strategy in ("quality", "cost")]
+    world.say("a", 1)
+    world.say("b", 1)
+    world.engine.end("a")
+    world.say("b", 2)
+    for id in ids:
+        assert world.path(id) == ["a", "b"]
+        assert world.values(id) == [2001, 2002]
+    assert len(world.ask("?x :instantiationOf :second")) == 1
+
+
+def test_of_one_object_from_a_unit_that_runs_for_all(kitchen):
+    world = dear_and_cheap(kitchen)
+    world.subscribe("cooked", strategy="quality")
+    one = world.subscribe("cooked", sort=None, objects=["uav1"], strategy="cost")
+    world.say("a", 1, id="uav2")
+    world.say("a", 2)
+    assert world.values(one) == [2002]
+    assert not world.ask("?x :instantiationOf :first")
+
+
+def test_a_unit_that_runs_for_nobody_else_any_more_is_paid_for(kitchen):
+    world = dear_and_cheap(kitchen)
+    best = world.subscribe("cooked", strategy="quality")
+    world.engine.unsubscribe(best)
+    cheap = world.subscribe("cooked", strategy="cost")
+    world.say("a", 1)
+    assert world.values(cheap) == [1001]
+
+
+def test_a_shared_unit_that_takes_its_input_for_something_else_is_not_shared(kitchen):
+    world = dear_and_cheap(kitchen)
+    best = world.subscribe("cooked", strategy="quality")
+    world.engine.annotate("stream a contains altitude(UAV) = spd [ft] for every UAV = id")
+    assert world.state(best) == "waiting"
+    cheap = world.subscribe("cooked", strategy="cost")
+    assert world.state(cheap) == "waiting"
+
+
 # -- better streams ------------------------------------------------------------------------------
 
 
