@@ -50,11 +50,6 @@ def object_name(iri: str, namespace: str) -> str:
     return iri
 
 
-def local_name(iri: str) -> str:
-    """What follows the last ``#``, ``/`` or ``:``: the field that a predicate's objects go to."""
-    return re.split(r"[#/:]", iri.rstrip("#/:"))[-1] or iri
-
-
 class ObjectTable:
     """Term ids of the objects that a field names; for text a table that follows the field's pool.
 

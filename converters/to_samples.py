@@ -17,7 +17,7 @@ from ..languages.ssl.annotation import Content, StreamAnnotation
 from ..ontology.units import Conversion, Unit
 from ..ontology.vocabulary import Vocabulary
 from ..rdf.dictionary import NO_TERM, Ids, TermDictionary
-from ..rdf.namespaces import DYKNOW, RDF
+from ..rdf.namespaces import DYKNOW, RDF, local_name
 from ..rdf.timed import Kind, ObjectColumn, TimedTriples, TripleRows
 from ..streams.sample import (
     Column,
@@ -32,7 +32,6 @@ from ..streams.sample import (
 )
 from ..streams.strings import StringPool
 from .errors import ConversionError
-from .objects import local_name
 from .to_triples import VALUE, edge_conversion, field_of, stream_iri
 from .values import field_column, field_type
 

@@ -17,12 +17,12 @@ from ..languages.ssl.annotation import Content, Role, StreamAnnotation
 from ..ontology.units import IDENTITY, Conversion, Unit, UnitError, conversion
 from ..ontology.vocabulary import Vocabulary
 from ..rdf.dictionary import Ids, TermDictionary
-from ..rdf.namespaces import DYKNOW, RDF
+from ..rdf.namespaces import DYKNOW, RDF, local_name
 from ..rdf.timed import Kind, ObjectColumn, TimedTriples, TripleRows
 from ..streams.sample import Field, FieldType, Mask, SampleBatch, Schema
 from ..streams.time import format_time
 from .errors import ConversionError
-from .objects import ObjectTable, local_name, object_iri
+from .objects import ObjectTable, object_iri
 from .values import ToObjects, object_column
 
 VALUE: Final = RDF + "value"

@@ -32,7 +32,7 @@ from ..streams.generator import StreamGenerator
 from ..streams.policy import Policy
 from ..streams.time import SECOND
 from .configuration import Configuration
-from .describing import local
+from .describing import field_name
 from .merge_unit import OBJECT, MergeInput, MergeUnit, Whose
 from .stream_units import AdaptationUnit
 from .views import Since
@@ -178,7 +178,7 @@ class AdaptiveSubscription:
 
 def value_field(want: Want) -> str:
     """The field of a subscription's stream that holds the feature."""
-    name = local(want.feature)
+    name = field_name(want.feature)
     return "value" if name == OBJECT else name
 
 

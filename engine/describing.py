@@ -23,7 +23,7 @@ from ..matching.plan import ssl_of
 from ..matching.words import port_words
 from ..ontology.units import DIMENSIONLESS, Unit, UnitError, dimension, format_unit, parse_unit
 from ..ontology.vocabulary import SELF, Vocabulary
-from ..rdf.namespaces import shorten
+from ..rdf.namespaces import local_name, shorten
 from ..streams.sample import TIME_FIELDS
 from .errors import BadArguments, UnknownFeature
 from .knowing import did_you_mean, iri_of
@@ -98,7 +98,7 @@ class Describer:
         given = {argument.variable for port in inputs for argument in port.arguments}
         if any(not port.arguments for port in inputs):
             # Such an input speaks of what the output speaks of.
-            given |= {local(argument.name) for argument in described.output.arguments}
+            given |= {field_name(argument.name) for argument in described.output.arguments}
         output = self._output(described.output, given)
         annotation: TransformationAnnotation | SourceAnnotation
         words = ", ".join(map(port_words, inputs)) or "∅"
@@ -174,7 +174,7 @@ class Describer:
         arguments = []
         for argument in described.arguments:
             sort, object = self._named(argument.name)
-            name = local(argument.name) if argument.alias is None else argument.alias
+            name = field_name(argument.name) if argument.alias is None else argument.alias
             arguments.append(Argument(name, sort, object, argument.id if sort else None))
         variables = [argument.variable for argument in arguments]
         if len(variables) > len(set(variables)):
@@ -230,7 +230,7 @@ def check_inputs(number: int) -> None:
 
 
 def _field(described: DescribedPort) -> str:
-    name = described.field or local(described.feature)
+    name = described.field or field_name(described.feature)
     for each in (name, *(argument.id for argument in described.arguments)):
         if each in TIME_FIELDS:
             raise BadArguments(
@@ -240,7 +240,7 @@ def _field(described: DescribedPort) -> str:
     return name
 
 
-def local(iri: str) -> str:
+def field_name(iri: str) -> str:
     """The last part of a name, as a field may be called."""
-    text = iri.rsplit("#", 1)[-1].rsplit("/", 1)[-1].rsplit(":", 1)[-1].rstrip(">")
+    text = local_name(iri.rstrip(">"))
     return "".join(c if c.isalnum() or c == "_" else "_" for c in text)

@@ -15,10 +15,10 @@ from ..converters.to_samples import ID, ResultConverter, field_names, result_sch
 from ..languages.csparql import algebra
 from ..languages.csparql.ast import ContinuousQuery, Form
 from ..languages.ssl.annotation import Content, Role, StreamAnnotation
-from ..matching.plan import local_name
 from ..matching.want import THING
 from ..ontology.units import Unit
 from ..ontology.vocabulary import Vocabulary
+from ..rdf.namespaces import local_name
 from ..rdf.timed import DATATYPES, Kind
 from ..streams.sample import Schema
 from ..streams.strings import StringPool

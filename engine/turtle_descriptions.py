@@ -9,7 +9,7 @@ from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
 from ..ontology.reading import read_triples
 from ..rdf.namespaces import RDF, STREAM_SPACE, shorten
-from .describing import DescribedArgument, DescribedPort, DescribedTransformation, local
+from .describing import DescribedArgument, DescribedPort, DescribedTransformation, field_name
 from .errors import BadArguments
 
 _TYPE = RDF + "type"
@@ -50,7 +50,7 @@ class _Graph:
         return self._typed[predicate, object]
 
     def transformation(self, node: NamedNode | BlankNode) -> DescribedTransformation:
-        name = self._text(node, "hasName") or (local(node.value) if _is_named(node) else "")
+        name = self._text(node, "hasName") or (field_name(node.value) if _is_named(node) else "")
         if not name:
             raise BadArguments("a :Transformation has no name", 'give it an IRI, or :hasName "…"')
         annotation = self._one(node, "hasAnnotation", name)
@@ -75,7 +75,7 @@ class _Graph:
         code = self._one(node, "hasImplementation", name)
         implementation = None
         if code is not None:
-            implementation = self._text(code, "hasName") or local(code.value)
+            implementation = self._text(code, "hasName") or field_name(code.value)
         return DescribedTransformation(
             name,
             tuple(inputs),

@@ -7,7 +7,6 @@ names the objects, and in which unit it is.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 from ..languages.ssl.annotation import Role
@@ -290,7 +289,7 @@ def _selected(found: Found, subjects: Subjects, fields: Collection[str] | None =
         # A role with a sort and an object is one that was selected already.
         if object is not None and field is not None and not (role.sort and role.object):
             node = SelectObject(node, field, object)
-            role = replace(role, object=object)
+            role = role._replace(object=object)
         roles.append(role)
     return found if node is found.node else found._replace(node=node, roles=tuple(roles))
 
@@ -310,7 +309,7 @@ def numbered(field: str, taken: set[str]) -> str:
 
 def _named(role: Role, field: str) -> Role:
     """The same, named by ``field``."""
-    return role if role.id_field == field else replace(role, id_field=field)
+    return role if role.id_field == field else role._replace(id_field=field)
 
 
 def _free(field: str, taken: set[str]) -> str:

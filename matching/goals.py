@@ -266,7 +266,13 @@ class Goals:
     # -- transformations ---------------------------------------------------------------------
 
     def _throughs(self, goal: Goal) -> Iterator[Through]:
-        for unit in self.producers(goal.asks[0]):
+        first, *others = goal.asks
+        if others:
+            # One output is all of them, so it is a sub-feature of each.
+            features = set(self.serving(first.feature))
+            if any(features.isdisjoint(self.serving(ask.feature)) for ask in others):
+                return
+        for unit in self.producers(first):
             yield from self.through(unit, goal)
 
     def through(self, unit: TransformationDescription, goal: Goal) -> Iterator[Through]:

@@ -23,7 +23,7 @@ from .building import Builder, source_of
 from .explain import Explainer
 from .fast import FastSearch
 from .goals import Answer, Goal, Goals
-from .plan import Node, Supply
+from .plan import Node, Supply, nothing_runs
 from .render import render
 from .space import StreamSpace
 from .strategy import Kind, Strategy, UnknownStrategy
@@ -58,7 +58,7 @@ def match_all(
     strategy: str = "fast",
     *,
     without: AbstractSet[str] = frozenset(),
-    is_running: Callable[[Node], bool] = lambda _: False,
+    is_running: Callable[[Node], bool] = nothing_runs,
     explained: bool = True,
 ) -> tuple[Match, ...]:
     """A match a want, in order. What several wants need is made once: with *cost* it counts once,

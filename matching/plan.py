@@ -7,7 +7,6 @@ plans that hold equal nodes share it. `match` makes plans, the engine carries th
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from operator import attrgetter
@@ -15,6 +14,7 @@ from typing import NamedTuple, TypeAlias, assert_never
 
 from ..languages.ssl.annotation import Content, PortAnnotation, Role, StreamAnnotation
 from ..ontology.units import Conversion, Unit, format_unit
+from ..rdf.namespaces import local_name
 from .subject import Subject
 from .want import Want
 
@@ -156,6 +156,11 @@ class Detect(_Hashed):
 Node: TypeAlias = UseStream | SelectObject | Synchronize | Compute | Detect
 
 
+def nothing_runs(node: Node) -> bool:
+    """That there is no unit for any node."""
+    return False
+
+
 @dataclass(frozen=True, slots=True)
 class SupplySource:
     """One stream in which a wanted feature stands.
@@ -222,7 +227,7 @@ def tuple_roles(edge: Edge, kept: tuple[Role, ...]) -> tuple[Role, ...]:
 
 def _select(roles: tuple[Role, ...], id_field: str, object: str) -> tuple[Role, ...]:
     return tuple(
-        replace(role, object=object) if role.id_field == id_field else role for role in roles
+        role._replace(object=object) if role.id_field == id_field else role for role in roles
     )
 
 
@@ -320,11 +325,6 @@ def expanded(supply: Supply, made: Mapping[str, Node]) -> Supply:
             case _:
                 assert_never(node)
     return replace(supply, sources=of_sources(supply.sources))
-
-
-def local_name(iri: str) -> str:
-    """The last part of an IRI: ``UAV`` of ``dyknow:UAV``."""
-    return re.split(r"[/#]", iri)[-1]
 
 
 def ssl_of(stream: str, contents: tuple[Content, ...]) -> str:

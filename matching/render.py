@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import assert_never
 
 from ..ontology.units import format_unit
+from ..rdf.namespaces import local_name
 from .plan import (
     Compute,
     Detect,
@@ -15,7 +16,6 @@ from .plan import (
     SupplySource,
     Synchronize,
     UseStream,
-    local_name,
 )
 from .tree import Alternative, Match, Outcome
 from .want import Want

@@ -14,12 +14,11 @@ from .plan import (
     UseStream,
     below_of,
     nodes_of_supply,
+    nothing_runs,
 )
 from .space import StreamSpace
 from .strategy import Kind, Strategy
 from .weigh import SELECTION_COST, SYNCHRONIZATION_COST
-
-NOTHING: Callable[[Node], bool] = lambda _: False  # noqa: E731
 
 
 def quality_of(supply: Supply, space: StreamSpace) -> float:
@@ -33,7 +32,7 @@ def quality_of(supply: Supply, space: StreamSpace) -> float:
 
 
 def cost_of(
-    supply: Supply, space: StreamSpace, is_running: Callable[[Node], bool] = NOTHING
+    supply: Supply, space: StreamSpace, is_running: Callable[[Node], bool] = nothing_runs
 ) -> float:
     """The sum of the costs of its distinct units that do not run yet."""
     return sum(
@@ -45,7 +44,7 @@ def weight_of(
     supply: Supply,
     space: StreamSpace,
     strategy: Strategy,
-    is_running: Callable[[Node], bool] = NOTHING,
+    is_running: Callable[[Node], bool] = nothing_runs,
 ) -> float:
     """What the strategy compares plans by; less is better. With *quality* it is 1 less the
     quality."""

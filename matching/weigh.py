@@ -17,7 +17,7 @@ from .best_quality import best_quality
 from .goals import Answer, Apart, Goal, Goals, Offer, Through
 from .hypergraph import Hypergraph
 from .least_weight import least_weight
-from .plan import Node, SelectObject, UseStream
+from .plan import Node, SelectObject, UseStream, nothing_runs
 from .space import EventDescription
 from .strategy import Kind, Strategy
 
@@ -42,7 +42,7 @@ def weigh(
     goals: Goals,
     roots: Sequence[Goal],
     strategy: Strategy,
-    is_running: Callable[[Node], bool] = lambda _: False,
+    is_running: Callable[[Node], bool] = nothing_runs,
 ) -> Weighed | None:
     """The best plan for all of ``roots`` together; None if one of them has none.
 

@@ -8,7 +8,8 @@ from dataclasses import replace
 from ..languages.ssl.annotation import Content, PortAnnotation
 from ..ontology.units import format_unit
 from ..ontology.vocabulary import SELF, THING
-from .plan import Port, local_name
+from ..rdf.namespaces import local_name
+from .plan import Port
 from .space import ITSELF, TransformationDescription
 from .subject import Roles
 

@@ -16,7 +16,7 @@ from typing import TypeAlias
 
 from pyoxigraph import Literal, NamedNode, Triple
 
-from ..rdf.namespaces import DYKNOW, OWL, RDF, RDFS, STREAM_SPACE, XSD
+from ..rdf.namespaces import DYKNOW, OWL, RDF, RDFS, STREAM_SPACE, XSD, local_name
 from .units import Unit, UnitError, parse_unit
 
 NameKind: TypeAlias = OneOf["sort", "feature", "event", "any"]
@@ -159,11 +159,6 @@ class Vocabulary:
         locals_by_key = {local_name(iri).lower(): local_name(iri) for iri in sorted(known)}
         near = difflib.get_close_matches(local_name(name).lower(), locals_by_key, n=3)
         return tuple(locals_by_key[key] for key in near)
-
-
-def local_name(iri: str) -> str:
-    """The part of an IRI after its last ``#``, ``/`` or ``:``."""
-    return iri[max(iri.rfind(mark) for mark in "#/:") + 1 :]
 
 
 class _Index:

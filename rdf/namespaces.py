@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Final
 
 from pyoxigraph import NamedNode
@@ -26,6 +27,11 @@ PREFIXES: Final[dict[str, str]] = {
 """Prefixes that need no declaration in requests, SPARQL and templates sent to the service."""
 
 RDF_TYPE: Final = NamedNode(RDF + "type")
+
+
+def local_name(iri: str) -> str:
+    """What follows the last ``#``, ``/`` or ``:``: ``UAV`` of ``dyknow:UAV``."""
+    return re.split(r"[#/:]", iri.rstrip("#/:"))[-1] or iri
 
 
 def shorten(iri: str) -> str:

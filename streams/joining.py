@@ -6,6 +6,7 @@ computational units (Def. 5.34). tests/support/joint_definition.py is its slow t
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 
 import numpy as np
@@ -15,42 +16,19 @@ from .sample import SampleBatch, Times, concatenate
 from .tuples import Rows, TupleBatch
 
 
-class Join:
-    """Def. 5.11 online: a tuple at each available time of any input, as soon as all are known.
+class Joining(ABC):
+    """A join over inputs: what is known of all of them decides which tuples there are."""
 
-    Law: whatever the batches, watermarks and interleaving, the tuples given up to `known` are
-    those of the definition. An input that has not begun (no sample, watermark or end) holds back
-    the others. After an end a push continues the input, if it comes after what was given.
-
-    Cost: O(n log n) numpy a push, n the samples decided by it. Memory: the last sample of each
-    input and what other inputs are behind; nothing of the history.
-    """
-
-    def __init__(self, arity: int) -> None:
-        if arity < 1:
+    def __init__(self, count: int) -> None:
+        if count < 1:
             raise ValueError("a join has at least one input (Def. 5.11)")
-        self._inputs = [Input() for _ in range(arity)]
-        self._last: list[SampleBatch | None] = [None] * arity
+        self._inputs = [Input() for _ in range(count)]
         self._done = NOTHING_KNOWN
 
     @property
     def known(self) -> int | None:
         """Every tuple with t ≤ known has been given; None before all inputs have begun."""
         return known_of(self._inputs)
-
-    @property
-    def retained(self) -> int:
-        """How many samples are kept: those that wait, and the last of each input."""
-        lasts = sum(last is not None for last in self._last)
-        return lasts + sum(input.waiting for input in self._inputs)
-
-    def push(self, input: int, batch: SampleBatch) -> TupleBatch | None:
-        """Samples of ``input`` in order; the tuples they decide, None for none.
-
-        Raises `ValueError` where available times do not increase; then nothing is taken.
-        """
-        self._inputs[input].push(batch, self._done)
-        return self._proceed()
 
     def advance(self, input: int, watermark: int) -> TupleBatch | None:
         """Every later sample of ``input`` is available at ``watermark`` or later."""
@@ -67,19 +45,59 @@ class Join:
         self._inputs[input].resume()
 
     def end(self, input: int) -> TupleBatch | None:
-        """``input`` has no more samples: its last one stands from here on."""
+        """``input`` has no more samples: what it said last stands from here on."""
         self._inputs[input].end()
         return self._proceed()
 
-    def _proceed(self) -> TupleBatch | None:
+    def _reach(self) -> list[list[SampleBatch]] | None:
+        """What each input brings that is decided now; None where nothing is."""
         known = known_of(self._inputs)
         if known is None or known <= self._done:
             return None
-        news = [
-            concatenate(parts) if (parts := input.take(known)) else None for input in self._inputs
-        ]
+        parts = [input.take(known) for input in self._inputs]
         # All ended: what was given reaches as far as the last of them, so that one may continue.
         self._done = min(known, max(input.known for input in self._inputs))
+        return parts
+
+    @abstractmethod
+    def _proceed(self) -> TupleBatch | None:
+        """The tuples that are decided by now and were not given; None for none."""
+
+
+class Join(Joining):
+    """Def. 5.11 online: a tuple at each available time of any input, as soon as all are known.
+
+    Law: whatever the batches, watermarks and interleaving, the tuples given up to `known` are
+    those of the definition. An input that has not begun (no sample, watermark or end) holds back
+    the others. After an end a push continues the input, if it comes after what was given.
+
+    Cost: O(n log n) numpy a push, n the samples decided by it. Memory: the last sample of each
+    input and what other inputs are behind; nothing of the history.
+    """
+
+    def __init__(self, arity: int) -> None:
+        super().__init__(arity)
+        self._last: list[SampleBatch | None] = [None] * arity
+
+    @property
+    def retained(self) -> int:
+        """How many samples are kept: those that wait, and the last of each input."""
+        lasts = sum(last is not None for last in self._last)
+        return lasts + sum(input.waiting for input in self._inputs)
+
+    def push(self, input: int, batch: SampleBatch) -> TupleBatch | None:
+        """Samples of ``input`` in order; the tuples they decide, None for none.
+
+        Raises `ValueError` where available times do not increase; then nothing is taken.
+        """
+        self._inputs[input].push(batch, self._done)
+        return self._proceed()
+
+    def _proceed(self) -> TupleBatch | None:
+        parts = self._reach()
+        if parts is None:
+            return None
+        news = [concatenate(own) if own else None for own in parts]
         arrivals = [new.available for new in news if new is not None]
         if not arrivals:
             return None

@@ -13,7 +13,8 @@ from typing import Final
 
 import numpy as np
 
-from .inputs import NOTHING_KNOWN, Input, known_of
+from .inputs import NOTHING_KNOWN
+from .joining import Joining
 from .latest import Latest
 from .numbering import Numbering, Numbers
 from .sample import Column, SampleBatch, Times, concatenate
@@ -24,7 +25,7 @@ KEY: Final = "#key"
 """The column in which a key waits with its sample: no field that is declared is called so."""
 
 
-class KeyedJoin:
+class KeyedJoin(Joining):
     """A tuple for an object whenever a sample of it comes and all inputs have something to say.
 
     An input is *keyed* (a key says which object a sample is of) or *constant* (about one object
@@ -49,23 +50,15 @@ class KeyedJoin:
     """
 
     def __init__(self, keyed: Sequence[bool]) -> None:
-        if not keyed:
-            raise ValueError("a join has at least one input (Def. 5.11)")
+        super().__init__(len(keyed))
         self.keyless = 0
         """Samples without a key that were left out, of those available by `known`."""
         self._is_keyed = tuple(keyed)
         # An input that brings tuples about. Where none is keyed each does, for object 0.
         self._brings = self._is_keyed if any(keyed) else (True,) * len(keyed)
-        self._inputs = [Input() for _ in keyed]
         self._latest = [Latest() for _ in keyed]
         self._objects = Numbering()
-        self._done = NOTHING_KNOWN
         self._left = NOTHING_KNOWN
-
-    @property
-    def known(self) -> int | None:
-        """Every tuple with t ≤ known has been given; None before all inputs have begun."""
-        return known_of(self._inputs)
 
     @property
     def reached(self) -> int:
@@ -92,32 +85,10 @@ class KeyedJoin:
         self._inputs[input].push(batch, self._done)
         return self._proceed()
 
-    def advance(self, input: int, watermark: int) -> TupleBatch | None:
-        """Every later sample of ``input`` is available at ``watermark`` or later."""
-        self._inputs[input].advance(watermark)
-        return self._proceed()
-
-    def decided(self, input: int) -> int:
-        """A sample of ``input`` that is available by then comes too late: tuples were given
-        without it, or it was promised not to come."""
-        return max(self._inputs[input].known, self._done)
-
-    def resume(self, input: int) -> None:
-        """``input`` had ended and goes on: it is waited for again."""
-        self._inputs[input].resume()
-
-    def end(self, input: int) -> TupleBatch | None:
-        """``input`` has no more samples: its latest ones stand from here on."""
-        self._inputs[input].end()
-        return self._proceed()
-
     def _proceed(self) -> TupleBatch | None:
-        known = known_of(self._inputs)
-        if known is None or known <= self._done:
+        parts = self._reach()
+        if parts is None:
             return None
-        parts = [input.take(known) for input in self._inputs]
-        # All ended: what was given reaches as far as the last of them, so that one may continue.
-        self._done = min(known, max(input.known for input in self._inputs))
         news = {i: self._news(i, concatenate(own)) for i, own in enumerate(parts) if own}
         news = {i: new for i, new in news.items() if len(new.batch)}
         for latest in self._latest:

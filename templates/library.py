@@ -15,8 +15,7 @@ from ..languages.csparql import parse_template
 from ..languages.csparql.ast import ContinuousQuery, Template
 from ..languages.errors import LanguageError
 from ..ontology.ontology import Ontology
-from ..ontology.vocabulary import local_name
-from ..rdf.namespaces import DYKNOW, PREFIXES, shorten
+from ..rdf.namespaces import DYKNOW, PREFIXES, local_name, shorten
 from .needs import Needs, NeedsError, in_ontology, needs, open_predicates
 
 

@@ -6,13 +6,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 from .ast import Unit
 
 
-@dataclass(frozen=True, slots=True)
-class Role:
+class Role(NamedTuple):
     """One thing a feature speaks of; IRIs.
 
     ``sort`` set: every object of the sort, and ``id_field`` names the one meant (s3, s4, s5).

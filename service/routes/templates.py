@@ -11,7 +11,7 @@ from fastapi.responses import JSONResponse, PlainTextResponse
 from ...engine.errors import UnknownTemplate
 from ...engine.views import TemplateView
 from ...languages.csparql import parse_template
-from ...rdf.namespaces import shorten
+from ...rdf.namespaces import local_name, shorten
 from ..context import Context, Service
 from ..models import TemplateModel, text_schema
 from ..negotiation import JSON, SPARQL_QUERY, TEXT, accepted, text_body
@@ -94,12 +94,12 @@ async def put_template(
     """Register the template of this name, or replace it. Running requests keep what they have."""
     text = await text_body(request, TEXTS)
     registered = parse_template(text).name
-    if name not in (registered, f"<{registered}>", shorten(registered), _local(registered)):
+    if name not in (registered, f"<{registered}>", shorten(registered), local_name(registered)):
         raise Problem(
             409,
             "conflict",
             f"the text registers <{registered}>, the address names {name}",
-            hint=f"PUT it to /templates/{_local(registered)}",
+            hint=f"PUT it to /templates/{local_name(registered)}",
         )
     old = _existing(service, name)
     _check(old, if_match, if_none_match)
@@ -154,7 +154,3 @@ def _names(condition: str, view: TemplateView) -> bool:
 
 def _quoted(etag: str) -> str:
     return etag if etag.startswith('"') else f'"{etag}"'
-
-
-def _local(iri: str) -> str:
-    return iri.rstrip("/").replace("#", "/").rpartition("/")[2]

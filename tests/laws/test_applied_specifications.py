@@ -152,7 +152,7 @@ def test_what_is_removed_leaves_nothing_behind(given):
     # But for what was told.
     assert without_users(state(engine))[:-1] == nothing[:-1]
     assert engine._configuration._shared == {}
-    assert engine._plans._made == set()
+    assert not engine._plans.made
 
 
 @LIMITS
