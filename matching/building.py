@@ -184,23 +184,22 @@ def computed(
     given = _output_roles(unit, feeds, places, feed, sorts)
     # What comes with the inputs may have the name of a field of the output.
     taken = {unit.output.field, *_own_fields(unit)}
-    found = [argument.id_field is not None for argument in unit.arguments][: len(given)]
-    found += [False] * (len(given) - len(found))
     names: dict[str, str] = {}
-    for role, is_found in zip(given, found, strict=True):
-        if role.id_field is not None and not is_found and role.id_field not in names:
-            names[role.id_field] = _free(role.id_field, taken)
-            taken.add(names[role.id_field])
-    roles = tuple(
-        role if is_found or role.id_field is None else _named(role, names[role.id_field])
-        for role, is_found in zip(given, found, strict=True)
-    )
-    carried = tuple(
-        (before.id_field, after.id_field)
-        for before, after, is_found in zip(given, roles, found, strict=True)
-        if not is_found and before.id_field is not None and after.id_field is not None
-    )
-    return Compute(unit.name, () if feed is None else (feed,), unit.output, roles, carried)
+    roles: list[Role] = []
+    carried: list[tuple[str, str]] = []
+    for place, role in enumerate(given):
+        before = role.id_field
+        if before is None or (unit.arguments and unit.arguments[place].id_field is not None):
+            roles.append(role)
+            continue
+        if before not in names:
+            names[before] = _free(before, taken)
+            taken.add(names[before])
+        after = names[before]
+        roles.append(role if after == before else role._replace(id_field=after))
+        carried.append((before, after))
+    inputs = () if feed is None else (feed,)
+    return Compute(unit.name, inputs, unit.output, tuple(roles), tuple(carried))
 
 
 def synchronized(feeds: Sequence[Edge]) -> Edge:
@@ -305,11 +304,6 @@ def numbered(field: str, taken: set[str]) -> str:
     while name in taken:
         name, number = f"{field}_{number}", number + 1
     return name
-
-
-def _named(role: Role, field: str) -> Role:
-    """The same, named by ``field``."""
-    return role if role.id_field == field else role._replace(id_field=field)
 
 
 def _free(field: str, taken: set[str]) -> str:

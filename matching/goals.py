@@ -280,7 +280,7 @@ class Goals:
         besides the objects of its output."""
         if unit.lacks or not all(self._gives(unit, ask) for ask in goal.asks):
             return
-        if unit.passes_through and not isinstance(unit, EventDescription):
+        if unit.passes_through:
             yield Through(unit, *self._together(unit.asks, unit.fed, goal.subjects))
             return
         said = _said_of(goal.subjects)
@@ -398,8 +398,8 @@ class Goals:
         them together, or one for each; and what feeds which input."""
         if len(asks) == 1 or self._may_be_held_together(asks):
             goal = Goal(asks, subjects, joined and len(asks) > 1)
-            return (goal,), tuple((0, place) for place in fed)
-        return tuple(Goal((ask,), subjects) for ask in asks), tuple((place, 0) for place in fed)
+            return (goal,), _in_one(fed)
+        return tuple([Goal((ask,), subjects) for ask in asks]), _one_each(fed)
 
     def _may_be_held_together(self, asks: tuple[Ask, ...]) -> bool:
         """Whether there may be a stream that holds two of the features, or a unit whose output is
@@ -501,6 +501,18 @@ class Goals:
                         seen.add(port.feature)
                         waiting.append(port.feature)
         return found
+
+
+@lru_cache(maxsize=4096)
+def _in_one(fed: tuple[int, ...]) -> tuple[tuple[int, int], ...]:
+    """What feeds which input, where all asks are of one goal."""
+    return tuple((0, place) for place in fed)
+
+
+@lru_cache(maxsize=4096)
+def _one_each(fed: tuple[int, ...]) -> tuple[tuple[int, int], ...]:
+    """What feeds which input, where each ask is a goal of its own."""
+    return tuple((place, 0) for place in fed)
 
 
 def _as_said(subjects: Subjects) -> Subjects:

@@ -134,23 +134,20 @@ class _Unfolded:
         """A unit, which may give other goals too, and the selection of what it finds."""
         unit = way.unit
         needs = [self.goal(need) for need in way.needs]
-        is_event = isinstance(unit, EventDescription)
+        # What speaks of nothing in particular is no event, and finds no objects.
+        is_event = bool(unit.arguments) and isinstance(unit, EventDescription)
         if len(needs) > 1 and not is_event:
             needs = [self._synchronization(needs)]
         weight = self._strategy.weight(unit.cost, unit.quality)
-        key: Hashable = (unit.name, *needs, goal.subjects if is_event else ())
-        selections = (
-            [
+        key: Hashable = (unit.name, *needs, goal.subjects) if is_event else (unit.name, *needs)
+        selections: Sequence[tuple[str, str]] = ()
+        if unit.arguments:
+            selections = [
                 (argument.id_field, subject.object)
                 for argument, subject in zip(unit.arguments, goal.subjects, strict=False)
                 if argument.id_field is not None and subject.object is not None
             ]
-            if unit.arguments
-            else ()
-        )
-        known = self._units.get(key)
-        if known is None and not selections:
-            self._units[key] = len(self._derives)
+        if not selections and self._units.setdefault(key, len(self._derives)) == len(self._derives):
             self._add(place, needs, weight, unit.quality, (goal, way))
             return
         made = self._unit(key, needs, weight, unit.quality)
