@@ -135,6 +135,11 @@ class AdaptiveSubscription:
         self.rematches: deque[Rematch] = deque(maxlen=KEPT)
 
     @property
+    def begins(self) -> Since:
+        """What a plan for it begins with: with the past, too, once it has read anything."""
+        return Since.START if self.has_begun else self.wish.since
+
+    @property
     def output(self) -> StreamGenerator:
         """The stream that the subscriber reads."""
         return self.unit.output if self.adapted is None else self.adapted.output

@@ -125,7 +125,7 @@ class Choosing:
         wish = found.wish
         if wish.quality > 0:
             bad = self._too_bad(wish.quality)
-            match = self._match(found, wish.strategy, without | bad, explained=False)
+            match = self._match(found, wish.strategy, without, bad)
             if match.supply is not None and self.quality(match.supply) >= wish.quality:
                 return match
         strategy = str(Kind.QUALITY) if wish.quality > 0 else wish.strategy
@@ -137,26 +137,30 @@ class Choosing:
         found: AdaptiveSubscription,
         strategy: str,
         without: AbstractSet[str],
+        bad: AbstractSet[str] = frozenset(),
         *,
-        explained: bool,
+        explained: bool = False,
     ) -> Match:
         counts = Strategy.parse(strategy).kind is Kind.COST
-        shared = self._shared(found, without) if counts else {}
+        shared = self._shared(found, without | bad, bad) if counts else {}
         (match,) = self._plans.match(
-            [found.wish.want], strategy, without - shared.keys(), explained=explained
+            [found.wish.want], strategy, (without - shared.keys()) | bad, explained=explained
         )
         supply = None if match.supply is None else expanded(match.supply, shared)
         return replace(match, supply=supply)
 
-    def _shared(self, found: AdaptiveSubscription, without: AbstractSet[str]) -> Mapping[str, Node]:
+    def _shared(
+        self, found: AdaptiveSubscription, without: AbstractSet[str], bad: AbstractSet[str]
+    ) -> Mapping[str, Node]:
         """The streams of units that run and cost nothing more, and what makes them: a subscription
-        has to know what it rests on. None of it is ``without``, or means something else by now."""
-        since = Since.START if found.has_begun else found.wish.since
+        has to know what it rests on. None of it is ``without`` or ``bad``, or means something else
+        by now."""
         without = without - self._plans.made
         return {
             name: node
-            for name, node in self._plans.shared(since).items()
+            for name, node in self._plans.shared(found.begins).items()
             if name in self._space.streams
+            and name not in bad
             and self._space.streams[name].contents == contents_of(node)
             and without.isdisjoint(names_of(nodes_of(node)))
             and all(map(self._is_known, nodes_of(node)))
@@ -175,7 +179,7 @@ class Choosing:
 
     def _is_running(self, found: AdaptiveSubscription) -> Callable[[Node], bool]:
         own = set(found.nodes)
-        return lambda node: node in own or self._plans.is_running(node)
+        return lambda node: node in own or self._plans.is_shared(node, found.begins)
 
     def is_same(self, found: AdaptiveSubscription, supply: Supply) -> bool:
         return (

@@ -27,7 +27,6 @@ from ..matching.plan import (
     Synchronize,
     UseStream,
     annotation_of,
-    below_of,
     nodes_of,
 )
 from ..matching.space import StreamSpace
@@ -81,6 +80,8 @@ class Plans:
         self._begun: dict[str, int] = {}
         """Streams of units that began with what came, and the last that was available before."""
         self._broken: set[str] = set()
+        self._tuples: set[str] = set()
+        """The streams of inputs that were synchronized."""
         self._made: dict[str, tuple[Node, Since]] = {}
         """The streams that units of plans make, and of which nodes they were made."""
         self._sources: dict[str, SourceUnit] = {}
@@ -93,9 +94,8 @@ class Plans:
         """
         if isinstance(node, UseStream):
             return self._configuration.stream(node.stream)
-        if isinstance(node, Compute) and not node.inputs:
-            since = Since.NOW  # it has no past to begin with, and a sensor is read once
-        return self._configuration.share((node, since), lambda: self._build(node, since)).output
+        begun = _begun(node, since)
+        return self._configuration.share((node, begun), lambda: self._build(node, begun)).output
 
     def tick(self, now: int) -> None:
         """The time is ``now`` (ns): read the sources that are due."""
@@ -110,6 +110,10 @@ class Plans:
         """Whether there is a unit for ``node`` already."""
         return any(self._configuration.is_shared((node, since)) for since in Since)
 
+    def is_shared(self, node: Node, since: Since) -> bool:
+        """Whether a plan that begins with ``since`` would find a unit for ``node``."""
+        return self._configuration.is_shared((node, _begun(node, since)))
+
     def match(
         self,
         wants: Sequence[Want],
@@ -118,13 +122,14 @@ class Plans:
         *,
         explained: bool = False,
     ) -> tuple[Match, ...]:
-        """Semantic matching over what there is; see `match_all`."""
+        """Semantic matching over what there is; see `match_all`. Not over the tuples of inputs
+        that were synchronized: they say again what one input said when another one speaks."""
         return match_all(
             wants,
             self._space,
             self._ontology.vocabulary,
             strategy,
-            without=without,
+            without=without | self._tuples,
             is_running=self.is_running,
             explained=explained,
         )
@@ -144,14 +149,25 @@ class Plans:
 
     def shared(self, since: Since) -> Mapping[str, Node]:
         """The streams of units that a plan may share which begins with ``since``, and what they
-        are made from: streams from outside and sources."""
+        are made from: streams from outside and sources, by nothing else than transformations as
+        they were registered."""
         return {
             name: node
             for name, (node, begun) in self._made.items()
-            if (begun is since or not below_of(node))
+            if begun is _begun(node, since)
             and name not in self._broken
-            and not any(isinstance(n, UseStream) and n.stream in self._made for n in nodes_of(node))
+            and not any(map(self._is_particular, nodes_of(node)))
         }
+
+    def _is_particular(self, node: Node) -> bool:
+        """Whether matching would not come to it by itself, with all that it is made from."""
+        match node:
+            case UseStream(stream):
+                return stream in self._made
+            case Compute():
+                return bool(node.parameters)
+            case _:
+                return False
 
     def heard(self, change: Change) -> None:
         """The stream space has changed: a unit that fails takes those with it that read it."""
@@ -165,6 +181,7 @@ class Plans:
                 self._broken.discard(change.stream)
                 self._begun.pop(change.stream, None)
                 self._made.pop(change.stream, None)
+                self._tuples.discard(change.stream)
                 self._sources.pop(change.stream, None)
 
     def _build(
@@ -203,6 +220,8 @@ class Plans:
         name = unit.output.name
         annotation = annotation_of(node, name)
         self._made[name] = (node, since)
+        if isinstance(node, Synchronize):
+            self._tuples.add(name)
         if isinstance(unit, SourceUnit):
             self._sources[name] = unit
         if since is Since.NOW:
@@ -365,3 +384,10 @@ class Plans:
             return FieldType.FLOAT
         info = self._ontology.vocabulary.feature(node.output.feature)
         return field_type(None if info is None else info.range)
+
+
+def _begun(node: Node, since: Since) -> Since:
+    """What a unit for ``node`` begins with, where its plan begins with ``since``."""
+    if isinstance(node, Compute) and not node.inputs:
+        return Since.NOW  # it has no past to begin with, and a sensor is read once
+    return since

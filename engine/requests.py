@@ -15,9 +15,10 @@ from pyoxigraph import Literal, Variable
 
 from ..languages.csparql.ast import ContinuousQuery, EventRequest, Template
 from ..languages.ssl.annotation import StreamAnnotation
-from ..matching.match import Match, UnknownStrategy, match_all
+from ..matching.match import Match, UnknownStrategy
 from ..matching.plan import UseStream, nodes_of_supply
 from ..matching.space import StreamSpace
+from ..matching.strategy import Kind
 from ..ontology.ontology import Ontology
 from ..rdf.dictionary import TermDictionary
 from ..rdf.namespaces import XSD, shorten
@@ -169,7 +170,7 @@ class EventRequests:
     def explain(self, template: Template, request: EventRequest) -> str:
         """Each stage of answering ``request``, without starting anything."""
         query, wanted = self._query(template, request)
-        matches = match_all(wanted.wants, self._space, self._ontology.vocabulary)
+        matches = self._plans.match(wanted.wants, str(Kind.FAST), explained=True)
         return explanations.request(
             template, request, query, wanted, matches, self._ontology, self._dictionary
         )

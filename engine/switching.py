@@ -60,7 +60,7 @@ class Switching:
     ) -> tuple[StreamGenerator, ...]:
         """The streams of the sources of a plan, found or built. Raises `DyknowError`, and then
         nothing is built."""
-        since = Since.START if found.has_begun else found.wish.since
+        since = found.begins
         read = self._working_streams(found)
         sources = () if supply is None else supply.sources
         try:

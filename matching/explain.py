@@ -80,7 +80,9 @@ class Explainer:
     def _stream(self, stream: StreamDescription, goal: Goal, text: str) -> Alternative:
         goals = self._goals
         if stream.name in goals.without:
-            return Alternative(text, Outcome.FAILED, "it is silent, or has ended")
+            return Alternative(
+                text, Outcome.FAILED, "it is silent, has ended, or answers somebody else only"
+            )
         ask, subjects = goal.asks[0], goal.subjects
         reasons: dict[str, None] = {}
         for content, unit in zip(stream.contents, stream.units, strict=True):

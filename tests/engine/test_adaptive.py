@@ -887,6 +887,42 @@ def test_a_unit_that_runs_for_nobody_else_any_more_is_paid_for(kitchen):
     assert world.values(cheap) == [1001]
 
 
+def test_tuples_for_somebody_else_are_no_source(kitchen):
+    """They say again what one input said when the other one speaks."""
+    kitchen.processes.computational_unit("x", ["x", "y"], name="third")(
+        lambda time, samples, state: (samples[0].value, state)
+    )
+    world = dear_and_cheap(kitchen)
+    salt = ONTOLOGY.replace("d:raw", "d:salt").replace("d:cooked", "d:dish")
+    world.engine.load_ontology(salt, name="http://x/z")
+    world.engine.annotate("compunit third transforms a:raw(UAV), b:salt(UAV) to y:dish(UAV)")
+    world.declare("b", meaning="stream {} contains salt(uav1) = spd")
+    world.subscribe("dish", sort=None, objects=["uav1"])
+    ids = [
+        world.subscribe("raw", sort=None, objects=["uav1"], strategy=strategy)
+        for strategy in ("fast", "cost", "quality")
+    ]
+    for time, name in enumerate(("a", "a", "b", "b", "a", "b")):
+        world.say(name, time)
+    for id in ids:
+        assert world.received(id) == [(0, "uav1", 0), (1, "uav1", 1), (4, "uav1", 4)]
+        assert world.reads(id) == ("a",)
+
+
+def test_a_unit_that_began_later_is_paid_for_by_who_wants_the_past(kitchen):
+    world = kitchen.world("first")
+    world.engine.transformations.change("first", cost=1.0, quality=0.9)
+    world.declare("a", meaning=RAW)
+    id = world.subscribe("cooked", strategy="weighted:cost=1,quality=1")
+    world.run(0, 3, 1, "a")
+    world.engine.annotate("compunit second transforms x:raw(UAV) to y:cooked(UAV)")
+    world.engine.transformations.change("second", cost=0.5, quality=0.95)
+    world.subscribe("cooked", strategy="quality")
+    world.run(3, 12, 1, "a")
+    assert len(world.switches(id)) == 1
+    assert len(world.ask("?x :instantiationOf :second")) == 1
+
+
 def test_a_shared_unit_that_takes_its_input_for_something_else_is_not_shared(kitchen):
     world = dear_and_cheap(kitchen)
     best = world.subscribe("cooked", strategy="quality")

@@ -979,3 +979,14 @@ def test_a_waiting_subscription_takes_what_is_inserted(listing):
     listing.annotate(COORDINATES)
     apply(listing, SPEED)
     assert listing.subscription(subscription.id).adaptive.state == "running"
+
+
+@pytest.mark.parametrize("strategy", ["fast", "cost", "quality"])
+def test_a_unit_with_parameters_of_its_own_is_not_what_matching_gives(strategy):
+    """Others get the transformation as it was registered."""
+    engine = world()
+    apply(engine, '<cu name="far" type="gps"><parameter name="scale" value="2"/></cu>')
+    stream = engine.subscribe_to_feature("GPS", sort="Thing", strategy=strategy).stream
+    run(engine, 3)
+    values = [next(reversed(values.values())) for *_, values in samples(engine, stream)]
+    assert values == [1000, 1000, 1000]
