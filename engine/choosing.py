@@ -142,7 +142,7 @@ class Choosing:
         explained: bool = False,
     ) -> Match:
         counts = Strategy.parse(strategy).kind is Kind.COST
-        shared = self._shared(found, without | bad, bad) if counts else {}
+        shared = self._shared(found, without, bad) if counts else {}
         (match,) = self._plans.match(
             [found.wish.want], strategy, (without - shared.keys()) | bad, explained=explained
         )
@@ -155,16 +155,16 @@ class Choosing:
         """The streams of units that run and cost nothing more, and what makes them: a subscription
         has to know what it rests on. None of it is ``without`` or ``bad``, or means something else
         by now."""
-        without = without - self._plans.made
-        return {
-            name: node
-            for name, node in self._plans.shared(found.begins).items()
-            if name in self._space.streams
-            and name not in bad
-            and self._space.streams[name].contents == contents_of(node)
-            and without.isdisjoint(names_of(nodes_of(node)))
-            and all(map(self._is_known, nodes_of(node)))
-        }
+        avoided = (without | bad) - self._plans.made
+        streams = self._space.streams
+        shared = {}
+        for name, node in self._plans.shared(found.begins).items():
+            if name not in streams or name in bad or streams[name].contents != contents_of(node):
+                continue
+            nodes = tuple(nodes_of(node))
+            if avoided.isdisjoint(names_of(nodes)) and all(map(self._is_known, nodes)):
+                shared[name] = node
+        return shared
 
     def _too_bad(self, bound: float) -> AbstractSet[str]:
         """What nothing good enough is made of: a plan is as good as the worst of it at most."""

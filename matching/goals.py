@@ -283,7 +283,6 @@ class Goals:
         if unit.passes_through:
             yield Through(unit, *self._together(unit.asks, unit.fed, goal.subjects))
             return
-        said = _said_of(goal.subjects)
         bound = self._bind(unit.arguments, goal.subjects)
         if bound is None:
             return
@@ -295,6 +294,7 @@ class Goals:
         if not unit.inputs:
             yield Through(unit, (), ())
             return
+        said = _said_of(goal.subjects)
         for binding in self._bindings(unit, bound, said):
             needs = self._needs(unit, binding, said)
             if needs is not None:
