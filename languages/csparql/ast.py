@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import TypeAlias
 
 from pyoxigraph import Variable
 
@@ -26,6 +27,21 @@ class Form(StrEnum):
     DESCRIBE = "DESCRIBE"
 
 
+class Dialect(StrEnum):
+    """Whose rules hold where the text says nothing: RSP-QL's solutions are sets, C-SPARQL's bags."""
+
+    C_SPARQL = "C-SPARQL"
+    RSP_QL = "RSP-QL"
+
+
+class StreamOperator(StrEnum):
+    """What of the present result goes on: all of it, what is new in it, or what has left it."""
+
+    RSTREAM = "RSTREAM"
+    ISTREAM = "ISTREAM"
+    DSTREAM = "DSTREAM"
+
+
 @dataclass(frozen=True, slots=True)
 class TimeWindow:
     """``[RANGE 5s STEP 1s]``: content ``(t - range, t]`` at each multiple of ``step``. In ns."""
@@ -35,12 +51,37 @@ class TimeWindow:
 
 
 @dataclass(frozen=True, slots=True)
+class CountWindow:
+    """``[TRIPLES 10 STEP 2]``: the last ``size`` triples, each time ``step`` more have come."""
+
+    size: int
+    step: int
+
+
+@dataclass(frozen=True, slots=True)
+class LandmarkWindow:
+    """``[LANDMARK STEP 1s]``: content ``[start, t]`` at each multiple of ``step``, in ns; all that
+    has come by ``t`` where ``start`` is None."""
+
+    start: int | None
+    step: int
+
+
+Window: TypeAlias = TimeWindow | CountWindow | LandmarkWindow
+
+
+@dataclass(frozen=True, slots=True)
 class StreamClause:
-    """``FROM STREAM <iri> [RANGE … STEP …]``."""
+    """``FROM STREAM <iri> [RANGE … STEP …]``, or RSP-QL's ``FROM NAMED WINDOW <name> ON <iri> […]``.
+
+    ``name`` is the IRI of the window, whose triples only ``WINDOW <name> {…}`` sees; without one
+    they are part of the default graph.
+    """
 
     iri: str
-    window: TimeWindow
+    window: Window
     span: Span
+    name: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,12 +102,14 @@ class Aggregation:
 class ContinuousQuery:
     """A continuous query, or the body of a template (then with `Template.parameters` free).
 
-    ``name`` is as registered (a plain name or an IRI), ``every`` the COMPUTE EVERY period in ns
-    (None where absent), ``static`` the FROM graphs, ``streams`` the FROM STREAM clauses (empty
-    where they are to be inferred), ``window`` the WINDOW clause (templates) which holds for every
-    stream that is inferred. ``aggregations`` and ``aggregate_filters`` (texts of the FILTER
-    expressions, with spans) are the paper's AGGREGATE clause; SPARQL 1.1 aggregates stand in
-    ``sparql``. ``bindings`` are the template arguments that were given as terms.
+    ``name`` is as registered (a plain name or an IRI; "" without REGISTER), ``every`` the COMPUTE
+    EVERY period in ns (None where absent), ``static`` the FROM graphs, ``static_named`` the FROM
+    NAMED graphs, ``streams`` the FROM STREAM and FROM NAMED WINDOW clauses (empty where they are to
+    be inferred), ``window`` the WINDOW clause (templates) which holds for every stream that is
+    inferred. ``aggregations`` and ``aggregate_filters`` (texts of the FILTER expressions, with
+    spans) are the paper's AGGREGATE clause; SPARQL 1.1 aggregates stand in ``sparql``, where RSP-QL's
+    ``WINDOW <name> {…}`` is written ``GRAPH <name> {…}``; ``window_variables`` are the names of
+    those of ``WINDOW ?w {…}``. ``bindings`` are the template arguments that were given as terms.
     """
 
     name: str
@@ -76,12 +119,16 @@ class ContinuousQuery:
     prefixes: Mapping[str, str]
     static: tuple[str, ...]
     streams: tuple[StreamClause, ...]
-    window: TimeWindow | None
+    window: Window | None
     aggregations: tuple[Aggregation, ...]
     aggregate_filters: tuple[tuple[str, Span], ...]
     sparql: str
     source: str
     bindings: Mapping[Variable, Term] = field(default_factory=dict)
+    dialect: Dialect = Dialect.C_SPARQL
+    operator: StreamOperator = StreamOperator.RSTREAM
+    static_named: tuple[str, ...] = ()
+    window_variables: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True, slots=True)
