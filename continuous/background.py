@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 
 from pyoxigraph import BlankNode, NamedNode, Quad, Store, Triple
@@ -14,8 +14,9 @@ _SUB_CLASS = NamedNode(RDFS + "subClassOf")
 
 
 class Background:
-    """All triples of a store, whatever graph they are in, read as one set.
+    """The triples of a store, read as one set, and its named graphs where a query names them.
 
+    ``default`` are the graphs that make up the default graph, by IRI; None: all there are.
     ``store`` may be a function, where another store takes its place with another version.
     ``version`` changes whenever the store does: what is derived from the store (scans, sorts) is
     kept per version. Cost: a scan is one index look-up of Oxigraph and a Python object a triple.
@@ -25,18 +26,29 @@ class Background:
         self,
         store: Store | Callable[[], Store] | None = None,
         version: Callable[[], int] | None = None,
+        default: Collection[str] | None = None,
     ) -> None:
         known = Store() if store is None else store
         self._store = known if callable(known) else lambda: known
         self._version = version or (lambda: 0)
+        self._default = None if default is None else tuple(map(NamedNode, default))
         self._sorts_version: int | None = None
         self._sorts: dict[str, frozenset[str]] = {}
 
     @classmethod
-    def from_files(cls, paths: Iterable[str | Path]) -> Background:
-        """The triples of RDF files; the format is told by the file's suffix."""
+    def from_files(
+        cls,
+        files: Iterable[str | Path] | Mapping[str, str | Path],
+        default: Collection[str] | None = None,
+    ) -> Background:
+        """The triples of RDF files; the format is told by the file's suffix. Of a mapping, each
+        file is the graph of its IRI."""
         store = Store()
-        for path in paths:
+        if isinstance(files, Mapping):
+            for iri, path in files.items():
+                store.bulk_load(path=str(path), to_graph=NamedNode(iri))
+            return cls(store, default=default)
+        for path in files:
             store.bulk_load(path=str(path))
         return cls(store)
 
@@ -50,21 +62,48 @@ class Background:
         return self._version()
 
     def scan(
-        self, subject: Term | None, predicate: NamedNode, object: Term | None
+        self,
+        subject: Term | None,
+        predicate: NamedNode,
+        object: Term | None,
+        graph: str = "",
     ) -> list[tuple[Term, Term]]:
         """The distinct (subject, object) pairs of ``predicate`` that match; None matches all."""
         if subject is not None and not isinstance(subject, NamedNode | BlankNode):
             return []
-        quads = self.store.quads_for_pattern(subject, predicate, object, None)
+        quads = self._quads(subject, predicate, object, graph)
         found = dict.fromkeys((quad.subject, quad.object) for quad in quads)
         # A quoted triple is no term of a stream.
         return [(s, o) for s, o in found if not isinstance(s, Triple) and not isinstance(o, Triple)]
 
+    def triples(self, graph: str = "") -> list[tuple[Term, NamedNode, Term]]:
+        """All distinct triples of a graph ("" is the default graph)."""
+        quads = self._quads(None, None, None, graph)
+        found = dict.fromkeys((quad.subject, quad.predicate, quad.object) for quad in quads)
+        return [
+            (s, p, o)
+            for s, p, o in found
+            if not isinstance(s, Triple) and not isinstance(o, Triple)
+        ]
+
     def has(self, predicate: NamedNode) -> bool:
-        """Whether any static triple has this predicate."""
-        return (
-            next(iter(self.store.quads_for_pattern(None, predicate, None, None)), None) is not None
-        )
+        """Whether any triple of the default graph has this predicate."""
+        return next(iter(self._quads(None, predicate, None, "")), None) is not None
+
+    def _quads(
+        self,
+        subject: NamedNode | BlankNode | None,
+        predicate: NamedNode | None,
+        object: Term | None,
+        graph: str,
+    ) -> Iterator[Quad]:
+        if graph:
+            yield from self.store.quads_for_pattern(subject, predicate, object, NamedNode(graph))
+        elif self._default is None:
+            yield from self.store.quads_for_pattern(subject, predicate, object, None)
+        else:
+            for name in self._default:
+                yield from self.store.quads_for_pattern(subject, predicate, object, name)
 
     def supersorts(self, sort: str) -> frozenset[str]:
         """``sort`` and everything it is a sub-sort of, by rdfs:subClassOf."""
@@ -85,23 +124,20 @@ class Background:
     def copy(
         self, predicates: Collection[NamedNode] | None, classes: Collection[NamedNode] | None
     ) -> list[Quad]:
-        """The triples with these predicates, of rdf:type only these classes; None is any.
-
-        As quads of the default graph, for a store that holds one window.
+        """The triples of the default graph with these predicates, of rdf:type only these classes;
+        None is any. As quads of the default graph, for a store that holds one window.
         """
-        if predicates is None:
-            return [
-                Quad(quad.subject, quad.predicate, quad.object)
-                for quad in self.store.quads_for_pattern(None, None, None, None)
-            ]
-        quads: list[Quad] = []
-        for predicate in predicates:
-            wanted: Iterable[NamedNode | None] = [None]
-            if predicate == RDF_TYPE and classes is not None:
-                wanted = classes
-            for object in wanted:
-                quads.extend(
-                    Quad(quad.subject, quad.predicate, quad.object)
-                    for quad in self.store.quads_for_pattern(None, predicate, object, None)
+        wanted: list[tuple[NamedNode | None, NamedNode | None]] = [(None, None)]
+        if predicates is not None:
+            wanted = [
+                (predicate, object)
+                for predicate in predicates
+                for object in (
+                    classes if predicate == RDF_TYPE and classes is not None else (None,)
                 )
-        return quads
+            ]
+        return [
+            Quad(quad.subject, quad.predicate, quad.object)
+            for predicate, object in wanted
+            for quad in self._quads(None, predicate, object, "")
+        ]

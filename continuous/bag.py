@@ -18,7 +18,7 @@ from pyoxigraph import NamedNode
 from ..languages.csparql.shape import constraint_end, query_shape
 from ..languages.csparql.tokens import Kind, Token, closing
 from ..rdf.namespaces import RDF_TYPE
-from .translate import Unsupported
+from .unsupported import Unsupported
 
 HIDDEN = "dyknow_copy_"
 """Variables of copy graphs begin with this; ``SELECT *`` would show them."""

@@ -35,6 +35,14 @@ class Relation:
     rows: int
     key: frozenset[str] | None = None
 
+    def column(self, name: str) -> ObjectColumn:
+        """The column of a variable; of one that is never bound, nulls."""
+        found = self.columns.get(name)
+        if found is not None:
+            return found
+        nothing = np.full(self.rows, NO_TERM, np.int32)
+        return ObjectColumn(Kind.TERM, nothing, np.ones(self.rows, np.bool_))
+
     def take(self, rows: NDArray[Any]) -> Relation:
         """The rows at ``rows`` (a mask or indices without repetition)."""
         count = int(np.count_nonzero(rows)) if rows.dtype == np.bool_ else len(rows)
@@ -230,6 +238,18 @@ def bits(values: NDArray[Any]) -> NDArray[np.int64]:
     if values.dtype == np.float64:
         return np.ascontiguousarray(values).view(np.int64)
     return values.astype(np.int64)
+
+
+def coalesce(first: ObjectColumn, second: ObjectColumn, dictionary: TermDictionary) -> ObjectColumn:
+    """The first where it is bound, else the second."""
+    if first.null is None:
+        return first
+    if first.kind is not second.kind:
+        first, second = (as_terms(column, dictionary) for column in (first, second))
+    assert first.null is not None
+    null = first.null & ~second.present
+    values = np.where(first.null, second.values, first.values).astype(first.kind.dtype)
+    return ObjectColumn(first.kind, values, null if null.any() else None)
 
 
 def concatenate(columns: Sequence[ObjectColumn], dictionary: TermDictionary) -> ObjectColumn:

@@ -6,29 +6,33 @@ results however they were cut into batches.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from ..languages.csparql import algebra, body_sparql, group_keys
-from ..languages.csparql.ast import ContinuousQuery
+from ..languages.csparql.ast import ContinuousQuery, StreamOperator
+from ..languages.csparql.shape import query_shape
 from ..languages.errors import Span
 from ..rdf.dictionary import TermDictionary
 from ..rdf.timed import TimedTriples, TripleRows
 from ..streams.time import TIME_MAX
 from .background import Background
 from .columns import NeedsOxigraph, Relation, TermValues
+from .contents import Contents, Due
 from .explain import Stages
 from .heads import finish
 from .incremental import Incremental, shape_of
-from .intake import Intake
-from .logical import Plan, Query
+from .logical import DEFAULT, AnyScan, Closure, Plan, Query, Scan, TypeScan, walk
 from .options import Options
 from .oxigraph import OxigraphWindows
 from .relational import execute
 from .results import WindowResult
 from .rules import optimize
 from .sources import StaticSide, WindowSource
-from .translate import Unsupported, translate
+from .stream_operators import Difference
+from .timestamps import asks_for_times, at_time, names_now
+from .translate import Graphs, translate
+from .unsupported import Unsupported
 from .windows import schedule
 
 
@@ -63,42 +67,61 @@ class ContinuousEvaluator:
         self.schedule = schedule(query, self.inputs, self.options)
         self._terms = TermValues(dictionary)
         self._static = StaticSide(background, self._terms)
-        self._intakes = {name: Intake() for name in self.inputs}
+        self._contents = Contents(self.schedule)
         self._watermarks: dict[str, int] = {}
         self._ended: set[str] = set()
         self._closed: int | None = None
+        self._had_content = False
+        self._difference: Difference | None = None
+        if query.operator is not StreamOperator.RSTREAM:
+            self._difference = Difference(query.operator, self._terms)
         self._translated: Query | None = None
         self._plan: Query | None = None
         self._rules: tuple[str, ...] = ()
         self._reason = ""
         self._incremental: Incremental | None = None
         self._no_increment = ""
+        self._names_now = False
+        self._prepare(query)
+
+    def _prepare(self, query: ContinuousQuery) -> None:
         asked = _with_rows_only(query)
         tree = algebra(asked).algebra
-        distinct = self.options.semantics == "set"
+        graphs = Graphs(self.schedule.named, query.static_named, query.window_variables)
         self._oxigraph = OxigraphWindows(
-            body_sparql(asked), tree, self._static, self._terms, distinct=distinct
+            body_sparql(asked),
+            tree,
+            self._static,
+            self._terms,
+            graphs,
+            distinct=self.options.semantics == "set",
         )
+        shape = query_shape(asked.sparql)
         try:
             bindings = {variable.value: term for variable, term in query.bindings.items()}
-            self._translated = translate(tree, bindings)
+            self._translated = translate(
+                tree, bindings, graphs, selects_all=shape is not None and shape.selects_all
+            )
             plan, self._rules = optimize(self._translated.plan)
             self._plan = Query(self._translated.head, plan)
             self._choose(plan)
         except Unsupported as unsupported:
             self._reason = str(unsupported)
+            if asks_for_times(tree):
+                raise ValueError(
+                    f"times of triples and {unsupported} do not go together in one query"
+                ) from unsupported
 
     def push(self, input: str, triples: TimedTriples) -> None:
         """Rows continue ``input``: none before its watermark. Their terms are of our dictionary."""
         if triples.dictionary is not self._terms.dictionary:
             raise ValueError("the triples are of another dictionary")
         self._ended.discard(input)
-        intake = self._intakes[input]
         limit = self._limit(input)
         for table in triples.tables:
             rows = self._relevant(table)
             if rows is not None:
-                self.late += intake.push(rows, limit)
+                self.late += self._contents.push(input, rows, limit)
 
     def advance(self, input: str, watermark: int) -> list[WindowResult]:
         """Every later row of ``input`` has τ ≥ ``watermark``: the windows that close now."""
@@ -115,16 +138,21 @@ class ContinuousEvaluator:
     def next_end(self) -> int | None:
         """No later result is of a window that ends before this; None while that is unknown."""
         candidates = []
-        pending = self._next()
+        pending = self._due()
         if pending is not None:
-            candidates.append(pending)
-        for i, name in enumerate(self.inputs):
-            watermark = self._watermarks.get(name)
-            if name not in self._ended and watermark is not None:
-                candidates.append(self.schedule.first_end(i, watermark))
+            candidates.append(pending.end)
+        for one in self.schedule.windows:
+            watermark = self._watermarks.get(one.input)
+            if one.input not in self._ended and watermark is not None:
+                candidates.append(self.schedule.first_end(one, watermark))
         if not candidates:
             return None
-        return max(min(candidates), self._after_closed()) - self.schedule.shift
+        least = -TIME_MAX
+        if self._closed is not None:
+            least = (
+                self._closed if self.schedule.ends is None else self.schedule.after(self._closed)
+            )
+        return max(min(candidates), least) - self.schedule.shift
 
     def explain(self) -> str:
         """The query, its windows, its logical plan and how that is executed, for people."""
@@ -134,7 +162,6 @@ class ContinuousEvaluator:
                 self.query,
                 oxigraph.sparql,
                 self.options,
-                self.inputs,
                 self.schedule,
                 self._translated,
                 self._plan,
@@ -146,16 +173,31 @@ class ContinuousEvaluator:
         )
 
     def _choose(self, plan: Plan) -> None:
-        if self.options.semantics == "set":
-            self._no_increment = "set semantics"
-        elif not self.schedule.uniform:
-            self._no_increment = "the inputs have several windows"
-        else:
+        self._names_now = names_now(plan)
+        self._no_increment = self._not_folded(plan)
+        if not self._no_increment:
             shape = shape_of(plan, self._static)
             if isinstance(shape, str):
                 self._no_increment = shape
             else:
                 self._incremental = Incremental(shape, self._static, self._terms)
+
+    def _not_folded(self, plan: Plan) -> str:
+        """Why windows cannot be folded pane by pane, whatever the plan computes."""
+        if self.options.semantics == "set":
+            return "set semantics"
+        if not self.schedule.uniform:
+            return "the windows are several, or not of time alone"
+        if self._difference is not None or self.options.report != "non-empty":
+            return "windows without content are evaluated too"
+        if self._names_now:
+            return "it asks for NOW()"
+        for node in walk(plan):
+            if isinstance(node, Scan | TypeScan | AnyScan | Closure) and node.graph != DEFAULT:
+                return "it reads a graph with a name"
+            if isinstance(node, Scan) and node.times.names:
+                return "it asks when triples were said"
+        return ""
 
     def _relevant(self, table: TripleRows) -> TripleRows | None:
         """The rows that stand for a triple, each object in its canonical spelling."""
@@ -177,7 +219,8 @@ class ContinuousEvaluator:
         if input in self._watermarks:
             limits.append(self._watermarks[input] - 1)
         if self._closed is not None:
-            limits.append(self.schedule.inputs[self.inputs.index(input)].bounds(self._closed)[1])
+            closed = self._contents.limit(input, self._closed)
+            limits += [] if closed is None else [closed]
         return max(limits, default=None)
 
     def _watermark(self) -> int | None:
@@ -194,96 +237,96 @@ class ContinuousEvaluator:
     def _close(self) -> list[WindowResult]:
         watermark = self._watermark()
         results: list[WindowResult] = []
-        while watermark is not None:
-            end = self._next()
-            if end is None or watermark <= end - self.schedule.shift:
+        if watermark is None:
+            return results
+        self._contents.settle(watermark)
+        while True:
+            due = self._due()
+            if due is None or watermark <= due.end - self.schedule.shift:
                 break
-            result = self._evaluate(end)
+            result = self._evaluate(due)
             if result is not None:
                 results.append(result)
         return results
 
-    def _after_closed(self) -> int:
-        return -TIME_MAX if self._closed is None else self._closed + self.schedule.ends.step
+    def _due(self) -> Due | None:
+        """The next evaluation: one with content, or one that is asked for without."""
+        due = self._contents.next(self._closed)
+        if self._closed is None or self.schedule.ends is None:
+            return due
+        following = Due(self.schedule.after(self._closed))
+        if due is not None and due.end == following.end:
+            return due
+        ended = len(self._ended) == len(self.inputs)
+        if self.options.report == "close":
+            return None if due is None and ended else following
+        # What has left the result is to be told, though nothing is there any more.
+        leaves = self._difference is not None or self.options.report == "change"
+        return following if leaves and self._had_content else due
 
-    def _next(self) -> int | None:
-        """The next evaluation that may have content: found without stepping through a gap."""
-        found: int | None = None
-        for i, name in enumerate(self.inputs):
-            intake, window = self._intakes[name], self.schedule.inputs[i]
-            seen = -TIME_MAX
-            if self._closed is not None:
-                seen = window.bounds(self._closed)[1]
-                following = self._closed + self.schedule.ends.step
-                latest = intake.latest(seen)
-                if latest is not None and latest > window.bounds(following)[0]:
-                    return following
-            time = intake.earliest(seen)
-            if time is not None:
-                end = self.schedule.first_end(i, time)
-                found = end if found is None else min(found, end)
-        return found
-
-    def _evaluate(self, end: int) -> WindowResult | None:
-        bounds = {
-            name: window.bounds(end)
-            for name, window in zip(self.inputs, self.schedule.inputs, strict=True)
-        }
+    def _evaluate(self, due: Due) -> WindowResult | None:
+        end = due.end
         if self._incremental is not None:
             self._fold(self._incremental, end)
-        self._closed = end
-        content = False
-        for name, (low, high) in bounds.items():
-            latest = self._intakes[name].latest(high)
-            content |= latest is not None and latest > low
-        result = self._solve(bounds, end) if content else None
+        content, changed = self._contents.changed(due, self._closed)
+        self._closed, self._had_content = end, content
+        self._contents.move(due)
+        reports = {"non-empty": content, "change": changed, "close": True}[self.options.report]
+        result = None
+        if reports or self._difference is not None:
+            result = self._solve(end)
+        if result is not None and self._difference is not None:
+            result = self._difference.of(result)
+            result = result if reports or result.size else None
         keeps = self._incremental is None or self._incremental.shape.retains
-        for name, window in zip(self.inputs, self.schedule.inputs, strict=True):
-            low = window.bounds(end + self.schedule.ends.step)[0]
-            high = bounds[name][1]
-            self._intakes[name].drop(min(low, high) if keeps else high, high)
+        self._contents.drop(end, raw=keeps)
         return result
 
     def _fold(self, incremental: Incremental, end: int) -> None:
         """The panes up to ``end`` that have content, oldest first; others are skipped."""
-        done = self.schedule.inputs[0].bounds(end)[0]
+        window = self.schedule.windows[0]
+        assert window.grid is not None
+        intakes = self._contents.intakes.values()
+        done = window.bounds(end)[0]
         if self._closed is not None:
             done = max(done, self._closed)
-        panes = self.schedule.inputs[0].grid
         while True:
-            times = [intake.earliest(done) for intake in self._intakes.values()]
+            times = [intake.earliest(done) for intake in intakes]
             time = min((time for time in times if time is not None), default=None)
             if time is None or time > end:
                 break
-            pane_end = time + (panes.origin - time) % self.schedule.pane
+            pane_end = time + (window.grid.origin - time) % self.schedule.pane
             tables = [
                 table
-                for intake in self._intakes.values()
+                for intake in intakes
                 for table in intake.between(pane_end - self.schedule.pane, pane_end)
             ]
             incremental.fold(pane_end, tables)
             done = pane_end
-        incremental.evict(self.schedule.inputs[0].bounds(end)[0])
+        incremental.evict(window.bounds(end)[0])
 
-    def _solve(self, bounds: dict[str, tuple[int, int]], end: int) -> WindowResult:
-        start = min(low for low, _ in bounds.values()) - self.schedule.shift
-        shown = end - self.schedule.shift
-        tables: list[TripleRows] = []
+    def _solve(self, end: int) -> WindowResult:
+        shift = self.schedule.shift
+        lows = [one.bounds(end)[0] for one in self.schedule.windows if not one.lasts]
+        start, shown = min(lows, default=end) - shift, end - shift
+        contents: Mapping[str, Sequence[TripleRows]] = {}
         if self._incremental is None or self._incremental.shape.retains:
-            tables = [
-                table
-                for name, (low, high) in bounds.items()
-                for table in self._intakes[name].between(low, high)
-            ]
+            contents = self._contents.tables(end)
         if self._plan is not None:
-            try:
-                source = _Source(tables, self._static, self.options, self._plan, self._incremental)
-                relation = execute(self._plan.plan, source, self._terms)
-                return finish(self._plan.head, relation, start, shown, self._terms)
-            except NeedsOxigraph:
-                # As exact there, bags too; what is not, the result says (`merged`).
-                pass
-        return self._oxigraph.solve(tables, start, shown)
+            for incremental in dict.fromkeys((self._incremental, None)):
+                try:
+                    source = _Source(
+                        contents, self._static, self.options, self.schedule.named, incremental
+                    )
+                    plan = self._plan.plan
+                    plan = at_time(plan, shown) if self._names_now else plan
+                    relation = execute(plan, source, self._terms)
+                    return finish(self._plan.head, relation, start, shown, self._terms)
+                except NeedsOxigraph:
+                    # Not folded, columns may do; else Oxigraph is as exact, bags too; where it is
+                    # not, the result says so (`merged`).
+                    continue
+        return self._oxigraph.solve(contents, start, shown)
 
 
 def _with_rows_only(query: ContinuousQuery) -> ContinuousQuery:
@@ -295,20 +338,20 @@ def _with_rows_only(query: ContinuousQuery) -> ContinuousQuery:
 
 
 class _Source(WindowSource):
-    """The window's leaves, and the incremental aggregate's groups where they are at hand."""
+    """The leaves of windows, and the incremental aggregate's groups where they are at hand."""
 
     def __init__(
         self,
-        tables: Sequence[TripleRows],
+        contents: Mapping[str, Sequence[TripleRows]],
         static: StaticSide,
         options: Options,
-        plan: Query,
+        windows: Sequence[str],
         incremental: Incremental | None,
     ) -> None:
-        super().__init__(tables, static, distinct=options.semantics == "set")
+        super().__init__(contents, static, windows=windows, distinct=options.semantics == "set")
         self.incremental = incremental
 
     def ready(self, plan: Plan) -> Relation | None:
         if self.incremental is not None and plan is self.incremental.shape.aggregate:
-            return self.incremental.relation(self.tables)
+            return self.incremental.relation(self.contents.get(DEFAULT, ()))
         return None

@@ -4,14 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import assert_never
 
 from ..languages.csparql import format_query
-from ..languages.csparql.ast import ContinuousQuery
+from ..languages.csparql.ast import (
+    ContinuousQuery,
+    CountWindow,
+    LandmarkWindow,
+    StreamOperator,
+    TimeWindow,
+    Window,
+)
 from ..rdf.namespaces import shorten
-from ..streams.time import format_duration
+from ..streams.time import format_duration, format_time
+from .evaluation import foreign_calls
 from .incremental import Shape
-from .logical import Query, describe, show
+from .logical import DEFAULT, Plan, Query, expressions_of, walk
 from .options import Options
+from .printing import describe, describe_query, show
 from .windows import Schedule
 
 
@@ -27,7 +37,6 @@ class Stages:
     query: ContinuousQuery
     sparql: str
     options: Options
-    inputs: Sequence[str]
     schedule: Schedule
     translated: Query | None
     plan: Query | None
@@ -49,23 +58,32 @@ class Stages:
             yield from _section("SPARQL", self.sparql.splitlines())
             yield from self._equal_triples()
             return
-        yield from _section("logical plan", str(self.translated).splitlines())
+        yield from _section("logical plan", describe_query(self.translated))
         if self.rules:
             names = ", ".join(rule.replace("_", " ") for rule in self.rules)
-            yield from _section(f"improved by: {names}", str(self.plan).splitlines())
+            yield from _section(f"improved by: {names}", describe_query(self.plan))
         if isinstance(self.shape, str):
             yield f"in columns, each window anew: {self.shape}"
         else:
             yield from _section("in columns, incrementally", self._operators(self.shape))
-        if isinstance(self.shape, str) or self.shape.retains:
-            yield "on Oxigraph, a window whose data need it (dates, ordered strings, overflow)"
-            yield from self._equal_triples()
+        asked = sorted({name for node in walk(self.plan.plan) for name in _strange(node)})
+        if asked:
+            yield f"asked of Oxigraph, a distinct combination of values: {', '.join(asked)}"
+        if self.query.operator is not StreamOperator.RSTREAM:
+            yield f"{self.query.operator}: what is other than in the result before"
 
     def _windows(self) -> Iterator[str]:
-        for name, window in zip(self.inputs, self.schedule.inputs, strict=True):
-            length, step = format_duration(window.range), format_duration(window.grid.step)
-            yield f"{name}: RANGE {length} STEP {step} {self.options.bounds}"
-        yield f"evaluated every {format_duration(self.schedule.ends.step)}"
+        for one in self.schedule.windows:
+            graph = "" if one.graph == DEFAULT else f" as {shorten(one.graph)}"
+            bounds = "" if one.counted else f" {self.options.bounds}"
+            yield f"{one.input}: {_window(one.window)}{bounds}{graph}"
+        ends = self.schedule.ends
+        if ends is None:
+            yield "evaluated whenever a window has moved on"
+        else:
+            yield f"evaluated every {format_duration(ends.step)}"
+        if self.options.report != "non-empty":
+            yield f"reported: {self.options.report}"
 
     def _equal_triples(self) -> Iterator[str]:
         if self.options.semantics == "bag":
@@ -98,3 +116,22 @@ class Stages:
 def _section(title: str, lines: Iterator[str] | Sequence[str]) -> Iterator[str]:
     yield f"{title}:"
     yield from (f"  {line.rstrip()}" for line in lines if line.strip())
+
+
+def _window(window: Window) -> str:
+    match window:
+        case TimeWindow(range, step):
+            return f"RANGE {format_duration(range)} STEP {format_duration(step)}"
+        case CountWindow(size, step):
+            return f"TRIPLES {size} STEP {step}"
+        case LandmarkWindow(start, step):
+            since = "" if start is None else f" {format_time(start)}"
+            return f"LANDMARK{since} STEP {format_duration(step)}"
+        case _:
+            assert_never(window)
+
+
+def _strange(node: Plan) -> Iterator[str]:
+    """The functions in a node that columns do not know."""
+    for expression in expressions_of(node):
+        yield from (call.name for call in foreign_calls(expression))

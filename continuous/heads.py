@@ -6,13 +6,13 @@ from typing import assert_never
 
 import numpy as np
 from numpy.typing import NDArray
-from pyoxigraph import NamedNode
+from pyoxigraph import BlankNode, NamedNode
 
 from ..rdf.dictionary import Ids
 from ..rdf.timed import Kind, ObjectColumn, TimedTriples, TripleRows, split_term
 from .columns import Relation, Sort, TermValues, concatenate, first_rows, key_codes
 from .expressions import Const, Var
-from .logical import Ask, Construct, Head, Position, Select
+from .logical import Ask, Blank, Construct, Head, Select, TemplatePosition
 from .results import Solutions, WindowResult
 
 
@@ -41,15 +41,14 @@ def construct(head: Construct, relation: Relation, time: int, terms: TermValues)
     if wide is not None:
         return TimedTriples(terms.dictionary, (wide,) if len(wide) else ())
     found: dict[int, list[tuple[Ids, ObjectColumn, bool]]] = {}
-    for subject, predicate, object in head.template:
-        subjects = _position(subject, relation, terms)
-        predicates = _position(predicate, relation, terms)
-        objects = _position(object, relation, terms)
+    for template in head.template:
+        columns = [_position(p, relation, time, terms) for p in template]
+        subjects, predicates, objects = columns
         if subjects is None or predicates is None or objects is None:
             continue
         keep = _nodes(subjects, terms) & _iris(predicates, terms) & objects.present
         subjects, predicates, objects = (c.take(keep) for c in (subjects, predicates, objects))
-        named = {p.name for p in (subject, predicate, object) if isinstance(p, Var)}
+        named = {p.name for p in template if isinstance(p, Var)}
         unique = relation.key is not None and relation.key <= named
         objects = ObjectColumn(objects.kind, objects.values)
         for id in np.unique(predicates.values).tolist():
@@ -84,7 +83,7 @@ def _wide(head: Construct, relation: Relation, time: int, terms: TermValues) -> 
     objects: dict[int, ObjectColumn] = {}
     for _, predicate, object in head.template:
         assert isinstance(predicate, Const)
-        values = _position(object, relation, terms)
+        values = _position(object, relation, time, terms)
         if values is not None and isinstance(predicate.term, NamedNode):
             objects[terms.dictionary.id(predicate.term)] = values
             some |= values.present
@@ -99,9 +98,18 @@ def _table(time: int, subjects: Ids, objects: dict[int, ObjectColumn]) -> Triple
     return TripleRows(times, times, subjects, objects)
 
 
-def _position(position: Position, relation: Relation, terms: TermValues) -> ObjectColumn | None:
+def _position(
+    position: TemplatePosition, relation: Relation, time: int, terms: TermValues
+) -> ObjectColumn | None:
     if isinstance(position, Var):
         return relation.columns.get(position.name)
+    if isinstance(position, Blank):
+        # One a solution, the same wherever the input is cut: so its name says which.
+        nodes = (
+            BlankNode(f"{position.label}t{time}r{row}".replace("-", "m"))
+            for row in range(relation.rows)
+        )
+        return ObjectColumn(Kind.TERM, terms.dictionary.ids(nodes))
     kind, value = split_term(position.term, terms.dictionary)
     return ObjectColumn(kind, np.full(relation.rows, value, kind.dtype))
 

@@ -19,18 +19,26 @@ from pyoxigraph import Literal, NamedNode
 from ..rdf.namespaces import RDF_TYPE
 from ..rdf.timed import Kind, ObjectColumn, TripleRows
 from .columns import NeedsOxigraph, Relation, TermValues
-from .expressions import Call, Const, Expression, Var, evaluate, holds, variables
+from .evaluation import evaluate, holds
+from .expressions import Call, Const, Expression, Var, variables
+from .grouping import group_keys, grouping
+from .joins import join_all
 from .kernels import Groups, grown
-from .logical import Aggregate, Extend, Filter, Join, Plan, Scan, TypeScan, Values, outputs, walk
-from .partials import Partial
-from .relational import (
-    Pairs,
-    execute,
-    group_keys,
-    grouping,
-    join_all,
-    select_pairs,
+from .logical import (
+    DEFAULT,
+    Aggregate,
+    Extend,
+    Filter,
+    Join,
+    Plan,
+    Scan,
+    TypeScan,
+    Values,
+    outputs,
+    walk,
 )
+from .partials import Partial
+from .relational import Pairs, execute, select_pairs
 from .sliding import Partials, Sliding
 from .sources import StaticSide, WindowSource, distinct_ids
 
@@ -120,6 +128,8 @@ def _try(
         return f"?{value} is joined or grouped by"
     wanted: dict[Expression | None, bool] = {}
     for one in aggregate.aggregations:
+        if one.distinct or one.function not in ("COUNT", "SUM", "AVG", "MIN", "MAX"):
+            return f"{one.function}{' DISTINCT' if one.distinct else ''} needs all values"
         if one.argument is not None and not variables(one.argument) <= own:
             return f"{one.function} is not over the folded pattern alone"
         extreme = one.function in ("MIN", "MAX")
@@ -325,7 +335,7 @@ class Incremental:
             result, at = dict(columns), rows
         else:
             base = Relation({**columns, _ROW: ObjectColumn(Kind.INTEGER, rows)}, len(rows))
-            source = WindowSource(tables, self.static, distinct=False)
+            source = WindowSource({DEFAULT: tables}, self.static, windows=(), distinct=False)
             rest = [execute(part, source, self.terms) for part in shape.rest]
             joined = join_all([base, *rest], self.terms)
             for condition in shape.later:

@@ -108,9 +108,15 @@ class Intake:
         for shape, chunks in list(self._chunks.items()):
             kept = [chunk for chunk in chunks if chunk.last > until]
             if kept:
-                self._chunks[shape] = _settle(kept, settled)
+                self._chunks[shape] = kept
             else:
                 del self._chunks[shape]
+        self.settle(settled)
+
+    def settle(self, settled: int) -> None:
+        """Put small chunks up to τ = ``settled`` together, where no more rows come."""
+        for shape, chunks in self._chunks.items():
+            self._chunks[shape] = _settle(chunks, settled)
 
 
 def _settle(chunks: list[_Chunk], settled: int) -> list[_Chunk]:

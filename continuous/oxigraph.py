@@ -6,10 +6,11 @@ triples: under bag semantics a window that holds some is asked by `bag.counting`
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import Any
+from itertools import pairwise
+from typing import Any, TypeGuard
 
 from pyoxigraph import (
     BlankNode,
@@ -25,14 +26,21 @@ from pyoxigraph import (
 from rdflib.plugins.sparql.parserutils import CompValue
 from rdflib.term import URIRef
 
+from ..languages.csparql import term_text
+from ..languages.csparql.body import Edit, apply_edits
+from ..languages.csparql.tokens import Kind as TokenKind
+from ..languages.csparql.tokens import closing, tokenize
 from ..rdf.dictionary import Term
-from ..rdf.namespaces import RDF, RDF_TYPE
+from ..rdf.namespaces import RDF, RDF_TYPE, XSD
 from ..rdf.timed import TimedTriples, TripleRows, from_terms
+from ..streams.time import format_time
 from .bag import HIDDEN, copy_graph, counting
 from .columns import TermValues, canonical, term_column
+from .logical import DEFAULT
 from .results import Solutions, WindowResult
 from .sources import StaticSide, distinct_ids
-from .translate import Unsupported
+from .translate import Graphs
+from .unsupported import Unsupported
 
 _DEFAULT = DefaultGraph()
 
@@ -52,11 +60,13 @@ class OxigraphWindows:
         algebra: CompValue,
         static: StaticSide,
         terms: TermValues,
+        graphs: Graphs | None = None,
         *,
         distinct: bool,
     ) -> None:
         _parsed(sparql)
-        self.sparql = sparql
+        self.graphs = graphs or Graphs()
+        self.sparql = _restricted(sparql, self.graphs)
         self.distinct = distinct
         self.static = static
         self.terms = terms
@@ -83,19 +93,32 @@ class OxigraphWindows:
     merges: str = ""
     """Under bag semantics: why equal triples are merged nevertheless (`counting` is None)."""
 
-    def solve(self, tables: Sequence[TripleRows], start: int, end: int) -> WindowResult:
-        """The result of the query over ``tables`` and the static side."""
-        static, content = self._static_quads(), list(self._content(tables))
+    def solve(
+        self, contents: Mapping[str, Sequence[TripleRows]], start: int, end: int
+    ) -> WindowResult:
+        """The result of the query over the content of windows, by graph, and the static side."""
+        static = self._static_quads()
+        content = list(self._content(contents.get(DEFAULT, ()), _DEFAULT))
         store = Store()
         store.extend(static)
         store.extend(content)
+        again = False
+        for name in self.graphs.windows:
+            named = list(self._content(contents.get(name, ()), NamedNode(name)))
+            again |= len(set(named)) < len(named)
+            store.extend(named)
+        for name in self.graphs.static:
+            graph = NamedNode(name)
+            triples = self.static.background.triples(name)
+            store.extend(Quad(s, p, _value(o), graph) for s, p, o in triples if _is_node(s))
         copies = [] if self.distinct else _copies(static, content)
         sparql = self.sparql
         if copies and self.counting is not None:
             store.extend(copies)
             sparql = self.counting
-        merged = bool(copies) and self.counting is None
-        return replace(self._read(store.query(sparql), start, end), merged=merged)
+        merged = (bool(copies) or (again and not self.distinct)) and self.counting is None
+        found = store.query(_at_time(sparql, end))
+        return replace(self._read(found, start, end), merged=merged)
 
     def _read(self, found: Any, start: int, end: int) -> WindowResult:
         dictionary = self.terms.dictionary
@@ -134,11 +157,13 @@ class OxigraphWindows:
             )
         return self._quads
 
-    def _content(self, tables: Sequence[TripleRows]) -> Iterator[Quad]:
+    def _content(
+        self, tables: Sequence[TripleRows], graph: NamedNode | DefaultGraph
+    ) -> Iterator[Quad]:
         dictionary = self.terms.dictionary
         for _, subject, predicate, object in TimedTriples(dictionary, tuple(tables)):
             if not isinstance(subject, Literal):
-                yield Quad(subject, predicate, object, _DEFAULT)
+                yield Quad(subject, predicate, object, graph)
         for table in tables:
             if table.sort is None:
                 continue
@@ -146,7 +171,36 @@ class OxigraphWindows:
             for id in distinct_ids([table.subject], len(dictionary)).tolist():
                 subject = dictionary.term(id)
                 if not isinstance(subject, Literal):
-                    yield from (Quad(subject, RDF_TYPE, sort, _DEFAULT) for sort in sorts)
+                    yield from (Quad(subject, RDF_TYPE, sort, graph) for sort in sorts)
+
+
+def _restricted(sparql: str, graphs: Graphs) -> str:
+    """The text with the graphs that each ``GRAPH ?g`` may stand for: windows or static ones."""
+    tokens = tokenize(sparql)
+    edits = []
+    for word, name in pairwise(tokens):
+        if word.is_word("GRAPH") and name.kind is TokenKind.VARIABLE:
+            windows = name.text[1:] in graphs.window_variables
+            names = graphs.windows if windows else graphs.static
+            listed = " ".join(term_text(NamedNode(iri)) for iri in names)
+            edits.append(Edit(word.start, word.start, f"VALUES {name.text} {{ {listed} }} "))
+    return apply_edits(sparql, edits)
+
+
+def _at_time(sparql: str, end: int) -> str:
+    """The text with NOW() as the end of the window: nothing here reads a clock."""
+    edits = []
+    tokens = tokenize(sparql)
+    for word, following in pairwise(tokens):
+        if word.is_word("NOW") and following.is_mark("("):
+            close = tokens[closing(tokens, tokens.index(following))].end
+            now = Literal(format_time(end), datatype=NamedNode(XSD + "dateTime"))
+            edits.append(Edit(word.start, close, term_text(now)))
+    return apply_edits(sparql, edits)
+
+
+def _is_node(term: Any) -> TypeGuard[NamedNode | BlankNode]:
+    return isinstance(term, NamedNode | BlankNode)
 
 
 def _parsed(sparql: str) -> None:

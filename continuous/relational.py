@@ -1,4 +1,4 @@
-"""The physical operators on relations: scan, join, filter, group, and the execution of a plan.
+"""The execution of a logical plan on columns, each window anew (SPARQL 1.1 §18.5).
 
 All in numpy, a call a column. Solutions come in an order that depends on the rows only, not on
 how they were cut into batches.
@@ -6,14 +6,15 @@ how they were cut into batches.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from typing import Protocol, assert_never
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..rdf.dictionary import NO_TERM
 from ..rdf.timed import Kind, ObjectColumn, TripleRows, split_term
+from .closure import closure
 from .columns import (
     NeedsOxigraph,
     Relation,
@@ -23,22 +24,36 @@ from .columns import (
     key_codes,
     term_column,
 )
-from .expressions import Const, Var, evaluate, holds
-from .kernels import Groups
+from .evaluation import evaluate, holds
+from .expressions import Const, Var, variables
+from .grouping import aggregate, ordered
+from .joins import has_match, join_all, left_join, minus, unbound
 from .logical import (
     Aggregate,
+    AnyScan,
+    Closure,
     Distinct,
+    Exists,
     Extend,
     Filter,
+    Given,
     Join,
+    LeftJoin,
+    Minus,
+    Order,
     Plan,
     Position,
     Project,
     Scan,
+    Slice,
     TypeScan,
+    Union,
     Values,
+    expressions_of,
+    outputs,
+    walk,
+    with_inputs,
 )
-from .partials import Partial
 
 Pairs = tuple[ObjectColumn, ObjectColumn]
 """Subjects and objects of triples of one predicate: two columns of one length, without nulls."""
@@ -50,8 +65,18 @@ class Source(Protocol):
     def pairs(self, scan: Scan | TypeScan) -> Pairs:
         """The triples of a scan's predicate (a superset of what its constants select)."""
 
+    def matches(self, scan: Scan | AnyScan) -> Relation:
+        """The triples of a scan with what `pairs` has no place for, under `SUBJECT`, `PREDICATE`
+        (of `AnyScan`), `OBJECT` and the names of its times."""
+
+    def nodes(self, graph: str) -> ObjectColumn:
+        """Each subject and object of a graph, once."""
+
     def ready(self, plan: Plan) -> Relation | None:
         """The solutions of ``plan`` if they are at hand already."""
+
+
+SUBJECT, PREDICATE, OBJECT = "\0s", "\0p", "\0o"
 
 
 def execute(plan: Plan, source: Source, terms: TermValues) -> Relation:
@@ -60,16 +85,34 @@ def execute(plan: Plan, source: Source, terms: TermValues) -> Relation:
     if ready is not None:
         return ready
     match plan:
-        case Scan(subject, _, object) | TypeScan(subject, object):
+        case Scan(subject, _, object) if not plan.times.names:
             return select_pairs(source.pairs(plan), subject, object, terms)
+        case Scan() | AnyScan():
+            return _selected(source.matches(plan), plan, terms)
+        case TypeScan(subject, object):
+            return select_pairs(source.pairs(plan), subject, object, terms)
+        case Closure():
+            step = execute(plan.step, source, terms)
+            return closure(plan, step, source.nodes(plan.graph), terms)
         case Values(variables, rows):
             columns = {
                 name: term_column([row[i] for row in rows], terms.dictionary)
                 for i, name in enumerate(variables)
             }
             return Relation(columns, len(rows))
+        case Given(variables):
+            raise AssertionError(f"nothing was given for {variables}")
         case Join(parts):
             return join_all([execute(part, source, terms) for part in parts], terms)
+        case LeftJoin(child, optional, condition):
+            left, right = execute(child, source, terms), execute(optional, source, terms)
+            return left_join(left, right, condition, terms)
+        case Union(parts):
+            return united([execute(part, source, terms) for part in parts], terms)
+        case Minus(child, removed):
+            return minus(execute(child, source, terms), execute(removed, source, terms), terms)
+        case Exists():
+            return _marked(plan, source, terms)
         case Filter(condition, child):
             relation = execute(child, source, terms)
             return relation.take(holds(condition, relation.columns, relation.rows, terms))
@@ -82,19 +125,24 @@ def execute(plan: Plan, source: Source, terms: TermValues) -> Relation:
         case Aggregate():
             return aggregate(plan, execute(plan.child, source, terms), terms)
         case Project(variables, child):
-            relation = execute(child, source, terms)
-            columns = {name: _column(relation, name) for name in variables}
-            key = (
-                relation.key if relation.key is not None and relation.key <= set(columns) else None
-            )
-            return Relation(columns, relation.rows, key)
+            return _projected(execute(child, source, terms), variables)
         case Distinct(child):
             relation = execute(child, source, terms)
-            if relation.key is not None:
-                return relation
-            return distinct(relation, terms)
+            return relation if relation.key is not None else distinct(relation, terms)
+        case Order(keys, child):
+            return ordered(execute(child, source, terms), keys, terms)
+        case Slice(start, length, child):
+            relation = execute(child, source, terms)
+            stop = relation.rows if length is None else min(relation.rows, start + length)
+            return relation.take(np.arange(min(start, stop), stop))
         case _:
             assert_never(plan)
+
+
+def _projected(relation: Relation, variables: tuple[str, ...]) -> Relation:
+    columns = {name: relation.column(name) for name in variables}
+    key = relation.key if relation.key is not None and relation.key <= set(columns) else None
+    return Relation(columns, relation.rows, key)
 
 
 def distinct(relation: Relation, terms: TermValues) -> Relation:
@@ -103,6 +151,141 @@ def distinct(relation: Relation, terms: TermValues) -> Relation:
         return relation.take(np.arange(min(relation.rows, 1)))
     codes = key_codes([[column] for column in relation.columns.values()], terms.dictionary)[0]
     return relation.take(first_rows(codes))
+
+
+def united(parts: list[Relation], terms: TermValues) -> Relation:
+    """The rows of one part after the other; what a part does not bind is unbound in its rows."""
+    names = dict.fromkeys(name for part in parts for name in part.columns)
+    columns = {}
+    for name in names:
+        known = [part for part in parts if name in part.columns]
+        kinds = {part.columns[name].kind for part in known if part.rows}
+        kind = kinds.pop() if len(kinds) == 1 else Kind.TERM
+        columns[name] = concatenate(
+            [p.columns[name] if name in p.columns else unbound(p.rows, kind) for p in parts],
+            terms.dictionary,
+        )
+    return Relation(columns, sum(part.rows for part in parts))
+
+
+# -- EXISTS --------------------------------------------------------------------------------
+
+
+def _marked(plan: Exists, source: Source, terms: TermValues) -> Relation:
+    """The child with a column that says whether the pattern has a compatible solution.
+
+    A pattern that looks at variables from outside (in a FILTER) is solved over the distinct
+    bindings of the child, joined in at each leaf: that is what substituting them means (§18.6).
+    """
+    child = execute(plan.child, source, terms)
+    pattern = plan.pattern
+    names = _mentioned(pattern) & child.columns.keys()
+    if _looks_outside(pattern):
+        bound = distinct(_projected(child, tuple(sorted(names))), terms)
+        row = ObjectColumn(Kind.INTEGER, np.arange(bound.rows))
+        given = Given(tuple(sorted(names)))
+        seeds = Relation({**bound.columns, _SEED: row}, bound.rows)
+        solved = execute(_seeded(pattern, given), _With(source, given, seeds), terms)
+        hit = np.zeros(bound.rows, np.bool_)
+        if _SEED in solved.columns:
+            hit[solved.columns[_SEED].values] = True
+        elif solved.rows:
+            hit[:] = True
+        found = has_match(child, bound.take(hit), terms)
+    else:
+        found = has_match(child, execute(pattern, source, terms), terms)
+    mark = ObjectColumn(Kind.BOOLEAN, found)
+    return Relation({**child.columns, plan.variable: mark}, child.rows, child.key)
+
+
+_SEED = "\0seed"
+
+
+@dataclass(frozen=True, slots=True)
+class _With:
+    """A source that has the solutions of one `Given` at hand."""
+
+    source: Source
+    given: Given
+    relation: Relation
+
+    def pairs(self, scan: Scan | TypeScan) -> Pairs:
+        return self.source.pairs(scan)
+
+    def matches(self, scan: Scan | AnyScan) -> Relation:
+        return self.source.matches(scan)
+
+    def nodes(self, graph: str) -> ObjectColumn:
+        return self.source.nodes(graph)
+
+    def ready(self, plan: Plan) -> Relation | None:
+        return self.relation if plan is self.given else self.source.ready(plan)
+
+
+def _mentioned(plan: Plan) -> set[str]:
+    """The variables that a pattern binds or asks about."""
+    found: set[str] = set()
+    for node in walk(plan):
+        found |= outputs(node) | _asked(node)
+    return found
+
+
+def _asked(node: Plan) -> frozenset[str]:
+    """The variables in the expressions of one node."""
+    return frozenset().union(*map(variables, expressions_of(node)))
+
+
+def _looks_outside(plan: Plan) -> bool:
+    """Whether an expression in it names a variable that is not bound below it."""
+    for node in walk(plan):
+        below: frozenset[str] = frozenset()
+        if isinstance(node, Filter | Extend | Order | Aggregate):
+            below = outputs(node.child)
+        elif isinstance(node, LeftJoin):
+            below = outputs(node.child) | outputs(node.optional)
+        if not _asked(node) <= below:
+            return True
+    return False
+
+
+def _seeded(plan: Plan, given: Given) -> Plan:
+    """``plan`` with the given solutions joined in at each leaf."""
+    match plan:
+        case Minus():
+            raise NeedsOxigraph("MINUS inside EXISTS that looks outside")
+        case Project() | Distinct() | Aggregate() | Slice() | Order() | Closure():
+            return Join((given, plan))
+        case Scan() | TypeScan() | AnyScan() | Values() | Given():
+            return Join((given, plan))
+        case Join(()):
+            return given
+        case Exists():
+            return replace(plan, child=_seeded(plan.child, given))
+        case _:
+            return with_inputs(plan, lambda child: _seeded(child, given))
+
+
+# -- scans ---------------------------------------------------------------------------------
+
+
+def _selected(found: Relation, scan: Scan | AnyScan, terms: TermValues) -> Relation:
+    """The matches that fit the positions of a scan, under the names of its variables."""
+    places: list[tuple[Position, str]] = [(scan.subject, SUBJECT), (scan.object, OBJECT)]
+    if isinstance(scan, AnyScan):
+        places.insert(1, (scan.predicate, PREDICATE))
+    named: dict[str, str] = {}
+    for position, column in places:
+        if isinstance(position, Const):
+            found = found.take(_equals(found.columns[column], position, terms))
+        elif position.name in named:
+            pair = [found.columns[named[position.name]], found.columns[column]]
+            left, right = key_codes([pair], terms.dictionary)
+            found = found.take(left == right)
+        else:
+            named[position.name] = column
+    columns = {name: found.columns[column] for name, column in named.items()}
+    columns |= {name: found.columns[name] for name in sorted(scan.times.names)}
+    return Relation(columns, found.rows)
 
 
 def select_pairs(pairs: Pairs, subject: Position, object: Position, terms: TermValues) -> Relation:
@@ -131,107 +314,6 @@ def _equals(column: ObjectColumn, constant: Const, terms: TermValues) -> NDArray
     if column.kind is not kind:
         return np.zeros(len(column), np.bool_)
     return np.asarray(column.values == value)
-
-
-def join_all(relations: Sequence[Relation], terms: TermValues) -> Relation:
-    """The natural join: from the smallest on, always the smallest that shares a variable."""
-    if not relations:
-        return Relation({}, 1)
-    waiting = sorted(relations, key=lambda relation: relation.rows)
-    joined = waiting.pop(0)
-    while waiting:
-        linked = [r for r in waiting if not joined.columns.keys().isdisjoint(r.columns)]
-        chosen = (linked or waiting)[0]
-        waiting = [relation for relation in waiting if relation is not chosen]
-        joined = join(joined, chosen, terms)
-    return joined
-
-
-def join(left: Relation, right: Relation, terms: TermValues) -> Relation:
-    """The natural join of two relations, in the order of ``left``, then of ``right``."""
-    shared = [name for name in left.columns if name in right.columns]
-    if any(r.columns[name].null is not None for name in shared for r in (left, right)):
-        raise NeedsOxigraph("a join on a variable that may be unbound")
-    if shared:
-        pairs = [[left.columns[name], right.columns[name]] for name in shared]
-        at_left, at_right = match_keys(*key_codes(pairs, terms.dictionary))
-    else:
-        at_left = np.repeat(np.arange(left.rows), right.rows)
-        at_right = np.tile(np.arange(right.rows), left.rows)
-    columns = {name: column.take(at_left) for name, column in left.columns.items()}
-    for name, column in right.columns.items():
-        if name not in columns:
-            columns[name] = column.take(at_right)
-    return Relation(columns, len(at_left))
-
-
-def match_keys(
-    left: NDArray[np.int64], right: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """All pairs of rows with equal codes, as two index arrays."""
-    order = np.argsort(right, kind="stable")
-    ordered = right[order]
-    low = np.searchsorted(ordered, left, "left")
-    count = np.searchsorted(ordered, left, "right") - low
-    at_left = np.repeat(np.arange(len(left)), count)
-    offset = np.arange(len(at_left)) - np.repeat(np.cumsum(count) - count, count)
-    return at_left, order[np.repeat(low, count) + offset]
-
-
-def aggregate(plan: Aggregate, relation: Relation, terms: TermValues) -> Relation:
-    """A row a group, groups in order of appearance."""
-    group, first = grouping(plan, relation, terms)
-    count = len(first)
-    groups = Groups()
-    groups.reach(count)
-    # The groups are dense already: each is its own "subject".
-    groups.group_of[:count] = np.arange(count)
-    groups.members, groups.used = np.arange(count, dtype=np.int32), count
-    result = group_keys(plan, relation, first)
-    for one in plan.aggregations:
-        partial = Partial()
-        if one.argument is None:
-            value = ObjectColumn(Kind.INTEGER, np.zeros(relation.rows, np.int64))
-        else:
-            value = evaluate(one.argument, relation.columns, relation.rows, terms)
-        extremes = one.function in ("MIN", "MAX")
-        partial.add(group.astype(np.int32), value, None, groups, terms, extremes)
-        result[one.variable] = partial.finish(one.function, np.arange(count), terms)
-    return Relation(result, count, frozenset(plan.keys))
-
-
-def grouping(
-    plan: Aggregate, relation: Relation, terms: TermValues
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The group of each row, and the first row of each group.
-
-    Without keys all rows are one group; an implicit group is there though it has no row.
-    """
-    if not plan.keys:
-        some = plan.implicit or relation.rows > 0
-        return np.zeros(relation.rows, np.int64), np.zeros(int(some), np.int64)
-    columns = [[_column(relation, key)] for key in plan.keys]
-    codes = key_codes(columns, terms.dictionary)[0]
-    _, first, inverse = np.unique(codes, return_index=True, return_inverse=True)
-    order = np.argsort(first, kind="stable")
-    rank = np.empty(len(order), np.int64)
-    rank[order] = np.arange(len(order))
-    return rank[inverse.reshape(-1)], first[order]
-
-
-def group_keys(
-    plan: Aggregate, relation: Relation, first: NDArray[np.int64]
-) -> dict[str, ObjectColumn]:
-    """The key columns of the groups that begin at rows ``first``."""
-    return {key: _column(relation, key).take(first) for key in plan.keys}
-
-
-def _column(relation: Relation, name: str) -> ObjectColumn:
-    column = relation.columns.get(name)
-    if column is not None:
-        return column
-    nothing = np.full(relation.rows, NO_TERM, np.int32)
-    return ObjectColumn(Kind.TERM, nothing, np.ones(relation.rows, np.bool_))
 
 
 def pairs_of(

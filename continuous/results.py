@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ..rdf.dictionary import Term, TermDictionary
 from ..rdf.timed import ObjectColumn, TimedTriples
 
@@ -20,6 +23,11 @@ class Solutions:
 
     def __len__(self) -> int:
         return self.length
+
+    def take(self, rows: NDArray[np.int64]) -> Solutions:
+        """The solutions at ``rows``."""
+        columns = {name: column.take(rows) for name, column in self.columns.items()}
+        return Solutions(self.variables, columns, self.dictionary, len(rows))
 
     def rows(self) -> list[dict[str, Term]]:
         """Each solution as ``name -> term``, unbound variables left out: for edges and tests."""
@@ -48,3 +56,10 @@ class WindowResult:
     triples: TimedTriples | None = None
     answer: bool | None = None
     merged: bool = False
+
+    @property
+    def size(self) -> int:
+        """How many solutions or triples; of an answer, whether it is yes."""
+        if self.solutions is not None:
+            return len(self.solutions)
+        return len(self.triples) if self.triples is not None else int(bool(self.answer))

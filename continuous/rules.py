@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from .expressions import conjuncts, variables
-from .logical import Aggregate, Distinct, Extend, Filter, Join, Plan, Project, outputs, walk
+from .logical import Extend, Filter, Join, Plan, Project, certain, outputs, with_inputs
 
 Rule = Callable[[Plan], Plan]
 
@@ -47,7 +47,8 @@ def push_filters(plan: Plan) -> Plan:
     child = plan.child
     if isinstance(child, Join) and needed:
         for i, part in enumerate(child.parts):
-            if needed <= outputs(part) and not _may_be_unbound(part, needed):
+            # A variable that this part may leave unbound could be bound by another one.
+            if needed <= certain(part):
                 parts = (*child.parts[:i], Filter(plan.condition, part), *child.parts[i + 1 :])
                 return Join(parts)
     if (
@@ -90,18 +91,10 @@ def optimize(plan: Plan) -> tuple[Plan, tuple[str, ...]]:
 
 
 def _everywhere(plan: Plan, applied: set[str]) -> Plan:
-    if isinstance(plan, Join):
-        plan = Join(tuple(_everywhere(part, applied) for part in plan.parts))
-    elif isinstance(plan, Filter | Extend | Aggregate | Project | Distinct):
-        plan = replace(plan, child=_everywhere(plan.child, applied))
+    plan = with_inputs(plan, lambda child: _everywhere(child, applied))
     for rule in RULES:
         better = rule(plan)
         if better != plan:
             applied.add(rule.__name__)
         plan = better
     return plan
-
-
-def _may_be_unbound(plan: Plan, names: frozenset[str]) -> bool:
-    """Whether a variable could be bound by another part of the join only."""
-    return any(isinstance(p, Extend | Aggregate | Project) for p in walk(plan)) and bool(names)

@@ -1,8 +1,8 @@
-"""Where triples come from: the static side, encoded once a version, and the content of a window."""
+"""Where triples come from: the static side, encoded once a version, and the content of windows."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,10 +12,10 @@ from ..rdf.dictionary import NO_TERM
 from ..rdf.namespaces import RDF_TYPE
 from ..rdf.timed import Kind, ObjectColumn, TripleRows, split_term
 from .background import Background
-from .columns import Relation, TermValues, concatenate, first_rows, key_codes, term_column
-from .expressions import Const
-from .logical import Plan, Scan, TypeScan
-from .relational import Pairs, pairs_of
+from .columns import Relation, TermValues, as_terms, concatenate, first_rows, key_codes, term_column
+from .expressions import Const, Var
+from .logical import AnyScan, Plan, Scan, TypeScan
+from .relational import OBJECT, PREDICATE, SUBJECT, Pairs, pairs_of
 
 
 class StaticSide:
@@ -26,12 +26,11 @@ class StaticSide:
         self.terms = terms
         self._version: int | None = None
         self._pairs: dict[Scan | TypeScan, Pairs] = {}
+        self._triples: dict[str, Relation] = {}
 
     def pairs(self, scan: Scan | TypeScan) -> Pairs:
         """The static triples that ``scan`` selects, each once."""
-        version = self.background.version
-        if version != self._version:
-            self._version, self._pairs = version, {}
+        self._follow()
         found = self._pairs.get(scan)
         if found is None:
             predicate = RDF_TYPE if isinstance(scan, TypeScan) else scan.predicate
@@ -40,6 +39,7 @@ class StaticSide:
                 scan.subject.term if isinstance(scan.subject, Const) else None,
                 predicate,
                 object.term if isinstance(object, Const) else None,
+                scan.graph,
             )
             dictionary = self.terms.dictionary
             subjects = dictionary.ids(subject for subject, _ in rows)
@@ -50,6 +50,26 @@ class StaticSide:
                 objects = term_column([object for _, object in rows], dictionary)
             found = self._pairs[scan] = (ObjectColumn(Kind.TERM, subjects), objects)
         return found
+
+    def triples(self, graph: str) -> Relation:
+        """All static triples of a graph but those of rdf:type, each once."""
+        self._follow()
+        found = self._triples.get(graph)
+        if found is None:
+            rows = [row for row in self.background.triples(graph) if row[1] != RDF_TYPE]
+            dictionary = self.terms.dictionary
+            columns = {
+                SUBJECT: ObjectColumn(Kind.TERM, dictionary.ids(s for s, _, _ in rows)),
+                PREDICATE: ObjectColumn(Kind.TERM, dictionary.ids(p for _, p, _ in rows)),
+                OBJECT: term_column([o for _, _, o in rows], dictionary),
+            }
+            found = self._triples[graph] = Relation(columns, len(rows))
+        return found
+
+    def _follow(self) -> None:
+        version = self.background.version
+        if version != self._version:
+            self._version, self._pairs, self._triples = version, {}, {}
 
     def supersorts(self, sort: int) -> frozenset[str]:
         """The sort with this id and all it is a sub-sort of."""
@@ -64,15 +84,23 @@ class StaticSide:
 
 
 class WindowSource:
-    """The leaves of a plan over the content of one window (and the static side).
+    """The leaves of a plan over the content of windows, by graph, and the static side.
 
-    Under set semantics equal triples of the window and the static side count once. Facts of
-    `TypeScan` are a set under either semantics.
+    ``windows`` are the graphs that are windows: nothing static is in them. Under set semantics
+    equal triples of a graph count once. Facts of `TypeScan` are a set under either semantics.
     """
 
-    def __init__(self, tables: Sequence[TripleRows], static: StaticSide, *, distinct: bool) -> None:
-        self.tables = tables
+    def __init__(
+        self,
+        contents: Mapping[str, Sequence[TripleRows]],
+        static: StaticSide,
+        *,
+        windows: Sequence[str],
+        distinct: bool,
+    ) -> None:
+        self.contents = contents
         self.static = static
+        self.windows = frozenset(windows)
         self.distinct = distinct
 
     def ready(self, plan: Plan) -> Relation | None:
@@ -80,19 +108,97 @@ class WindowSource:
 
     def pairs(self, scan: Scan | TypeScan) -> Pairs:
         terms = self.static.terms
-        static = self.static.pairs(scan)
+        tables = self.contents.get(scan.graph, ())
+        static = None if scan.graph in self.windows else self.static.pairs(scan)
         if isinstance(scan, Scan):
             predicate = terms.dictionary.find(scan.predicate)
-            pairs = pairs_of(self.tables, predicate, static, terms)
+            pairs = pairs_of(tables, predicate, static, terms)
             return distinct_pairs(pairs, terms) if self.distinct else pairs
-        told = pairs_of(self.tables, terms.dictionary.find(RDF_TYPE), static, terms)
-        return distinct_pairs(_joined([told, *self._annotated(scan)], terms), terms)
+        told = pairs_of(tables, terms.dictionary.find(RDF_TYPE), static, terms)
+        return distinct_pairs(_joined([told, *self._annotated(scan, tables)], terms), terms)
 
-    def _annotated(self, scan: TypeScan) -> Iterable[Pairs]:
+    def matches(self, scan: Scan | AnyScan) -> Relation:
+        """Triples with predicates and times. Cost: a column a predicate of the windows."""
+        terms = self.static.terms
+        parts = list(self._told(scan))
+        if scan.graph not in self.windows:
+            parts.append(self._static(scan))
+        if isinstance(scan, AnyScan):
+            parts.append(self._types(scan.graph))
+        names = [SUBJECT, PREDICATE, OBJECT, *sorted(scan.times.names)]
+        columns = {
+            name: concatenate([_column(part, name) for part in parts], terms.dictionary)
+            for name in names
+            if parts
+        }
+        found = Relation(
+            columns or {name: _nothing() for name in names}, sum(p.rows for p in parts)
+        )
+        return self._once(found, scan) if self.distinct else found
+
+    def nodes(self, graph: str) -> ObjectColumn:
+        found = self.matches(AnyScan(Var("s"), Var("p"), Var("o"), graph))
+        dictionary = self.static.terms.dictionary
+        ends = [as_terms(found.columns[name], dictionary).values for name in (SUBJECT, OBJECT)]
+        return ObjectColumn(Kind.TERM, np.unique(np.concatenate(ends)))
+
+    def _told(self, scan: Scan | AnyScan) -> Iterator[Relation]:
+        """The triples of the windows: a relation a column; those of rdf:type are facts instead."""
+        dictionary = self.static.terms.dictionary
+        rdf_type = dictionary.find(RDF_TYPE)
+        wanted = dictionary.find(scan.predicate) if isinstance(scan, Scan) else None
+        for table in self.contents.get(scan.graph, ()):
+            for predicate, column in table.objects.items():
+                if predicate == rdf_type or wanted not in (None, predicate):
+                    continue
+                rows = np.flatnonzero(column.present)
+                columns = {
+                    SUBJECT: ObjectColumn(Kind.TERM, table.subject[rows]),
+                    PREDICATE: _constant(predicate, len(rows)),
+                    OBJECT: ObjectColumn(column.kind, column.values[rows]),
+                }
+                for name, times in (
+                    (scan.times.available, table.time),
+                    (scan.times.valid, table.valid),
+                ):
+                    if name is not None:
+                        columns[name] = ObjectColumn(Kind.INTEGER, times[rows])
+                yield Relation(columns, len(rows))
+
+    def _static(self, scan: Scan | AnyScan) -> Relation:
+        if isinstance(scan, AnyScan):
+            return self.static.triples(scan.graph)
+        subjects, objects = self.static.pairs(Scan(Var("s"), scan.predicate, Var("o"), scan.graph))
+        predicate = self.static.terms.dictionary.id(scan.predicate)
+        columns = {SUBJECT: subjects, PREDICATE: _constant(predicate, len(subjects))}
+        return Relation({**columns, OBJECT: objects}, len(subjects))
+
+    def _types(self, graph: str) -> Relation:
+        subjects, sorts = self.pairs(TypeScan(Var("s"), Var("o"), graph))
+        predicate = _constant(self.static.terms.dictionary.id(RDF_TYPE), len(subjects))
+        return Relation({SUBJECT: subjects, PREDICATE: predicate, OBJECT: sorts}, len(subjects))
+
+    def _once(self, found: Relation, scan: Scan | AnyScan) -> Relation:
+        """Each triple once, where it first stands, with the times of its latest element."""
+        if found.rows < 2:
+            return found
+        keys = [[found.columns[name]] for name in (SUBJECT, PREDICATE, OBJECT)]
+        codes = key_codes(keys, self.static.terms.dictionary)[0]
+        if not scan.times.names:
+            return found.take(first_rows(codes))
+        deciding = scan.times.available or scan.times.valid
+        assert deciding is not None
+        column = found.columns[deciding]
+        latest = np.where(column.present, column.values, np.iinfo(np.int64).min)
+        order = np.lexsort((-np.arange(found.rows), latest, codes))
+        last = np.append(codes[order][1:] != codes[order][:-1], True)
+        return found.take(np.sort(order[last]))
+
+    def _annotated(self, scan: TypeScan, tables: Sequence[TripleRows]) -> Iterable[Pairs]:
         """What the annotation of the rows says: ``every UAV`` makes each subject a UAV."""
         dictionary = self.static.terms.dictionary
         by_sort: dict[int, list[NDArray[np.int32]]] = {}
-        for table in self.tables:
+        for table in tables:
             if table.sort is not None:
                 by_sort.setdefault(table.sort, []).append(table.subject)
         for sort, parts in sorted(by_sort.items()):
@@ -124,8 +230,24 @@ def distinct_pairs(pairs: Pairs, terms: TermValues) -> Pairs:
 def _joined(parts: Sequence[Pairs], terms: TermValues) -> Pairs:
     kept = [part for part in parts if len(part[0])]
     if not kept:
-        nothing = ObjectColumn(Kind.TERM, np.full(0, NO_TERM, np.int32))
-        return nothing, nothing
+        return _nothing(), _nothing()
     dictionary = terms.dictionary
     subjects = concatenate([part[0] for part in kept], dictionary)
     return subjects, concatenate([part[1] for part in kept], dictionary)
+
+
+def _nothing() -> ObjectColumn:
+    return ObjectColumn(Kind.TERM, np.full(0, NO_TERM, np.int32))
+
+
+def _constant(id: int, rows: int) -> ObjectColumn:
+    return ObjectColumn(Kind.TERM, np.full(rows, id, np.int32))
+
+
+def _column(part: Relation, name: str) -> ObjectColumn:
+    """A column of a part; times of what has none are null."""
+    found = part.columns.get(name)
+    if found is not None:
+        return found
+    nothing = np.zeros(part.rows, np.int64)
+    return ObjectColumn(Kind.INTEGER, nothing, np.ones(part.rows, np.bool_))

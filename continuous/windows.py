@@ -1,16 +1,25 @@
 """The arithmetic of windows ([Events14 §III], SPEC §5): grids of ends, and no state.
 
 Inside this room content is always half-open on the left, ``(low, high]``: times are integers, so
-``[e - RANGE, e)`` is ``(e - RANGE - 1, e - 1]`` (`Grid.shift` is -1 then).
+``[e - RANGE, e)`` is ``(e - RANGE - 1, e - 1]`` (`Schedule.shift` is -1 then).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import gcd
 
-from ..languages.csparql.ast import ContinuousQuery, TimeWindow
+from ..languages.csparql.ast import (
+    ContinuousQuery,
+    CountWindow,
+    LandmarkWindow,
+    TimeWindow,
+    Window,
+)
 from ..languages.csparql.body import stream_iri
+from ..streams.time import TIME_MAX
+from .logical import DEFAULT
 from .options import Options
 
 
@@ -32,67 +41,113 @@ class Grid:
 
 @dataclass(frozen=True, slots=True)
 class InputWindow:
-    """The window over one input: its RANGE and the grid of its ends (shifted, see above)."""
+    """A window over one input: what it is, the grid of its ends (None where each evaluation is
+    one), and the graph that its triples are in (DEFAULT, or the IRI that RSP-QL gives it).
 
-    range: int
-    grid: Grid
+    ``low`` is the bound below which a landmark window holds nothing.
+    """
+
+    input: str
+    graph: str
+    window: Window
+    grid: Grid | None
+    low: int = -TIME_MAX
+
+    @property
+    def counted(self) -> bool:
+        """Whether a number of triples makes the window, not time."""
+        return isinstance(self.window, CountWindow)
+
+    @property
+    def lasts(self) -> bool:
+        """Whether content stays until other content comes, however much later."""
+        return not isinstance(self.window, TimeWindow)
 
     def bounds(self, end: int) -> tuple[int, int]:
-        """``(low, high]`` of the latest window of this input at the evaluation ``end``."""
-        high = self.grid.floor(end)
-        return high - self.range, high
+        """``(low, high]`` of the latest window of this input at the evaluation ``end``.
+
+        Of a window that counts: of what may be in it.
+        """
+        high = end if self.grid is None else self.grid.floor(end)
+        low = high - self.window.range if isinstance(self.window, TimeWindow) else self.low
+        return low, high
 
 
 @dataclass(frozen=True, slots=True)
 class Schedule:
     """When a query is evaluated, over what of each input.
 
-    ``ends``: the grid of evaluations (shifted by ``shift``), ``inputs`` a window an input in order,
-    ``pane`` the greatest length that divides every range and step.
+    ``ends``: the grid of evaluations (shifted by ``shift``); None: whenever a window that counts
+    has moved on. ``windows``: by input, in order. ``pane``: the greatest length that divides every
+    range and step (0 without one).
     """
 
-    ends: Grid
-    inputs: tuple[InputWindow, ...]
+    ends: Grid | None
+    windows: tuple[InputWindow, ...]
     shift: int
     pane: int
 
     @property
     def uniform(self) -> bool:
-        """Whether all inputs have one window that is evaluated at each of its ends."""
-        first = self.inputs[0]
-        return all(window == first for window in self.inputs) and first.grid == self.ends
+        """Whether all inputs have one window of time that is evaluated at each of its ends, in one
+        graph."""
+        first = self.windows[0]
+        return isinstance(first.window, TimeWindow) and all(
+            (one.window, one.grid, one.graph) == (first.window, self.ends, first.graph)
+            for one in self.windows
+        )
 
-    def first_end(self, input: int, time: int) -> int:
-        """The first evaluation that could see an element of ``input`` at ``time``."""
-        return self.ends.ceil(self.inputs[input].grid.ceil(time))
+    @property
+    def named(self) -> tuple[str, ...]:
+        """The graphs that are windows."""
+        return tuple(dict.fromkeys(one.graph for one in self.windows if one.graph != DEFAULT))
+
+    def after(self, end: int) -> int:
+        """The evaluation after ``end``, on the grid."""
+        return end + (1 if self.ends is None else self.ends.step)
+
+    def first_end(self, window: InputWindow, time: int) -> int:
+        """The first evaluation that could see an element of ``window`` at ``time``."""
+        own = time if window.grid is None else window.grid.ceil(time)
+        return own if self.ends is None else self.ends.ceil(own)
 
 
-def schedule(query: ContinuousQuery, inputs: tuple[str, ...], options: Options) -> Schedule:
+def schedule(query: ContinuousQuery, inputs: Sequence[str], options: Options) -> Schedule:
     """The schedule of ``query`` over ``inputs``.
 
-    An input that a FROM STREAM clause names (by IRI or stream name) has its window; any other has
+    An input that FROM STREAM clauses name (by IRI or stream name) has their windows; any other has
     the query's WINDOW (or, if there is none, the first clause's). The query is evaluated each
-    COMPUTE EVERY, but not more often than its least STEP. Raises ``ValueError`` when there is no
+    COMPUTE EVERY, but not more often than the least STEP of its windows of time; where it has
+    neither, whenever a window that counts has moved on. Raises ``ValueError`` when there is no
     window at all.
     """
-    clauses = {clause.iri: clause.window for clause in query.streams}
-    default = query.window or next(iter(clauses.values()), None)
-    windows = [clauses.get(name) or clauses.get(stream_iri(name), default) for name in inputs]
-    windows = windows or [default]
+    default = query.window or next((clause.window for clause in query.streams), None)
+    chosen: list[tuple[str, str, Window]] = []
+    for name in inputs or ("",):
+        clauses = [c for c in query.streams if c.iri in (name, stream_iri(name))]
+        if not clauses and default is None:
+            raise ValueError(f"no window for stream {name!r}: write FROM STREAM … [RANGE … STEP …]")
+        if not clauses:
+            assert default is not None
+            chosen.append((name, DEFAULT, default))
+        chosen += [(name, clause.name or DEFAULT, clause.window) for clause in clauses]
     shift = -1 if options.bounds == "[)" else 0
     origin = options.origin + shift
-    checked: list[TimeWindow] = []
-    for name, window in zip(inputs or ("",), windows, strict=True):
-        if window is None:
-            raise ValueError(f"no window for stream {name!r}: write FROM STREAM … [RANGE … STEP …]")
-        checked.append(window)
-    period = max(query.every or 0, min(window.step for window in checked))
+    steps = [window.step for _, _, window in chosen if not isinstance(window, CountWindow)]
+    period = max(query.every or 0, min(steps, default=0))
+    ends = Grid(period, origin) if period else None
     pane = period
-    for window in checked:
-        pane = gcd(pane, window.range, window.step)
-    return Schedule(
-        Grid(period, origin),
-        tuple(InputWindow(window.range, Grid(window.step, origin)) for window in checked),
-        shift,
-        pane,
-    )
+    for _, _, window in chosen:
+        if isinstance(window, TimeWindow):
+            pane = gcd(pane, window.range, window.step)
+    windows = tuple(_window(*one, origin, shift) for one in chosen)
+    return Schedule(ends, windows, shift, pane)
+
+
+def _window(input: str, graph: str, window: Window, origin: int, shift: int) -> InputWindow:
+    if isinstance(window, CountWindow):
+        return InputWindow(input, graph, window, None)
+    grid = Grid(window.step, origin)
+    if isinstance(window, LandmarkWindow) and window.start is not None:
+        return InputWindow(input, graph, window, grid, window.start - 1)
+    return InputWindow(input, graph, window, grid)

@@ -99,11 +99,17 @@ def test_what_is_not_covered_is_named(where: str, reason: str) -> None:
 
 
 def test_a_merged_window_says_so() -> None:
+    body = "SELECT (COUNT(*) AS ?n) WHERE { ?o d:speed ?v ; !(d:far|^d:near) ?v }"
+    assert not window(body, FIVE).merged
+    assert window(body, FIVE, FIVE).merged
+    assert not window(body, FIVE, FIVE, semantics="set").merged
+
+
+def test_a_path_counts_its_elements() -> None:
     body = "SELECT (COUNT(*) AS ?n) WHERE { ?o d:near/d:speed ?v }"
-    path = [(TWO, NEAR, ONE), FIVE]
-    assert not window(body, *path).merged
-    assert window(body, *path, FIVE).merged
-    assert not window(body, *path, FIVE, semantics="set").merged
+    found = window(body, (TWO, NEAR, ONE), FIVE, FIVE)
+    assert numbers(found) == [{"n": "2"}]
+    assert not found.merged
 
 
 def test_distinct_over_all_variables_is_refused() -> None:

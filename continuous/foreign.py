@@ -1,0 +1,117 @@
+"""Expressions that columns do not know, by Oxigraph: once a distinct combination of values."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+from pyoxigraph import BlankNode, NamedNode, Quad, Store
+
+from ..languages.csparql import term_text
+from ..rdf.dictionary import Term
+from ..rdf.timed import ObjectColumn
+from .columns import Relation, TermValues, key_codes, term_column
+from .expressions import INFIX, Call, Const, Expression, Var, variables
+
+VOLATILE: Final = frozenset({"RAND", "UUID", "STRUUID"})
+"""Functions that have another value each time."""
+_PREFIX: Final = {"!": "!", "NEGATE": "-"}
+_VALUE: Final = "urn:dyknow:value:"
+
+
+def ask(
+    expression: Expression, columns: Mapping[str, ObjectColumn], rows: int, terms: TermValues
+) -> ObjectColumn:
+    """The value of ``expression`` for each of ``rows`` rows; null is error or unbound.
+
+    Cost: Python and Oxigraph a distinct combination of values, a text to parse each time.
+    """
+    names = sorted(variables(expression))
+    relation = Relation({name: columns[name] for name in names if name in columns}, rows)
+    if not rows:
+        return term_column([], terms.dictionary)
+    if _is_volatile(expression):
+        first = inverse = np.arange(rows)
+    elif relation.columns:
+        keys = [[column] for column in relation.columns.values()]
+        codes = key_codes(keys, terms.dictionary)[0]
+        _, first, inverse = np.unique(codes, return_index=True, return_inverse=True)
+        inverse = inverse.reshape(-1)
+    else:
+        first, inverse = np.zeros(1, np.int64), np.zeros(rows, np.int64)
+    known = [name for name in names if name in relation.columns]
+    picked = {name: relation.columns[name].take(first) for name in known}
+    table = [
+        [
+            column.term_at(row, terms.dictionary) if column.present[row] else None
+            for column in picked.values()
+        ]
+        for row in range(len(first))
+    ]
+    answers = _answers(expression, known, table)
+    return term_column(answers, terms.dictionary).take(inverse)
+
+
+def _answers(
+    expression: Expression, names: Sequence[str], table: Sequence[Sequence[Term | None]]
+) -> list[Term | None]:
+    places = {name: f"v{i}" for i, name in enumerate(names)}
+    text = sparql_text(expression, places)
+    if any(isinstance(term, BlankNode) for row in table for term in row):
+        # A blank node cannot be written into a query: the values stand in the store.
+        return _from_store(text, list(places.values()), table)
+    lines = (
+        " ".join([str(number), *("UNDEF" if term is None else term_text(term) for term in row)])
+        for number, row in enumerate(table)
+    )
+    heads = " ".join(["?row", *(f"?{place}" for place in places.values())])
+    values = " ".join(f"({line})" for line in lines)
+    query = f"SELECT ?row ({text} AS ?answer) WHERE {{ VALUES ({heads}) {{ {values} }} }}"
+    found: dict[int, Term | None] = {
+        int(solution["row"].value): solution["answer"] for solution in _solutions(Store(), query)
+    }
+    return [found.get(number) for number in range(len(table))]
+
+
+def _from_store(
+    text: str, places: Sequence[str], table: Sequence[Sequence[Term | None]]
+) -> list[Term | None]:
+    store, row_of = Store(), NamedNode(f"{_VALUE}row")
+    for number, row in enumerate(table):
+        node = NamedNode(f"{_VALUE}{number}")
+        store.add(Quad(node, row_of, node))
+        for place, term in zip(places, row, strict=True):
+            if term is not None:
+                store.add(Quad(node, NamedNode(_VALUE + place), term))
+    optional = " ".join(f"OPTIONAL {{ ?row <{_VALUE}{place}> ?{place} }}" for place in places)
+    query = f"SELECT ?row ({text} AS ?answer) WHERE {{ ?row <{row_of.value}> ?row {optional} }}"
+    found = {solution["row"].value: solution["answer"] for solution in _solutions(store, query)}
+    return [found.get(f"{_VALUE}{number}") for number in range(len(table))]
+
+
+def _solutions(store: Store, query: str) -> Any:
+    return store.query(query)
+
+
+def _is_volatile(expression: Expression) -> bool:
+    if not isinstance(expression, Call):
+        return False
+    return expression.name in VOLATILE or any(map(_is_volatile, expression.arguments))
+
+
+def sparql_text(expression: Expression, places: Mapping[str, str]) -> str:
+    """The expression as SPARQL, variables under the names in ``places`` (unbound if not there)."""
+    match expression:
+        case Var(name):
+            return f"?{places.get(name, 'unbound')}"
+        case Const(term):
+            return term_text(term)
+        case Call(name, (left, right)) if name in INFIX:
+            return f"({sparql_text(left, places)} {name} {sparql_text(right, places)})"
+        case Call(name, (argument,)) if name in _PREFIX:
+            return f"({_PREFIX[name]}{sparql_text(argument, places)})"
+        case Call(name, arguments):
+            shown = ", ".join(sparql_text(argument, places) for argument in arguments)
+            return f"{name}({shown})"
+    raise AssertionError(expression)

@@ -1,0 +1,192 @@
+"""Groups of solutions and their aggregates, each window anew (SPARQL 1.1 §11, §18.5.1), and the
+order of solutions (§15.1).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from pyoxigraph import Literal
+
+from ..rdf.dictionary import NO_TERM
+from ..rdf.timed import Kind, ObjectColumn
+from .columns import Relation, Sort, TermValues, first_rows, key_codes
+from .evaluation import evaluate
+from .expressions import Expression
+from .kernels import Groups
+from .logical import Aggregate, Aggregation
+from .ordering import sort_keys
+from .partials import Partial
+
+Rows = NDArray[np.int64]
+
+
+def aggregate(plan: Aggregate, relation: Relation, terms: TermValues) -> Relation:
+    """A row a group, groups in order of appearance."""
+    group, first = grouping(plan, relation, terms)
+    count = len(first)
+    result = group_keys(plan, relation, first)
+    for one in plan.aggregations:
+        value = None
+        if one.argument is not None:
+            value = evaluate(one.argument, relation.columns, relation.rows, terms)
+        rows = None
+        if one.distinct:
+            rows = _distinct_rows(relation, group, value, terms)
+        members = group if rows is None else group[rows]
+        if value is not None and rows is not None:
+            value = value.take(rows)
+        result[one.variable] = _aggregated(one, members, value, count, terms)
+    return Relation(result, count, frozenset(plan.keys))
+
+
+def grouping(plan: Aggregate, relation: Relation, terms: TermValues) -> tuple[Rows, Rows]:
+    """The group of each row, and the first row of each group.
+
+    Without keys all rows are one group; an implicit group is there though it has no row.
+    """
+    if not plan.keys:
+        some = plan.implicit or relation.rows > 0
+        return np.zeros(relation.rows, np.int64), np.zeros(int(some), np.int64)
+    columns = [[relation.column(key)] for key in plan.keys]
+    codes = key_codes(columns, terms.dictionary)[0]
+    _, first, inverse = np.unique(codes, return_index=True, return_inverse=True)
+    order = np.argsort(first, kind="stable")
+    rank = np.empty(len(order), np.int64)
+    rank[order] = np.arange(len(order))
+    return rank[inverse.reshape(-1)], first[order]
+
+
+def group_keys(plan: Aggregate, relation: Relation, first: Rows) -> dict[str, ObjectColumn]:
+    """The key columns of the groups that begin at rows ``first``."""
+    # The one group of nothing has no first row to take keys from; it has no keys either.
+    return {key: relation.column(key).take(first) for key in plan.keys}
+
+
+def ordered(
+    relation: Relation, keys: Sequence[tuple[Expression, bool]], terms: TermValues
+) -> Relation:
+    """The rows by the keys, the first one deciding; rows that are equal stay in their order."""
+    arrays: list[NDArray[np.float64] | Rows] = []
+    for expression, descending in keys:
+        value = evaluate(expression, relation.columns, relation.rows, terms)
+        arrays.extend(-key if descending else key for key in sort_keys(value, terms))
+    if not arrays:
+        return relation
+    return relation.take(np.lexsort(arrays[::-1]))
+
+
+def _distinct_rows(
+    relation: Relation, group: Rows, value: ObjectColumn | None, terms: TermValues
+) -> Rows:
+    """The first row of each value in each group; of each solution, for COUNT(DISTINCT *)."""
+    columns = [value] if value is not None else list(relation.columns.values())
+    by_group = ObjectColumn(Kind.INTEGER, group)
+    return first_rows(key_codes([[c] for c in (by_group, *columns)], terms.dictionary)[0])
+
+
+def _aggregated(
+    one: Aggregation, group: Rows, value: ObjectColumn | None, count: int, terms: TermValues
+) -> ObjectColumn:
+    if value is None:
+        value = ObjectColumn(Kind.INTEGER, np.zeros(len(group), np.int64))
+    match one.function:
+        case "SAMPLE":
+            return _picked(value, _firsts(group, value.present, count))
+        case "GROUP_CONCAT":
+            return _concatenated(value, group, count, one.separator, terms)
+        case "MIN" | "MAX" if not _all_numbers(value, terms):
+            return _extreme(one.function == "MIN", value, group, count, terms)
+        case _:
+            partial = Partial()
+            groups = _dense(count)
+            extremes = one.function in ("MIN", "MAX")
+            partial.add(group.astype(np.int32), value, None, groups, terms, extremes)
+            return partial.finish(one.function, np.arange(count), terms)
+
+
+def _dense(count: int) -> Groups:
+    """Groups that are there already: each is its own "subject"."""
+    groups = Groups()
+    groups.reach(count)
+    groups.group_of[:count] = np.arange(count)
+    groups.members, groups.used = np.arange(count, dtype=np.int32), count
+    return groups
+
+
+def _all_numbers(value: ObjectColumn, terms: TermValues) -> bool:
+    if value.kind is not Kind.TERM:
+        return value.kind.is_number
+    sorts = terms.sorts(value.values[value.present])
+    return bool(np.all((sorts >= Sort.INTEGER) & (sorts <= Sort.DOUBLE)))
+
+
+def _firsts(group: Rows, wanted: NDArray[np.bool_], count: int) -> Rows:
+    """The first wanted row of each group, -1 where there is none."""
+    rows = np.flatnonzero(wanted)
+    found = np.full(count, -1, np.int64)
+    found[group[rows[::-1]]] = rows[::-1]
+    return found
+
+
+def _picked(value: ObjectColumn, rows: Rows) -> ObjectColumn:
+    absent = rows < 0
+    if not len(value):
+        fill = NO_TERM if value.kind is Kind.TERM else 0
+        return ObjectColumn(value.kind, np.full(len(rows), fill, value.kind.dtype), absent)
+    taken = value.take(np.where(absent, 0, rows))
+    null = absent | ~taken.present
+    return ObjectColumn(taken.kind, taken.values, null if null.any() else None)
+
+
+def _extreme(
+    least: bool, value: ObjectColumn, group: Rows, count: int, terms: TermValues
+) -> ObjectColumn:
+    """MIN or MAX by the order of ORDER BY; an error among the values of a group makes it one."""
+    keys = sort_keys(value, terms)
+    order = np.lexsort([*(key if least else -key for key in keys[::-1]), group])
+    best = _picked(value, _of_sorted(order, group, count))
+    failed = np.zeros(count, np.bool_)
+    failed[group[~value.present]] = True
+    null = failed | ~best.present
+    return ObjectColumn(best.kind, best.values, null if null.any() else None)
+
+
+def _of_sorted(order: Rows, group: Rows, count: int) -> Rows:
+    """The row that comes first in ``order`` of each group, -1 for a group without rows."""
+    found = np.full(count, -1, np.int64)
+    found[group[order[::-1]]] = order[::-1]
+    return found
+
+
+def _concatenated(
+    value: ObjectColumn, group: Rows, count: int, separator: str, terms: TermValues
+) -> ObjectColumn:
+    """GROUP_CONCAT: of strings only, as CONCAT; a language that all have is kept.
+
+    Cost: Python a value.
+    """
+    dictionary = terms.dictionary
+    texts: list[list[str]] = [[] for _ in range(count)]
+    languages: list[set[str | None]] = [set() for _ in range(count)]
+    failed = np.zeros(count, np.bool_)
+    strings = np.zeros(len(value), np.bool_)
+    if value.kind is Kind.TERM:
+        sorts = terms.sorts(value.values)
+        strings = value.present & ((sorts == Sort.STRING) | (sorts == Sort.TEXT))
+    for row, at in enumerate(group.tolist()):
+        if not strings[row]:
+            failed[at] = True
+            continue
+        term = dictionary.term(int(value.values[row]))
+        assert isinstance(term, Literal)
+        texts[at].append(term.value)
+        languages[at].add(term.language)
+    ids = np.full(count, NO_TERM, np.int32)
+    for at in np.flatnonzero(~failed).tolist():
+        text, spoken = separator.join(texts[at]), languages[at]
+        language = next(iter(spoken)) if len(spoken) == 1 else None
+        ids[at] = dictionary.id(Literal(text, language=language) if language else Literal(text))
+    return ObjectColumn(Kind.TERM, ids, failed if failed.any() else None)

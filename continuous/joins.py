@@ -1,0 +1,200 @@
+"""Joins of relations whose variables may be unbound: natural, OPTIONAL, MINUS (SPARQL 1.1 §18.3).
+
+Two solutions are compatible if they agree where both are bound. So rows are parted by what they
+bind of the shared variables, and each two parts are matched on what both bind.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..rdf.dictionary import NO_TERM
+from ..rdf.timed import Kind, ObjectColumn
+from .columns import Relation, TermValues, coalesce, key_codes
+from .evaluation import holds
+from .expressions import Expression
+
+Rows: TypeAlias = NDArray[np.int64]
+
+
+def join_all(relations: Sequence[Relation], terms: TermValues) -> Relation:
+    """The natural join: from the smallest on, always the smallest that shares a variable."""
+    if not relations:
+        return Relation({}, 1)
+    waiting = sorted(relations, key=lambda relation: relation.rows)
+    joined = waiting.pop(0)
+    while waiting:
+        linked = [r for r in waiting if not joined.columns.keys().isdisjoint(r.columns)]
+        chosen = (linked or waiting)[0]
+        waiting = [relation for relation in waiting if relation is not chosen]
+        joined = join(joined, chosen, terms)
+    return joined
+
+
+def join(left: Relation, right: Relation, terms: TermValues) -> Relation:
+    """The natural join of two relations, in the order of ``left``, then of ``right``."""
+    return _joined(left, right, *match_rows(left, right, terms), terms)
+
+
+def left_join(
+    left: Relation, right: Relation, condition: Expression | None, terms: TermValues
+) -> Relation:
+    """The join where ``condition`` holds, and each row of ``left`` that is not in it."""
+    at_left, at_right = match_rows(left, right, terms)
+    if condition is not None:
+        joined = _joined(left, right, at_left, at_right, terms)
+        keep = holds(condition, joined.columns, joined.rows, terms)
+        at_left, at_right = at_left[keep], at_right[keep]
+    alone = np.ones(left.rows, np.bool_)
+    alone[at_left] = False
+    rest = np.flatnonzero(alone)
+    if len(rest):
+        at_left = np.concatenate([at_left, rest])
+        at_right = np.concatenate([at_right, np.full(len(rest), -1)])
+        order = np.argsort(at_left, kind="stable")
+        at_left, at_right = at_left[order], at_right[order]
+    return _joined(left, right, at_left, at_right, terms)
+
+
+def minus(left: Relation, right: Relation, terms: TermValues) -> Relation:
+    """The rows of ``left`` that share no binding with a compatible row of ``right``."""
+    if not any(name in right.columns for name in left.columns):
+        return left
+    at_left, _ = match_rows(left, right, terms, disjoint=False)
+    keep = np.ones(left.rows, np.bool_)
+    keep[at_left] = False
+    return left.take(keep)
+
+
+def has_match(left: Relation, right: Relation, terms: TermValues) -> NDArray[np.bool_]:
+    """Which rows of ``left`` have a compatible row in ``right``."""
+    found = np.zeros(left.rows, np.bool_)
+    if not any(name in right.columns for name in left.columns):
+        found[:] = right.rows > 0
+        return found
+    found[match_rows(left, right, terms)[0]] = True
+    return found
+
+
+def match_rows(
+    left: Relation, right: Relation, terms: TermValues, *, disjoint: bool = True
+) -> tuple[Rows, Rows]:
+    """All pairs of compatible rows, by the left one, then by the right one.
+
+    ``disjoint``: rows that bind no variable together count as compatible. Cost: a sort of the right
+    keys for each combination of variables that are bound on the two sides: one where all are.
+    """
+    shared = [name for name in left.columns if name in right.columns]
+    parts = [
+        _matched(left, right, bound, at_left, at_right, terms)
+        for bound, at_left, at_right in _combinations(left, right, shared)
+        if bound or disjoint
+    ]
+    if len(parts) == 1:
+        return parts[0]
+    if not parts:
+        return np.zeros(0, np.int64), np.zeros(0, np.int64)
+    at_left = np.concatenate([part[0] for part in parts])
+    at_right = np.concatenate([part[1] for part in parts])
+    order = np.lexsort((at_right, at_left))
+    return at_left[order], at_right[order]
+
+
+def _combinations(
+    left: Relation, right: Relation, shared: Sequence[str]
+) -> Iterator[tuple[list[str], Rows | None, Rows | None]]:
+    """What two parts of the rows both bind, and these rows (None: all)."""
+    nullable = [
+        name
+        for name in shared
+        if left.columns[name].null is not None or right.columns[name].null is not None
+    ]
+    if not nullable:
+        yield list(shared), None, None
+        return
+    for left_mask, at_left in _parted(left, nullable):
+        for right_mask, at_right in _parted(right, nullable):
+            both = left_mask & right_mask
+            unbound = {name for i, name in enumerate(nullable) if not both >> i & 1}
+            yield [name for name in shared if name not in unbound], at_left, at_right
+
+
+def _parted(relation: Relation, names: Sequence[str]) -> Iterator[tuple[int, Rows]]:
+    masks = np.zeros(relation.rows, np.int64)
+    for i, name in enumerate(names):
+        masks |= relation.columns[name].present.astype(np.int64) << i
+    for mask in np.unique(masks).tolist():
+        yield int(mask), np.flatnonzero(masks == mask)
+
+
+def _matched(
+    left: Relation,
+    right: Relation,
+    names: Sequence[str],
+    at_left: Rows | None,
+    at_right: Rows | None,
+    terms: TermValues,
+) -> tuple[Rows, Rows]:
+    """Pairs of these rows that agree on ``names``, which all of them bind."""
+    lefts = np.arange(left.rows) if at_left is None else at_left
+    rights = np.arange(right.rows) if at_right is None else at_right
+    if not names:
+        return np.repeat(lefts, len(rights)), np.tile(rights, len(lefts))
+    pairs = []
+    for name in names:
+        a, b = left.columns[name], right.columns[name]
+        if at_left is not None:
+            a = ObjectColumn(a.kind, a.values[lefts])
+        if at_right is not None:
+            b = ObjectColumn(b.kind, b.values[rights])
+        pairs.append([a, b])
+    found_left, found_right = match_keys(*key_codes(pairs, terms.dictionary))
+    return lefts[found_left], rights[found_right]
+
+
+def match_keys(left: Rows, right: Rows) -> tuple[Rows, Rows]:
+    """All pairs of rows with equal codes, as two index arrays."""
+    order = np.argsort(right, kind="stable")
+    ordered = right[order]
+    low = np.searchsorted(ordered, left, "left")
+    count = np.searchsorted(ordered, left, "right") - low
+    at_left = np.repeat(np.arange(len(left)), count)
+    offset = np.arange(len(at_left)) - np.repeat(np.cumsum(count) - count, count)
+    return at_left, order[np.repeat(low, count) + offset]
+
+
+def _joined(
+    left: Relation, right: Relation, at_left: Rows, at_right: Rows, terms: TermValues
+) -> Relation:
+    """The rows of both side by side; where ``at_right`` is -1, of the left alone."""
+    columns: dict[str, ObjectColumn] = {}
+    for name, column in left.columns.items():
+        taken = column.take(at_left)
+        if name in right.columns and taken.null is not None:
+            taken = coalesce(taken, take_or_null(right.columns[name], at_right), terms.dictionary)
+        columns[name] = taken
+    for name, column in right.columns.items():
+        if name not in columns:
+            columns[name] = take_or_null(column, at_right)
+    return Relation(columns, len(at_left))
+
+
+def take_or_null(column: ObjectColumn, rows: Rows) -> ObjectColumn:
+    """The column at ``rows``, null where that is -1."""
+    absent = rows < 0
+    if not absent.any():
+        return column.take(rows)
+    if not len(column):
+        return unbound(len(rows), column.kind)
+    taken = column.take(np.where(absent, 0, rows))
+    return ObjectColumn(taken.kind, taken.values, absent | ~taken.present)
+
+
+def unbound(rows: int, kind: Kind = Kind.TERM) -> ObjectColumn:
+    """A column of nothing."""
+    values = np.full(rows, NO_TERM if kind is Kind.TERM else 0, kind.dtype)
+    return ObjectColumn(kind, values, np.ones(rows, np.bool_))
