@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence, Sized
 from dataclasses import dataclass
-from itertools import islice
+from itertools import groupby, islice
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -12,11 +12,12 @@ import numpy as np
 from pyoxigraph import BlankNode, Literal, NamedNode
 
 from ..languages.csparql import parse_query
+from ..languages.csparql.ast import ContinuousQuery, Dialect
 from ..rdf.dictionary import Term, TermDictionary
-from ..rdf.timed import TimedTriples, from_terms
+from ..rdf.timed import TimedTriples, TripleRows, from_terms
 from .background import Background
 from .evaluator import ContinuousEvaluator
-from .options import Bounds, Options, Semantics
+from .options import Bounds, Options, Report, Semantics
 from .results import WindowResult
 
 TimedTerm: TypeAlias = tuple[int, Term, NamedNode, Term]
@@ -43,22 +44,26 @@ class Window:
 def evaluate(
     query_text: str,
     streams: Mapping[str, Iterable[TimedTerm] | TimedTriples],
-    static: Iterable[str | Path] = (),
+    static: Iterable[str | Path] | Mapping[str, str | Path] = (),
     semantics: Semantics | None = None,
     bounds: Bounds = "(]",
     origin: int | None = None,
     lateness: int | None = None,
+    report: Report = "non-empty",
 ) -> Iterator[Window]:
     """The windows of a continuous query over recorded streams, one by one, as they close.
 
     ``streams`` gives the triples by stream IRI. A collection with a length is sorted by time
     first; an iterator is read lazily, only as far as the next window needs, and an element more
     than ``lateness`` ns (0 unless given) behind the greatest time seen is dropped and counted.
-    Streams are merged by time. ``static`` are RDF files. ``semantics`` is "bag" for C-SPARQL
-    unless given; ``origin`` is 0. Raises `LanguageError` for the text, ``ValueError`` for
-    streams without a window, and when ``streams`` are not those that the query's FROM STREAM
-    clauses name (a query without them reads what it is given), ``TypeError`` for what is no tuple
-    ``(time in ns, subject, predicate, object)`` of pyoxigraph's terms.
+    Streams are merged by time. ``static`` are RDF files: a list of what is read whatever the
+    query's FROM clauses are, or a mapping from the names of graphs to files, of which it reads
+    those of FROM (all if it has none) and FROM NAMED. ``semantics`` is "bag" for C-SPARQL and "set"
+    for RSP-QL unless given; ``origin`` is 0; for ``report`` see `options`. Raises `LanguageError`
+    for the text, ``ValueError`` for streams without a window, and when ``streams`` are not those
+    that the query's FROM STREAM clauses name (a query without them reads what it is given) or a
+    graph is not given, ``TypeError`` for what is no tuple ``(time in ns, subject, predicate,
+    object)`` of pyoxigraph's terms.
     """
     query = parse_query(query_text)
     named = {clause.iri for clause in query.streams}
@@ -70,14 +75,35 @@ def evaluate(
                 + [f"the query reads <{iri}>, which is not given" for iri in lacking]
             )
         )
-    options = Options(semantics or "bag", bounds, origin or 0)
+    usual: Semantics = "set" if query.dialect is Dialect.RSP_QL else "bag"
+    options = Options(semantics or usual, bounds, origin or 0, report)
     columns = [given for given in streams.values() if isinstance(given, TimedTriples)]
     dictionary = columns[0].dictionary if columns else TermDictionary()
     evaluator = ContinuousEvaluator(
-        query, dictionary, Background.from_files(static), tuple(streams), options
+        query, dictionary, _background(query, static), tuple(streams), options
     )
-    feeds = [_Feed(name, given, lateness) for name, given in streams.items()]
+    counts = any(window.counted for window in evaluator.schedule.windows)
+    feeds = [_Feed(name, given, lateness, counts) for name, given in streams.items()]
     return _run(evaluator, feeds, dictionary)
+
+
+def _background(
+    query: ContinuousQuery, static: Iterable[str | Path] | Mapping[str, str | Path]
+) -> Background:
+    known = static if isinstance(static, Mapping) else {}
+    wanted = (*query.static, *query.static_named) if known else query.static_named
+    lacking = [iri for iri in wanted if iri not in known]
+    if lacking:
+        given = ", ".join(f"<{iri}>" for iri in known) or "no graph with a name"
+        raise ValueError(
+            f"the query names the graph <{lacking[0]}>, and `static` gives {given}: "
+            "give a mapping from the names of graphs to files"
+        )
+    if not isinstance(static, Mapping):
+        return Background.from_files(static)
+    default = query.static or tuple(iri for iri in known if iri not in query.static_named)
+    used = {iri: known[iri] for iri in dict.fromkeys((*default, *query.static_named))}
+    return Background.from_files(used, default)
 
 
 def _run(
@@ -125,12 +151,17 @@ class _Feed:
     """One stream on its way in: how far it has come, what was late."""
 
     def __init__(
-        self, name: str, given: Iterable[TimedTerm] | TimedTriples, lateness: int | None
+        self,
+        name: str,
+        given: Iterable[TimedTerm] | TimedTriples,
+        lateness: int | None,
+        counts: bool,
     ) -> None:
         self.name = name
         self.greatest: int | None = None
         self.late = 0
         self.lateness = lateness or 0
+        self._counts = counts
         self._columns = given if isinstance(given, TimedTriples) else None
         self._sorted = isinstance(given, Sized)
         if self._columns is None and self._sorted:
@@ -172,7 +203,7 @@ class _Feed:
         if not taken and self._exhausted():
             return None
         taken.sort(key=lambda item: item[0])
-        return from_terms(taken, dictionary)
+        return _in_order(taken, dictionary) if self._counts else from_terms(taken, dictionary)
 
     def _exhausted(self) -> bool:
         following = next(self._items, None)
@@ -181,6 +212,20 @@ class _Feed:
         rest = self._items
         self._items = _chain(following, rest)
         return False
+
+
+def _in_order(taken: Sequence[TimedTerm], dictionary: TermDictionary) -> TimedTriples:
+    """A table each time the predicate or the kind of object changes: for windows that count, which
+    of two triples of one time came first matters."""
+    tables: list[TripleRows] = []
+    for _, run in groupby(taken, key=_shape):
+        tables.extend(from_terms(run, dictionary).tables)
+    return TimedTriples(dictionary, tuple(tables))
+
+
+def _shape(item: TimedTerm) -> tuple[NamedNode, str]:
+    object = item[3]
+    return item[2], object.datatype.value if isinstance(object, Literal) else ""
 
 
 def _chain(first: TimedTerm, rest: Iterator[TimedTerm]) -> Iterator[TimedTerm]:

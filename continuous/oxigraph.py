@@ -10,7 +10,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Any, TypeGuard
+from typing import Any, Final, TypeGuard
 
 from pyoxigraph import (
     BlankNode,
@@ -39,6 +39,7 @@ from .columns import TermValues, canonical, term_column
 from .logical import DEFAULT
 from .results import Solutions, WindowResult
 from .sources import StaticSide, distinct_ids
+from .timestamps import TIMESTAMP, VALID_TIME
 from .translate import Graphs
 from .unsupported import Unsupported
 
@@ -203,10 +204,14 @@ def _is_node(term: Any) -> TypeGuard[NamedNode | BlankNode]:
     return isinstance(term, NamedNode | BlankNode)
 
 
+_ACCESSORS: Final = {NamedNode(name[1:-1]): lambda *_: None for name in (TIMESTAMP, VALID_TIME)}
+"""Accessors of times are for columns alone; here they only have to be read."""
+
+
 def _parsed(sparql: str) -> None:
     """Raises ``ValueError`` for a text that Oxigraph does not take: now, not at some window."""
     try:
-        Store().query(sparql)
+        Store().query(sparql, custom_functions=_ACCESSORS)
     except SyntaxError as error:
         raise ValueError(f"Oxigraph refuses the query: {error}") from error
 
