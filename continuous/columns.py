@@ -84,6 +84,8 @@ class TermValues:
         self._number: NDArray[np.float64] = np.zeros(0, np.float64)
         self._integer: NDArray[np.int64] = np.zeros(0, np.int64)
         self._canonical: NDArray[np.int32] = np.zeros(0, np.int32)
+        self._tag: NDArray[np.int8] = np.zeros(0, np.int8)
+        self._bits: NDArray[np.int64] = np.zeros(0, np.int64)
         self._size = 0
 
     def sorts(self, ids: NDArray[np.int32]) -> NDArray[np.int8]:
@@ -111,6 +113,20 @@ class TermValues:
             values = self._number[column.values]
         return ObjectColumn(kind, values, column.null)
 
+    def encoded(self, column: ObjectColumn) -> tuple[NDArray[np.int8], NDArray[np.int64]]:
+        """Each object as a tag (its `Kind`) and 64 bits; equal exactly where the terms are equal,
+        whatever kind of column they stand in. Objects are canonical and none is null."""
+        if column.kind is not Kind.TERM:
+            return np.full(len(column), column.kind, np.int8), bits(column.values)
+        self._follow()
+        return self._tag[column.values], self._bits[column.values]
+
+    @property
+    def sorts_by_id(self) -> NDArray[np.int8]:
+        """`Sort` of every id of the dictionary."""
+        self._follow()
+        return self._sort
+
     def filled(self, ids: NDArray[np.int32]) -> NDArray[np.bool_]:
         """Which strings are not empty."""
         self._follow()
@@ -127,8 +143,14 @@ class TermValues:
                 self._number = _enlarged(self._number, capacity)
                 self._integer = _enlarged(self._integer, capacity)
                 self._canonical = _enlarged(self._canonical, capacity)
+                self._tag = _enlarged(self._tag, capacity)
+                self._bits = _enlarged(self._bits, capacity)
             for id, term in enumerate(list(self.dictionary.terms(self._size)), self._size):
                 self._sort[id], self._number[id], self._integer[id] = _worth(term)
+                # A number that no column holds (a long decimal) is the term itself.
+                kind, value = split_term(term, self.dictionary)
+                self._tag[id] = kind
+                self._bits[id] = bits(np.array([value], kind.dtype))[0]
                 spelled = canonical(term)
                 self._canonical[id] = id if spelled == term else self.dictionary.id(spelled)
             self._size = size

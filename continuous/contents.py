@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
 from ..rdf.timed import TripleRows
 from ..streams.time import TIME_MAX
 from .counting_intake import CountingIntake
 from .intake import Intake
+from .patterns import PatternSolver
 from .windows import InputWindow, Schedule
 
 
@@ -34,6 +37,8 @@ class Contents:
         self.intakes: dict[str, Intake] = {}
         self._counting: dict[int, CountingIntake] = {}
         self._numbers: dict[int, int] = {}
+        self.patterns: PatternSolver | None = None
+        """Who reads the rows as numbers too."""
         for i, one in enumerate(schedule.windows):
             if one.counted:
                 self._counting[i] = CountingIntake(one.window)  # type: ignore[arg-type]
@@ -51,8 +56,12 @@ class Contents:
         else:
             late = 0
         for i, one in enumerate(self.schedule.windows):
-            if one.counted and one.input == input and len(rows):
+            if one.input != input or not len(rows):
+                continue
+            if one.counted:
                 self._counting[i].push(rows)
+            elif self.patterns is not None:
+                self.patterns.rows.push(i, rows)
         if any(not one.counted and one.input == input for one in self.schedule.windows):
             self.intakes[input].push(rows, None)
         return late
@@ -151,11 +160,22 @@ class Contents:
                 tables.extend(self.intakes[one.input].between(*one.bounds(end)))
         return found
 
+    def turn(self, end: int) -> None:
+        """Let `patterns` solve the windows at ``end``."""
+        if self.patterns is not None:
+            bounds = np.array([one.bounds(end) for one in self.schedule.windows], np.int64)
+            lows, highs = np.ascontiguousarray(bounds[:, 0]), np.ascontiguousarray(bounds[:, 1])
+            self.patterns.turn(lows, highs)
+
     def drop(self, end: int, *, raw: bool) -> None:
         """Forget what no evaluation after ``end`` needs; ``raw``: windows are read again, else what
         was in one has been folded already."""
         for i, counting in self._counting.items():
             counting.forget(self._numbers[i])
+        if self.patterns is not None:
+            after = self.schedule.after(end)
+            lows = [min(one.bounds(after)[0], one.bounds(end)[1]) for one in self.schedule.windows]
+            self.patterns.rows.drop(np.array(lows, np.int64))
         for input, intake in self.intakes.items():
             lows, highs = [], []
             for one in self.schedule.windows:

@@ -15,6 +15,7 @@ from ..languages.csparql.shape import query_shape
 from ..languages.errors import Span
 from ..rdf.dictionary import TermDictionary
 from ..rdf.timed import TimedTriples, TripleRows
+from ..streams.compiled import JIT
 from ..streams.time import TIME_MAX
 from .background import Background
 from .columns import NeedsOxigraph, Relation, TermValues
@@ -25,6 +26,7 @@ from .incremental import Incremental, shape_of
 from .logical import DEFAULT, AnyScan, Closure, Plan, Query, Scan, TypeScan, walk
 from .options import Options
 from .oxigraph import OxigraphWindows
+from .patterns import PatternSolver, pattern_parts, served_parts
 from .relational import execute
 from .results import WindowResult
 from .rules import optimize
@@ -80,6 +82,7 @@ class ContinuousEvaluator:
         self._rules: tuple[str, ...] = ()
         self._reason = ""
         self._incremental: Incremental | None = None
+        self._patterns: PatternSolver | None = None
         self._no_increment = ""
         self._names_now = False
         self._prepare(query)
@@ -181,6 +184,22 @@ class ContinuousEvaluator:
                 self._no_increment = shape
             else:
                 self._incremental = Incremental(shape, self._static, self._terms)
+        if self._incremental is None and JIT:
+            self._join_patterns(plan)
+
+    def _join_patterns(self, plan: Plan) -> None:
+        """Have the parts of the plan that are joins of patterns solved by a compiled loop."""
+        windows = self.schedule.windows
+        if self._names_now or any(one.counted for one in windows):
+            return
+        plan = pattern_parts(plan)
+        parts = list(served_parts(plan))
+        if parts and self._plan is not None:
+            self._plan = Query(self._plan.head, plan)
+            graphs = [one.graph for one in windows]
+            distinct = self.options.semantics == "set"
+            self._patterns = PatternSolver(parts, graphs, self._static, distinct=distinct)
+            self._contents.patterns = self._patterns
 
     def _not_folded(self, plan: Plan) -> str:
         """Why windows cannot be folded pane by pane, whatever the plan computes."""
@@ -312,11 +331,17 @@ class ContinuousEvaluator:
         contents: Mapping[str, Sequence[TripleRows]] = {}
         if self._incremental is None or self._incremental.shape.retains:
             contents = self._contents.tables(end)
+        self._contents.turn(end)
         if self._plan is not None:
             for incremental in dict.fromkeys((self._incremental, None)):
                 try:
                     source = _Source(
-                        contents, self._static, self.options, self.schedule.named, incremental
+                        contents,
+                        self._static,
+                        self.options,
+                        self.schedule.named,
+                        incremental,
+                        self._patterns,
                     )
                     plan = self._plan.plan
                     plan = at_time(plan, shown) if self._names_now else plan
@@ -347,11 +372,13 @@ class _Source(WindowSource):
         options: Options,
         windows: Sequence[str],
         incremental: Incremental | None,
+        patterns: PatternSolver | None,
     ) -> None:
         super().__init__(contents, static, windows=windows, distinct=options.semantics == "set")
         self.incremental = incremental
+        self.patterns = patterns
 
     def ready(self, plan: Plan) -> Relation | None:
         if self.incremental is not None and plan is self.incremental.shape.aggregate:
             return self.incremental.relation(self.contents.get(DEFAULT, ()))
-        return None
+        return None if self.patterns is None else self.patterns.solve(plan)
