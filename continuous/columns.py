@@ -115,7 +115,7 @@ class TermValues:
 
     def encoded(self, column: ObjectColumn) -> tuple[NDArray[np.int8], NDArray[np.int64]]:
         """Each object as a tag (its `Kind`) and 64 bits; equal exactly where the terms are equal,
-        whatever kind of column they stand in. Objects are canonical and none is null."""
+        whatever kind of column they stand in, and however they are spelled. None is null."""
         if column.kind is not Kind.TERM:
             return np.full(len(column), column.kind, np.int8), bits(column.values)
         self._follow()
@@ -145,15 +145,23 @@ class TermValues:
                 self._canonical = _enlarged(self._canonical, capacity)
                 self._tag = _enlarged(self._tag, capacity)
                 self._bits = _enlarged(self._bits, capacity)
+            # An IRI or blank node is itself; only literals have to be looked at.
+            new = slice(self._size, size)
+            self._sort[new] = Sort.NODE
+            self._canonical[new] = self._bits[new] = np.arange(self._size, size)
             for id, term in enumerate(list(self.dictionary.terms(self._size)), self._size):
-                self._sort[id], self._number[id], self._integer[id] = _worth(term)
-                # A number that no column holds (a long decimal) is the term itself.
-                kind, value = split_term(term, self.dictionary)
-                self._tag[id] = kind
-                self._bits[id] = bits(np.array([value], kind.dtype))[0]
-                spelled = canonical(term)
-                self._canonical[id] = id if spelled == term else self.dictionary.id(spelled)
+                if isinstance(term, Literal) and id < size:
+                    self._note(id, term)
             self._size = size
+
+    def _note(self, id: int, literal: Literal) -> None:
+        self._sort[id], self._number[id], self._integer[id] = _worth(literal)
+        spelled = canonical(literal)
+        self._canonical[id] = id if spelled == literal else self.dictionary.id(spelled)
+        # A number that no column holds (a long decimal) is the term itself.
+        kind, value = split_term(spelled, self.dictionary)
+        self._tag[id] = kind
+        self._bits[id] = bits(np.array([value], kind.dtype))[0]
 
 
 def _enlarged(array: NDArray[Any], capacity: int) -> NDArray[Any]:

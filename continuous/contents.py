@@ -4,15 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import gcd
 
 import numpy as np
+from numpy.typing import NDArray
 
+from ..languages.csparql.ast import CountWindow
 from ..rdf.timed import TripleRows
 from ..streams.time import TIME_MAX
 from .counting_intake import CountingIntake
 from .intake import Intake
+from .panes import Panes
 from .patterns import PatternSolver
-from .windows import InputWindow, Schedule
+from .windows import Grid, InputWindow, Schedule
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,40 +33,53 @@ class Contents:
     """The rows of each input that some window still needs.
 
     Windows of time over one input share an `Intake`; a window that counts has its own
-    `CountingIntake`. Law: as theirs.
+    `CountingIntake`. Where ``patterns`` alone read the rows (`read_by`), they alone keep them.
+    Law: as theirs.
     """
 
     def __init__(self, schedule: Schedule) -> None:
         self.schedule = schedule
-        self.intakes: dict[str, Intake] = {}
+        self.intakes = {one.input: Intake() for one in schedule.windows}
         self._counting: dict[int, CountingIntake] = {}
         self._numbers: dict[int, int] = {}
-        self.patterns: PatternSolver | None = None
-        """Who reads the rows as numbers too."""
+        self._panes: dict[int, Panes] = {}
+        pane = _pane(schedule)
         for i, one in enumerate(schedule.windows):
-            if one.counted:
-                self._counting[i] = CountingIntake(one.window)  # type: ignore[arg-type]
+            if isinstance(one.window, CountWindow):
+                self._counting[i] = CountingIntake(one.window)
                 self._numbers[i] = 0
-            # One that counts still needs to know the times of what came, for its lateness.
-            self.intakes.setdefault(one.input, Intake())
+            elif one.grid is not None:
+                self._panes[i] = Panes(Grid(pane, one.grid.origin), one.low)
+        self._patterns: PatternSolver | None = None
+        self._keeps = True
+
+    def read_by(self, patterns: PatternSolver, *, alone: bool) -> None:
+        """Have ``patterns`` read the rows too; ``alone``: nobody else does."""
+        self._patterns = patterns
+        self._keeps = not alone
 
     def push(self, input: str, rows: TripleRows, after: int | None) -> int:
         """Keep the rows of ``input`` with τ > ``after`` (None: all); returns how many were late."""
-        if after is not None and len(rows):
+        late = 0
+        if after is not None:
             kept = rows.time > after
-            late = len(rows) - int(kept.sum())
+            late = len(rows) - int(np.count_nonzero(kept))
             if late:
                 rows = rows.take(kept)
-        else:
-            late = 0
+        if not len(rows):
+            return late
+        keeps = False
         for i, one in enumerate(self.schedule.windows):
-            if one.input != input or not len(rows):
+            if one.input != input:
                 continue
             if one.counted:
                 self._counting[i].push(rows)
-            elif self.patterns is not None:
-                self.patterns.rows.push(i, rows)
-        if any(not one.counted and one.input == input for one in self.schedule.windows):
+                continue
+            self._panes[i].push(rows.time)
+            if self._patterns is not None:
+                self._patterns.rows.push(i, rows)
+            keeps = self._keeps
+        if keeps:
             self.intakes[input].push(rows, None)
         return late
 
@@ -76,6 +93,8 @@ class Contents:
         ends = [one.bounds(closed)[1] for one in self.schedule.windows if one.input == input]
         return max(ends, default=None)
 
+    # -- when an evaluation is due ---------------------------------------------------------
+
     def next(self, closed: int | None) -> Due | None:
         """The next evaluation that has content to see: found without stepping through a gap.
 
@@ -86,23 +105,23 @@ class Contents:
             return self._next_move()
         found: int | None = None
         for i, one in enumerate(self.schedule.windows):
-            end = self._next_count(i, one) if one.counted else self._next_time(one, closed)
+            end = self._next_count(i, one) if one.counted else self._next_time(i, one, closed)
             if end is not None:
                 end = end if closed is None else max(end, self.schedule.after(closed))
                 found = end if found is None else min(found, end)
         return None if found is None else Due(found)
 
-    def _next_time(self, one: InputWindow, closed: int | None) -> int | None:
-        intake = self.intakes[one.input]
-        seen = one.low
+    def _next_time(self, i: int, one: InputWindow, closed: int | None) -> int | None:
+        panes = self._panes[i]
+        seen = -TIME_MAX
         if closed is not None:
-            seen = max(seen, one.bounds(closed)[1])
+            seen = one.bounds(closed)[1]
             following = self.schedule.after(closed)
-            latest = intake.latest(seen)
-            if not one.lasts and latest is not None and latest > one.bounds(following)[0]:
+            last = panes.last_until(seen)
+            if not one.lasts and last is not None and last > one.bounds(following)[0]:
                 return following
-        time = intake.earliest(seen)
-        return None if time is None else self.schedule.first_end(one, time)
+        pane = panes.first_after(seen)
+        return None if pane is None else self.schedule.first_end(one, pane)
 
     def _next_count(self, i: int, one: InputWindow) -> int | None:
         move = next(self._counting[i].next_moves(self._numbers[i]), None)
@@ -130,27 +149,38 @@ class Contents:
                 content |= moved
                 changed |= moved
                 continue
-            intake, (low, high) = self.intakes[one.input], one.bounds(due.end)
-            latest = intake.latest(high)
-            seen = one.low if closed is None else one.bounds(closed)[1]
-            entered = latest is not None and latest > max(seen, low)
-            content |= entered or (not one.lasts and latest is not None and latest > low)
+            panes, (low, high) = self._panes[i], one.bounds(due.end)
+            last = panes.last_until(high)
+            seen = low if closed is None else max(low, one.bounds(closed)[1])
+            entered = last is not None and last > seen
+            content |= entered or (not one.lasts and last is not None and last > low)
             changed |= entered
             if closed is not None and not one.lasts:
-                left = intake.latest(low)
+                left = panes.last_until(low)
                 changed |= left is not None and left > one.bounds(closed)[0]
         return content, changed
 
-    def move(self, due: Due) -> None:
-        """The windows that count stand where they stand at ``due``."""
+    # -- what is in the windows ------------------------------------------------------------
+
+    def turn(self, due: Due) -> None:
+        """The windows stand where they stand at ``due``."""
         if due.moved is not None:
             self._numbers[due.moved] = due.number
-            return
-        for i, counting in self._counting.items():
-            self._numbers[i] = counting.number_at(due.end)
+        else:
+            for i, counting in self._counting.items():
+                self._numbers[i] = counting.number_at(due.end)
+        if self._patterns is not None:
+            self._patterns.turn(*self._bounds(due.end))
+
+    def _bounds(self, end: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Lows and highs, by window."""
+        lows, highs = zip(*(one.bounds(end) for one in self.schedule.windows), strict=True)
+        return np.array(lows, np.int64), np.array(highs, np.int64)
 
     def tables(self, end: int) -> Mapping[str, list[TripleRows]]:
         """The rows in the windows at ``end``, by graph, input by input."""
+        if not self._keeps and self._patterns is not None:
+            return self._patterns.rows.tables(*self._bounds(end))
         found: dict[str, list[TripleRows]] = {}
         for i, one in enumerate(self.schedule.windows):
             tables = found.setdefault(one.graph, [])
@@ -160,31 +190,35 @@ class Contents:
                 tables.extend(self.intakes[one.input].between(*one.bounds(end)))
         return found
 
-    def turn(self, end: int) -> None:
-        """Let `patterns` solve the windows at ``end``."""
-        if self.patterns is not None:
-            bounds = np.array([one.bounds(end) for one in self.schedule.windows], np.int64)
-            lows, highs = np.ascontiguousarray(bounds[:, 0]), np.ascontiguousarray(bounds[:, 1])
-            self.patterns.turn(lows, highs)
-
     def drop(self, end: int, *, raw: bool) -> None:
         """Forget what no evaluation after ``end`` needs; ``raw``: windows are read again, else what
         was in one has been folded already."""
-        for i, counting in self._counting.items():
-            counting.forget(self._numbers[i])
-        if self.patterns is not None:
-            after = self.schedule.after(end)
-            lows = [min(one.bounds(after)[0], one.bounds(end)[1]) for one in self.schedule.windows]
-            self.patterns.rows.drop(np.array(lows, np.int64))
-        for input, intake in self.intakes.items():
-            lows, highs = [], []
-            for one in self.schedule.windows:
-                if one.input == input and not one.counted:
-                    lows.append(one.bounds(self.schedule.after(end))[0])
-                    highs.append(one.bounds(end)[1])
-            if lows:
-                low, high = min(lows), min(highs)
+        following = self.schedule.after(end)
+        lows: dict[str, int] = {}
+        highs: dict[str, int] = {}
+        for i, one in enumerate(self.schedule.windows):
+            if one.counted:
+                self._counting[i].forget(self._numbers[i])
+                continue
+            low, high = one.bounds(following)[0], one.bounds(end)[1]
+            self._panes[i].drop(min(low, high) if not one.lasts else high)
+            lows[one.input] = min(low, lows.get(one.input, low))
+            highs[one.input] = min(high, highs.get(one.input, high))
+        if self._patterns is not None:
+            self._patterns.rows.drop(self._bounds(following)[0])
+        if self._keeps:
+            for input, low in lows.items():
+                high = highs[input]
                 if low > -TIME_MAX:
-                    intake.drop(min(low, high) if raw else high, high)
+                    self.intakes[input].drop(min(low, high) if raw else high, high)
                 else:
-                    intake.settle(high)
+                    self.intakes[input].settle(high)
+
+
+def _pane(schedule: Schedule) -> int:
+    """A length that divides all that lies between two bounds of windows."""
+    pane = 0 if schedule.ends is None else schedule.ends.step
+    for one in schedule.windows:
+        if not one.counted:
+            pane = gcd(pane, one.window.step, getattr(one.window, "range", 0))
+    return pane

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 
 from ..languages.csparql import algebra, body_sparql, group_keys
 from ..languages.csparql.ast import ContinuousQuery, StreamOperator
@@ -85,6 +86,7 @@ class ContinuousEvaluator:
         self._patterns: PatternSolver | None = None
         self._no_increment = ""
         self._names_now = False
+        self._spells = True
         self._prepare(query)
 
     def _prepare(self, query: ContinuousQuery) -> None:
@@ -199,7 +201,11 @@ class ContinuousEvaluator:
             graphs = [one.graph for one in windows]
             distinct = self.options.semantics == "set"
             self._patterns = PatternSolver(parts, graphs, self._static, distinct=distinct)
-            self._contents.patterns = self._patterns
+            covered = {id(node) for part in parts for node in walk(part)}
+            scans = (Scan, TypeScan, AnyScan, Closure)
+            alone = all(id(n) in covered for n in walk(plan) if isinstance(n, scans))
+            self._contents.read_by(self._patterns, alone=alone)
+            self._spells = not alone
 
     def _not_folded(self, plan: Plan) -> str:
         """Why windows cannot be folded pane by pane, whatever the plan computes."""
@@ -219,10 +225,12 @@ class ContinuousEvaluator:
         return ""
 
     def _relevant(self, table: TripleRows) -> TripleRows | None:
-        """The rows that stand for a triple, each object in its canonical spelling."""
-        objects = {p: self._terms.canonical(column) for p, column in table.objects.items()}
-        if any(objects[p] is not column for p, column in table.objects.items()):
-            table = replace(table, objects=objects)
+        """The rows that stand for a triple, each object in its canonical spelling (`patterns` see
+        to that themselves)."""
+        if self._spells:
+            objects = {p: self._terms.canonical(column) for p, column in table.objects.items()}
+            if any(objects[p] is not column for p, column in table.objects.items()):
+                table = replace(table, objects=objects)
         empty = None
         for column in table.objects.values():
             if column.null is None:
@@ -289,9 +297,9 @@ class ContinuousEvaluator:
             self._fold(self._incremental, end)
         content, changed = self._contents.changed(due, self._closed)
         self._closed, self._had_content = end, content
-        self._contents.move(due)
         reports = {"non-empty": content, "change": changed, "close": True}[self.options.report]
         result = None
+        self._contents.turn(due)
         if reports or self._difference is not None:
             result = self._solve(end)
         if result is not None and self._difference is not None:
@@ -328,10 +336,7 @@ class ContinuousEvaluator:
         shift = self.schedule.shift
         lows = [one.bounds(end)[0] for one in self.schedule.windows if not one.lasts]
         start, shown = min(lows, default=end) - shift, end - shift
-        contents: Mapping[str, Sequence[TripleRows]] = {}
-        if self._incremental is None or self._incremental.shape.retains:
-            contents = self._contents.tables(end)
-        self._contents.turn(end)
+        contents = _Windows(self._contents, end)
         if self._plan is not None:
             for incremental in dict.fromkeys((self._incremental, None)):
                 try:
@@ -351,7 +356,7 @@ class ContinuousEvaluator:
                     # Not folded, columns may do; else Oxigraph is as exact, bags too; where it is
                     # not, the result says so (`merged`).
                     continue
-        return self._oxigraph.solve(contents, start, shown)
+        return self._oxigraph.solve(contents.tables, start, shown)
 
 
 def _with_rows_only(query: ContinuousQuery) -> ContinuousQuery:
@@ -362,23 +367,41 @@ def _with_rows_only(query: ContinuousQuery) -> ContinuousQuery:
     return replace(query, aggregate_filters=(*query.aggregate_filters, some))
 
 
+class _Windows:
+    """The rows of the windows at an end, brought together when somebody looks at them."""
+
+    def __init__(self, contents: Contents, end: int) -> None:
+        self.contents = contents
+        self.end = end
+
+    @cached_property
+    def tables(self) -> Mapping[str, Sequence[TripleRows]]:
+        return self.contents.tables(self.end)
+
+
 class _Source(WindowSource):
-    """The leaves of windows, and the incremental aggregate's groups where they are at hand."""
+    """The leaves of windows, and what is at hand without them: the groups of the incremental
+    aggregate, the joins of patterns."""
 
     def __init__(
         self,
-        contents: Mapping[str, Sequence[TripleRows]],
+        windows_now: _Windows,
         static: StaticSide,
         options: Options,
         windows: Sequence[str],
         incremental: Incremental | None,
         patterns: PatternSolver | None,
     ) -> None:
-        super().__init__(contents, static, windows=windows, distinct=options.semantics == "set")
+        super().__init__({}, static, windows=windows, distinct=options.semantics == "set")
+        self._windows_now = windows_now
         self.incremental = incremental
         self.patterns = patterns
 
+    def tables(self, graph: str) -> Sequence[TripleRows]:
+        return self._windows_now.tables.get(graph, ())
+
     def ready(self, plan: Plan) -> Relation | None:
         if self.incremental is not None and plan is self.incremental.shape.aggregate:
-            return self.incremental.relation(self.contents.get(DEFAULT, ()))
+            retains = self.incremental.shape.retains
+            return self.incremental.relation(self.tables(DEFAULT) if retains else ())
         return None if self.patterns is None else self.patterns.solve(plan)

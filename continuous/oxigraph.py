@@ -6,7 +6,7 @@ triples: under bag semantics a window that holds some is asked by `bag.counting`
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from itertools import pairwise
@@ -204,7 +204,9 @@ def _is_node(term: Any) -> TypeGuard[NamedNode | BlankNode]:
     return isinstance(term, NamedNode | BlankNode)
 
 
-_ACCESSORS: Final = {NamedNode(name[1:-1]): lambda *_: None for name in (TIMESTAMP, VALID_TIME)}
+_ACCESSORS: Final[dict[NamedNode, Callable[..., Any]]] = {
+    NamedNode(name[1:-1]): lambda *_: None for name in (TIMESTAMP, VALID_TIME)
+}
 """Accessors of times are for columns alone; here they only have to be read."""
 
 

@@ -146,9 +146,10 @@ def _match(
     term_sorts: Any,
     out_tags: Any,
     out_bits: Any,
+    uniform: Any,
 ) -> int:
     """Writes the solutions, a row a variable, and returns how many there are (they may not have
-    fitted), or `DOUBTFUL`."""
+    fitted), or `DOUBTFUL`. ``uniform``: the one tag of a variable's values, -1 if they differ."""
     pattern_count = patterns.shape[0]
     variable_count = out_tags.shape[0]
     slot_count = starts.shape[0] - 1
@@ -297,6 +298,10 @@ def _match(
         if depth == pattern_count:
             if found < capacity:
                 for v in range(variable_count):
+                    if found == 0:
+                        uniform[v] = value_tags[v]
+                    elif uniform[v] != value_tags[v]:
+                        uniform[v] = -1
                     out_tags[v, found] = value_tags[v]
                     out_bits[v, found] = value_bits[v]
             found += 1
@@ -534,7 +539,8 @@ def _of_select() -> Any:
     from numba import types
 
     int8s, int32s, int64s = types.int8[::1], types.int32[::1], types.int64[::1]
-    result = types.Tuple((int32s, int8s, int64s, types.boolean))
+    tuple_of: Any = types.Tuple
+    result = tuple_of((int32s, int8s, int64s, types.boolean))
     return result(
         int8s,
         int32s,
@@ -557,7 +563,8 @@ def _of_chain() -> Any:
     from numba import types
 
     int32s, int64s = types.int32[::1], types.int64[::1]
-    result = types.Tuple((int32s, int32s))
+    tuple_of: Any = types.Tuple
+    result = tuple_of((int32s, int32s))
     return result(int64s, int32s, types.int8[::1], int64s, types.boolean)
 
 
@@ -583,6 +590,7 @@ def _of_match() -> Any:
         int8s,
         types.int8[:, ::1],
         types.int64[:, ::1],
+        int8s,
     )
 
 

@@ -67,6 +67,7 @@ _OPERATIONS = {
 _DEEPEST = 60
 _SORT_SLOT = -1
 _FIRST_CAPACITY = 256
+_KINDS = tuple(Kind)
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,6 +155,8 @@ class PatternRows:
         self.sorts: dict[int, int] = {}
         """The sorts of annotations that have been met, numbered."""
         self.count = 0
+        self.inside = 0
+        """How many were in the windows when they were looked at last."""
         self._columns: tuple[NDArray[Any], ...] = _empty(64)
         self._numbers: list[dict[int, int]] = [{} for _ in windows]
         """By window: the slot of a predicate's id."""
@@ -208,7 +211,7 @@ class PatternRows:
 
     def drop(self, lows: NDArray[np.int64]) -> None:
         """Forget what is not above ``lows``, by window, when that is half of all."""
-        if self.count < 64:
+        if self.count < 64 or self.count < 2 * self.inside:
             return
         window, times = self._columns[0][: self.count], self._columns[5][: self.count]
         keep = np.flatnonzero(times > lows[window])
@@ -348,6 +351,7 @@ class PatternJoin:
         while True:
             shape = (len(self.variables), self._capacity)
             tags, bits = np.empty(shape, np.int8), np.empty(shape, np.int64)
+            uniform = np.zeros(len(self.variables), np.int8)
             found = match(
                 *rows,
                 *static,
@@ -361,23 +365,23 @@ class PatternJoin:
                 self.terms.sorts_by_id,
                 tags,
                 bits,
+                uniform,
             )
             if found == DOUBTFUL:
                 return None
             if found <= self._capacity:
                 break
             self._capacity = 2 * found
-        columns = {
-            name: self._column(tags[i, :found], bits[i, :found])
-            for i, name in enumerate(self.variables)
-        }
+        columns = {}
+        for i, (name, tag) in enumerate(zip(self.variables, uniform.tolist(), strict=True)):
+            if tag < 0:
+                columns[name] = self._mixed(tags[i, :found], bits[i, :found])
+            else:
+                columns[name] = decoded(_KINDS[tag], bits[i, :found])
         return Relation(columns, found)
 
-    def _column(self, tags: NDArray[np.int8], bits: NDArray[np.int64]) -> ObjectColumn:
-        if not len(tags):
-            return ObjectColumn(Kind.TERM, np.zeros(0, np.int32))
-        if tags[0] == tags[-1] and (len(tags) < 3 or (tags == tags[0]).all()):
-            return decoded(Kind(int(tags[0])), bits)
+    def _mixed(self, tags: NDArray[np.int8], bits: NDArray[np.int64]) -> ObjectColumn:
+        """Objects of several tags, as terms."""
         ids = np.empty(len(tags), np.int32)
         for tag in np.unique(tags).tolist():
             at = np.flatnonzero(tags == tag)
@@ -452,6 +456,7 @@ class PatternSolver:
                 break
             rows.order()
         self._selected = (self._starts, *triples)
+        rows.inside = len(triples[0])
 
     def solve(self, part: Plan) -> Relation | None:
         """The solutions of a part; None if it is not served, or cannot be with this data."""

@@ -103,12 +103,16 @@ class WindowSource:
         self.windows = frozenset(windows)
         self.distinct = distinct
 
+    def tables(self, graph: str) -> Sequence[TripleRows]:
+        """The rows of a graph's windows."""
+        return self.contents.get(graph, ())
+
     def ready(self, plan: Plan) -> Relation | None:
         return None
 
     def pairs(self, scan: Scan | TypeScan) -> Pairs:
         terms = self.static.terms
-        tables = self.contents.get(scan.graph, ())
+        tables = self.tables(scan.graph)
         static = None if scan.graph in self.windows else self.static.pairs(scan)
         if isinstance(scan, Scan):
             predicate = terms.dictionary.find(scan.predicate)
@@ -147,7 +151,7 @@ class WindowSource:
         dictionary = self.static.terms.dictionary
         rdf_type = dictionary.find(RDF_TYPE)
         wanted = dictionary.find(scan.predicate) if isinstance(scan, Scan) else None
-        for table in self.contents.get(scan.graph, ()):
+        for table in self.tables(scan.graph):
             for predicate, column in table.objects.items():
                 if predicate == rdf_type or wanted not in (None, predicate):
                     continue
