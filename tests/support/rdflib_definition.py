@@ -28,13 +28,7 @@ _FROM = re.compile(
     re.IGNORECASE,
 )
 _REGISTER = re.compile(r"^\s*REGISTER\s+QUERY\s+\w+\s+AS\b", re.IGNORECASE)
-_NUMBERS = {
-    XSD.integer: "integer",
-    XSD.int: "integer",
-    XSD.decimal: "decimal",
-    XSD.double: "double",
-    XSD.float: "float",
-}
+_NUMBERS = {XSD.integer, XSD.int, XSD.decimal, XSD.double, XSD.float}
 
 TimedTriple = tuple[int, object, object, object]
 
@@ -113,13 +107,22 @@ def evaluate(
 
 
 def canonical(row: Iterable[tuple[object, object]]) -> frozenset:
-    """A solution of either library: numbers by type and nine digits (summation has no order)."""
+    """A solution of either library, without what they may differ in.
+
+    Numbers count by value (rdflib's quotient of doubles is a decimal) and to nine digits (a sum
+    has no order), a blank node of the static side has no name of its own.
+    """
     return frozenset((str(name).lstrip("?"), _canonical(to_rdflib(term))) for name, term in row)
 
 
 def _canonical(term: object) -> object:
-    if isinstance(term, rdflib.Literal) and term.datatype in _NUMBERS:
-        return _NUMBERS[term.datatype], f"{float(Decimal(str(term))):.9g}"
+    if isinstance(term, rdflib.BNode):
+        return "_:"
+    if isinstance(term, rdflib.Literal):
+        if term.datatype in _NUMBERS:
+            return f"{float(Decimal(str(term))):.9g}"
+        if term.datatype == XSD.string:
+            return rdflib.Literal(str(term)).n3()
     return term.n3()
 
 
