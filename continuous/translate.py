@@ -99,7 +99,7 @@ class _Translation:
         if query.name != "SelectQuery":
             # CONSTRUCT and ASK show no variables: rdflib's projection is of all.
             body = _without_projection(body)
-            head = self._template_head(query)
+            head = self._template_head(query, body)
             return Query(head, with_times(self.plan(body)))
         plan = self.plan(body)
         names = tuple(str(name) for name in query.PV)
@@ -110,10 +110,16 @@ class _Translation:
             plan = self._shown(names, plan)
         return Query(Select(names), with_times(plan))
 
-    def _template_head(self, query: CompValue) -> Head:
+    def _template_head(self, query: CompValue, body: CompValue) -> Head:
         match query.name:
             case "ConstructQuery":
-                return Construct(self._template(query.template))
+                template = query.template
+                if template is None:
+                    # CONSTRUCT WHERE: the pattern is the template too (SPARQL 1.1 §16.2.4).
+                    if body.name != "BGP":
+                        raise Unsupported(f"CONSTRUCT WHERE with {body.name}")
+                    template = body.triples
+                return Construct(self._template(template))
             case "AskQuery":
                 return Ask()
             case name:

@@ -113,3 +113,13 @@ def test_options_are_checked(wrong):
 def test_what_is_no_timed_triple_is_refused(element, kind):
     with pytest.raises(TypeError, match="a timed triple is"):
         list(evaluate(counting(D + "p", X), {X: kind([element])}))
+
+
+@pytest.mark.parametrize("modifier", ["", "LIMIT 1"])
+def test_the_pattern_of_a_short_construct_is_its_template(modifier) -> None:
+    query = f"REGISTER QUERY q AS CONSTRUCT WHERE {{ ?s {P} ?v }} {modifier}"
+    (window,) = evaluate(
+        f"{query} WINDOW [RANGE 9ns STEP 9ns]",
+        {X: [(1, WHO, P, Literal(5)), (2, WHO, Q, Literal(6))]},
+    )
+    assert window.solutions == [(WHO, P, Literal(5))]
