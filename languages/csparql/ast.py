@@ -28,7 +28,7 @@ class Form(StrEnum):
 
 
 class Dialect(StrEnum):
-    """Whose rules hold where the text says nothing: RSP-QL's solutions are sets, C-SPARQL's bags."""
+    """Whose rules hold where the text says nothing: RSP-QL has sets, C-SPARQL bags."""
 
     C_SPARQL = "C-SPARQL"
     RSP_QL = "RSP-QL"
@@ -72,7 +72,7 @@ Window: TypeAlias = TimeWindow | CountWindow | LandmarkWindow
 
 @dataclass(frozen=True, slots=True)
 class StreamClause:
-    """``FROM STREAM <iri> [RANGE … STEP …]``, or RSP-QL's ``FROM NAMED WINDOW <name> ON <iri> […]``.
+    """``FROM STREAM <iri> [RANGE … STEP …]``; RSP-QL's ``FROM NAMED WINDOW <name> ON <iri> […]``.
 
     ``name`` is the IRI of the window, whose triples only ``WINDOW <name> {…}`` sees; without one
     they are part of the default graph.
@@ -107,9 +107,10 @@ class ContinuousQuery:
     NAMED graphs, ``streams`` the FROM STREAM and FROM NAMED WINDOW clauses (empty where they are to
     be inferred), ``window`` the WINDOW clause (templates) which holds for every stream that is
     inferred. ``aggregations`` and ``aggregate_filters`` (texts of the FILTER expressions, with
-    spans) are the paper's AGGREGATE clause; SPARQL 1.1 aggregates stand in ``sparql``, where RSP-QL's
-    ``WINDOW <name> {…}`` is written ``GRAPH <name> {…}``; ``window_variables`` are the names of
-    those of ``WINDOW ?w {…}``. ``bindings`` are the template arguments that were given as terms.
+    spans) are the paper's AGGREGATE clause; SPARQL 1.1 aggregates stand in ``sparql``, where
+    RSP-QL's ``WINDOW <name> {…}`` is written ``GRAPH <name> {…}``; ``window_variables`` are the
+    names of those of ``WINDOW ?w {…}``. ``bindings`` are the template arguments that were given as
+    terms.
     """
 
     name: str

@@ -1,0 +1,76 @@
+"""The papers' AGGREGATE clause: aggregations and conditions on them ([Events14 Listing 3])."""
+
+from __future__ import annotations
+
+import difflib
+from typing import Final
+
+from pyoxigraph import Variable
+
+from ..errors import Span
+from .ast import Aggregation
+from .cursor import Cursor
+from .shape import constraint_end
+from .tokens import Kind
+
+FUNCTIONS: Final = ("AVG", "SUM", "COUNT", "MIN", "MAX")
+_EXAMPLE: Final = "write `AGGREGATE {(?avg, AVG, {?x}) FILTER (?avg > 100)}`"
+
+
+def read_aggregate(
+    at: Cursor, aggregations: list[Aggregation], filters: list[tuple[str, Span]]
+) -> None:
+    """``{(?a, AVG, {?x}) FILTER (…)}`` behind AGGREGATE, in any order, into both lists."""
+    at.expect_mark("{", _EXAMPLE)
+    while not at.is_mark("}"):
+        if at.is_word("FILTER"):
+            filters.append(_filter(at))
+        elif at.is_mark("("):
+            aggregations.append(_aggregation(at))
+        elif at.is_mark(".", ",", ";"):
+            at.take()
+        else:
+            raise at.due("`(` or FILTER", _EXAMPLE)
+    close = at.take()
+    if not aggregations:
+        raise at.error("the AGGREGATE clause aggregates nothing", close, _EXAMPLE)
+
+
+def _filter(at: Cursor) -> tuple[str, Span]:
+    at.take()
+    start = at.here
+    if start is None or at.is_mark("}", ")", "]"):
+        raise at.due("a condition", "write `FILTER (?avg > 100)`")
+    at.index = constraint_end(at.tokens, at.index)
+    end = at.before.end
+    return at.source[start.start : end], Span(start.start, end)
+
+
+def _aggregation(at: Cursor) -> Aggregation:
+    first = at.take()
+    alias = at.variable("the name of the aggregate, like `?avg`,", _EXAMPLE)
+    at.expect_mark(",", _EXAMPLE)
+    function = _function(at)
+    at.expect_mark(",", _EXAMPLE)
+    at.expect_mark("{", _EXAMPLE)
+    argument = at.variable("a variable of WHERE", _EXAMPLE)
+    if at.is_mark(","):
+        raise at.error("an aggregate is taken over one variable", at.here, _EXAMPLE)
+    at.expect_mark("}", _EXAMPLE)
+    close = at.expect_mark(")", _EXAMPLE)
+    span = Span(first.start, close.end)
+    return Aggregation(Variable(alias.text[1:]), function, Variable(argument.text[1:]), span)
+
+
+def _function(at: Cursor) -> str:
+    known = f"known are {', '.join(FUNCTIONS)}"
+    word = at.here
+    if word is None or word.kind is not Kind.WORD:
+        raise at.due("a function", known)
+    name = word.text.upper()
+    if name not in FUNCTIONS:
+        near = difflib.get_close_matches(name, FUNCTIONS, n=1)
+        hint = f"did you mean {near[0]}?" if near else known
+        raise at.error(f"`{word.text}` is no aggregate function", word, hint)
+    at.take()
+    return name
