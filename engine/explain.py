@@ -6,10 +6,19 @@ The plan tree shows what runs; `request` shows how it came about, stage by stage
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import assert_never
 
 from ..continuous.background import Background
 from ..continuous.evaluator import ContinuousEvaluator
-from ..languages.csparql import format_query, parse_query, with_streams
+from ..languages.csparql import (
+    CountWindow,
+    LandmarkWindow,
+    TimeWindow,
+    Window,
+    format_query,
+    parse_query,
+    with_streams,
+)
 from ..languages.csparql.ast import ContinuousQuery, EventRequest, Template
 from ..matching.match import Match
 from ..matching.plan import Node, streams_of
@@ -21,7 +30,7 @@ from ..matching.want import Want
 from ..ontology.ontology import Ontology
 from ..rdf.dictionary import TermDictionary
 from ..rdf.namespaces import shorten
-from ..streams.time import format_duration
+from ..streams.time import format_duration, format_time
 from ..templates.needs import Needs
 from .configuration import Configuration
 from .unit import ComputationalUnit
@@ -96,14 +105,14 @@ def template(known: Template) -> str:
         "parameters: " + ", ".join(f"?{parameter.value}" for parameter in known.parameters),
     ]
     if window is not None:
-        lines.append(f"window: {_window(window.range, window.step)}")
+        lines.append(f"window: {_window(window)}")
     return "\n".join([*lines, "", known.source.strip()])
 
 
 def query(text: str, ontology: Ontology, dictionary: TermDictionary) -> str:
     """A continuous query: its text as understood, then its plans."""
     parsed = parse_query(text)
-    names = [clause.iri for clause in parsed.streams] or ["stream"]
+    names = list(dict.fromkeys(clause.iri for clause in parsed.streams)) or ["stream"]
     evaluator = ContinuousEvaluator(parsed, dictionary, closed_ontology(ontology), names)
     return f"{format_query(parsed)}\n\n{evaluator.explain()}"
 
@@ -163,8 +172,19 @@ def _alternative(alternative: Alternative) -> str:
     return f"{alternative.outcome}: {alternative.text}{reason}"
 
 
-def _window(range: int, step: int) -> str:
-    return f"the last {format_duration(range)}, every {format_duration(step)}"
+def _window(window: Window) -> str:
+    match window:
+        case TimeWindow():
+            held, step = f"the last {format_duration(window.range)}", format_duration(window.step)
+        case CountWindow():
+            held = "the last triple" if window.size == 1 else f"the last {window.size} triples"
+            step = "triple" if window.step == 1 else str(window.step)
+        case LandmarkWindow():
+            since = "it began" if window.start is None else format_time(window.start)
+            held, step = f"all since {since}", format_duration(window.step)
+        case _:
+            assert_never(window)
+    return f"{held}, every {step}"
 
 
 def _indent(text: str) -> str:

@@ -72,11 +72,17 @@ def with_streams(query: ContinuousQuery, streams: Sequence[str]) -> ContinuousQu
     """The query reading these streams (IRIs or names) through its WINDOW ([Events14 §V.C]).
 
     A name becomes ``http://www.ida.liu.se/dyknow/NAME.trdf``. Raises `ValueError` if the query
-    has neither a WINDOW clause nor a FROM STREAM clause to take the window from.
+    has neither a WINDOW clause nor a FROM STREAM clause to take the window from, and if it names
+    windows: then each pattern says which stream it is about.
     """
+    named = next((clause.name for clause in query.streams if clause.name is not None), None)
+    if named is not None:
+        raise ValueError(
+            f"the query's streams cannot be replaced: it asks the window <{named}> by its name"
+        )
     window = query.window or (query.streams[0].window if query.streams else None)
     if window is None:
-        raise ValueError(f"{query.name} has no window")
+        raise ValueError(f"{query.name or 'the query'} has no window")
     span = query.streams[0].span if query.streams else Span(0, 0)
     clauses = tuple(StreamClause(stream_iri(name), window, span) for name in streams)
     return replace(query, streams=clauses)

@@ -1,7 +1,7 @@
-"""The clauses of C-SPARQL around a SPARQL query, read from tokens ([Events14 §III.A, §IV.B]).
+"""The clauses around a SPARQL query, read from tokens ([Events14 §III.A, §IV.B], SPEC §5).
 
-REGISTER, COMPUTE EVERY, FROM, FROM STREAM with its window, WINDOW, and AGGREGATE are found
-outside all brackets; `Clauses.ours` lists the spans that are not SPARQL.
+REGISTER, COMPUTE EVERY, FROM in all its forms, WINDOW, AGGREGATE and RSP-QL's stream operators are
+found outside all brackets; `Clauses.ours` lists the spans that are not SPARQL.
 """
 
 from __future__ import annotations
@@ -11,36 +11,46 @@ from typing import Final
 
 from ..errors import Span
 from .aggregate import read_aggregate
-from .ast import Aggregation, StreamClause, Window
+from .ast import Aggregation, StreamClause, StreamOperator, Window
 from .cursor import Cursor
+from .dataset import Dataset, read_from, stream_clauses
+from .durations import read_duration
+from .functions import QUERY_PREFIXES
 from .tokens import Kind, Token, closing
-from .windows import EXAMPLE, read_duration, read_window
+from .windows import read_window
 
 _FORMS: Final = ("SELECT", "CONSTRUCT", "ASK", "DESCRIBE")
+_OPERATORS: Final = tuple(StreamOperator)
+_BEGINNING: Final = "a query begins with `REGISTER STREAM name AS` or with `SELECT`"
 
 
 @dataclass(slots=True)
 class Clauses:
-    """What the clauses say, gathered while reading. Windows are completed at the end."""
+    """What the clauses say, gathered while reading. Windows are completed at the end.
+
+    ``kind`` is STREAM, QUERY or TEMPLATE, or "" without REGISTER. ``registered`` and ``written``
+    are the stream operators of REGISTER and of the head.
+    """
 
     kind: str = ""
     name: Token | None = None
     parameters: list[Token] = field(default_factory=list)
     every: int | None = None
-    static: list[Token] = field(default_factory=list)
-    streams: list[tuple[Token, Window | None, Span]] = field(default_factory=list)
+    dataset: Dataset = field(default_factory=Dataset)
     window: Window | None = None
     aggregations: list[Aggregation] = field(default_factory=list)
     filters: list[tuple[str, Span]] = field(default_factory=list)
     ours: list[Span] = field(default_factory=list)
     form: Token | None = None
+    registered: StreamOperator | None = None
+    written: StreamOperator | None = None
 
 
 class ClauseReader(Cursor):
-    """One pass over the tokens of a registered text; raises `LanguageError` where it stops."""
+    """One pass over the tokens of a text; raises `LanguageError` where it stops."""
 
     def __init__(self, source: str) -> None:
-        super().__init__(source)
+        super().__init__(source, QUERY_PREFIXES)
         self.found = Clauses()
 
     def mark_ours(self, first: Token) -> None:
@@ -52,48 +62,36 @@ class ClauseReader(Cursor):
     def read(self) -> Clauses:
         """All clauses; the form keyword and what is not ours stay for SPARQL."""
         if not self.tokens:
-            raise self.error(
-                "the text is empty", None, "a query begins with `REGISTER STREAM name AS`"
-            )
+            raise self.error("the text is empty", None, _BEGINNING)
         self.prologue()
-        self.register()
-        self.prologue()
-        here = self.here
-        if here is None or not here.is_word(*_FORMS):
-            raise self.due("SELECT, CONSTRUCT, ASK or DESCRIBE")
-        self.found.form = self.take()
+        if self.is_word("REGISTER"):
+            self.register()
+            self.prologue()
+        elif not self.is_word(*_FORMS):
+            raise self.due("REGISTER, SELECT, CONSTRUCT, ASK or DESCRIBE", _BEGINNING)
+        self.form()
         while self.here is not None:
             self.clause()
         return self.found
 
     def register(self) -> None:
-        first = self.here
-        if not self.is_word("REGISTER"):
-            raise self.due("REGISTER", "a query begins with `REGISTER STREAM name AS`")
-        self.take()
+        first = self.take()
         kind = self.here
-        if kind is not None and kind.is_word("RSTREAM", "ISTREAM", "DSTREAM"):
-            raise self.error(
-                "RSP-QL is not understood yet", kind, "write it as C-SPARQL: `REGISTER STREAM`"
-            )
-        if kind is None or not kind.is_word("STREAM", "QUERY", "TEMPLATE"):
-            raise self.due("STREAM, QUERY or TEMPLATE")
+        if kind is None or not kind.is_word("STREAM", "QUERY", "TEMPLATE", *_OPERATORS):
+            raise self.due("STREAM, QUERY, TEMPLATE, RSTREAM, ISTREAM or DSTREAM")
         self.take()
-        self.found.kind = kind.text.upper()
+        if kind.is_word(*_OPERATORS):
+            self.found.kind = "STREAM"
+            self.found.registered = StreamOperator(kind.text.upper())
+        else:
+            self.found.kind = kind.text.upper()
         self.found.name = self.registered_name()
         if self.is_mark("("):
             self.parameters()
-        if self.is_word("COMPUTE", "COMPUTED"):
-            self.take()
-            if not self.is_word("EVERY"):
-                raise self.due("EVERY", "write `COMPUTE EVERY 1s`")
-        if self.is_word("EVERY"):
-            self.take()
-            self.found.every = read_duration(self, "the period")
+        self.period()
         if not self.is_word("AS"):
             raise self.due("AS", "write `… COMPUTE EVERY 1s AS` before the query")
         self.take()
-        assert first is not None
         self.mark_ours(first)
 
     def registered_name(self) -> Token:
@@ -101,6 +99,16 @@ class ClauseReader(Cursor):
         if name is None or name.kind not in (Kind.WORD, Kind.PREFIXED, Kind.IRI):
             raise self.due("a name")
         return self.take()
+
+    def period(self) -> None:
+        """``COMPUTE EVERY 1s``, ``COMPUTED EVERY 1s``, ``EVERY 1s``, or nothing."""
+        if self.is_word("COMPUTE", "COMPUTED"):
+            self.take()
+            if not self.is_word("EVERY"):
+                raise self.due("EVERY", "write `COMPUTE EVERY 1s`")
+        if self.is_word("EVERY"):
+            self.take()
+            self.found.every = read_duration(self, "the period")
 
     def parameters(self) -> None:
         open_bracket = self.take()
@@ -121,13 +129,36 @@ class ClauseReader(Cursor):
                 self.expect_mark(",", "parameters are parted by commas")
         self.take()
 
+    def form(self) -> None:
+        """``SELECT``, ``CONSTRUCT`` …, and the stream operator of the head: ``SELECT ISTREAM``."""
+        if not self.is_word(*_FORMS):
+            raise self.due("SELECT, CONSTRUCT, ASK or DESCRIBE")
+        self.found.form = self.take()
+        after = self.index + self.is_word("DISTINCT", "REDUCED")
+        if after < len(self.tokens) and self.tokens[after].is_word(*_OPERATORS):
+            self.index = after
+            self.head_operator(self.take())
+
+    def head_operator(self, word: Token) -> None:
+        written = StreamOperator(word.text.upper())
+        registered = self.found.registered
+        if registered not in (None, written):
+            raise self.error(
+                f"`{word.text}`, but the query is registered as {registered}",
+                word,
+                "say it in one place",
+            )
+        self.found.written = written
+        self.mark_ours(word)
+
     def clause(self) -> None:
         """One clause of ours, or one token or bracket of SPARQL."""
         here = self.take()
         if here.is_mark("{", "(", "["):
             self.index = closing(self.tokens, self.index - 1) + 1
         elif here.is_word("FROM"):
-            self.from_clause(here)
+            read_from(self, self.found.dataset, self.found.every)
+            self.mark_ours(here)
         elif here.is_word("AGGREGATE"):
             read_aggregate(self, self.found.aggregations, self.found.filters)
             self.mark_ours(here)
@@ -136,39 +167,14 @@ class ClauseReader(Cursor):
         elif here.is_word("REGISTER"):
             raise self.error("one text registers one query", here, "send the second on its own")
 
-    # -- FROM, FROM STREAM, WINDOW ---------------------------------------------------------
-
-    def from_clause(self, first: Token) -> None:
-        here = self.here
-        if here is not None and here.is_word("STREAM"):
-            self.take()
-            iri = self.iri("FROM STREAM")
-            window = (
-                read_window(self, "a stream's window", self.found.every)
-                if self.is_mark("[")
-                else None
-            )
-            self.mark_ours(first)
-            span = Span(first.start, self.before.end)
-            self.found.streams.append((iri, window, span))
-        elif here is not None and here.is_word("NAMED"):
-            self.take()
-            if self.is_word("WINDOW"):
-                raise self.error(
-                    "RSP-QL windows are not understood yet",
-                    self.here,
-                    "write `FROM STREAM <iri> [RANGE 5s STEP 1s]`",
-                )
-            raise self.error(
-                "FROM NAMED is not understood in a continuous query",
-                here,
-                "write `FROM <graph>`: static graphs are read as one",
-            )
-        else:
-            self.found.static.append(self.iri("FROM"))
-            self.mark_ours(first)
-
     def window_clause(self, first: Token) -> None:
+        here = self.here
+        if here is not None and here.kind in (Kind.IRI, Kind.PREFIXED, Kind.VARIABLE):
+            raise self.error(
+                f"`WINDOW {here.text}` outside WHERE",
+                first,
+                f"write `WHERE {{ WINDOW {here.text} {{ … }} }}`",
+            )
         if self.found.window is not None:
             raise self.error("a second WINDOW clause", first, "one window holds for all streams")
         self.found.window = read_window(self, "WINDOW", self.found.every)
@@ -177,16 +183,8 @@ class ClauseReader(Cursor):
     # -- when all is read ------------------------------------------------------------------
 
     def stream_clauses(self) -> tuple[StreamClause, ...]:
-        """FROM STREAM clauses; one without a window of its own takes the WINDOW clause."""
-        clauses: list[StreamClause] = []
-        for token, own, span in self.found.streams:
-            window = own or self.found.window
-            if window is None:
-                raise self.error("the stream has no window", token, EXAMPLE)
-            iri = self.iri_of(token)
-            if any(clause.iri == iri for clause in clauses):
-                raise self.error(f"the stream `{token.text}` is named twice", token)
-            clauses.append(StreamClause(iri, window, span))
+        """The streams with their windows; none only where a WINDOW clause says what they have."""
+        clauses = stream_clauses(self, self.found.dataset, self.found.window)
         if not clauses and self.found.window is None:
             raise self.error(
                 "the query has no window",

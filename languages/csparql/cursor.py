@@ -5,20 +5,24 @@ All that reads our clauses shares it, so that each says alike what it misses and
 
 from __future__ import annotations
 
-from ...rdf.namespaces import PREFIXES
+from collections.abc import Mapping
+
 from ..errors import LanguageError, Span
 from .terms import iri_text
 from .tokens import Kind, Token, tokenize
 
 
 class Cursor:
-    """A place in the tokens of ``source``, and the prefixes and base declared before it."""
+    """A place in the tokens of ``source``, and the prefixes and base declared before it.
 
-    def __init__(self, source: str) -> None:
+    ``prefixes`` are those that need no declaration.
+    """
+
+    def __init__(self, source: str, prefixes: Mapping[str, str]) -> None:
         self.source = source
         self.tokens = tokenize(source)
         self.index = 0
-        self.prefixes: dict[str, str] = dict(PREFIXES)
+        self.prefixes: dict[str, str] = dict(prefixes)
         self.base = ""
 
     def error(self, message: str, at: Token | None, hint: str = "") -> LanguageError:

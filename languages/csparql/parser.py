@@ -1,32 +1,38 @@
 """Text to `ContinuousQuery` and `Template` ([Events14 Listings 3 and 4], SPEC §5).
 
-The clauses of ours are read first (`clauses`), blanked out, and what is left is SPARQL 1.1 with
-the same offsets (`syntax`). Then names and variables are checked. A text is read once; the last
-ones are remembered.
+The clauses of ours are read first (`clauses`), blanked out, WINDOW groups become GRAPH (`groups`),
+and what is left is SPARQL 1.1 with the same offsets (`syntax`). Then names, functions and variables
+are checked. A text is read once; the last ones are remembered.
 """
 
 from __future__ import annotations
 
+import re
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import Final
 
 from pyoxigraph import Variable
 
 from ...rdf.namespaces import DYKNOW
-from .ast import ContinuousQuery, Form, Template
+from .ast import ContinuousQuery, Dialect, Form, StreamOperator, Template
 from .body import bind_names
 from .check import Check
 from .clauses import ClauseReader, Clauses
+from .dataset import Source
+from .functions import check_functions
+from .groups import NamedGroup, as_graphs, check_groups, named_groups
 from .shape import bound_variables, query_shape
 from .syntax import check_meaning, check_syntax
 from .terms import suggest_prefix
 from .tokens import Kind, blanked
 
 _ASK_FILTER: Final = "ASK{FILTER "
+_PLAIN_NAME: Final = re.compile(r"[A-Za-z_]\w*")
 
 
 def parse_query(source: str) -> ContinuousQuery:
-    """The query of a ``REGISTER STREAM|QUERY name … AS`` text.
+    """The query of a ``REGISTER STREAM|QUERY|RSTREAM … name AS`` text, or of one without REGISTER.
 
     Raises `LanguageError` with the place for a wrong clause, SPARQL that is none, a prefix that
     is not declared, a variable that nothing binds, or a missing window.
@@ -49,10 +55,18 @@ def parse_template(source: str) -> Template:
     """
     reader, found = _read(source)
     if found.kind != "TEMPLATE":
+        registered = f"registers a {found.kind.lower()}" if found.kind else "registers nothing"
         raise reader.error(
-            f"this text registers a {found.kind.lower()}, not a template",
-            found.name,
+            f"this text {registered}, not a template",
+            found.name or found.form,
             "write `REGISTER TEMPLATE name(?parameters) AS`",
+        )
+    for window in found.dataset.of(Source.NAMED_WINDOW):
+        # Its streams are found anew for each request, and a name says which stream is meant.
+        raise reader.error(
+            "a template names no windows: its streams are inferred",
+            window.name,
+            "write the patterns without WINDOW, and `WINDOW [RANGE 5s STEP 1s]` at the end",
         )
     query = _query(source)
     parameters = tuple(Variable(token.text[1:]) for token in found.parameters)
@@ -78,30 +92,40 @@ def _read(source: str) -> tuple[ClauseReader, Clauses]:
 @lru_cache(maxsize=512)
 def _query(source: str) -> ContinuousQuery:
     reader, found = _read(source)
-    assert found.name is not None
     assert found.form is not None
     _check_prefixes(reader)
     _check_no_service(reader)
-    sparql = blanked(source, found.ours)
+    groups = named_groups(reader, found.ours)
+    sparql = as_graphs(blanked(source, found.ours), groups)
     check_syntax(sparql, source)
     for text, span in found.filters:
         check_syntax(f"{_ASK_FILTER}{text}}}", source, span.start - len(_ASK_FILTER))
     shape = query_shape(sparql)
     if shape is None or not shape.has_where:
         raise reader.error("the query has no WHERE", found.form, "write `WHERE { … }`")
+    streams = reader.stream_clauses()
+    check_groups(reader, groups, found.dataset)
+    for text, shift in [(sparql, 0), *((text, span.start) for text, span in found.filters)]:
+        check_functions(text, reader.prefixes, reader.base, source, shift)
     query = ContinuousQuery(
         name=_name(found, reader),
-        produces_stream=found.kind != "QUERY",
+        produces_stream=found.kind in ("STREAM", "TEMPLATE"),
         every=found.every,
         form=Form(found.form.text.upper()),
         prefixes=_used_prefixes(reader),
-        static=tuple(reader.iri_of(t) for t in found.static),
-        streams=reader.stream_clauses(),
+        static=tuple(reader.iri_of(t) for t in found.dataset.static),
+        streams=streams,
         window=found.window,
         aggregations=tuple(found.aggregations),
         aggregate_filters=tuple(found.filters),
         sparql=sparql,
         source=source,
+        dialect=_dialect(found, groups),
+        operator=found.registered or found.written or StreamOperator.RSTREAM,
+        static_named=tuple(reader.iri_of(t) for t in found.dataset.static_named),
+        window_variables=frozenset(
+            group.variable for group in groups if group.is_window and group.variable is not None
+        ),
     )
     Check(reader, found, shape).check()
     # With every parameter a group key, as it will be evaluated once they are bound.
@@ -115,12 +139,23 @@ def _query(source: str) -> ContinuousQuery:
 
 
 def _name(found: Clauses, reader: ClauseReader) -> str:
-    """A plain name stays one for a query; a template's is the IRI of the event concept."""
+    """A plain name stays one for a query; a template's is the IRI of the event concept.
+
+    RSP-QL's engines name an output ``<out>``: relative to nothing, it is a plain name too.
+    """
     token = found.name
-    assert token is not None
-    if token.kind is not Kind.WORD:
-        return reader.iri_of(token)
-    return DYKNOW + token.text if found.kind == "TEMPLATE" else token.text
+    if token is None:
+        return ""
+    plain = token.text if token.kind is Kind.WORD else token.text[1:-1]
+    if _PLAIN_NAME.fullmatch(plain) and (token.kind is Kind.WORD or not reader.base):
+        return DYKNOW + plain if found.kind == "TEMPLATE" else plain
+    return reader.iri_of(token)
+
+
+def _dialect(found: Clauses, groups: Sequence[NamedGroup]) -> Dialect:
+    """RSP-QL where anything is said that only RSP-QL has."""
+    windows = found.dataset.has_windows or any(group.is_window for group in groups)
+    return Dialect.RSP_QL if found.registered or windows else Dialect.C_SPARQL
 
 
 def _check_prefixes(reader: ClauseReader) -> None:

@@ -1,4 +1,4 @@
-"""A query back to C-SPARQL: what the papers' engine would be given ([Events14 §V.C]).
+"""A query back to text in its dialect: what the papers' engine would be given ([Events14 §V.C]).
 
 Law: ``parse_query(format_query(q))`` means what ``q`` means. The streams are filled in, and the
 template's arguments are visible: a parameter that is not in the head is replaced by its term,
@@ -7,35 +7,34 @@ one of the head stays a variable and gets a VALUES row.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
+from typing import assert_never
 
+from ...rdf.namespaces import XSD
+from ...streams.time import SECOND, format_duration, format_time
 from ..errors import LanguageError
-from .ast import ContinuousQuery, TimeWindow
+from .ast import (
+    ContinuousQuery,
+    CountWindow,
+    Dialect,
+    LandmarkWindow,
+    StreamClause,
+    StreamOperator,
+    TimeWindow,
+    Window,
+)
 from .body import Edit, apply_edits, prefix_lines, values_edits
+from .functions import check_functions
+from .groups import WINDOW
 from .shape import Shape, query_shape
 from .syntax import check_syntax
 from .terms import short_text
 from .tokens import Kind, compact, tokenize
 
-_UNITS = (
-    ("d", 86_400_000_000_000),
-    ("h", 3_600_000_000_000),
-    ("m", 60_000_000_000),
-    ("s", 1_000_000_000),
-    ("ms", 1_000_000),
-    ("us", 1_000),
-    ("ns", 1),
-)
-
-
-def format_duration(nanoseconds: int) -> str:
-    """The largest unit that gives a whole number: ``5s``, ``1500ms``."""
-    unit, factor = next((u, f) for u, f in _UNITS if nanoseconds % f == 0)
-    return f"{nanoseconds // factor}{unit}"
-
 
 def format_query(query: ContinuousQuery) -> str:
-    """Valid C-SPARQL text of the query with its bindings and streams."""
+    """Valid C-SPARQL or RSP-QL text of the query with its bindings and streams."""
     shape = query_shape(query.sparql)
     assert shape is not None, "parse_query refuses a text without WHERE"
     terms = {
@@ -43,26 +42,29 @@ def format_query(query: ContinuousQuery) -> str:
         for variable, term in query.bindings.items()
     }
     head = shape.head_variables()
-    replaced = {name: text for name, text in terms.items() if name not in head}
-    rows = {name: text for name, text in terms.items() if name in head}
-    body = _bound_body(query.sparql, shape, rows, replaced)
-    if replaced and not _is_sparql(body):
-        # A term cannot stand in every place of a variable (a projection, a group key).
-        body = _bound_body(query.sparql, shape, terms, {})
+    kept = head.keys() | query.window_variables
+    replaced = {name: text for name, text in terms.items() if name not in kept}
+    rows = {name: text for name, text in terms.items() if name in kept}
+    edits = _binding_edits(query.sparql, shape, rows, replaced)
+    if replaced and not _is_sparql(apply_edits(query.sparql, edits), query):
+        # A term cannot stand in every place of a variable (a projection, f:timestamp).
+        edits = _binding_edits(query.sparql, shape, terms, {})
+    body = apply_edits(query.sparql, [*edits, *_window_edits(query, shape)])
     return _assembled(query, body, replaced)
 
 
-def _is_sparql(text: str) -> bool:
+def _is_sparql(text: str, query: ContinuousQuery) -> bool:
     try:
         check_syntax(text, text)
+        check_functions(text, query.prefixes, "", text)
     except LanguageError:
         return False
     return True
 
 
-def _bound_body(
+def _binding_edits(
     sparql: str, shape: Shape, rows: Mapping[str, str], replaced: Mapping[str, str]
-) -> str:
+) -> list[Edit]:
     edits = [
         Edit(token.start, token.end, replaced[token.text[1:]])
         for token in shape.tokens[shape.where_open :]
@@ -76,7 +78,17 @@ def _bound_body(
             ]
             end = shape.tokens[shape.start].end
             edits.append(Edit(end, end, f" {pattern}"))
-    return apply_edits(sparql, edits)
+    return edits
+
+
+def _window_edits(query: ContinuousQuery, shape: Shape) -> list[Edit]:
+    """GRAPH back to WINDOW where the source has it."""
+    return [
+        Edit(token.start, token.start + len(WINDOW), WINDOW)
+        for token in shape.tokens
+        if token.is_word("GRAPH")
+        and query.source[token.start : token.start + len(WINDOW)].upper() == WINDOW
+    ]
 
 
 def _assembled(query: ContinuousQuery, body: str, replaced: Mapping[str, str]) -> str:
@@ -84,33 +96,95 @@ def _assembled(query: ContinuousQuery, body: str, replaced: Mapping[str, str]) -
     shape = query_shape(body)
     assert shape is not None
     tokens = shape.tokens
-    word = "STREAM" if query.produces_stream else "QUERY"
-    every = "" if query.every is None else f" COMPUTE EVERY {format_duration(query.every)}"
-    lines = [f"REGISTER {word} {_name(query)}{every} AS"]
+    lines = _register(query)
     prologue = compact(prefix_lines(query) + body[: tokens[shape.start].start])
     where = shape.where_open
     if where and tokens[where - 1].is_word("WHERE"):
         where -= 1
     lines += [prologue] if prologue else []
-    lines.append(compact(body[tokens[shape.start].start : tokens[where].start]))
+    lines.append(_head(query, body, shape, tokens[where].start))
     lines += [f"FROM <{iri}>" for iri in query.static]
-    lines += [f"FROM STREAM <{clause.iri}> {_window(clause.window)}" for clause in query.streams]
+    lines += [f"FROM NAMED <{iri}>" for iri in query.static_named]
+    lines += [f"{_from(query, clause)} {_window(clause.window, query)}" for clause in query.streams]
     lines.append("WHERE " + body[tokens[shape.where_open].start : tokens[shape.where_close].end])
     modifiers = compact(body[tokens[shape.where_close].end :])
     lines += [modifiers] if modifiers else []
     if query.aggregations:
         lines.append(_aggregate(query, replaced))
     if query.window is not None and not query.streams:
-        lines.append(f"WINDOW {_window(query.window)}")
+        lines.append(f"WINDOW {_window(query.window, query)}")
     return "\n".join(lines) + "\n"
 
 
-def _name(query: ContinuousQuery) -> str:
-    return f"<{query.name}>" if ":" in query.name else query.name
+def _register(query: ContinuousQuery) -> list[str]:
+    """The line of REGISTER, none for a query without a name."""
+    if not query.name:
+        return []
+    name = f"<{query.name}>" if ":" in query.name else query.name
+    word = "STREAM" if query.produces_stream else "QUERY"
+    if _registers_operator(query):
+        word = query.operator
+    every = "" if query.every is None else f" COMPUTE EVERY {_duration(query.every, query)}"
+    return [f"REGISTER {word} {name}{every} AS"]
 
 
-def _window(window: TimeWindow) -> str:
-    return f"[RANGE {format_duration(window.range)} STEP {format_duration(window.step)}]"
+def _registers_operator(query: ContinuousQuery) -> bool:
+    """RSP-QL says what goes on in REGISTER, unless nothing is registered as a stream."""
+    return query.dialect is Dialect.RSP_QL and bool(query.name) and query.produces_stream
+
+
+def _head(query: ContinuousQuery, body: str, shape: Shape, end: int) -> str:
+    """The form and what stands before WHERE; the gaps that a blanked operator left are closed."""
+    tokens = shape.tokens
+    form = tokens[shape.start]
+    after = tokens[shape.start + 1]
+    operator = ""
+    if query.operator is not StreamOperator.RSTREAM and not _registers_operator(query):
+        operator = f" {query.operator}"
+    edits = [Edit(form.end, after.start, operator + _closed(body[form.end : after.start]))]
+    if after.is_word("DISTINCT", "REDUCED"):
+        next = tokens[shape.start + 2]
+        edits.append(Edit(after.end, next.start, _closed(body[after.end : next.start])))
+    return compact(apply_edits(body[:end], edits)[form.start :])
+
+
+def _closed(gap: str) -> str:
+    return re.sub(r"[ \t]+", " ", gap)
+
+
+def _from(query: ContinuousQuery, clause: StreamClause) -> str:
+    if clause.name is not None:
+        return f"FROM NAMED WINDOW <{clause.name}> ON <{clause.iri}>"
+    # FROM WINDOW keeps the dialect, and may name a stream twice.
+    words = "FROM WINDOW ON" if query.dialect is Dialect.RSP_QL else "FROM STREAM"
+    return f"{words} <{clause.iri}>"
+
+
+def _window(window: Window, query: ContinuousQuery) -> str:
+    match window:
+        case TimeWindow():
+            return f"[RANGE {_duration(window.range, query)} STEP {_duration(window.step, query)}]"
+        case CountWindow():
+            word = "ELEMENTS" if query.dialect is Dialect.RSP_QL else "TRIPLES"
+            return f"[{word} {window.size} STEP {window.step}]"
+        case LandmarkWindow():
+            start = ""
+            if window.start is not None:
+                used = query.prefixes.get("xsd") == XSD
+                datatype = "xsd:dateTime" if used else f"<{XSD}dateTime>"
+                start = f' "{format_time(window.start)}"^^{datatype}'
+            return f"[LANDMARK{start} STEP {_duration(window.step, query)}]"
+        case _:
+            assert_never(window)
+
+
+def _duration(nanoseconds: int, query: ContinuousQuery) -> str:
+    """``5s``; in RSP-QL ``PT5S``."""
+    if query.dialect is Dialect.C_SPARQL:
+        return format_duration(nanoseconds)
+    seconds, fraction = divmod(nanoseconds, SECOND)
+    digits = f".{fraction:09d}".rstrip("0").rstrip(".")
+    return f"PT{seconds}{digits}S"
 
 
 def _aggregate(query: ContinuousQuery, replaced: Mapping[str, str]) -> str:

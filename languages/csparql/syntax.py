@@ -11,16 +11,17 @@ from __future__ import annotations
 import re
 import threading
 from bisect import bisect_right
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
-from pyoxigraph import Literal, Store
+from pyoxigraph import Literal, NamedNode, Store
 from pyparsing import ParseBaseException
 
 from ...rdf.namespaces import PREFIXES
 from ..errors import LanguageError, Span
+from .functions import ACCESSORS
 from .terms import iri_text, string_text, term_text
 from .tokens import Kind, Token, tokenize
 
@@ -151,9 +152,13 @@ def _syntax_error(text: str, source: str, offset: int, shift: int) -> LanguageEr
         hint = "is a `.` missing before it, to end the triple?"
     elif token.is_mark("}"):
         hint = "something is missing before the `}`: is a triple incomplete?"
+    if token.is_word("STREAM", "ON"):
+        hint = "name streams with `FROM STREAM <iri> […]` or `FROM NAMED WINDOW :w ON <iri> […]`"
     start = min(max(token.start + shift, 0), len(source))
     end = min(max(token.end + shift, start), len(source))
-    shown = token.text if len(token.text) <= 40 else token.text[:40] + "…"
+    # As written: a WINDOW group stands in the text as GRAPH.
+    word = source[start:end]
+    shown = word if len(word) <= 40 else word[:40] + "…"
     return LanguageError(f"`{shown}` cannot stand here", source, Span(start, end), hint)
 
 
@@ -191,7 +196,7 @@ def check_meaning(text: str, source: str, span: Span, prefixes: Mapping[str, str
     """
     try:
         # An empty store: nothing is computed. SERVICE was refused before.
-        Store().query(text, prefixes=dict(prefixes))
+        Store().query(text, prefixes=dict(prefixes), custom_functions=_ACCESSORS)
     except (SyntaxError, ValueError, RuntimeError, OSError) as error:
         reason = _OXIGRAPH_PLACE.sub("", str(error))
         known = [r for r in _REASONS if r in reason]
@@ -205,6 +210,10 @@ def check_meaning(text: str, source: str, span: Span, prefixes: Mapping[str, str
         raise LanguageError(f"no SPARQL: {error}", source, span) from None
 
 
+# They have no SPARQL: who evaluates them does not hand them to Oxigraph as they stand.
+_ACCESSORS: Final[dict[NamedNode, Callable[..., Any]]] = {
+    NamedNode(iri): lambda *_: None for iri in ACCESSORS
+}
 _NOT_GROUPED: Final = "SELECT names a variable that is neither grouped nor aggregated"
 _REASONS: Final = {
     "The SELECT contains a variable that is unbound": _NOT_GROUPED,

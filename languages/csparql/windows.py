@@ -1,77 +1,136 @@
-"""The windows of clauses and the lengths of time in them: ``[RANGE 5s STEP 1s]``.
+"""The windows of clauses: ``[RANGE 5s STEP 1s]``, ``[TRIPLES 10 STEP 2]``, ``[LANDMARK STEP 1s]``.
 
-Read from tokens, as the engines write them: C-SPARQL's ``5s``, RSP-QL's ``PT5S``.
+Read as the engines write them: C-SPARQL's SLIDE and TUMBLING, RSP-QL's ELEMENTS for TRIPLES.
 """
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Final, TypeAlias
 
-from .ast import TimeWindow, Window
+from pyoxigraph import Literal
+
+from ...rdf.namespaces import XSD
+from ...streams.time import parse_time
+from ..errors import LanguageError, Span
+from .ast import CountWindow, LandmarkWindow, TimeWindow, Window
 from .cursor import Cursor
-from .tokens import Kind
+from .durations import read_duration
+from .terms import read_term
+from .tokens import Kind, Token
 
 EXAMPLE: Final = "write `[RANGE 5s STEP 1s]`"
-_UNITS: Final = {
-    "ns": 1,
-    "us": 1_000,
-    "ms": 1_000_000,
-    "s": 1_000_000_000,
-    "m": 60_000_000_000,
-    "h": 3_600_000_000_000,
-    "d": 86_400_000_000_000,
+_COUNT_EXAMPLE: Final = "write `[TRIPLES 10 STEP 2]`"
+_LANDMARK_EXAMPLE: Final = (
+    'write `[LANDMARK STEP 1s]` or `[LANDMARK "2021-10-07T19:12:53Z"^^xsd:dateTime STEP 1s]`'
+)
+_LARGEST: Final = 2**31 - 1
+_DATE_TIME: Final = XSD + "dateTime"
+_ELSEWHERE: Final = {
+    "ITEM": _COUNT_EXAMPLE,
+    "ITEMS": _COUNT_EXAMPLE,
+    "ROW": _COUNT_EXAMPLE,
+    "ROWS": _COUNT_EXAMPLE,
+    "TUPLES": _COUNT_EXAMPLE,
+    "ALL": _LANDMARK_EXAMPLE,
+    "NOW": "write `[RANGE 1s STEP 1s]` for the newest second",
+    "FROM": "write the length of what `FROM NOW - 5s TO NOW` holds: `[RANGE 5s STEP 1s]`",
 }
-_LONGEST: Final = 2**62
+"""Words of CQELS, CQL and SPARQLStream, with what says the same here."""
+
+Every: TypeAlias = int | None
+"""The COMPUTE EVERY period of the query, in ns: the STEP of a window of time that has none."""
 
 
-def read_window(at: Cursor, what: str, every: int | None) -> Window:
-    """``[RANGE 5s STEP 1s]``, ``[RANGE 5s TUMBLING]``; no STEP: the COMPUTE EVERY period."""
-    open_bracket = at.expect_mark("[", EXAMPLE)
-    if at.is_word("TRIPLES"):
-        raise at.error(
-            "windows of a number of triples are not understood yet",
-            at.here,
-            "write a window of time: `[RANGE 5s STEP 1s]`",
-        )
-    if not at.is_word("RANGE"):
-        raise at.due("RANGE", EXAMPLE)
+def read_window(at: Cursor, what: str, every: Every) -> Window:
+    """A window in its brackets; ``what`` names it in errors."""
+    opened = at.expect_mark("[", EXAMPLE)
+    window: Window
+    if at.is_word("RANGE"):
+        window = _time(at, what, every, opened)
+    elif at.is_word("TRIPLES", "ELEMENTS"):
+        window = _count(at, what)
+    elif at.is_word("LANDMARK"):
+        window = _landmark(at, what, every, opened)
+    else:
+        here = at.here
+        word = "" if here is None or here.kind is not Kind.WORD else here.text.upper()
+        raise at.due("RANGE, TRIPLES or LANDMARK", _ELSEWHERE.get(word, EXAMPLE))
+    at.expect_mark("]", _COUNT_EXAMPLE if isinstance(window, CountWindow) else EXAMPLE)
+    return window
+
+
+def _time(at: Cursor, what: str, every: Every, opened: Token) -> TimeWindow:
     at.take()
     length = read_duration(at, f"the RANGE of {what}")
     if at.is_word("TUMBLING"):
         at.take()
-        step = length
-    elif at.is_word("STEP", "SLIDE"):
+        return TimeWindow(length, length)
+    return TimeWindow(length, _step(at, what, every, opened, EXAMPLE))
+
+
+def _landmark(at: Cursor, what: str, every: Every, opened: Token) -> LandmarkWindow:
+    at.take()
+    here = at.here
+    start = _instant(at) if here is not None and here.kind is Kind.STRING else None
+    if at.is_word("TUMBLING"):
+        raise at.error("a window from a landmark grows, so it cannot tumble", at.here, EXAMPLE)
+    return LandmarkWindow(start, _step(at, what, every, opened, _LANDMARK_EXAMPLE))
+
+
+def _step(at: Cursor, what: str, every: Every, opened: Token, example: str) -> int:
+    if at.is_word("STEP", "SLIDE"):
         at.take()
-        step = read_duration(at, f"the STEP of {what}")
-    elif every is not None:
-        step = every
-    else:
+        return read_duration(at, f"the STEP of {what}")
+    if not at.is_mark("]"):
+        raise at.due("STEP or `]`", example)
+    if every is None:
         raise at.error(
             "the window has no STEP, and the query no COMPUTE EVERY to take it from",
-            open_bracket,
-            EXAMPLE,
+            opened,
+            example,
         )
-    at.expect_mark("]", EXAMPLE)
-    return TimeWindow(length, step)
+    return every
 
 
-def read_duration(at: Cursor, what: str) -> int:
-    """``5s``, ``500ms``: a whole number and a unit, in ns."""
-    hint = "write a whole number and a unit (ns us ms s m h d): `5s`"
+def _instant(at: Cursor) -> int:
+    """``"2021-10-07T19:12:53Z"^^xsd:dateTime`` in ns; UTC where it says no zone."""
+    first = at.take()
+    term, at.index = read_term(at.tokens, at.index - 1, at.source, at.prefixes)
+    span = Span(first.start, at.before.end)
+    if not isinstance(term, Literal) or term.datatype.value != _DATE_TIME:
+        raise LanguageError("a landmark is an xsd:dateTime", at.source, span, _LANDMARK_EXAMPLE)
+    try:
+        return parse_time(term.value)
+    except ValueError as error:
+        raise LanguageError(f"no landmark: {error}", at.source, span, _LANDMARK_EXAMPLE) from None
+
+
+def _count(at: Cursor, what: str) -> CountWindow:
+    """Without STEP it moves with each triple, like CQL's windows of rows."""
+    word = at.take().text.upper()
+    size = _number(at, f"the number of {word} of {what}")
+    if at.is_word("TUMBLING"):
+        at.take()
+        return CountWindow(size, size)
+    if at.is_word("STEP", "SLIDE"):
+        at.take()
+        return CountWindow(size, _number(at, f"the STEP of {what}"))
+    return CountWindow(size, 1)
+
+
+def _number(at: Cursor, what: str) -> int:
     number = at.here
     if number is None or number.kind is not Kind.NUMBER or not number.text.isdigit():
-        raise at.due(what, hint)
+        raise at.due(what, f"{_COUNT_EXAMPLE}: triples are counted in whole numbers")
     at.take()
     unit = at.here
-    # Units are lower case; the engines of C-SPARQL accept both.
-    factor = None
-    if unit is not None and unit.kind is Kind.WORD:
-        factor = _UNITS.get(unit.text.lower())
-    if factor is None:
-        raise at.due(f"the unit of {what}", hint)
-    at.take()
-    # A longer text than any length of time is not handed to int().
-    value = int(number.text) * factor if len(number.text) <= 20 else _LONGEST
-    if not 0 < value < _LONGEST:
-        raise at.error(f"{what} is out of range", number, "it is more than 0 and < 146 years")
+    if unit is not None and unit.kind is Kind.WORD and unit.start == number.end:
+        raise at.error(
+            f"{what} is a number of triples, not a length of time",
+            unit,
+            f"write `{number.text}`, or a window of time: `[RANGE 5s STEP 1s]`",
+        )
+    value = int(number.text) if len(number.text) <= 20 else _LARGEST + 1
+    if not 0 < value <= _LARGEST:
+        raise at.error(f"{what} is out of range", number, f"it is from 1 to {_LARGEST}")
     return value

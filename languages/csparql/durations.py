@@ -1,0 +1,112 @@
+"""Lengths of time in clauses: C-SPARQL's ``5s``, RSP-QL's ``PT5S`` and ``"PT5S"^^xsd:duration``."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from pyoxigraph import Literal
+
+from ...rdf.namespaces import XSD
+from ...streams.time import parse_duration
+from ..errors import LanguageError, Span
+from .cursor import Cursor
+from .terms import read_term
+from .tokens import Kind, Token
+
+_UNITS: Final = {
+    "ns": 1,
+    "us": 1_000,
+    "ms": 1_000_000,
+    "s": 1_000_000_000,
+    "m": 60_000_000_000,
+    "h": 3_600_000_000_000,
+    "d": 86_400_000_000_000,
+}
+_SPELLED_OUT: Final = {
+    "msec": "ms",
+    "millisecond": "ms",
+    "sec": "s",
+    "second": "s",
+    "min": "m",
+    "minute": "m",
+    "hour": "h",
+    "day": "d",
+}
+_LONGEST: Final = 2**62
+_EXAMPLE: Final = "write a whole number and a unit (ns us ms s m h d): `5s`"
+_XSD_EXAMPLE: Final = (
+    "write `PT5S`, `PT0.5S` or `P1DT2H`; years and months are of no one length, "
+    "and nothing is finer than a nanosecond"
+)
+_DURATIONS: Final = (XSD + "duration", XSD + "dayTimeDuration")
+
+
+def read_duration(at: Cursor, what: str) -> int:
+    """The length of time that is due here, in ns; more than nothing, less than 146 years."""
+    here = at.here
+    if here is not None and here.kind is Kind.STRING:
+        return _literal(at, what)
+    if here is not None and here.kind is Kind.WORD and here.text[0] in "Pp":
+        return _xsd(at, what)
+    if here is None or here.kind is not Kind.NUMBER or not here.text.isdigit():
+        raise at.due(what, _EXAMPLE)
+    at.take()
+    factor = _unit(at, what, here)
+    # A longer text than any length of time is not handed to int().
+    value = int(here.text) * factor if len(here.text) <= 20 else _LONGEST
+    return _in_range(at, what, value, here.span)
+
+
+def _unit(at: Cursor, what: str, number: Token) -> int:
+    # Units are lower case; the engines of C-SPARQL accept both.
+    unit = at.here
+    word = unit.text.lower() if unit is not None and unit.kind is Kind.WORD else ""
+    if word in _UNITS:
+        at.take()
+        return _UNITS[word]
+    hint = _EXAMPLE
+    meant = _SPELLED_OUT.get(word.removesuffix("s"))
+    if meant is not None:
+        hint = f"write `{number.text}{meant}`"
+    elif word in ("", "step", "slide", "tumbling"):
+        hint = f"a bare number has no unit: write `{number.text}ms` or `{number.text}s`"
+    raise at.due(f"the unit of {what}", hint)
+
+
+def _xsd(at: Cursor, what: str) -> int:
+    """``PT0.5S`` is several tokens that touch each other."""
+    start = at.take().start
+    while at.here is not None and at.here.start == at.before.end and not at.is_mark("]"):
+        at.take()
+    span = Span(start, at.before.end)
+    return _parsed(at, what, at.source[span.start : span.end], span)
+
+
+def _literal(at: Cursor, what: str) -> int:
+    start = at.take().start
+    term, at.index = read_term(at.tokens, at.index - 1, at.source, at.prefixes)
+    span = Span(start, at.before.end)
+    if not isinstance(term, Literal) or term.datatype.value not in _DURATIONS:
+        raise LanguageError(
+            f"{what} is no xsd:duration", at.source, span, 'write `"PT5S"^^xsd:duration` or `PT5S`'
+        )
+    return _parsed(at, what, term.value, span)
+
+
+def _parsed(at: Cursor, what: str, text: str, span: Span) -> int:
+    try:
+        # ISO forms only: parse_duration reads 5s as well, which is no xsd:duration.
+        if not text.upper().startswith("P"):
+            raise ValueError
+        value = parse_duration(text.upper())
+    except ValueError:
+        message = f"{what} is no length of time: `{text}`"
+        raise LanguageError(message, at.source, span, _XSD_EXAMPLE) from None
+    return _in_range(at, what, value, span)
+
+
+def _in_range(at: Cursor, what: str, value: int, span: Span) -> int:
+    if not 0 < value < _LONGEST:
+        hint = "it is more than 0 and < 146 years"
+        raise LanguageError(f"{what} is out of range", at.source, span, hint)
+    return value
