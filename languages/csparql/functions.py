@@ -69,9 +69,9 @@ def _opens_expression(tokens: Sequence[Token], index: int, inside: bool) -> bool
     if token.is_mark("{"):
         # The head and the modifiers of a sub-query; its WHERE is a bracket of its own.
         return index + 1 < len(tokens) and tokens[index + 1].is_word("SELECT")
-    if token.is_mark("[") or before is None:
+    if token.is_mark("["):
         return False
-    if inside:
+    if inside or before is None:
         return True
     if before.kind is Kind.WORD:
         return not before.is_word("VALUES", "A")

@@ -10,8 +10,10 @@ from typing import Final
 
 from ..errors import Span
 from ..hints import near
+from .ast import Form
 from .cursor import Cursor
 from .dataset import Dataset, Source
+from .shape import Shape
 from .tokens import Kind, Token
 
 WINDOW: Final = "WINDOW"
@@ -60,6 +62,18 @@ def named_groups(at: Cursor, ours: list[Span]) -> list[NamedGroup]:
 
 def _is_in(token: Token, spans: list[Span]) -> bool:
     return any(span.start <= token.start < span.end for span in spans)
+
+
+def check_places(at: Cursor, groups: list[NamedGroup], shape: Shape) -> None:
+    """What is constructed is one graph, so no WINDOW stands there."""
+    where = shape.tokens[shape.where_open].start if shape.has_where else 0
+    for group in groups:
+        if shape.form is Form.CONSTRUCT and group.is_window and group.word.start < where:
+            raise at.error(
+                f"`WINDOW {group.name.text}` in what is constructed",
+                group.word,
+                "triples are constructed without a window: write it inside WHERE",
+            )
 
 
 def check_groups(at: Cursor, groups: list[NamedGroup], dataset: Dataset) -> None:

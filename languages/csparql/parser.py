@@ -21,7 +21,7 @@ from .check import Check
 from .clauses import ClauseReader, Clauses
 from .dataset import Source
 from .functions import check_functions
-from .groups import NamedGroup, as_graphs, check_groups, named_groups
+from .groups import NamedGroup, as_graphs, check_groups, check_places, named_groups
 from .shape import bound_variables, query_shape
 from .syntax import check_meaning, check_syntax
 from .terms import suggest_prefix
@@ -97,10 +97,12 @@ def _query(source: str) -> ContinuousQuery:
     _check_no_service(reader)
     groups = named_groups(reader, found.ours)
     sparql = as_graphs(blanked(source, found.ours), groups)
+    shape = query_shape(sparql)
+    if shape is not None:
+        check_places(reader, groups, shape)
     check_syntax(sparql, source)
     for text, span in found.filters:
         check_syntax(f"{_ASK_FILTER}{text}}}", source, span.start - len(_ASK_FILTER))
-    shape = query_shape(sparql)
     if shape is None or not shape.has_where:
         raise reader.error("the query has no WHERE", found.form, "write `WHERE { … }`")
     streams = reader.stream_clauses()
@@ -146,8 +148,9 @@ def _name(found: Clauses, reader: ClauseReader) -> str:
     token = found.name
     if token is None:
         return ""
-    plain = token.text if token.kind is Kind.WORD else token.text[1:-1]
-    if _PLAIN_NAME.fullmatch(plain) and (token.kind is Kind.WORD or not reader.base):
+    is_relative = token.kind is Kind.IRI and not reader.base
+    plain = token.text[1:-1] if is_relative else token.text
+    if _PLAIN_NAME.fullmatch(plain):
         return DYKNOW + plain if found.kind == "TEMPLATE" else plain
     return reader.iri_of(token)
 

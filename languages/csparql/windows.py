@@ -73,7 +73,8 @@ def _landmark(at: Cursor, what: str, every: Every, opened: Token) -> LandmarkWin
     here = at.here
     start = _instant(at) if here is not None and here.kind is Kind.STRING else None
     if at.is_word("TUMBLING"):
-        raise at.error("a window from a landmark grows, so it cannot tumble", at.here, EXAMPLE)
+        hint = "write `[LANDMARK STEP 1s]`, or `[RANGE 5s TUMBLING]`"
+        raise at.error("a window from a landmark grows, so it cannot tumble", at.here, hint)
     return LandmarkWindow(start, _step(at, what, every, opened, _LANDMARK_EXAMPLE))
 
 
@@ -107,8 +108,8 @@ def _instant(at: Cursor) -> int:
 
 def _count(at: Cursor, what: str) -> CountWindow:
     """Without STEP it moves with each triple, like CQL's windows of rows."""
-    word = at.take().text.upper()
-    size = _number(at, f"the number of {word} of {what}")
+    at.take()
+    size = _number(at, f"the size of {what}")
     if at.is_word("TUMBLING"):
         at.take()
         return CountWindow(size, size)
