@@ -176,10 +176,26 @@ SELECT ?o (AVG(?spd) AS ?avg) WHERE { ?o dyknow:speed ?spd
 GROUP BY ?o HAVING(?avg > 100) ORDER BY DESC(?avg) LIMIT 3
 WINDOW [RANGE 5s STEP 1s]
 """
+RSP_QL = """PREFIX : <http://example.org/>
+REGISTER ISTREAM <out> COMPUTE EVERY PT1S AS
+SELECT DISTINCT ISTREAM ?o ?w FROM NAMED :g
+FROM NAMED WINDOW :w ON STREAM :s [RANGE PT0.5S STEP "PT1S"^^xsd:duration]
+FROM WINDOW ON :s [LANDMARK "2021-10-07T19:12:53Z"^^xsd:dateTime STEP 1s]
+FROM NAMED WINDOW :v ON :s [ELEMENTS 10 STEP 5]
+WHERE { WINDOW :w { ?o :in (1 2) } OPTIONAL { WINDOW ?w { ?o :b ?t } } GRAPH ?g { ?o a :C }
+  FILTER (f:timestamp(?o, :in, ?t) < xsd:integer(?t)) }
+"""
+NO_REGISTER = """# roads
+select ?a #?b
+from stream <http://example.org/a> [triples 10 tumbling]
+FROM <http://example.org/g>
+where { ?a <http://example.org/p> ?b Filter dyknow-o:validTime(?a) }
+"""
 REQUEST = 'dyknow:HighSpeedEvent(?o, dyknow:UAV, "100"^^xsd:integer, -1.5e3, "a"@en)'
 PIECES = """^^ ?x <x> 5s 1e9 [m0] \\u00zz ex:a every for as WHERE FROM STREAM NAMED WINDOW
 AGGREGATE FILTER SELECT PREFIX GROUP BY HAVING VALUES BIND MINUS EXISTS SERVICE CONSTRUCT ASK
-DESCRIBE BASE"""
+DESCRIBE BASE ISTREAM RSTREAM ON GRAPH TRIPLES LANDMARK RANGE STEP PT5S P1M 60000 f:timestamp( :w
+:s ?w :foo("""
 pieces = st.sampled_from([*"{}()[],.;?<>\"'\\#@^=-:*0é\n\t\x00", *PIECES.split()])
 
 
@@ -208,8 +224,8 @@ def test_an_ssl_error_has_a_place(text: str) -> None:
         _check(error, text)
 
 
-@settings(deadline=None, max_examples=150)
-@given(mutations(CSPARQL) | mutations(SPARQL_11))
+@settings(deadline=None, max_examples=200)
+@given(st.one_of(map(mutations, [CSPARQL, SPARQL_11, RSP_QL, NO_REGISTER])))
 def test_a_csparql_error_has_a_place(text: str) -> None:
     try:
         if "TEMPLATE" in text:
