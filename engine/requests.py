@@ -196,7 +196,7 @@ class EventRequests:
     ) -> tuple[ContinuousQuery, tuple[Match, ...]]:
         query, wanted = self._query(template, request)
         without = self._plans.unusable(since)
-        for graph in query.static:
+        for graph in (*query.static, *query.static_named):
             if not self._ontology.static_graph(graph):
                 raise NoPlan(
                     f"FROM <{graph}> names no loaded ontology",

@@ -88,8 +88,11 @@ def check_functions(
     tokens = tokenize(text)
     for index in calls(tokens):
         token = tokens[index]
-        iri = iri_text(token, text, prefixes, base)
         place = Span(token.start + shift, token.end + shift)
+        try:
+            iri = iri_text(token, text, prefixes, base)
+        except LanguageError as error:
+            raise LanguageError(error.message, source, place, error.hint) from None
         if iri in ACCESSORS:
             message = _wrong_arguments(tokens, index, text, prefixes)
             if message:
