@@ -50,7 +50,8 @@ class Stages:
 
     def _lines(self) -> Iterator[str]:
         query = self.query
-        yield f"query {query.name} ({query.form}), {self.options.semantics} semantics"
+        name = f" {query.name}" if query.name else ""
+        yield f"query{name} ({query.form}), {self.options.semantics} semantics"
         yield from _section("as read", format_query(query).splitlines())
         yield from _section("windows", self._windows())
         if self.translated is None or self.plan is None:

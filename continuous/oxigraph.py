@@ -28,6 +28,7 @@ from rdflib.term import URIRef
 
 from ..languages.csparql import term_text
 from ..languages.csparql.body import Edit, apply_edits
+from ..languages.csparql.functions import ACCESSORS
 from ..languages.csparql.tokens import Kind as TokenKind
 from ..languages.csparql.tokens import closing, tokenize
 from ..rdf.dictionary import Term
@@ -39,7 +40,6 @@ from .columns import TermValues, canonical, term_column
 from .logical import DEFAULT
 from .results import Solutions, WindowResult
 from .sources import StaticSide, distinct_ids
-from .timestamps import TIMESTAMP, VALID_TIME
 from .translate import Graphs
 from .unsupported import Unsupported
 
@@ -205,7 +205,7 @@ def _is_node(term: Any) -> TypeGuard[NamedNode | BlankNode]:
 
 
 _ACCESSORS: Final[dict[NamedNode, Callable[..., Any]]] = {
-    NamedNode(name[1:-1]): lambda *_: None for name in (TIMESTAMP, VALID_TIME)
+    NamedNode(iri): lambda *_: None for iri in ACCESSORS
 }
 """Accessors of times are for columns alone; here they only have to be read."""
 

@@ -15,7 +15,8 @@ from typing import Any, Final
 from pyoxigraph import Literal, NamedNode
 from rdflib.plugins.sparql.parserutils import CompValue
 
-from ..rdf.namespaces import STREAM_SPACE, XSD
+from ..languages.csparql.functions import ACCESSORS, TIMESTAMP
+from ..rdf.namespaces import XSD
 from ..streams.time import format_time
 from .expressions import Call, Const, Expression, Var
 from .logical import (
@@ -42,10 +43,8 @@ from .logical import (
 )
 from .printing import show
 
-TIMESTAMP: Final = "<http://larkc.eu/csparql/sparql/jena/ext#timestamp>"
-"""The C-SPARQL engine's accessor of τ."""
-VALID_TIME: Final = f"<{STREAM_SPACE}validTime>"
-"""Ours, of the valid time."""
+_AVAILABLE: Final = f"<{TIMESTAMP}>"
+_ACCESSORS: Final = frozenset(f"<{iri}>" for iri in ACCESSORS)
 LATEST: Final = "LATEST"
 """The greatest of the arguments that are bound."""
 
@@ -111,11 +110,11 @@ class _Times:
 
     def _column(self, accessor: Call, scan: Scan | AnyScan) -> tuple[Scan | AnyScan, str]:
         times = scan.times
-        known = times.available if accessor.name == TIMESTAMP else times.valid
+        known = times.available if accessor.name == _AVAILABLE else times.valid
         if known is not None:
             return scan, known
         name = f"\0t{next(self.numbers)}"
-        if accessor.name == TIMESTAMP:
+        if accessor.name == _AVAILABLE:
             return replace(scan, times=replace(times, available=name)), name
         return replace(scan, times=replace(times, valid=name)), name
 
@@ -136,7 +135,7 @@ def _fits(accessor: Call, scan: Scan | AnyScan) -> bool:
 def _accessors(expression: Expression) -> list[Call]:
     if not isinstance(expression, Call):
         return []
-    if expression.name in (TIMESTAMP, VALID_TIME):
+    if expression.name in _ACCESSORS:
         if len(expression.arguments) not in (1, 3):
             raise ValueError(f"{show(expression)} has one argument or three")
         return [expression]
@@ -171,7 +170,7 @@ def at_time(plan: Plan, end: int) -> Plan:
 def asks_for_times(tree: Any) -> bool:
     """Whether an accessor stands anywhere in rdflib's algebra."""
     if isinstance(tree, CompValue):
-        if tree.name == "Function" and f"<{tree.iri}>" in (TIMESTAMP, VALID_TIME):
+        if tree.name == "Function" and f"<{tree.iri}>" in _ACCESSORS:
             return True
         return any(asks_for_times(part) for name, part in tree.items() if name != "_vars")
     return isinstance(tree, list | tuple) and any(map(asks_for_times, tree))
