@@ -46,10 +46,10 @@ class Background:
         store = Store()
         if isinstance(files, Mapping):
             for iri, path in files.items():
-                store.bulk_load(path=str(path), to_graph=NamedNode(iri))
+                store.bulk_load(path=str(path), base_iri=_base(path), to_graph=NamedNode(iri))
             return cls(store, default=default)
         for path in files:
-            store.bulk_load(path=str(path))
+            store.bulk_load(path=str(path), base_iri=_base(path))
         return cls(store)
 
     @property
@@ -141,3 +141,8 @@ class Background:
             for predicate, object in wanted
             for quad in self._quads(None, predicate, object, "")
         ]
+
+
+def _base(path: str | Path) -> str:
+    """What relative IRIs in a file are relative to."""
+    return Path(path).absolute().as_uri()

@@ -19,6 +19,7 @@ from ..rdf.dictionary import Term
 from ..rdf.timed import Kind, ObjectColumn, split_term
 from ..streams.sample import Mask
 from .columns import NeedsOxigraph, Sort, TermValues, coalesce, concatenate, either
+from .decimals import rounded
 from .expressions import INFIX, Call, Const, Expression, Var, variables
 from .foreign import ask
 from .timestamps import LATEST
@@ -310,6 +311,8 @@ class _Rows:
             if name == "/" and np.any(b.values == 0):
                 null = either(null, b.values == 0)
                 values = np.where(b.values == 0, 0.0, values)
+            greater = np.maximum(np.abs(a.values), np.abs(b.values)) if name in "+-" else None
+            values = rounded(values, greater)
         return ObjectColumn(kind, values, null)
 
     def _function(self, name: str, a: ObjectColumn) -> ObjectColumn:

@@ -164,13 +164,9 @@ def _of_sorted(order: Rows, group: Rows, count: int) -> Rows:
 def _concatenated(
     value: ObjectColumn, group: Rows, count: int, separator: str, terms: TermValues
 ) -> ObjectColumn:
-    """GROUP_CONCAT: of strings only, as CONCAT; a language that all have is kept.
-
-    Cost: Python a value.
-    """
+    """GROUP_CONCAT: a string without a language, of strings alone. Cost: Python a value."""
     dictionary = terms.dictionary
     texts: list[list[str]] = [[] for _ in range(count)]
-    languages: list[set[str | None]] = [set() for _ in range(count)]
     failed = np.zeros(count, np.bool_)
     strings = np.zeros(len(value), np.bool_)
     if value.kind is Kind.TERM:
@@ -183,10 +179,7 @@ def _concatenated(
         term = dictionary.term(int(value.values[row]))
         assert isinstance(term, Literal)
         texts[at].append(term.value)
-        languages[at].add(term.language)
     ids = np.full(count, NO_TERM, np.int32)
     for at in np.flatnonzero(~failed).tolist():
-        text, spoken = separator.join(texts[at]), languages[at]
-        language = next(iter(spoken)) if len(spoken) == 1 else None
-        ids[at] = dictionary.id(Literal(text, language=language) if language else Literal(text))
+        ids[at] = dictionary.id(Literal(separator.join(texts[at])))
     return ObjectColumn(Kind.TERM, ids, failed if failed.any() else None)

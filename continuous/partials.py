@@ -16,6 +16,7 @@ from pyoxigraph import Literal
 
 from ..rdf.timed import DATATYPES, Kind, ObjectColumn
 from .columns import NeedsOxigraph, Sort, TermValues, concatenate
+from .decimals import rounded
 from .kernels import Groups, fold_sums, grown
 
 NUMBERS = (Kind.INTEGER, Kind.DECIMAL, Kind.FLOAT, Kind.DOUBLE)
@@ -279,7 +280,9 @@ def _sum_column(
     if average:
         # The average of integers is a decimal (SPARQL 1.1 §18.5.1.4), of nothing the integer 0.
         values = sums.astype(np.float64) / np.maximum(numbers, 1)
-        return ObjectColumn(Kind.DECIMAL if kind is Kind.INTEGER else kind, values)
+        if kind in (Kind.INTEGER, Kind.DECIMAL):
+            return ObjectColumn(Kind.DECIMAL, rounded(values))
+        return ObjectColumn(kind, values)
     if sums.dtype == object:
         whole = [int(value) for value in sums]
         if all(-(2**63) <= value < 2**63 for value in whole):
@@ -287,7 +290,7 @@ def _sum_column(
         datatype = DATATYPES[Kind.INTEGER]
         ids = [terms.dictionary.id(Literal(str(value), datatype=datatype)) for value in whole]
         return ObjectColumn(Kind.TERM, np.array(ids, np.int32))
-    return ObjectColumn(kind, sums)
+    return ObjectColumn(kind, rounded(sums) if kind is Kind.DECIMAL else sums)
 
 
 def _scattered(

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from ..streams.compiled import Kernel
+from .decimals import POWERS
 
 # What a filter does: put a value on the stack, or combine the last ones.
 CONSTANT, VARIABLE, ADD, SUBTRACT, MULTIPLY, DIVIDE = 0, 1, 2, 3, 4, 5
@@ -490,6 +491,20 @@ def _match(
                             # The quotient of a double by zero: infinite, or no number.
                             return -1
                         value = a / b
+                    if tag == 2 and value != 0.0:
+                        # As `decimals.rounded`.
+                        size_of = max(abs(a), abs(b)) if what <= 3 else abs(value)
+                        place = 44
+                        while place >= 0 and POWERS[place] > size_of:
+                            place -= 1
+                        digits = 14 - (place - 22)
+                        if 14 <= place <= 43:
+                            if digits >= 0:
+                                scale = POWERS[digits + 22]
+                                value = np.rint(value * scale) / scale
+                            else:
+                                scale = POWERS[22 - digits]
+                                value = np.rint(value / scale) * scale
                     if tag == 1 and abs(value) > 9007199254740992.0:
                         return -1
                     stack_tags[top] = tag

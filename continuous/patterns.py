@@ -335,7 +335,8 @@ class PatternJoin:
             needs.append([name in names for name in self.variables])
         self.operations = np.array(operations, np.int64).reshape(-1, 2)
         self.filter_starts = np.array(starts, np.int64)
-        self.filter_needs = np.array(needs, np.bool_).reshape(-1, len(self.variables))
+        self.filter_needs = np.array(needs, np.bool_)
+        self.filter_needs = self.filter_needs.reshape(len(needs), len(self.variables))
         encoded = [terms.encoded(_single(const, terms)) for const in constants]
         self.constant_tags = np.array([tag[0] for tag, _ in encoded], np.int8)
         self.constant_bits = np.array([bit[0] for _, bit in encoded], np.int64)

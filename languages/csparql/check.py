@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 from ..errors import LanguageError, Span
+from ..hints import did_you_mean
+from .ast import Form
 from .clauses import ClauseReader, Clauses
 from .shape import Shape, bound_variables
 from .tokens import Kind, Token, tokenize
@@ -37,7 +39,10 @@ class Check:
         group_by = self.shape.modifier("GROUP")
         known |= {name.text[1:] for word, name in pairwise(group_by) if word.is_word("AS")}
         for name, token in self.head.items():
-            if name not in known:
+            # SPARQL shows a variable that nothing binds as unbound; where the name is nearly that
+            # of another one, or a graph is to be made of it, it is a mistake.
+            shown = self.shape.form is Form.SELECT and not self.found.aggregations
+            if name not in known and not (shown and not did_you_mean(name, known)):
                 raise self.reader.error(
                     f"`{token.text}` is not bound in the query", token, _near(name, known)
                 )
