@@ -389,8 +389,8 @@ class _Translation:
 
 
 def _length(node: Any) -> int | None:
-    length = node.get("length")
-    return None if length is None else int(length)
+    # `get` of rdflib gives back the name of what is not there.
+    return int(node.length) if "length" in node and node.length is not None else None
 
 
 def _without_projection(node: Any) -> Any:
@@ -399,7 +399,9 @@ def _without_projection(node: Any) -> Any:
         return node.p
     if node.name == "Slice":
         inner = _without_projection(node.p)
-        return CompValue("Slice", p=inner, start=node.start, length=node.get("length"))
+        changed = CompValue("Slice", **node)
+        changed["p"] = inner
+        return changed
     return node
 
 

@@ -75,11 +75,14 @@ class ExpressionTranslation:
                 raise Unsupported(_NOT_HERE[name])
             arguments: list[Expression] = []
             for place in (*_ARGUMENTS, "flags"):
-                given = node.get(place)
-                if given is None:
+                # `get` of rdflib gives back the name of what is not there.
+                if place not in node or node[place] is None:
                     continue
-                # CONCAT and COALESCE keep a list.
+                given = node[place]
+                # CONCAT and COALESCE keep a list; `()` is rdf:nil.
                 listed = given if isinstance(given, list) else [given]
+                if name in ("CONCAT", "COALESCE") and not isinstance(given, list):
+                    listed = []
                 arguments.extend(go(one) for one in listed)
             return Call(name, tuple(arguments))
 
@@ -87,7 +90,8 @@ class ExpressionTranslation:
             left, operator = go(node.expr), str(node.op)
             if operator not in ("IN", "NOT IN"):
                 return Call(operator, (left, go(node.other)))
-            if not node.other:
+            if not node.other or isinstance(node.other, URIRef):
+                # rdflib reads `()` as rdf:nil.
                 return Const(Literal(operator == "NOT IN"))
             tests = [Call("=", (left, go(one))) for one in node.other]
             found = _chain(tests[0], [("||", test) for test in tests[1:]])
