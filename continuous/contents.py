@@ -52,6 +52,8 @@ class Contents:
                 self._panes[i] = Panes(Grid(pane, one.grid.origin), one.low)
         self._patterns: PatternSolver | None = None
         self._keeps = True
+        self._known_next: tuple[int | None, Due | None] | None = None
+        """The answer of `next`, until something comes or is counted."""
 
     def read_by(self, patterns: PatternSolver, *, alone: bool) -> None:
         """Have ``patterns`` read the rows too; ``alone``: nobody else does."""
@@ -68,6 +70,7 @@ class Contents:
                 rows = rows.take(kept)
         if not len(rows):
             return late
+        self._known_next = None
         keeps = False
         for i, one in enumerate(self.schedule.windows):
             if one.input != input:
@@ -85,6 +88,8 @@ class Contents:
 
     def settle(self, watermark: int) -> None:
         """Nothing comes with τ < ``watermark`` any more."""
+        if self._counting:
+            self._known_next = None
         for counting in self._counting.values():
             counting.settle(watermark)
 
@@ -101,6 +106,12 @@ class Contents:
         Content that lasts (of landmark and counting windows) brings about an evaluation when it
         changes; that of windows of time at each end while it is there.
         """
+        known = self._known_next
+        if known is None or known[0] != closed or closed is None:
+            known = self._known_next = closed, self._next(closed)
+        return known[1]
+
+    def _next(self, closed: int | None) -> Due | None:
         if self.schedule.ends is None:
             return self._next_move()
         found: int | None = None
@@ -164,6 +175,7 @@ class Contents:
 
     def turn(self, due: Due) -> None:
         """The windows stand where they stand at ``due``."""
+        self._known_next = None
         if due.moved is not None:
             self._numbers[due.moved] = due.number
         else:

@@ -32,7 +32,8 @@ def _select(
     tags: Any,
     bits: Any,
     times: Any,
-    count: int,
+    first: int,
+    end: int,
     lows: Any,
     highs: Any,
     sort_starts: Any,
@@ -49,7 +50,7 @@ def _select(
     """
     slot_count = starts.shape[0] - 1
     starts[:] = 0
-    for i in range(count):
+    for i in range(first, end):
         w = windows[i]
         if times[i] <= lows[w] or times[i] > highs[w]:
             continue
@@ -69,7 +70,7 @@ def _select(
     out_tags = np.empty(total, np.int8)
     out_bits = np.empty(total, np.int64)
     ordered = True
-    for i in range(count):
+    for i in range(first, end):
         w = windows[i]
         if times[i] <= lows[w] or times[i] > highs[w]:
             continue
@@ -563,6 +564,7 @@ def _of_select() -> Any:
         int8s,
         int64s,
         int64s,
+        types.int64,
         types.int64,
         int64s,
         int64s,

@@ -23,6 +23,7 @@ from ..rdf.namespaces import RDF_TYPE
 from ..rdf.timed import Kind, ObjectColumn, TripleRows, make_term
 from .columns import Relation, TermValues
 from .expressions import Call, Const, Expression, Var, conjuncts, variables
+from .kernels import ascending
 from .logical import Filter, Join, Plan, Position, Scan, TypeScan, inputs, outputs, with_inputs
 from .pattern_kernels import (
     ADD,
@@ -155,6 +156,8 @@ class PatternRows:
         self.sorts: dict[int, int] = {}
         """The sorts of annotations that have been met, numbered."""
         self.count = 0
+        self._ordered = True
+        """Whether times ascend."""
         self.inside = 0
         """How many were in the windows when they were looked at last."""
         self._columns: tuple[NDArray[Any], ...] = _empty(64)
@@ -204,6 +207,9 @@ class PatternRows:
             for old, new in zip(self._columns, larger, strict=True):
                 new[:start] = old[:start]
             self._columns = larger
+        if self._ordered and stop > start:
+            before = self._columns[5][start - 1] if start else times[0]
+            self._ordered = bool(before <= times[0]) and ascending(times)
         parts = (window, slot, subjects, tags, bits, times)
         for column, values in zip(self._columns, parts, strict=True):
             column[start:stop] = values
@@ -227,6 +233,14 @@ class PatternRows:
         by = np.lexsort((tags, times))
         for column in self._columns:
             column[: self.count] = column[: self.count][by]
+        self._ordered = True
+
+    def between(self, low: int, high: int) -> tuple[int, int]:
+        """Where the triples with ``low < time <= high`` begin and end; others may be among them."""
+        if not self._ordered:
+            self.order()
+        times = self._columns[5][: self.count]
+        return int(times.searchsorted(low, "right")), int(times.searchsorted(high, "right"))
 
     def tables(
         self, lows: NDArray[np.int64], highs: NDArray[np.int64]
@@ -450,8 +464,9 @@ class PatternSolver:
         """The windows whose bounds these are: what `solve` is about from now on."""
         rows = self.rows
         while True:
+            first, end = rows.between(int(lows.min()), int(highs.max()))
             *triples, ordered = select(
-                *rows.columns, rows.count, lows, highs, *self._sorts(), self._starts
+                *rows.columns, first, end, lows, highs, *self._sorts(), self._starts
             )
             if ordered:
                 break

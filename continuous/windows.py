@@ -44,33 +44,31 @@ class InputWindow:
     """A window over one input: what it is, the grid of its ends (None where each evaluation is
     one), and the graph that its triples are in (DEFAULT, or the IRI that RSP-QL gives it).
 
-    ``low`` is the bound below which a landmark window holds nothing.
+    ``low`` is the bound below which a landmark window holds nothing. ``range`` is None of a window
+    that lasts: its content stays until other content comes, however much later. ``counted``: a
+    number of triples makes the window, not time.
     """
 
     input: str
     graph: str
     window: Window
     grid: Grid | None
-    low: int = -TIME_MAX
-
-    @property
-    def counted(self) -> bool:
-        """Whether a number of triples makes the window, not time."""
-        return isinstance(self.window, CountWindow)
+    low: int
+    range: int | None
+    counted: bool
 
     @property
     def lasts(self) -> bool:
-        """Whether content stays until other content comes, however much later."""
-        return not isinstance(self.window, TimeWindow)
+        return self.range is None
 
     def bounds(self, end: int) -> tuple[int, int]:
         """``(low, high]`` of the latest window of this input at the evaluation ``end``.
 
         Of a window that counts: of what may be in it.
         """
-        high = end if self.grid is None else self.grid.floor(end)
-        low = high - self.window.range if isinstance(self.window, TimeWindow) else self.low
-        return low, high
+        grid = self.grid
+        high = end if grid is None else end - (end - grid.origin) % grid.step
+        return (self.low if self.range is None else high - self.range), high
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,9 +143,12 @@ def schedule(query: ContinuousQuery, inputs: Sequence[str], options: Options) ->
 
 
 def _window(input: str, graph: str, window: Window, origin: int, shift: int) -> InputWindow:
-    if isinstance(window, CountWindow):
-        return InputWindow(input, graph, window, None)
+    low, range = -TIME_MAX, None
     grid = Grid(window.step, origin)
-    if isinstance(window, LandmarkWindow) and window.start is not None:
-        return InputWindow(input, graph, window, grid, window.start - 1)
-    return InputWindow(input, graph, window, grid)
+    match window:
+        case TimeWindow():
+            range = window.range
+        case LandmarkWindow(start) if start is not None:
+            low = start - 1
+    counted = isinstance(window, CountWindow)
+    return InputWindow(input, graph, window, None if counted else grid, low, range, counted)
