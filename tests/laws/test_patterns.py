@@ -1,0 +1,179 @@
+"""The compiled join of patterns, its plain twin and joins of columns give the same solutions."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pyoxigraph import BlankNode, Literal, NamedNode, Quad, Store
+
+from dyknow.continuous import evaluator as evaluation
+from dyknow.continuous import patterns
+from dyknow.continuous.background import Background
+from dyknow.continuous.evaluator import ContinuousEvaluator
+from dyknow.continuous.options import Options
+from dyknow.languages.csparql import parse_query
+from dyknow.rdf.dictionary import TermDictionary
+from dyknow.rdf.namespaces import RDF_TYPE, RDFS, XSD
+from dyknow.rdf.timed import TimedTriples, TripleRows, from_terms
+
+D = "http://d.example/"
+X, Y = D + "x", D + "y"
+SUB_CLASS = NamedNode(RDFS + "subClassOf")
+
+
+def node(name: str) -> NamedNode:
+    return NamedNode(D + name)
+
+
+def number(text: str, kind: str) -> Literal:
+    return Literal(text, datatype=NamedNode(XSD + kind))
+
+
+NODES = [node(f"n{i}") for i in range(4)]
+OBJECTS = [
+    *NODES,
+    BlankNode("b"),
+    Literal(1),
+    Literal(2),
+    Literal(1.0),
+    Literal(2.5),
+    Literal(-3.5),
+    number("1", "decimal"),
+    number("2.2", "decimal"),
+    # Spelled in another way, and a decimal that no float64 is.
+    number("02", "int"),
+    number("0.12345678901234567890", "decimal"),
+    Literal("one"),
+    Literal("one", language="en"),
+    Literal(True),
+    number("2020-01-01", "date"),
+]
+PREDICATES = [node("p"), node("q"), RDF_TYPE]
+SORTS = [None, None, node("Sub"), node("Top")]
+
+element = st.tuples(
+    st.sampled_from([X, X, Y]),
+    st.integers(1, 12),
+    st.sampled_from([*NODES, BlankNode("b")]),
+    st.sampled_from(PREDICATES),
+    st.sampled_from(OBJECTS),
+    st.sampled_from(SORTS),
+)
+position = st.sampled_from(["?a", "?b", "?c", "?d"])
+subject = st.one_of(position, position, st.sampled_from(NODES).map(str))
+object = st.one_of(
+    position, position, position, st.sampled_from([o for o in OBJECTS if o != OBJECTS[4]]).map(str)
+)
+pattern = st.one_of(
+    st.tuples(subject, st.sampled_from([str(node("p")), str(node("q"))]), object),
+    st.tuples(subject, st.just("a"), st.one_of(position, st.sampled_from([str(node("Top"))]))),
+).map(" ".join)
+operand = st.one_of(position, st.sampled_from(["1", "2.2", "1e0", "true", "'one'", "0"]))
+arithmetic = st.one_of(
+    operand, st.tuples(operand, st.sampled_from("+-*/"), operand).map(lambda t: f"({' '.join(t)})")
+)
+comparison = st.tuples(
+    arithmetic, st.sampled_from(["=", "!=", "<", "<=", ">", ">="]), arithmetic
+).map(" ".join)
+condition = st.one_of(
+    comparison,
+    comparison,
+    st.tuples(comparison, st.sampled_from(["&&", "||"]), comparison).map(
+        lambda t: f"({' '.join(t)})"
+    ),
+    comparison.map(lambda c: f"!({c})"),
+)
+
+
+@st.composite
+def bodies(draw) -> str:
+    parts = draw(st.lists(pattern, min_size=1, max_size=4))
+    names = {word for part in parts for word in part.split() if word.startswith("?")}
+    filters = draw(st.lists(condition, max_size=2))
+    if not names:
+        filters = []
+    body = " . ".join(parts) + " . " + " ".join(f"FILTER ({one})" for one in filters)
+    if draw(st.booleans()):
+        optional = draw(st.lists(pattern, min_size=1, max_size=2))
+        body += f" OPTIONAL {{ {' . '.join(optional)} }}"
+    return body
+
+
+def background(triples) -> Background:
+    store = Store()
+    store.add(Quad(node("Sub"), SUB_CLASS, node("Top")))
+    store.extend(Quad(s, p, o) for s, p, o in triples)
+    return Background(store)
+
+
+def solutions(body: str, elements: list, static: list, options: Options) -> list:
+    windows = f"FROM STREAM <{X}> [RANGE 4ns STEP 2ns] FROM STREAM <{Y}> [RANGE 6ns STEP 2ns]"
+    query = parse_query(f"SELECT * {windows} WHERE {{ {body} }}")
+    dictionary = TermDictionary()
+    evaluator = ContinuousEvaluator(query, dictionary, background(static), [X, Y], options)
+    for name in (X, Y):
+        for sort in SORTS[1:]:
+            rows = [(t, s, p, o) for i, t, s, p, o, k in elements if i == name and k == sort]
+            id = None if sort is None else dictionary.id(sort)
+            tables = tuple(
+                TripleRows(table.time, table.valid, table.subject, table.objects, sort=id)
+                for table in from_terms(rows, dictionary).tables
+            )
+            evaluator.push(name, TimedTriples(dictionary, tables))
+    return [
+        (
+            result.end,
+            Counter(
+                tuple(sorted((k, str(v)) for k, v in row.items()))
+                for row in result.solutions.rows()
+            ),
+        )
+        for name in (X, Y)
+        for result in evaluator.end(name)
+    ]
+
+
+@settings(deadline=None, max_examples=200)
+@given(
+    bodies(),
+    st.lists(element, max_size=30),
+    st.lists(
+        st.tuples(st.sampled_from(NODES), st.sampled_from(PREDICATES), st.sampled_from(OBJECTS)),
+        max_size=8,
+    ),
+    st.sampled_from([Options("bag"), Options("set"), Options("bag", "[)", 1)]),
+)
+def test_three_ways_to_join_patterns_agree(body, elements, static, options) -> None:
+    found = solutions(body, elements, static, options)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(evaluation, "JIT", False)
+        assert solutions(body, elements, static, options) == found
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("select", "chain", "match"):
+            patch.setattr(patterns, name, getattr(patterns, name).py_func)
+        assert solutions(body, elements, static, options) == found
+
+
+def test_a_join_larger_than_expected_is_found_whole() -> None:
+    elements = [(X, 1, NODES[0], node("p"), Literal(i), None) for i in range(40)]
+    ((_, counted), *_) = solutions(
+        f"?a {node('p')} ?b . ?a {node('p')} ?c", elements, [], Options()
+    )
+    assert sum(counted.values()) == 1600
+
+
+def test_rows_that_have_left_are_forgotten() -> None:
+    dictionary = TermDictionary()
+    query = parse_query(
+        f"SELECT * FROM STREAM <{X}> [RANGE 4ns STEP 2ns] WHERE {{ ?a {node('p')} ?b }}"
+    )
+    evaluator = ContinuousEvaluator(query, dictionary, Background(), [X])
+    if evaluator._patterns is None:
+        pytest.skip("without compiled loops columns keep the rows")
+    for time in range(1, 3000):
+        evaluator.push(X, from_terms([(time, NODES[0], node("p"), NODES[1])], dictionary))
+        evaluator.advance(X, time)
+    assert evaluator._patterns.rows.count < 200
