@@ -32,7 +32,7 @@ def number(text: str, kind: str) -> Literal:
     return Literal(text, datatype=NamedNode(XSD + kind))
 
 
-NODES = [node(f"n{i}") for i in range(4)]
+NODES = [node(f"n{i}") for i in range(3)]
 OBJECTS = [
     *NODES,
     BlankNode("b"),
@@ -56,22 +56,21 @@ SORTS = [None, None, node("Sub"), node("Top")]
 
 element = st.tuples(
     st.sampled_from([X, X, Y]),
-    st.integers(1, 12),
-    st.sampled_from([*NODES, BlankNode("b")]),
-    st.sampled_from(PREDICATES),
-    st.sampled_from(OBJECTS),
+    st.integers(1, 7),
+    st.sampled_from([*NODES, *NODES, BlankNode("b")]),
+    st.sampled_from([*PREDICATES[:2], *PREDICATES]),
+    st.one_of(st.sampled_from(OBJECTS[:8]), st.sampled_from(OBJECTS)),
     st.sampled_from(SORTS),
 )
-position = st.sampled_from(["?a", "?b", "?c", "?d"])
-subject = st.one_of(position, position, st.sampled_from(NODES).map(str))
-object = st.one_of(
-    position, position, position, st.sampled_from([o for o in OBJECTS if o != OBJECTS[4]]).map(str)
-)
+position = st.sampled_from(["?a", "?b", "?c"])
+subject = st.one_of(position, position, position, position, st.sampled_from(NODES).map(str))
+constant = st.sampled_from([o for o in OBJECTS if not isinstance(o, BlankNode)]).map(str)
+object = st.one_of(position, position, position, position, position, constant)
 pattern = st.one_of(
     st.tuples(subject, st.sampled_from([str(node("p")), str(node("q"))]), object),
     st.tuples(subject, st.just("a"), st.one_of(position, st.sampled_from([str(node("Top"))]))),
 ).map(" ".join)
-operand = st.one_of(position, st.sampled_from(["1", "2.2", "1e0", "true", "'one'", "0"]))
+operand = st.one_of(position, st.sampled_from(["1", "2", "2.2", "1e0", "-4", "true", "'one'", "0"]))
 arithmetic = st.one_of(
     operand, st.tuples(operand, st.sampled_from("+-*/"), operand).map(lambda t: f"({' '.join(t)})")
 )
@@ -90,9 +89,9 @@ condition = st.one_of(
 
 @st.composite
 def bodies(draw) -> str:
-    parts = draw(st.lists(pattern, min_size=1, max_size=4))
+    parts = draw(st.lists(pattern, min_size=1, max_size=3))
     names = {word for part in parts for word in part.split() if word.startswith("?")}
-    filters = draw(st.lists(condition, max_size=2))
+    filters = draw(st.lists(condition, max_size=1))
     if not names:
         filters = []
     body = " . ".join(parts) + " . " + " ".join(f"FILTER ({one})" for one in filters)
@@ -139,7 +138,7 @@ def solutions(body: str, elements: list, static: list, options: Options) -> list
 @settings(deadline=None, max_examples=200)
 @given(
     bodies(),
-    st.lists(element, max_size=30),
+    st.lists(element, min_size=8, max_size=30),
     st.lists(
         st.tuples(st.sampled_from(NODES), st.sampled_from(PREDICATES), st.sampled_from(OBJECTS)),
         max_size=8,
