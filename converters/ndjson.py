@@ -28,6 +28,7 @@ from ..streams.sample import (
 from ..streams.strings import StringPool
 from ..streams.time import format_time
 from .errors import WireError
+from .regular import decode_regular
 from .wire import (
     BOM,
     TIME_HINT,
@@ -56,12 +57,18 @@ def decode_ndjson(data: bytes, schema: Schema, pools: dict[str, StringPool]) -> 
 
     Text is encoded with ``pools`` (by field; made where one lacks), which grow only when the
     whole batch is good. Without fields in ``schema`` (an open stream) the batch decides them:
-    those of its first line, typed by all values. Raises `WireError` with the line. Cost: 2 to 4 µs
-    a sample of ten fields.
+    those of its first line, typed by all values. Raises `WireError` with the line. Cost: lines of
+    one make (`regular`) take 1.5 ns a byte, others and small batches 0.3 µs a field.
     """
     data = data.removeprefix(BOM)
     schema = schema if schema.fields else _decided_by(data)
     check_names(schema)
+    regular = decode_regular(data, schema, pools)
+    return decode_exactly(data, schema, pools) if regular is None else regular
+
+
+def decode_exactly(data: bytes, schema: Schema, pools: dict[str, StringPool]) -> Incoming:
+    """`decode_ndjson` without the short way: what is good and what an error is, it decides."""
     try:
         samples = _decoder(schema).decode_lines(data)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:

@@ -1,0 +1,429 @@
+"""Cells of a text, read by compiled loops: where values stand in the bytes, and what they are.
+
+A *cell* is a value's bytes, ``start <= position < end``; a column of cells is two int32 arrays of
+shape ``(n,)``. Each loop takes only spellings whose meaning is beyond doubt and says ``-1`` to all
+others; whoever calls then reads the whole text again with the exact decoder, which also knows the
+error. So a loop decides nothing but speed. Where loops are not compiled (`JIT`), nobody calls them.
+
+Used by `regular` (NDJSON), `arrow` (text) and `triple_lines` (N-Triples). Cost: 1 to 2 ns a byte.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..streams.compiled import Kernel
+
+Bytes = NDArray[np.uint8]
+Positions = NDArray[np.int32]
+
+_LEAST_POWER, _GREATEST_POWER = -342, 308
+
+
+@cache
+def _powers() -> tuple[NDArray[np.uint64], NDArray[np.int64]]:
+    """The first 64 bits of ``5**q`` (cut, not rounded), their binary exponent, by ``q + 342``."""
+    bits, exponents = [], []
+    for q in range(_LEAST_POWER, _GREATEST_POWER + 1):
+        if q >= 0:
+            power, shift = 5**q, 0
+        else:
+            shift = (5**-q).bit_length() + 64
+            power = (1 << shift) // 5**-q
+        excess = power.bit_length() - 64
+        bits.append(power >> excess if excess >= 0 else power << -excess)
+        exponents.append(excess - shift)
+    return np.array(bits, np.uint64), np.array(exponents, np.int64)
+
+
+def _floats(
+    data: Any,
+    starts: Any,
+    ends: Any,
+    powers: Any,
+    exponents: Any,
+    bits: Any,
+    null: Any,
+    unsure: Any,
+) -> tuple[int, int]:
+    """JSON numbers as the bits of the nearest float64; ``null`` cells are marked.
+
+    Rows whose rounding 128 bits do not decide, and those outside the normal numbers or with more
+    than 19 digits, go to ``unsure``. Returns how many are null and unsure; ``-1`` for no number.
+
+    Law (tests/laws): the bits are those of Python's ``float``. Why: with w the digits' integer,
+    shifted to 64 bits, and T <= 5**q·2**k < T + 1, the product lies in [w·T, w·T + w), so that its
+    first 64 bits can be greater by at most 1 than those of w·T. That decides the rounding unless
+    what is cut off is within 1 of a half.
+    """
+    nulls = 0
+    doubts = 0
+    low32 = np.uint64(0xFFFFFFFF)
+    half = np.uint64(32)
+    one = np.uint64(1)
+    for row in range(starts.shape[0]):
+        i = starts[row]
+        end = ends[row]
+        null[row] = False
+        if data[i] == 110:  # null
+            if end - i != 4 or data[i + 1] != 117 or data[i + 2] != 108 or data[i + 3] != 108:
+                return -1, 0
+            null[row] = True
+            bits[row] = 0
+            nulls += 1
+            continue
+        negative = data[i] == 45
+        if negative:
+            i += 1
+        first = i
+        digits = 0
+        mantissa = np.uint64(0)
+        power = 0
+        while i < end and 48 <= data[i] <= 57:
+            mantissa = mantissa * np.uint64(10) + np.uint64(data[i] - 48)
+            digits += mantissa != 0
+            i += 1
+        if i == first or (data[first] == 48 and i > first + 1):
+            return -1, 0  # no digit, or a leading zero
+        if negative and mantissa == 0 and i == end:
+            return -1, 0  # -0: an integer, or a float64 with a sign
+        if i < end and data[i] == 46:
+            i += 1
+            fraction = i
+            while i < end and 48 <= data[i] <= 57:
+                mantissa = mantissa * np.uint64(10) + np.uint64(data[i] - 48)
+                digits += mantissa != 0
+                i += 1
+            if i == fraction:
+                return -1, 0
+            power = fraction - i
+        if i < end and (data[i] == 101 or data[i] == 69):
+            i += 1
+            lowered = i < end and data[i] == 45
+            if i < end and (data[i] == 45 or data[i] == 43):
+                i += 1
+            if i == end or end - i > 4:
+                return -1, 0
+            exponent = 0
+            while i < end and 48 <= data[i] <= 57:
+                exponent = exponent * 10 + int(data[i] - 48)
+                i += 1
+            power += -exponent if lowered else exponent
+        if i != end:
+            return -1, 0
+        sign = np.int64(-(2**63)) if negative else np.int64(0)
+        if digits <= 19 and mantissa == 0:
+            bits[row] = sign
+            continue
+        sure = digits <= 19 and -342 <= power <= 308
+        if sure:
+            shift = 0
+            while mantissa < np.uint64(1 << 48):
+                mantissa <<= np.uint64(16)
+                shift += 16
+            while mantissa < np.uint64(1 << 63):
+                mantissa <<= one
+                shift += 1
+            # 64 x 64 bits by halves.
+            ten = powers[power + 342]
+            a, b = mantissa >> half, mantissa & low32
+            c, d = ten >> half, ten & low32
+            low = b * d
+            middle = a * d + (low >> half)
+            other = b * c + (middle & low32)
+            high = a * c + (middle >> half) + (other >> half)
+            cut = np.uint64(10) + (high >> np.uint64(63))
+            rest = high & ((one << cut) - one)
+            middle_of_rest = one << (cut - one)
+            binary = np.int64(64) + exponents[power + 342] + power - shift + np.int64(cut)
+            # A normal number, and neither a tie nor so close below that a carry makes it one.
+            sure = rest != middle_of_rest and rest != middle_of_rest - one and -1070 < binary < 970
+            if sure:
+                significand = (high >> cut) + np.uint64(rest > middle_of_rest)
+                bits[row] = (
+                    ((binary + 1074) << 52) + np.int64(significand)
+                ) | sign  # the leading bit adds one to the exponent, a carry another one
+        if not sure:
+            unsure[doubts] = row
+            doubts += 1
+    return nulls, doubts
+
+
+def _integers(data: Any, starts: Any, ends: Any, values: Any, null: Any) -> int:
+    """JSON integers within 64 bits; returns how many are ``null``, ``-1`` for anything else."""
+    nulls = 0
+    for row in range(starts.shape[0]):
+        i = starts[row]
+        end = ends[row]
+        null[row] = False
+        if data[i] == 110:
+            if end - i != 4 or data[i + 1] != 117 or data[i + 2] != 108 or data[i + 3] != 108:
+                return -1
+            null[row] = True
+            values[row] = 0
+            nulls += 1
+            continue
+        negative = data[i] == 45
+        if negative:
+            i += 1
+        if i == end or end - i > 19 or (data[i] == 48 and end - i > 1):
+            return -1
+        value = np.uint64(0)
+        while i < end:
+            if data[i] < 48 or data[i] > 57:
+                return -1
+            value = value * np.uint64(10) + np.uint64(data[i] - 48)
+            i += 1
+        if value > np.uint64(2**63 - 1):
+            return -1
+        values[row] = -np.int64(value) if negative else np.int64(value)
+    return nulls
+
+
+def _booleans(data: Any, starts: Any, ends: Any, values: Any, null: Any) -> int:
+    """``true``, ``false`` and ``null``; returns how many are null, ``-1`` for anything else."""
+    nulls = 0
+    for row in range(starts.shape[0]):
+        i = starts[row]
+        length = ends[row] - i
+        null[row] = False
+        values[row] = False
+        if length == 4 and data[i + 1] == 114:
+            if data[i] != 116 or data[i + 2] != 117 or data[i + 3] != 101:
+                return -1
+            values[row] = True
+        elif length == 4:
+            if data[i] != 110 or data[i + 1] != 117 or data[i + 2] != 108 or data[i + 3] != 108:
+                return -1
+            null[row] = True
+            nulls += 1
+        elif (
+            length != 5
+            or data[i] != 102
+            or data[i + 1] != 97
+            or data[i + 2] != 108
+            or data[i + 3] != 115
+            or data[i + 4] != 101
+        ):
+            return -1
+    return nulls
+
+
+def _times(data: Any, starts: Any, ends: Any, values: Any) -> int:
+    """Quoted ISO-8601 times in UTC, years 1900 to 2199, as ns; ``-1`` for any other spelling.
+
+    ``"YYYY-MM-DDThh:mm:ssZ"``, with up to nine digits of a fraction.
+    """
+    for row in range(starts.shape[0]):
+        i = starts[row] + 1
+        end = ends[row] - 1  # at the closing quote
+        if end - i < 20 or data[i - 1] != 34 or data[end] != 34 or data[end - 1] != 90:
+            return -1
+        for k in range(19):
+            byte = data[i + k]
+            if k == 4 or k == 7:
+                if byte != 45:
+                    return -1
+            elif k == 10:
+                if byte != 84:
+                    return -1
+            elif k == 13 or k == 16:
+                if byte != 58:
+                    return -1
+            elif byte < 48 or byte > 57:
+                return -1
+        year = np.int64(data[i] - 48) * 1000 + np.int64(data[i + 1] - 48) * 100
+        year += np.int64(data[i + 2] - 48) * 10 + np.int64(data[i + 3] - 48)
+        month = np.int64(data[i + 5] - 48) * 10 + np.int64(data[i + 6] - 48)
+        day = np.int64(data[i + 8] - 48) * 10 + np.int64(data[i + 9] - 48)
+        hour = np.int64(data[i + 11] - 48) * 10 + np.int64(data[i + 12] - 48)
+        minute = np.int64(data[i + 14] - 48) * 10 + np.int64(data[i + 15] - 48)
+        second = np.int64(data[i + 17] - 48) * 10 + np.int64(data[i + 18] - 48)
+        leap = year % 4 == 0 and (year % 100 != 0 or year % 400 == 0)
+        length = 31 - (month == 4 or month == 6 or month == 9 or month == 11)
+        if month == 2:
+            length = 28 + leap
+        if not (1900 <= year < 2200 and 1 <= month <= 12 and 1 <= day <= length):
+            return -1
+        if hour > 23 or minute > 59 or second > 59:
+            return -1
+        fraction = 0
+        if end - i > 20:
+            if data[i + 19] != 46 or end - i == 21 or end - i > 30:
+                return -1
+            for k in range(i + 20, i + 29):
+                fraction *= 10
+                if k < end - 1:
+                    if data[k] < 48 or data[k] > 57:
+                        return -1
+                    fraction += int(data[k] - 48)
+        # Years begin in March, so that a leap day is the last of its year.
+        y = year - (month <= 2)
+        days = 365 * y + y // 4 - y // 100 + y // 400
+        days += (153 * ((month + 9) % 12) + 2) // 5 + day - 719469
+        seconds = ((days * 24 + hour) * 60 + minute) * 60 + second
+        values[row] = seconds * 1_000_000_000 + fraction
+    return 0
+
+
+def _distinct(
+    data: Any, starts: Any, ends: Any, table: Any, hashes: Any, codes: Any, first: Any
+) -> int:
+    """Number the distinct cells as they are met: ``codes`` by row, the ``first`` row by code.
+
+    Empty cells (``end <= start``) have code 0 and are none. ``table`` (-1 everywhere, a power of 2
+    of slots, more than twice the rows) is worked in. Returns how many are distinct; ``-1`` when a
+    thousand slots in a row are taken, which only texts made for it bring about.
+    """
+    mask = np.int64(table.shape[0] - 1)
+    count = 0
+    prime = np.uint64(0x100000001B3)
+    for row in range(starts.shape[0]):
+        start = starts[row]
+        end = ends[row]
+        codes[row] = 0
+        if end <= start:
+            continue
+        # FNV-1a in four lanes: a multiplication waits for the one before.
+        h0 = np.uint64(0xCBF29CE484222325)
+        h1 = np.uint64(0x9E3779B97F4A7C15)
+        h2 = np.uint64(0xC2B2AE3D27D4EB4F)
+        h3 = np.uint64(end - start)
+        i = start
+        while i + 4 <= end:
+            h0 = (h0 ^ np.uint64(data[i])) * prime
+            h1 = (h1 ^ np.uint64(data[i + 1])) * prime
+            h2 = (h2 ^ np.uint64(data[i + 2])) * prime
+            h3 = (h3 ^ np.uint64(data[i + 3])) * prime
+            i += 4
+        while i < end:
+            h0 = (h0 ^ np.uint64(data[i])) * prime
+            i += 1
+        h = (h0 ^ (h1 >> np.uint64(7))) * prime
+        h = (h ^ h2 ^ (h3 << np.uint64(11))) * prime
+        h ^= h >> np.uint64(29)
+        slot = np.int64(h) & mask
+        probes = 0
+        while True:
+            code = table[slot]
+            if code < 0:
+                table[slot] = count
+                hashes[count] = h
+                first[count] = row
+                codes[row] = count
+                count += 1
+                break
+            if hashes[code] == h:
+                other = starts[first[code]]
+                length = end - start
+                if ends[first[code]] - other == length:
+                    k = 0
+                    while k < length and data[other + k] == data[start + k]:
+                        k += 1
+                    if k == length:
+                        codes[row] = code
+                        break
+            probes += 1
+            if probes > 1000:
+                return -1
+            slot = (slot + 1) & mask
+    return count
+
+
+def _signature(kind: str) -> Any:
+    def make() -> Any:
+        from numba import types
+
+        data = types.Array(types.uint8, 1, "C", readonly=True)
+        cells = (data, types.int32[::1], types.int32[::1])
+        flags, integers = types.boolean[::1], types.int64[::1]
+        tuple_of: Any = types.UniTuple
+        match kind:
+            case "floats":
+                powers = (types.uint64[::1], integers)
+                return tuple_of(types.int64, 2)(*cells, *powers, integers, flags, integers)
+            case "integers":
+                return types.int64(*cells, integers, flags)
+            case "booleans":
+                return types.int64(*cells, flags, flags)
+            case "times":
+                return types.int64(*cells, integers)
+            case _:
+                codes = types.int32[::1]
+                return types.int64(*cells, codes, types.uint64[::1], codes, codes)
+
+    return make
+
+
+_floats_kernel = Kernel(_floats, _signature("floats"))
+_integers_kernel = Kernel(_integers, _signature("integers"))
+_booleans_kernel = Kernel(_booleans, _signature("booleans"))
+_times_kernel = Kernel(_times, _signature("times"))
+_distinct_kernel = Kernel(_distinct, _signature("distinct"))
+
+
+class Irregular(Exception):
+    """A cell whose spelling the loops do not know: the exact decoder reads the whole text."""
+
+
+Values = tuple[NDArray[Any], NDArray[np.bool_] | None]
+"""A column and where it is null (None: nowhere)."""
+
+
+def floats(data: Bytes, starts: Positions, ends: Positions) -> Values:
+    """JSON numbers and nulls as float64; raises `Irregular`, as all of these do."""
+    count = len(starts)
+    bits, null = np.empty(count, np.int64), np.empty(count, np.bool_)
+    unsure = np.empty(count, np.int64)
+    found = _floats_kernel(data, starts, ends, *_powers(), bits, null, unsure)
+    nulls, doubts = _known(found[0]), found[1]
+    values = bits.view(np.float64)
+    for row in unsure[:doubts].tolist():
+        values[row] = float(data[starts[row] : ends[row]].tobytes())
+        if not 1e-300 < abs(values[row]) < 1e300:  # what is allowed there is not for us to say
+            raise Irregular
+    return values, null if nulls else None
+
+
+def integers(data: Bytes, starts: Positions, ends: Positions) -> Values:
+    """JSON integers and nulls as int64."""
+    values, null = np.empty(len(starts), np.int64), np.empty(len(starts), np.bool_)
+    nulls = _known(_integers_kernel(data, starts, ends, values, null))
+    return values, null if nulls else None
+
+
+def booleans(data: Bytes, starts: Positions, ends: Positions) -> Values:
+    """JSON truths and nulls as bool."""
+    values, null = np.empty(len(starts), np.bool_), np.empty(len(starts), np.bool_)
+    nulls = _known(_booleans_kernel(data, starts, ends, values, null))
+    return values, null if nulls else None
+
+
+def times(data: Bytes, starts: Positions, ends: Positions) -> NDArray[np.int64]:
+    """Quoted ISO-8601 times in UTC, as ns."""
+    values = np.empty(len(starts), np.int64)
+    _known(_times_kernel(data, starts, ends, values))
+    return values
+
+
+def distinct(
+    data: Bytes, starts: Positions, ends: Positions
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """``codes, first``: equal cells have equal codes, counted from 0 as they are met; code c is
+    met first in row ``first[c]``. An empty cell has code 0 and meets nothing."""
+    count = len(starts)
+    table = np.full(1 << (2 * count).bit_length(), -1, np.int32)
+    hashes = np.empty(count, np.uint64)
+    codes, first = np.empty(count, np.int32), np.empty(count, np.int32)
+    met = _known(_distinct_kernel(data, starts, ends, table, hashes, codes, first))
+    return codes, first[:met]
+
+
+def _known(found: int) -> int:
+    if found < 0:
+        raise Irregular
+    return found
