@@ -10,12 +10,23 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ..streams.sample import TIME_FIELDS, Column, Field, FieldType, SampleBatch, Schema, Times
+from ..streams.sample import (
+    TIME_FIELDS,
+    Column,
+    Field,
+    FieldType,
+    Mask,
+    SampleBatch,
+    Schema,
+    Times,
+)
 from ..streams.strings import StringPool
+from ..streams.time import TIME_MAX, TIME_MIN
 from .errors import WireError
 from .inference import TIME_UNITS, TimeReader
-from .wire import Incoming, check_names, pool_of
+from .wire import Incoming, check_names, null_mask, pool_of, text_column
 
 CONTENT_TYPE = "application/vnd.apache.arrow.stream"
 
@@ -114,14 +125,18 @@ def times_from_arrow(column: Any, key: str, reader: TimeReader) -> Times:
     if column.null_count:
         row = column.is_null().to_pylist().index(True) + 1
         raise WireError(row, f"{key!r} is missing", "every sample has its times")
-    if pa.types.is_timestamp(column.type):
-        counts = column.cast(pa.int64()).to_numpy()
-        scale = TIME_UNITS[column.type.unit]
-        limit = (2**63 - 1) // scale
-        outside = (counts > limit) | (counts < -((2**63) // scale))
-        if outside.any():
-            row = int(np.argmax(outside)) + 1
-            raise WireError(row, f"{key!r} is outside signed 64-bit nanoseconds")
+    if pa.types.is_timestamp(column.type) or pa.types.is_signed_integer(column.type):
+        counts = _as(column, pa.int64()).to_numpy()
+        if pa.types.is_timestamp(column.type):
+            scale = TIME_UNITS[column.type.unit]
+        else:
+            reader.observe((int(counts.min(initial=0)), int(counts.max(initial=0))))
+            scale = TIME_UNITS[reader.unit]
+        if scale > 1:
+            outside = (counts > TIME_MAX // scale) | (counts < -(TIME_MIN // -scale))
+            if outside.any():
+                row = int(np.argmax(outside)) + 1
+                raise WireError(row, f"{key!r} is outside signed 64-bit nanoseconds")
         times: Times = counts * np.int64(scale)
         return times
     values = column.to_pylist()
@@ -132,14 +147,9 @@ def times_from_arrow(column: Any, key: str, reader: TimeReader) -> Times:
 def column_from_arrow(field: Field, column: Any, pools: dict[str, StringPool]) -> Column:
     """A field's column; raises `WireError` with the row for a value that is none."""
     pa = _arrow()
-    null = None
-    if column.null_count:
-        null = column.is_null().to_numpy()
     if field.type is FieldType.STRING:
-        values = column.cast(pa.string()).to_pylist()
-        pool = pool_of(field, pools)
-        codes = np.fromiter((0 if v is None else pool.code(v) for v in values), np.int32)
-        return Column(field.type, codes, null, pool)
+        return _text(field, column, pools)
+    null = column.is_null().to_numpy() if column.null_count else None
     if field.type is FieldType.INTEGER and pa.types.is_uint64(column.type):
         for row, value in enumerate(column.to_pylist(), 1):
             if value is not None and value >= 2**63:
@@ -149,10 +159,11 @@ def column_from_arrow(field: Field, column: Any, pools: dict[str, StringPool]) -
         FieldType.INTEGER: pa.int64(),
         FieldType.BOOLEAN: pa.bool_(),
     }[field.type]
-    filled = column.cast(target, safe=False)
+    filled = _as(column, target)
     if null is not None:
         filled = filled.fill_null(False if field.type is FieldType.BOOLEAN else 0)
-    values = filled.to_numpy().astype(field.type.dtype)
+    # A view of the body where its bytes are the column's.
+    values = np.require(filled.to_numpy(), field.type.dtype, ("C", "A"))
     if field.type is FieldType.FLOAT and not np.isfinite(values).all():
         row = int(np.argmin(np.isfinite(values)))
         raise WireError(
@@ -161,6 +172,60 @@ def column_from_arrow(field: Field, column: Any, pools: dict[str, StringPool]) -
             "send null for no value",
         )
     return Column(field.type, values, null)
+
+
+_FEW = 64
+"""Texts below this are encoded one by one: cheaper than the calls that spare it."""
+
+
+def _text(field: Field, column: Any, pools: dict[str, StringPool]) -> Column:
+    """Text in codes of the field's pool, which gets the texts of the rows in their order.
+
+    Cost: Python once a distinct text and chunk; a dictionary that came with the column is used.
+    """
+    pa = _arrow()
+    pool = pool_of(field, pools)
+    if len(column) < _FEW:
+        values = _as(column, pa.string()).to_pylist()
+        return text_column(values, pool, null_mask(values))
+    if not pa.types.is_dictionary(column.type):
+        column = column.dictionary_encode()
+    parts = [_codes(chunk, pool) for chunk in column.chunks if len(chunk)]
+    null = np.concatenate([absent for _, absent in parts])
+    return Column(
+        field.type,
+        np.concatenate([codes for codes, _ in parts]),
+        null if null.any() else None,
+        pool,
+    )
+
+
+def _codes(chunk: Any, pool: StringPool) -> tuple[NDArray[np.int32], Mask]:
+    """Codes of a dictionary array's rows, and which have none (their code means nothing)."""
+    absent: Mask = chunk.indices.is_null().to_numpy(zero_copy_only=False)
+    places = chunk.indices
+    if places.null_count:
+        places = places.fill_null(0)
+    places = places.to_numpy(zero_copy_only=False).astype(np.int64)
+    texts = chunk.dictionary.to_pylist()
+    if not texts:
+        return np.zeros(len(chunk), np.int32), absent
+    used = places[~absent] if chunk.indices.null_count else places
+    first = np.full(len(texts), len(used), np.int64)
+    first[used[::-1]] = np.arange(len(used) - 1, -1, -1)  # of equal places the last one written
+    met = np.flatnonzero(first < len(used))
+    codes = np.zeros(len(texts), np.int32)
+    for place in met[np.argsort(first[met])].tolist():
+        if texts[place] is not None:
+            codes[place] = pool.code(texts[place])
+    if chunk.dictionary.null_count:  # a dictionary may have an entry for null
+        absent = absent | np.array([text is None for text in texts])[places]
+    return codes[places], absent
+
+
+def _as(column: Any, type: Any) -> Any:
+    """The column as ``type``: numbers wrap, what is there already stays."""
+    return column if column.type == type else column.cast(type, safe=False)
 
 
 def _expect(field: Field, column: Any) -> bool:

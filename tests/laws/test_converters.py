@@ -1,19 +1,21 @@
 """Laws of the converters: round trips lose nothing, whatever the annotation's shape."""
 
+import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pyoxigraph import NamedNode, Triple
 
 from dyknow.converters import SampleConverter, TripleConverter
-from dyknow.converters.arrow import decode_arrow, encode_arrow
+from dyknow.converters.arrow import column_from_arrow, decode_arrow, encode_arrow
 from dyknow.converters.ndjson import decode_ndjson, encode_ndjson
-from dyknow.converters.objects import object_iri, object_name
+from dyknow.converters.objects import ObjectTable, object_iri, object_name
 from dyknow.languages.ssl.annotation import Content, Role, StreamAnnotation
 from dyknow.ontology.vocabulary import Vocabulary
 from dyknow.rdf.dictionary import TermDictionary
 from dyknow.rdf.namespaces import DYKNOW, OWL, RDF, RDFS, STREAM_SPACE, XSD
 from dyknow.rdf.timed import from_terms
 from dyknow.streams.sample import Field, FieldType, Schema, batch_from_rows
+from dyknow.streams.strings import StringPool
 
 LIMITS = settings(deadline=None, max_examples=100)
 TIMES = st.integers(-(2**63), 2**63 - 1)
@@ -182,6 +184,55 @@ def test_wire_formats_are_lossless(drawn):
         assert list(incoming.batch.rows()) == list(batch.rows())
 
 
+@st.composite
+def texts_in_arrow(draw):
+    """A column of text in some chunks, plain or by dictionaries, also careless ones."""
+    import pyarrow as pa
+
+    texts = st.none() | st.sampled_from(["a", "b", "", "å", "dyknow:uav1"])
+    kind = draw(st.sampled_from([pa.string(), pa.large_string(), None]))
+    chunks = []
+    for _ in range(draw(st.integers(1, 3))):
+        if kind is not None:
+            chunks.append(pa.array(draw(st.lists(texts, max_size=60)), kind))
+            continue
+        # Twice the same text, texts in no row, and null as an entry.
+        entries = pa.array(draw(st.lists(texts, min_size=1, max_size=6)), pa.string())
+        places = st.none() | st.integers(0, len(entries) - 1)
+        indices = pa.array(draw(st.lists(places, max_size=60)), pa.int8())
+        chunks.append(pa.DictionaryArray.from_arrays(indices, entries))
+    return pa.chunked_array(chunks)
+
+
+@given(texts_in_arrow(), st.lists(st.sampled_from(["b", "c"]), unique=True))
+@LIMITS
+def test_text_in_arrow_is_what_its_rows_say(column, known):
+    """The definition: row by row, each text encoded as it is met."""
+    pools = {"x": StringPool(known)}
+    found = column_from_arrow(Field("x", FieldType.STRING), column, pools)
+    texts = [text for chunk in column.chunks for text in chunk.to_pylist()]
+    assert found.tolist() == texts
+    assert list(pools["x"].strings()) == list(dict.fromkeys([*known, *filter(is_text, texts)]))
+
+
+def is_text(value):
+    return value is not None
+
+
+@given(st.lists(st.lists(st.integers(-3, 40) | INTEGERS, max_size=12), max_size=4))
+@LIMITS
+def test_objects_called_by_integers_are_those_of_their_texts(batches):
+    dictionary = TermDictionary()
+    table = ObjectTable(dictionary, DYKNOW)
+    for values in batches:
+        found = table.of_integers(np.array(values, np.int64))
+        size = len(dictionary)
+        terms = [dictionary.term(id) for id in found.tolist()]
+        assert terms == [NamedNode(object_iri(str(value), DYKNOW)) for value in values]
+        assert table.of_integers(np.array(values, np.int64)).tolist() == found.tolist()
+        assert len(dictionary) == size
+
+
 @given(st.binary(max_size=60) | st.text(max_size=60).map(str.encode))
 @LIMITS
 def test_any_bytes_are_samples_or_a_wire_error(data):
@@ -198,8 +249,6 @@ def test_any_bytes_are_samples_or_a_wire_error(data):
 @given(st.lists(TIMES, max_size=30), st.integers(1, 8))
 @LIMITS
 def test_available_times_of_a_recording_are_the_least_increasing_ones(times, cut):
-    import numpy as np
-
     from dyknow.converters.recording import increasing
 
     times = [max(min(t, 2**63 - 200), -(2**63) + 200) for t in times]
