@@ -14,15 +14,17 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from pyoxigraph import NamedNode, Quad, Store
 
 from dyknow.continuous.background import Background
 from dyknow.continuous.evaluator import ContinuousEvaluator
 from dyknow.converters import SampleConverter
 from dyknow.converters.ndjson import decode_ndjson
+from dyknow.converters.ntriples import GENERATED, TripleReader
 from dyknow.converters.wire import Incoming
 from dyknow.engine.engine import Engine
 from dyknow.engine.views import StreamDeclaration
@@ -31,8 +33,8 @@ from dyknow.languages.ssl import check_ssl, parse_ssl
 from dyknow.languages.ssl.annotation import StreamAnnotation
 from dyknow.ontology.ontology import Ontology
 from dyknow.rdf.dictionary import TermDictionary
-from dyknow.rdf.namespaces import DYKNOW
-from dyknow.rdf.timed import TimedTriples
+from dyknow.rdf.namespaces import DYKNOW, RDF_TYPE
+from dyknow.rdf.timed import Kind, TimedTriples, number_text
 from dyknow.streams.sample import Field, FieldType, Schema
 from dyknow.streams.strings import StringPool
 
@@ -51,6 +53,10 @@ FROM STREAM <{STREAM}> [RANGE {RANGE}s STEP 1s]
 WHERE {{ ?uav a dyknow:UAV . ?uav dyknow:speed ?spd . }}
 AGGREGATE {{(?avgSpeed, AVG, {{?spd}}) FILTER (?avgSpeed > {THRESHOLD})}}
 """
+UAVS = [
+    Quad(NamedNode(f"{DYKNOW}uav{n}"), RDF_TYPE, NamedNode(DYKNOW + "UAV")) for n in range(OBJECTS)
+]
+"""What rows of samples say by their sort, and plain triples do not."""
 SSL = "stream flights contains speed(UAV) = speed, altitude(UAV) = altitude for every UAV = id"
 
 
@@ -98,24 +104,28 @@ class Samples:
 class Direct:
     """Bytes to events without the engine."""
 
-    def __init__(self, id_type: FieldType) -> None:
+    def __init__(self, id_type: FieldType, *, samples: bool) -> None:
         self.schema = _schema(id_type)
         self.pools: dict[str, StringPool] = {}
         self.dictionary = TermDictionary()
+        self.reader = TripleReader(self.dictionary)
         vocabulary = Ontology.open().vocabulary
         (annotation,) = check_ssl(parse_ssl(SSL), SSL, vocabulary)
         assert isinstance(annotation, StreamAnnotation)
         self.converter = SampleConverter(annotation, self.schema, vocabulary, self.dictionary)
+        store = Store()
+        store.extend([] if samples else UAVS)
         self.evaluator = ContinuousEvaluator(
-            parse_query(QUERY), self.dictionary, Background.from_files([]), [STREAM]
+            parse_query(QUERY), self.dictionary, Background(store), [STREAM]
         )
 
-    def take(self, incoming: Incoming) -> int:
+    def take(self, decoded: Decoded) -> int:
         """The events that are known by the batch's end."""
-        batch = incoming.batch
-        return self.triples(self.converter.convert(batch), int(batch.available[-1]))
-
-    def triples(self, triples: TimedTriples, time: int) -> int:
+        if isinstance(decoded, TimedTriples):
+            triples, time = decoded, int(decoded.tables[0].time[-1])
+        else:
+            batch = decoded.batch
+            triples, time = self.converter.convert(batch), int(batch.available[-1])
         self.evaluator.push(STREAM, triples)
         closed = self.evaluator.advance(STREAM, time)
         return sum(len(result.triples) for result in closed if result.triples is not None)
@@ -136,7 +146,8 @@ class Through:
         self.results = self.engine.generator(view.stream)
         self.pools = self.engine.generator("flights").stream.pools
 
-    def take(self, incoming: Incoming) -> int:
+    def take(self, incoming: Decoded) -> int:
+        assert isinstance(incoming, Incoming)
         before = self.results.counters.accepted
         # Their valid times as available ones, so that the windows are the same.
         self.engine.publish("flights", Incoming(incoming.batch, False), 0)
@@ -144,7 +155,8 @@ class Through:
 
 
 Way = Direct | Through
-Decode = Callable[[bytes, Way], Incoming]
+Decoded = Incoming | TimedTriples
+Decode = Callable[[bytes, Way], Decoded]
 
 
 @dataclass(frozen=True)
@@ -159,6 +171,8 @@ class Case:
     id_type: FieldType = FieldType.STRING
     digits: int | None = 3
     size: int = 10_000
+    samples: bool = True
+    """Else triples, which the engine does not take."""
 
 
 def _schema(id_type: FieldType) -> Schema:
@@ -230,11 +244,51 @@ def arrow(ids: str) -> Callable[[Samples], bytes]:
     return encode
 
 
+def _decode_ntriples(data: bytes, way: Way) -> TimedTriples:
+    assert isinstance(way, Direct)
+    return way.reader.triples(data, int(data[1 : data.index(b"\n")]))
+
+
+def _decode_nquads(data: bytes, way: Way) -> TimedTriples:
+    assert isinstance(way, Direct)
+    return way.reader.graphs(data)
+
+
+def ntriples(part: Samples) -> bytes:
+    """Speeds as N-Triples: their time, in a comment, is that of the batch's last sample."""
+    return f"#{part.time[-1]}\n".encode() + _speeds(part)
+
+
+def nquads(part: Samples) -> bytes:
+    """The same as a graph with its time."""
+    graph, at = f"<urn:g{part.time[-1]}>", _iso(int(part.time[-1]))
+    told = f'{graph} {GENERATED} "{at}"^^<http://www.w3.org/2001/XMLSchema#dateTime> .\n'
+    return told.encode() + _speeds(part, f"{graph} ")
+
+
+def _speeds(part: Samples, graph: str = "") -> bytes:
+    rows = zip(part.number.tolist(), part.speed.tolist(), strict=True)
+    double = "http://www.w3.org/2001/XMLSchema#double"
+    return b"".join(
+        f"<{DYKNOW}uav{n}> <{DYKNOW}speed> "
+        f'"{number_text(Kind.DOUBLE, s)}"^^<{double}> {graph}.\n'.encode()
+        for n, s in rows
+    )
+
+
 CASES = (
     Case("NDJSON, time in ns", 2, ndjson(str), _decode_ndjson, 20_000),
     Case("NDJSON, ISO time", 2, ndjson(lambda t: f'"{_iso(t)}"'), _decode_ndjson, 20_000),
     Case("NDJSON, numbers of 17 digits", 2, ndjson(str), _decode_ndjson, 20_000, digits=None),
 )
+TRIPLES = (
+    Case("N-Triples", 1, ntriples, _decode_ntriples, 20_000, samples=False),
+    Case("N-Quads, timestamped graphs", 1, nquads, _decode_nquads, 20_000, samples=False),
+    Case(
+        "N-Triples, numbers of 17 digits", 1, ntriples, _decode_ntriples, 20_000, digits=None,
+        samples=False,
+    ),
+)  # fmt: skip
 ARROW = (
     Case(
         "Arrow, integer ids", 60, arrow("integers"), _decode_arrow, 200_000,
@@ -257,12 +311,18 @@ def speeds(case: Case, size: int, runs: int) -> tuple[float, float, float, bool]
     timed = len(samples) - first * size
     if timed <= 0:
         raise ValueError("the first batch is the whole stream")
+    if not case.samples:
+        last = np.minimum(np.arange(len(samples)) // size * size + size, len(samples)) - 1
+        samples = replace(samples, time=samples.time[last])
     wanted = samples.events()
     best, agree = [float("inf")] * 3, True
     for _ in range(runs):
-        alone = Direct(case.id_type)
+        alone = Direct(case.id_type, samples=case.samples)
         best[0] = min(best[0], _timed(bodies, first, lambda b, w=alone: _only(case, b, w))[0])
-        for column, way in ((1, Direct(case.id_type)), (2, Through(case.id_type))):
+        ways: list[Way] = [Direct(case.id_type, samples=case.samples)]
+        if case.samples:
+            ways.append(Through(case.id_type))
+        for column, way in enumerate(ways, 1):
             seconds, events = _timed(bodies, first, lambda b, w=way: w.take(case.decode(b, w)))
             best[column] = min(best[column], seconds)
             agree &= events == wanted
@@ -285,15 +345,13 @@ def _timed(bodies: Sequence[bytes], first: int, take: Callable[[bytes], int]) ->
 
 def main(runs: int = 5, only: str = "") -> int:
     """Print the tables; the number says whether every way found the events that numpy finds."""
-    cases = [case for case in (*CASES, *_arrow_cases()) if only in case.name]
+    cases = [case for case in (*CASES, *TRIPLES, *_arrow_cases()) if only in case.name]
     agree = True
     print(f"{'M samples/s':<32}{'aim':>6}{'decode':>10}{'to events':>11}{'engine':>9}")
     for case in cases:
         *found, same = speeds(case, case.size, runs)
         agree &= same
-        line = "".join(
-            f"{speed / 1e6:>{w}.2f}" for speed, w in zip(found, (10, 11, 9), strict=True)
-        )
+        line = "".join(f"{_shown(v, 2):>{w}}" for v, w in zip(found, (10, 11, 9), strict=True))
         missed = "" if found[1] >= case.aim * 1e6 else "  (aim missed)"
         print(f"{case.name:<32}{case.aim:>6}{line}{'' if same else ' DIFFERS'}{missed}", flush=True)
     print(f"\n{'to events, engine; batches of':<32}" + "".join(f"{n:>16,}" for n in SIZES))
@@ -302,9 +360,15 @@ def main(runs: int = 5, only: str = "") -> int:
         for size in SIZES:
             *found, same = speeds(case, size, max(1, runs // 2))
             agree &= same
-            line += f"{found[1] / 1e6:>9.3f}{found[2] / 1e6:>7.3f}" + ("" if same else " DIFFERS")
+            line += f"{_shown(found[1], 3):>9}{_shown(found[2], 3):>7}" + (
+                "" if same else " DIFFERS"
+            )
         print(f"{case.name:<32}{line}", flush=True)
     return 0 if agree else 1
+
+
+def _shown(speed: float, digits: int) -> str:
+    return f"{speed / 1e6:.{digits}f}" if speed else "-"
 
 
 SIZES = (1, 10, 100, 1_000, 10_000)

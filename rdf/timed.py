@@ -211,7 +211,7 @@ def make_term(kind: Kind, value: Any, dictionary: TermDictionary) -> Term:
         return Literal(str(int(value)), datatype=DATATYPES[kind])
     if kind is Kind.BOOLEAN:
         return Literal("true" if value else "false", datatype=DATATYPES[kind])
-    return Literal(_number_text(kind, float(value)), datatype=DATATYPES[kind])
+    return Literal(number_text(kind, float(value)), datatype=DATATYPES[kind])
 
 
 _KIND_OF = {datatype.value: kind for kind, datatype in DATATYPES.items()}
@@ -229,7 +229,7 @@ def _parse(kind: Kind, text: str) -> Any:
     return value
 
 
-def _number_text(kind: Kind, value: float) -> str:
+def number_text(kind: Kind, value: float) -> str:
     """XSD text of a float64: the shortest digits that parse back to the same value."""
     if np.isnan(value):
         return "NaN"

@@ -1,4 +1,4 @@
-"""Recorded timed triples as files, for ``dyknow run``: NDJSON or CSV of time, s, p, o.
+"""Recorded timed triples as files, for ``dyknow run``: NDJSON or CSV of time, s, p, o, or graphs.
 
     {"time": "2021-10-07T19:12:53Z", "s": "dyknow:uav1", "p": "dyknow:speed", "o": 31.5}
     time,s,p,o
@@ -7,6 +7,10 @@
 A time is ISO-8601 or integer nanoseconds. A term is written as in a request: ``dyknow:uav1``,
 ``<iri>``, ``31.5``, ``"text"@en``; an absolute IRI may stand without brackets, ``_:b`` is a blank
 node. In NDJSON a number or boolean stands for itself.
+
+N-Quads and TriG (``.nq``, ``.trig``) hold timestamped graphs, see `converters.ntriples`:
+
+    <urn:g1> <http://www.w3.org/ns/prov#generatedAtTime> "2021-10-07T19:12:53Z"^^xsd:dateTime .
 """
 
 from __future__ import annotations
@@ -20,19 +24,41 @@ from pathlib import Path
 from typing import IO
 
 import msgspec
-from pyoxigraph import BlankNode, NamedNode, Variable
+from pyoxigraph import BlankNode, NamedNode, RdfFormat, Variable
 
 from ..converters.errors import WireError
+from ..converters.ntriples import TripleReader
 from ..languages.csparql import parse_argument
 from ..languages.errors import LanguageError
-from ..rdf.dictionary import Term
+from ..rdf.dictionary import Term, TermDictionary
 from ..rdf.namespaces import PREFIXES
+from ..rdf.timed import TimedTriples
 from ..streams.time import parse_time
 
 TimedTriple = tuple[int, Term, NamedNode, Term]
 _COLUMNS = ("time", "s", "p", "o")
 _IRI = re.compile(r"(?:https?|urn|tag|file):[^\s<>\"{}|^`\\]*\Z")
 _INTEGER = re.compile(r"-?\d+\Z")
+
+
+_GRAPHS = {".nq": RdfFormat.N_QUADS, ".trig": RdfFormat.TRIG}
+
+
+def holds_graphs(path: Path) -> bool:
+    """Whether `read_timed_graphs` reads the file, and not `read_timed_triples`."""
+    return Path(path.name.lower().removesuffix(".gz")).suffix in _GRAPHS
+
+
+def read_timed_graphs(path: Path, dictionary: TermDictionary) -> TimedTriples:
+    """The triples of a file of timestamped graphs, each at its graph's time.
+
+    Raises `WireError` with the line, `OSError` when the file cannot be read.
+    """
+    data = path.read_bytes()
+    if path.suffix.lower() == ".gz":
+        data = gzip.decompress(data)
+    suffix = Path(path.name.lower().removesuffix(".gz")).suffix
+    return TripleReader(dictionary).graphs(data, _GRAPHS[suffix])
 
 
 def read_timed_triples(path: Path) -> Iterator[TimedTriple]:
@@ -42,10 +68,16 @@ def read_timed_triples(path: Path) -> Iterator[TimedTriple]:
     """
     name = path.name.lower().removesuffix(".gz")
     if not name.endswith((".ndjson", ".jsonl", ".csv")):
+        if name.endswith((".nt", ".ttl")):
+            raise WireError(
+                None,
+                f"{path.name} says no times",
+                "put its triples into graphs with prov:generatedAtTime, in a file .nq or .trig",
+            )
         raise WireError(
             None,
             f"{path.name}: unknown kind of triples",
-            "timed triples end in .ndjson or .csv; for a table of samples give --ssl",
+            "timed triples end in .ndjson, .csv, .nq or .trig; for a table of samples give --ssl",
         )
     opened = gzip.open if path.suffix == ".gz" else open
     with opened(path, "rt", encoding="utf-8-sig", newline="") as file:

@@ -26,7 +26,7 @@ from ...rdf.namespaces import shorten
 from ...rdf.timed import TimedTriples
 from ...streams.time import format_time, parse_duration
 from ..negotiation import ONTOLOGY_FORMATS, TURTLE
-from ..triples_file import TimedTriple, read_timed_triples
+from ..triples_file import TimedTriple, holds_graphs, read_timed_graphs, read_timed_triples
 from .ontologies import MEDIA_TYPES
 from .output import Json, fail, show_json, show_table, show_text
 from .streams import read_text, text_or_file
@@ -69,7 +69,8 @@ def run(
 ) -> None:
     """Evaluate a continuous query over recorded streams and print each window's result.
 
-    A FILE holds timed triples (.ndjson or .csv of time,s,p,o), or with --ssl a table of samples.
+    A FILE holds timed triples (.ndjson or .csv of time,s,p,o; .nq or .trig whose graphs have a
+    prov:generatedAtTime), or with --ssl a table of samples.
     """
     behind = _lateness(lateness)
     files = _files(stream)
@@ -120,7 +121,11 @@ def _files(pairs: Sequence[str]) -> dict[str, Path]:
 
 def _triples(files: Mapping[str, Path]) -> dict[str, Any]:
     found: dict[str, Any] = {}
+    dictionary = TermDictionary()
     for iri, path in files.items():
+        if holds_graphs(path):
+            found[iri] = read_timed_graphs(path, dictionary)
+            continue
         triples: list[TimedTriple] = list(read_timed_triples(path))
         found[iri] = triples
     return found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 from pathlib import Path
 from typing import Any
@@ -198,17 +199,32 @@ def query(tmp_path: Path) -> str:
     return str(path)
 
 
-@pytest.mark.parametrize("kind", ["csv", "ndjson"])
+PROV = "http://www.w3.org/ns/prov#generatedAtTime"
+
+
+@pytest.mark.parametrize("kind", ["csv", "ndjson", "nq", "nq.gz", "trig"])
 def test_run_over_timed_triples(tmp_path: Path, query: str, kind: str) -> None:
     rows = [(i * 500_000_000, f"dyknow:uav{i % 2 + 1}", 50 + 100 * (i % 2)) for i in range(1, 9)]
     path = tmp_path / f"speeds.{kind}"
     if kind == "csv":
         text = "time,s,p,o\n" + "".join(f"{t},{s},dyknow:speed,{o}\n" for t, s, o in rows)
+    elif kind == "trig":
+        text = "@prefix dyknow: <http://www.ida.liu.se/dyknow/> .\n" + "".join(
+            f"<urn:{t}> <{PROV}> {t} . <urn:{t}> {{ {s} dyknow:speed {o} }}\n" for t, s, o in rows
+        )
+    elif kind.startswith("nq"):
+        base, integer = "http://www.ida.liu.se/dyknow/", "http://www.w3.org/2001/XMLSchema#integer"
+        text = "".join(
+            f'<{base}{s[7:]}> <{base}speed> "{o}"^^<{integer}> <urn:{t}> .\n'
+            f'<urn:{t}> <{PROV}> "{t}"^^<{integer}> .\n'
+            for t, s, o in rows
+        )
     else:
         text = "".join(
             json.dumps({"time": t, "s": s, "p": "dyknow:speed", "o": o}) + "\n" for t, s, o in rows
         )
-    path.write_text(text)
+    data = text.encode()
+    path.write_bytes(gzip.compress(data) if kind.endswith("gz") else data)
     arguments = ["run", query, "--stream", f"{STREAM}={path}"]
     result = CliRunner().invoke(app, [*arguments, "--json"])
     assert result.exit_code == 0, (result.output, result.exception)
@@ -241,6 +257,9 @@ def test_run_over_a_table_of_samples(table: Path, query: str) -> None:
         ("a.csv", "time,s,p,o\n1,?a,dyknow:b,1\n", "variable"),
         ("a.ndjson", '{"time": 1}\n', "line 1"),
         ("a.ndjson", "[]\n", "line 1"),
+        ("a.nq", "<urn:a> <urn:b> <urn:c> <urn:g> .\n", "graph <urn:g> has no time"),
+        ("a.nq", "<urn:a> <urn:b> 5 .\n", "line 1"),
+        ("a.nt", "", "says no times"),
         ("a.txt", "", "unknown kind"),
     ],
 )

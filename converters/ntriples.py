@@ -1,0 +1,294 @@
+"""N-Triples and N-Quads as timed triples in columns.
+
+N-Triples say no time: all triples of a text hold at the time that is given with it. N-Quads are a
+stream of *timestamped graphs* as the W3C RDF Stream Processing group has it: a graph's triples hold
+at the time that the default graph tells of it,
+
+    <urn:g1> <http://www.w3.org/ns/prov#generatedAtTime> "2021-10-07T19:12:53Z"^^xsd:dateTime .
+
+anywhere in the text. Called by ``dyknow run`` and by programs; docs/conversion.md.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+from pyoxigraph import BlankNode, DefaultGraph, Literal, NamedNode, RdfFormat, parse
+
+from ..rdf.dictionary import NO_TERM, Ids, Term, TermDictionary
+from ..rdf.namespaces import XSD
+from ..rdf.timed import (
+    Kind,
+    ObjectColumn,
+    TimedTriples,
+    TripleRows,
+    make_term,
+    number_text,
+    split_term,
+)
+from ..streams.compiled import JIT
+from ..streams.sample import Times
+from ..streams.time import TIME_MAX, TIME_MIN, parse_time
+from . import cells
+from .errors import WireError
+from .triple_lines import DATATYPES, LOOK, numbers, statements
+
+GENERATED = NamedNode("http://www.w3.org/ns/prov#generatedAtTime")
+"""Tells a graph's time."""
+LEAST = 4_096
+"""Bytes from which on the loops are worth their calls."""
+_TIME_HINT = f"a graph has one {GENERATED}, in the default graph"
+
+
+@dataclass(frozen=True, slots=True)
+class _Statements:
+    """Triples in columns, shape ``(n,)``: ids, and of objects `Kind` and value: an id, an integer,
+    a truth, or the bits of a float64. ``line`` is None where nobody counted."""
+
+    subject: Ids
+    predicate: Ids
+    kind: NDArray[np.int8]
+    object: NDArray[np.int64]
+    graph: Ids
+    line: NDArray[np.int32] | None
+
+    def take(self, rows: NDArray[np.int64]) -> _Statements:
+        line = None if self.line is None else self.line[rows]
+        subject, predicate, graph = self.subject[rows], self.predicate[rows], self.graph[rows]
+        return _Statements(subject, predicate, self.kind[rows], self.object[rows], graph, line)
+
+
+class TripleReader:
+    """Reads texts into the ids of one dictionary, and remembers each spelling of a term.
+
+    Law (tests/laws): the triples are those that pyoxigraph's parser finds, objects as `from_terms`
+    holds them; a text that it refuses is a `WireError` with line and column.
+
+    Cost: about 2 ns a byte, Python once a distinct term of a text; numbers of 16 and 17 digits some
+    Python each, and those in unusual spellings (``1.50``, ``1E2``) are terms like others. Texts
+    that the loops do not know, such as with ``_:b.`` or triple terms, are parsed one by one, 3 µs
+    a triple. Memory: every distinct spelling once, beside the dictionary.
+    """
+
+    def __init__(self, dictionary: TermDictionary, least: int = LEAST) -> None:
+        self.dictionary = dictionary
+        self._least = least
+        self._known: dict[bytes, tuple[int, int]] = {}
+
+    def triples(self, data: bytes, time: int) -> TimedTriples:
+        """N-Triples, all at ``time`` (ns), which is their valid time too."""
+        found = self._read(data, RdfFormat.N_TRIPLES)
+        return self._tables(found, np.full(len(found.subject), time, np.int64))
+
+    def graphs(self, data: bytes, format: RdfFormat = RdfFormat.N_QUADS) -> TimedTriples:
+        """Timestamped graphs, in N-Quads or (slowly) TriG."""
+        found = self._read(data, format)
+        telling = found.graph == NO_TERM
+        times = self._times(found.take(np.flatnonzero(telling)))
+        told = found.take(np.flatnonzero(~telling))
+        graphs, place = np.unique(told.graph, return_inverse=True)
+        lacking = [i for i, graph in enumerate(graphs.tolist()) if graph not in times]
+        if lacking:
+            row = int(np.flatnonzero(np.isin(place, lacking))[0])
+            graph = self.dictionary.term(int(told.graph[row]))
+            raise WireError(_line(told, row), f"graph {graph} has no time", _TIME_HINT)
+        known = np.array([times[graph] for graph in graphs.tolist()], np.int64)
+        return self._tables(told, known[place])
+
+    def _read(self, data: bytes, format: RdfFormat) -> _Statements:
+        if JIT and format in _LINES and self._least <= len(data) < 2**31:
+            try:
+                return self._quickly(data, quads=format == RdfFormat.N_QUADS)
+            except cells.Irregular:
+                pass
+        return self._exactly(data, format)
+
+    def _exactly(self, data: bytes, format: RdfFormat) -> _Statements:
+        try:
+            quads = list(parse(data, format=format))
+        except SyntaxError as error:
+            raise WireError(error.lineno, f"column {error.offset}: {_cause(error)}") from None
+        rows = []
+        for quad in quads:
+            parts = (quad.subject, quad.object)
+            if not all(isinstance(part, NamedNode | BlankNode | Literal) for part in parts):
+                raise WireError(None, f"a triple about triples cannot be timed: {quad}")
+        id = self.dictionary.id
+        for quad in quads:
+            kind, value = split_term(quad.object, self.dictionary)
+            graph = quad.graph_name
+            rows.append(
+                (
+                    id(quad.subject),
+                    id(quad.predicate),
+                    int(kind),
+                    _bits(kind, value),
+                    NO_TERM if isinstance(graph, DefaultGraph) else id(graph),
+                )
+            )
+        columns = np.array(rows, np.int64).reshape(len(rows), 5).T
+        ids = columns.astype(np.int32)
+        return _Statements(ids[0], ids[1], ids[2].astype(np.int8), columns[3], ids[4], None)
+
+    def _quickly(self, raw: bytes, *, quads: bool) -> _Statements:
+        data = np.frombuffer(raw, np.uint8)
+        most = raw.count(b"\n") + raw.count(b"\r") + 1
+        starts, ends, lines = statements(data, most, quads=quads)
+        kind, object = self._numbers(raw, data, starts[2], ends[2])
+        # What has become a number is no term to look up.
+        ends[2][kind != Kind.TERM] = 0
+        codes, first = cells.distinct(data, starts.ravel(), ends.ravel())
+        kinds, values = self._terms(raw, starts.ravel()[first], ends.ravel()[first])
+        of_term = codes.reshape(4, -1)
+        terms = np.flatnonzero(kind == Kind.TERM)
+        kind[terms] = kinds[of_term[2][terms]]
+        object[terms] = values[of_term[2][terms]]
+        ids = values.astype(np.int32)
+        graph = np.where(ends[3] > 0, ids[of_term[3]], np.int32(NO_TERM))
+        return _Statements(ids[of_term[0]], ids[of_term[1]], kind, object, graph, lines)
+
+    def _numbers(
+        self, raw: bytes, data: cells.Bytes, starts: cells.Positions, ends: cells.Positions
+    ) -> tuple[NDArray[np.int8], NDArray[np.int64]]:
+        """Kinds and values of the objects that are plain numbers; `Kind.TERM` for the others."""
+        found, until, sure = numbers(data, starts, ends)
+        kind = np.full(len(starts), int(Kind.TERM), np.int8)
+        value = np.zeros(len(starts), np.int64)
+        for place, (_, of) in enumerate(DATATYPES, 1):
+            rows = np.flatnonzero(found == place)
+            if not len(rows):
+                continue
+            column = data, starts[rows] + 1, until[rows]
+            if of is Kind.BOOLEAN:
+                value[rows] = cells.booleans(*column)[0]
+            elif of is Kind.INTEGER:
+                value[rows] = cells.integers(*column)[0]
+            else:
+                floats = cells.floats(*column)[0]
+                value[rows] = floats.view(np.int64)
+                look = np.flatnonzero(sure[rows] == LOOK)
+                places = zip(*(c[look].tolist() for c in column[1:]), strict=True)
+                spelled = [raw[start:end] for start, end in places]
+                found[rows[look[~_canonical(of, floats[look], spelled)]]] = 0
+                rows = rows[found[rows] == place]
+            kind[rows] = int(of)
+        return kind, value
+
+    def _terms(
+        self, raw: bytes, starts: cells.Positions, ends: cells.Positions
+    ) -> tuple[NDArray[np.int8], NDArray[np.int64]]:
+        """Kind and value of distinct spellings; those not known yet are parsed together."""
+        places = zip(starts.tolist(), ends.tolist(), strict=True)
+        spelled = [raw[start:end] for start, end in places]
+        known = self._known
+        new = [text for text in spelled if text not in known]
+        if new:
+            lines = b"".join(b"<x:s> <x:p> %b .\n" % text for text in new)
+            try:
+                objects = [quad.object for quad in parse(lines, format=RdfFormat.N_TRIPLES)]
+            except SyntaxError:
+                raise cells.Irregular from None
+            if len(objects) != len(new) or not all(
+                isinstance(term, NamedNode | BlankNode | Literal) for term in objects
+            ):
+                raise cells.Irregular
+            for text, term in zip(new, objects, strict=True):
+                kind, value = split_term(term, self.dictionary)
+                known[text] = int(kind), _bits(kind, value)
+        pairs = np.array([known[text] for text in spelled], np.int64).reshape(-1, 2)
+        if not len(pairs):
+            pairs = np.zeros((1, 2), np.int64)
+        return pairs[:, 0].astype(np.int8), pairs[:, 1]
+
+    def _times(self, told: _Statements) -> dict[int, int]:
+        """The time of each graph, by the triples of the default graph."""
+        times: dict[int, int] = {}
+        generated = self.dictionary.find(GENERATED)
+        for row in range(len(told.subject)):
+            line = _line(told, row)
+            if told.predicate[row] != generated:
+                raise WireError(line, "a triple in no graph has no time", _TIME_HINT)
+            kind = Kind(told.kind[row])
+            value = _values(kind, told.object[row : row + 1])[0]
+            graph = int(told.subject[row])
+            time = _time(make_term(kind, value, self.dictionary), line)
+            if times.setdefault(graph, time) != time:
+                name = self.dictionary.term(graph)
+                raise WireError(line, f"graph {name} has two times", _TIME_HINT)
+        return times
+
+    def _tables(self, found: _Statements, time: Times) -> TimedTriples:
+        """One table a predicate and kind of object, in the order they are met."""
+        groups, first, place = np.unique(
+            found.predicate.astype(np.int64) * len(Kind) + found.kind,
+            return_index=True,
+            return_inverse=True,
+        )
+        tables = []
+        for group in np.argsort(first).tolist():
+            rows = np.flatnonzero(place == group)
+            predicate, kind = divmod(int(groups[group]), len(Kind))
+            column = ObjectColumn(Kind(kind), _values(Kind(kind), found.object[rows]))
+            at = time[rows]
+            tables.append(TripleRows(at, at, found.subject[rows], {predicate: column}))
+        return TimedTriples(self.dictionary, tuple(tables))
+
+
+def decode_ntriples(data: bytes, time: int, dictionary: TermDictionary) -> TimedTriples:
+    """The triples of one text, all at ``time``; see `TripleReader`, which remembers terms."""
+    return TripleReader(dictionary).triples(data, time)
+
+
+def decode_nquads(data: bytes, dictionary: TermDictionary) -> TimedTriples:
+    """The triples of timestamped graphs; see `TripleReader`."""
+    return TripleReader(dictionary).graphs(data)
+
+
+_LINES = (RdfFormat.N_TRIPLES, RdfFormat.N_QUADS)
+
+
+def _line(found: _Statements, row: int) -> int | None:
+    return None if found.line is None else int(found.line[row])
+
+
+def _cause(error: SyntaxError) -> str:
+    return error.msg.partition(": ")[2] or error.msg
+
+
+def _time(term: Term, line: int | None) -> int:
+    datatype = term.datatype.value.removeprefix(XSD) if isinstance(term, Literal) else ""
+    try:
+        if datatype in ("dateTime", "dateTimeStamp"):
+            return parse_time(term.value)
+        if datatype == "integer" and TIME_MIN <= int(term.value) <= TIME_MAX:
+            return int(term.value)
+    except ValueError as error:
+        raise WireError(line, str(error)) from None
+    raise WireError(line, f"{term} is no time", "write an xsd:dateTime, or an xsd:integer in ns")
+
+
+def _bits(kind: Kind, value: Any) -> int:
+    if kind.dtype == np.float64:
+        return int(np.float64(value).view(np.int64))
+    return int(value)
+
+
+def _canonical(kind: Kind, values: NDArray[np.float64], spelled: list[bytes]) -> NDArray[np.bool_]:
+    """Which texts are those that `number_text` gives."""
+    # JSON's shortest digits are the same ones nearly always, and cost a tenth.
+    shortest = msgspec.json.encode(values.tolist())[1:-1].split(b",") if spelled else ()
+    return np.array(
+        [
+            short == text or number_text(kind, value) == text.decode()
+            for value, short, text in zip(values.tolist(), shortest, spelled, strict=True)
+        ],
+        np.bool_,
+    )
+
+
+def _values(kind: Kind, bits: NDArray[np.int64]) -> NDArray[Any]:
+    return bits.view(np.float64) if kind.dtype == np.float64 else bits.astype(kind.dtype)

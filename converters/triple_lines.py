@@ -1,0 +1,260 @@
+"""Lines of N-Triples and N-Quads, cut into terms by compiled loops; see `cells` and `ntriples`.
+
+The loops only find where a term begins and ends. Whether it is one, pyoxigraph's parser says, once
+for each distinct spelling; only plain numbers are read here.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..rdf.timed import Kind
+from ..streams.compiled import Kernel
+from .cells import Bytes, Irregular, Positions
+
+DATATYPES = (
+    (b"integer", Kind.INTEGER),
+    (b"decimal", Kind.DECIMAL),
+    (b"float", Kind.FLOAT),
+    (b"double", Kind.DOUBLE),
+    (b"boolean", Kind.BOOLEAN),
+)
+_XSD = b'"^^<http://www.w3.org/2001/XMLSchema#'
+SURE, LOOK = 0, 1
+"""Of a number: it is spelled as `rdf.timed.make_term` would; or it is, if that gives its text."""
+
+
+def _statements(data: Any, starts: Any, ends: Any, lines: Any, quads: bool) -> int:
+    """Where terms stand: ``starts[k, row]``, k = 0 to 3 for subject, predicate, object and graph
+    (empty where there is none), and in which line; returns the rows, ``-1`` for unknown lines."""
+    size = data.shape[0]
+    rows = 0
+    line = 1
+    i = 0
+    while True:
+        # Between statements: blanks, ends of lines, comments.
+        while i < size:
+            byte = data[i]
+            if byte == 10:
+                line += 1
+            elif byte == 35:
+                while i < size and data[i] != 10 and data[i] != 13:
+                    i += 1
+                continue
+            elif byte != 32 and byte != 9 and byte != 13:
+                break
+            i += 1
+        if i == size:
+            return rows
+        if rows == starts.shape[1]:
+            return -1
+        lines[rows] = line
+        place = 0
+        starts[3, rows] = 0
+        ends[3, rows] = 0
+        while True:
+            while i < size and (data[i] == 32 or data[i] == 9):
+                i += 1
+            if i == size:
+                return -1
+            byte = data[i]
+            if byte == 46 and place >= 3:
+                i += 1
+                break
+            if place == 4 or (place == 3 and not quads):
+                return -1
+            starts[place, rows] = i
+            if byte == 34 and place == 2:
+                i += 1
+                while i < size and data[i] != 34 and data[i] != 10 and data[i] != 13:
+                    # What a backslash escapes is no end, and no end of a line either.
+                    i += 1 + (data[i] == 92 and i + 1 < size and data[i + 1] > 31)
+                if i >= size or data[i] != 34:
+                    return -1
+                i += 1
+                if i < size and data[i] == 64:
+                    i += 1
+                    while i < size and (
+                        97 <= data[i] <= 122
+                        or 65 <= data[i] <= 90
+                        or 48 <= data[i] <= 57
+                        or data[i] == 45
+                    ):
+                        i += 1
+                elif i + 2 < size and data[i] == 94:
+                    if data[i + 1] != 94 or data[i + 2] != 60:
+                        return -1
+                    i += 3
+                    while i < size and data[i] != 62 and data[i] > 32:
+                        i += 1
+                    if i == size or data[i] != 62:
+                        return -1
+                    i += 1
+            elif byte == 60:
+                while i < size and data[i] != 62 and data[i] > 32:
+                    i += 1
+                if i == size or data[i] != 62:
+                    return -1
+                i += 1
+            elif byte == 95 and place != 1:
+                # A label may hold dots and end in none: what follows must be a blank.
+                while i < size and data[i] > 32:
+                    i += 1
+            else:
+                return -1
+            ends[place, rows] = i
+            place += 1
+        # One statement a line.
+        while i < size and (data[i] == 32 or data[i] == 9):
+            i += 1
+        if i < size and data[i] != 10 and data[i] != 13 and data[i] != 35:
+            return -1
+        rows += 1
+
+
+def _numbers(
+    data: Any,
+    starts: Any,
+    ends: Any,
+    xsd: Any,
+    names: Any,
+    offsets: Any,
+    kinds: Any,
+    ends_of_text: Any,
+    sure: Any,
+) -> int:
+    """Which objects are plain numbers or truths: ``kinds[row]`` (else 0), the end of their text.
+
+    Plain is what has a single spelling: no sign but a minus, no leading zero, no zero at the end of
+    a fraction, no exponent. Up to 15 digits from 0.0001 on it is `make_term`'s spelling, since no
+    two such texts have the same float64; with 16 or 17 digits somebody must look.
+    """
+    count = 0
+    prefix = xsd.shape[0]
+    for row in range(starts.shape[0]):
+        kinds[row] = 0
+        start = starts[row]
+        end = ends[row]
+        if data[start] != 34 or end - start < prefix + 6 or data[end - 1] != 62:
+            continue
+        # The text ends where the longest possible datatype of XSD begins.
+        quote = start + 1
+        while quote < end and data[quote] != 34 and quote - start < 32:
+            quote += 1
+        if end - quote < prefix + 6:
+            continue
+        k = 0
+        while k < prefix and data[quote + k] == xsd[k]:
+            k += 1
+        if k < prefix:
+            continue
+        name = quote + prefix
+        kind = 0
+        for j in range(offsets.shape[0] - 1):
+            length = offsets[j + 1] - offsets[j]
+            if end - 1 - name == length:
+                k = 0
+                while k < length and data[name + k] == names[offsets[j] + k]:
+                    k += 1
+                if k == length:
+                    kind = j + 1
+        i = start + 1
+        if kind == 0:
+            continue
+        if kind == 5:
+            length = quote - i
+            truth = length == 4 and data[i] == 116 and data[i + 1] == 114
+            truth = truth and data[i + 2] == 117 and data[i + 3] == 101
+            lie = length == 5 and data[i] == 102 and data[i + 1] == 97 and data[i + 2] == 108
+            lie = lie and data[i + 3] == 115 and data[i + 4] == 101
+            if not (truth or lie):
+                continue
+            kinds[row] = kind
+            ends_of_text[row] = quote
+            count += 1
+            continue
+        if data[i] == 45:
+            i += 1
+        first = i
+        digits = 0
+        while i < quote and 48 <= data[i] <= 57:
+            digits += digits > 0 or data[i] != 48
+            i += 1
+        if i == first or (data[first] == 48 and i > first + 1):
+            continue
+        small = False
+        if i < quote:
+            if kind == 1 or data[i] != 46:
+                continue
+            i += 1
+            point = i
+            while i < quote and 48 <= data[i] <= 57:
+                digits += digits > 0 or data[i] != 48
+                i += 1
+            if i < quote or i == point or data[i - 1] == 48:
+                continue
+            k = point
+            while data[k] == 48:
+                k += 1
+            small = data[first] == 48 and k - point > 3
+        if digits == 0 and data[start + 1] == 45:
+            continue
+        if digits > 17 or small:
+            continue
+        kinds[row] = kind
+        ends_of_text[row] = quote
+        sure[row] = 0 if digits <= 15 or kind == 1 else 1
+        count += 1
+    return count
+
+
+def _cells_signature() -> Any:
+    from numba import types
+
+    data = types.Array(types.uint8, 1, "C", readonly=True)
+    places = types.int32[:, ::1]
+    return types.int64(data, places, places, types.int32[::1], types.boolean)
+
+
+def _numbers_signature() -> Any:
+    from numba import types
+
+    data = types.Array(types.uint8, 1, "C", readonly=True)
+    places, flags = types.int32[::1], types.int8[::1]
+    return types.int64(data, places, places, data, data, types.int64[::1], flags, places, flags)
+
+
+_statements_kernel = Kernel(_statements, _cells_signature)
+_numbers_kernel = Kernel(_numbers, _numbers_signature)
+_NAMES = np.frombuffer(b"".join(name for name, _ in DATATYPES), np.uint8)
+_OFFSETS = np.cumsum([0, *(len(name) for name, _ in DATATYPES)], dtype=np.int64)
+
+
+def statements(
+    data: Bytes, most: int, *, quads: bool
+) -> tuple[NDArray[np.int32], NDArray[np.int32], Positions]:
+    """``starts, ends`` of shape ``(4, n)`` and the line of each statement, of which there are at
+    most ``most``; raises `Irregular`."""
+    starts, ends = np.empty((4, most), np.int32), np.empty((4, most), np.int32)
+    lines = np.empty(most, np.int32)
+    rows = _statements_kernel(data, starts, ends, lines, quads)
+    if rows < 0:
+        raise Irregular
+    # The loops want columns without gaps.
+    return starts[:, :rows].copy(), ends[:, :rows].copy(), lines[:rows]
+
+
+def numbers(
+    data: Bytes, starts: Positions, ends: Positions
+) -> tuple[NDArray[np.int8], Positions, NDArray[np.int8]]:
+    """Of objects: the place in `DATATYPES` counted from 1 (0: no plain number), where the text
+    between the quotes ends, and `SURE` or `LOOK`."""
+    count = len(starts)
+    kinds, sure = np.empty(count, np.int8), np.zeros(count, np.int8)
+    until = np.empty(count, np.int32)
+    xsd = np.frombuffer(_XSD, np.uint8)
+    _numbers_kernel(data, starts, ends, xsd, _NAMES, _OFFSETS, kinds, until, sure)
+    return kinds, until, sure
