@@ -199,7 +199,12 @@ _PLAIN_TIME = re.compile(
 
 
 def _times(values: Sequence[str | int], key: str, lines: _Lines) -> Times:
-    if all(map(_is_plain_time, values)):
+    if set(map(type, values)) == {int}:
+        try:
+            return np.array(values, np.int64)
+        except OverflowError:
+            pass  # the one-by-one way says which line
+    elif all(map(_is_plain_time, values)):
         try:  # numpy parses the usual spelling many times faster than one by one
             return np.array([v[:-1] for v in values], "M8[ns]").astype(np.int64)  # type: ignore[index]
         except ValueError:

@@ -7,6 +7,7 @@ names the same object as ``name``, in its shortest spelling.
 from __future__ import annotations
 
 import re
+from functools import lru_cache
 from urllib.parse import unquote
 
 import numpy as np
@@ -22,6 +23,7 @@ _SCHEME = re.compile(r"[A-Za-z][A-Za-z0-9+.\-]*:")
 # RFC 3987: what a path may hold beside letters and digits of any script. "%" is encoded so that
 # decoding is its inverse; "#" and "?" so that a name stays within its namespace.
 _KEPT = frozenset("-._~!$&'()*+,;=:@/")
+_PLAIN = re.compile(r"[A-Za-z0-9\-._~!$&'()*+,;=:@/]*").fullmatch
 
 
 def object_iri(name: str, namespace: str) -> str:
@@ -35,9 +37,12 @@ def object_iri(name: str, namespace: str) -> str:
         iri = PREFIXES[prefix] + local if prefix in PREFIXES else name
         if _is_iri(iri):
             return iri
+    if _PLAIN(name):
+        return namespace + name
     return namespace + "".join(c if _may_stand(c) else _encoded(c) for c in name)
 
 
+@lru_cache(maxsize=65_536)
 def object_name(iri: str, namespace: str) -> str:
     """The shortest name that `object_iri` takes to ``iri``: local in ``namespace``, else full."""
     if iri.startswith(namespace):
@@ -75,12 +80,16 @@ class ObjectTable:
 
     def ids(self, column: Column) -> tuple[Ids, Mask]:
         """The term ids that a text or integer field names, and where it names one; ``(n,)``."""
+        return self.of_column(column), column.present
+
+    def of_column(self, column: Column) -> Ids:
+        """The term ids alone; those of null rows mean nothing."""
         values = column.values
         if column.null is not None:  # what stands under a null bit means nothing
             values = np.where(column.null, values.dtype.type(0), values)
         if column.pool is None:
-            return self.of_integers(values), column.present
-        return self.of_codes(values, column.pool), column.present
+            return self.of_integers(values)
+        return self.of_codes(values, column.pool)
 
     def of_codes(self, codes: NDArray[np.int32], pool: StringPool) -> Ids:
         """The term ids of the names with these codes, shape ``(n,)``."""

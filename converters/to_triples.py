@@ -186,9 +186,12 @@ class _Subject:
         if self.field is None:
             assert self.constant is not None
             return np.full(len(batch), self.constant, np.int32), None
-        ids, named = self.names.ids(batch.columns[self.field])
+        column = batch.columns[self.field]
+        ids = self.names.of_column(column)
+        named = None if column.null is None else ~column.null
         if self.constant is not None:
-            named = named & (ids == self.constant)
+            called = ids == self.constant
+            named = called if named is None else named & called
         return ids, named
 
 

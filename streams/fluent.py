@@ -136,7 +136,7 @@ class FluentStream:
             return None
         available = batch.available
         if (self._last_available is not None and available[0] <= self._last_available) or (
-            len(available) > 1 and not bool(np.all(available[1:] > available[:-1]))
+            len(available) > 1 and not bool((available[1:] > available[:-1]).all())
         ):
             raise ValueError("available times of a stream are unique and increasing (Def. 4.1)")
         number = self._next

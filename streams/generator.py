@@ -285,7 +285,7 @@ def _fields(schema: Schema) -> str:
 
 
 def _increases(available: Times) -> bool:
-    return len(available) < 2 or bool(np.all(available[1:] > available[:-1]))
+    return len(available) < 2 or bool((available[1:] > available[:-1]).all())
 
 
 def _in_order(batch: SampleBatch) -> SampleBatch:
