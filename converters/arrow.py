@@ -207,19 +207,20 @@ def _codes(chunk: Any, pool: StringPool) -> tuple[NDArray[np.int32], Mask]:
     if places.null_count:
         places = places.fill_null(0)
     places = places.to_numpy(zero_copy_only=False).astype(np.int64)
-    texts = chunk.dictionary.to_pylist()
-    if not texts:
+    texts = chunk.dictionary.to_numpy(zero_copy_only=False)
+    if not len(texts):
         return np.zeros(len(chunk), np.int32), absent
     used = places[~absent] if chunk.indices.null_count else places
     first = np.full(len(texts), len(used), np.int64)
     first[used[::-1]] = np.arange(len(used) - 1, -1, -1)  # of equal places the last one written
     met = np.flatnonzero(first < len(used))
-    codes = np.zeros(len(texts), np.int32)
-    for place in met[np.argsort(first[met])].tolist():
-        if texts[place] is not None:
-            codes[place] = pool.code(texts[place])
+    met = met[np.argsort(first[met])]
     if chunk.dictionary.null_count:  # a dictionary may have an entry for null
-        absent = absent | np.array([text is None for text in texts])[places]
+        nothing = np.array([text is None for text in texts.tolist()])
+        met = met[~nothing[met]]
+        absent = absent | nothing[places]
+    codes = np.zeros(len(texts), np.int32)
+    codes[met] = pool.encode(texts[met].tolist())
     return codes[places], absent
 
 

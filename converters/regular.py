@@ -177,7 +177,7 @@ def _decode(raw: bytes, schema: Schema, pools: dict[str, StringPool]) -> Incomin
     if not stamped:
         available = _time(data, starts[fields + 1, :rows], ends[fields + 1, :rows])
     columns: dict[str, cells.Values] = {}
-    texts: dict[str, list[str | None]] = {}
+    texts: dict[str, _Texts] = {}
     for k, field in enumerate(schema.fields):
         column = data, starts[k, :rows], ends[k, :rows]
         match field.type:
@@ -209,33 +209,40 @@ def _time(data: cells.Bytes, starts: cells.Positions, ends: cells.Positions) -> 
     return values
 
 
+_Texts = tuple[Mask, list[str]]
+"""Of a batch's own codes: which stand for text, and for which."""
+
+
 def _texts(
     raw: bytes, data: cells.Bytes, starts: cells.Positions, ends: cells.Positions
-) -> tuple[cells.Positions, Mask | None, list[str | None]]:
+) -> tuple[cells.Positions, Mask | None, _Texts]:
     """Codes of the batch's own, where they are null, and what they stand for."""
     codes, first = cells.distinct(data, starts, ends)
-    places = zip(starts[first].tolist(), ends[first].tolist(), strict=True)
-    spelled = [raw[start:end] for start, end in places]
-    texts = [None if text == b"null" else _text(text) for text in spelled]
-    null = codes == texts.index(None) if None in texts else None
-    return codes, null, texts
-
-
-def _text(spelled: bytes) -> str:
-    if not spelled.startswith(b'"'):
-        raise cells.Irregular
-    return spelled[1:-1].decode()
+    starts, ends = starts[first], ends[first]
+    quoted = data[starts] == ord('"')
+    nothing = np.flatnonzero(~quoted)
+    null = None
+    if len(nothing):
+        if [raw[starts[i] : ends[i]] for i in nothing] != [b"null"]:
+            raise cells.Irregular
+        null = codes == nothing[0]
+    places = zip((starts[quoted] + 1).tolist(), (ends[quoted] - 1).tolist(), strict=True)
+    # No text holds an end of line, so that they can be decoded together.
+    together = b"\n".join([raw[start:end] for start, end in places])
+    return codes, null, (quoted, together.decode().split("\n") if quoted.any() else [])
 
 
 def _column(
     field: Field,
     values: NDArray[Any],
     null: Mask | None,
-    texts: list[str | None] | None,
+    texts: _Texts | None,
     pools: dict[str, StringPool],
 ) -> Column:
     if texts is None:
         return Column(field.type, values, null)
     pool = pool_of(field, pools)
-    codes = np.array([0 if text is None else pool.code(text) for text in texts], np.int32)
+    quoted, strings = texts
+    codes = np.zeros(len(quoted), np.int32)
+    codes[quoted] = pool.encode(strings)
     return Column(field.type, codes[values], null, pool)

@@ -47,8 +47,11 @@ class StringPool:
 
     def encode(self, strings: Sequence[str]) -> Codes:
         """Codes of many strings, shape ``(n,)``."""
-        code = self.code
-        return np.fromiter((code(s) for s in strings), np.int32, len(strings))
+        try:  # that all are known is the common case, and three times faster to find out
+            return np.fromiter(map(self._codes.__getitem__, strings), np.int32, len(strings))
+        except KeyError:
+            code = self.code
+            return np.fromiter((code(s) for s in strings), np.int32, len(strings))
 
     def strings(self, start: int = 0) -> Sequence[str]:
         """The strings from code ``start`` on, for tables that follow the pool as it grows."""
