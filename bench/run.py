@@ -15,6 +15,7 @@ HERE = Path(__file__).parent
 TABLES = (
     "speed_query.py",
     "service.py",
+    "ingest.py",
     "accuracy.py",
     "policies.py",
     "joining.py",

@@ -5,12 +5,12 @@ shape ``(n,)``. Each loop takes only spellings whose meaning is beyond doubt and
 others; whoever calls then reads the whole text again with the exact decoder, which also knows the
 error. So a loop decides nothing but speed. Where loops are not compiled (`JIT`), nobody calls them.
 
-Used by `regular` (NDJSON), `arrow` (text) and `triple_lines` (N-Triples). Cost: 1 to 2 ns a byte.
+Numbers with fractions are in `decimals`. Used by `regular` (NDJSON) and `ntriples`. Cost: 1 to 2 ns
+a byte.
 """
 
 from __future__ import annotations
 
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -20,137 +20,6 @@ from ..streams.compiled import Kernel
 
 Bytes = NDArray[np.uint8]
 Positions = NDArray[np.int32]
-
-_LEAST_POWER, _GREATEST_POWER = -342, 308
-
-
-@cache
-def _powers() -> tuple[NDArray[np.uint64], NDArray[np.int64]]:
-    """The first 64 bits of ``5**q`` (cut, not rounded), their binary exponent, by ``q + 342``."""
-    bits, exponents = [], []
-    for q in range(_LEAST_POWER, _GREATEST_POWER + 1):
-        if q >= 0:
-            power, shift = 5**q, 0
-        else:
-            shift = (5**-q).bit_length() + 64
-            power = (1 << shift) // 5**-q
-        excess = power.bit_length() - 64
-        bits.append(power >> excess if excess >= 0 else power << -excess)
-        exponents.append(excess - shift)
-    return np.array(bits, np.uint64), np.array(exponents, np.int64)
-
-
-def _floats(
-    data: Any,
-    starts: Any,
-    ends: Any,
-    powers: Any,
-    exponents: Any,
-    bits: Any,
-    null: Any,
-    unsure: Any,
-) -> tuple[int, int]:
-    """JSON numbers as the bits of the nearest float64; ``null`` cells are marked.
-
-    Rows whose rounding 128 bits do not decide, and those outside the normal numbers or with more
-    than 19 digits, go to ``unsure``. Returns how many are null and unsure; ``-1`` for no number.
-
-    Law (tests/laws): the bits are those of Python's ``float``. Why: with w the digits' integer,
-    shifted to 64 bits, and T <= 5**q·2**k < T + 1, the product lies in [w·T, w·T + w), so that its
-    first 64 bits can be greater by at most 1 than those of w·T. That decides the rounding unless
-    what is cut off is within 1 of a half.
-    """
-    nulls = 0
-    doubts = 0
-    low32 = np.uint64(0xFFFFFFFF)
-    half = np.uint64(32)
-    one = np.uint64(1)
-    for row in range(starts.shape[0]):
-        i = starts[row]
-        end = ends[row]
-        null[row] = False
-        if data[i] == 110:  # null
-            if end - i != 4 or data[i + 1] != 117 or data[i + 2] != 108 or data[i + 3] != 108:
-                return -1, 0
-            null[row] = True
-            bits[row] = 0
-            nulls += 1
-            continue
-        negative = data[i] == 45
-        if negative:
-            i += 1
-        first = i
-        digits = 0
-        mantissa = np.uint64(0)
-        power = 0
-        while i < end and 48 <= data[i] <= 57:
-            mantissa = mantissa * np.uint64(10) + np.uint64(data[i] - 48)
-            digits += mantissa != 0
-            i += 1
-        if i == first or (data[first] == 48 and i > first + 1):
-            return -1, 0  # no digit, or a leading zero
-        if negative and mantissa == 0 and i == end:
-            return -1, 0  # -0: an integer, or a float64 with a sign
-        if i < end and data[i] == 46:
-            i += 1
-            fraction = i
-            while i < end and 48 <= data[i] <= 57:
-                mantissa = mantissa * np.uint64(10) + np.uint64(data[i] - 48)
-                digits += mantissa != 0
-                i += 1
-            if i == fraction:
-                return -1, 0
-            power = fraction - i
-        if i < end and (data[i] == 101 or data[i] == 69):
-            i += 1
-            lowered = i < end and data[i] == 45
-            if i < end and (data[i] == 45 or data[i] == 43):
-                i += 1
-            if i == end or end - i > 4:
-                return -1, 0
-            exponent = 0
-            while i < end and 48 <= data[i] <= 57:
-                exponent = exponent * 10 + int(data[i] - 48)
-                i += 1
-            power += -exponent if lowered else exponent
-        if i != end:
-            return -1, 0
-        sign = np.int64(-(2**63)) if negative else np.int64(0)
-        if digits <= 19 and mantissa == 0:
-            bits[row] = sign
-            continue
-        sure = digits <= 19 and -342 <= power <= 308
-        if sure:
-            shift = 0
-            while mantissa < np.uint64(1 << 48):
-                mantissa <<= np.uint64(16)
-                shift += 16
-            while mantissa < np.uint64(1 << 63):
-                mantissa <<= one
-                shift += 1
-            # 64 x 64 bits by halves.
-            ten = powers[power + 342]
-            a, b = mantissa >> half, mantissa & low32
-            c, d = ten >> half, ten & low32
-            low = b * d
-            middle = a * d + (low >> half)
-            other = b * c + (middle & low32)
-            high = a * c + (middle >> half) + (other >> half)
-            cut = np.uint64(10) + (high >> np.uint64(63))
-            rest = high & ((one << cut) - one)
-            middle_of_rest = one << (cut - one)
-            binary = np.int64(64) + exponents[power + 342] + power - shift + np.int64(cut)
-            # A normal number, and neither a tie nor so close below that a carry makes it one.
-            sure = rest != middle_of_rest and rest != middle_of_rest - one and -1070 < binary < 970
-            if sure:
-                significand = (high >> cut) + np.uint64(rest > middle_of_rest)
-                bits[row] = (
-                    ((binary + 1074) << 52) + np.int64(significand)
-                ) | sign  # the leading bit adds one to the exponent, a carry another one
-        if not sure:
-            unsure[doubts] = row
-            doubts += 1
-    return nulls, doubts
 
 
 def _integers(data: Any, starts: Any, ends: Any, values: Any, null: Any) -> int:
@@ -341,11 +210,7 @@ def _signature(kind: str) -> Any:
         data = types.Array(types.uint8, 1, "C", readonly=True)
         cells = (data, types.int32[::1], types.int32[::1])
         flags, integers = types.boolean[::1], types.int64[::1]
-        tuple_of: Any = types.UniTuple
         match kind:
-            case "floats":
-                powers = (types.uint64[::1], integers)
-                return tuple_of(types.int64, 2)(*cells, *powers, integers, flags, integers)
             case "integers":
                 return types.int64(*cells, integers, flags)
             case "booleans":
@@ -359,7 +224,6 @@ def _signature(kind: str) -> Any:
     return make
 
 
-_floats_kernel = Kernel(_floats, _signature("floats"))
 _integers_kernel = Kernel(_integers, _signature("integers"))
 _booleans_kernel = Kernel(_booleans, _signature("booleans"))
 _times_kernel = Kernel(_times, _signature("times"))
@@ -374,39 +238,24 @@ Values = tuple[NDArray[Any], NDArray[np.bool_] | None]
 """A column and where it is null (None: nowhere)."""
 
 
-def floats(data: Bytes, starts: Positions, ends: Positions) -> Values:
-    """JSON numbers and nulls as float64; raises `Irregular`, as all of these do."""
-    count = len(starts)
-    bits, null = np.empty(count, np.int64), np.empty(count, np.bool_)
-    unsure = np.empty(count, np.int64)
-    found = _floats_kernel(data, starts, ends, *_powers(), bits, null, unsure)
-    nulls, doubts = _known(found[0]), found[1]
-    values = bits.view(np.float64)
-    for row in unsure[:doubts].tolist():
-        values[row] = float(data[starts[row] : ends[row]].tobytes())
-        if not 1e-300 < abs(values[row]) < 1e300:  # what is allowed there is not for us to say
-            raise Irregular
-    return values, null if nulls else None
-
-
 def integers(data: Bytes, starts: Positions, ends: Positions) -> Values:
-    """JSON integers and nulls as int64."""
+    """JSON integers and nulls as int64; raises `Irregular`, as all of these do."""
     values, null = np.empty(len(starts), np.int64), np.empty(len(starts), np.bool_)
-    nulls = _known(_integers_kernel(data, starts, ends, values, null))
+    nulls = known(_integers_kernel(data, starts, ends, values, null))
     return values, null if nulls else None
 
 
 def booleans(data: Bytes, starts: Positions, ends: Positions) -> Values:
     """JSON truths and nulls as bool."""
     values, null = np.empty(len(starts), np.bool_), np.empty(len(starts), np.bool_)
-    nulls = _known(_booleans_kernel(data, starts, ends, values, null))
+    nulls = known(_booleans_kernel(data, starts, ends, values, null))
     return values, null if nulls else None
 
 
 def times(data: Bytes, starts: Positions, ends: Positions) -> NDArray[np.int64]:
     """Quoted ISO-8601 times in UTC, as ns."""
     values = np.empty(len(starts), np.int64)
-    _known(_times_kernel(data, starts, ends, values))
+    known(_times_kernel(data, starts, ends, values))
     return values
 
 
@@ -419,11 +268,12 @@ def distinct(
     table = np.full(1 << (2 * count).bit_length(), -1, np.int32)
     hashes = np.empty(count, np.uint64)
     codes, first = np.empty(count, np.int32), np.empty(count, np.int32)
-    met = _known(_distinct_kernel(data, starts, ends, table, hashes, codes, first))
+    met = known(_distinct_kernel(data, starts, ends, table, hashes, codes, first))
     return codes, first[:met]
 
 
-def _known(found: int) -> int:
+def known(found: int) -> int:
+    """What a loop said, unless it was ``-1``."""
     if found < 0:
         raise Irregular
     return found

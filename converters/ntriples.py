@@ -34,6 +34,7 @@ from ..streams.compiled import JIT
 from ..streams.sample import Times
 from ..streams.time import TIME_MAX, TIME_MIN, parse_time
 from . import cells
+from .decimals import floats
 from .errors import WireError
 from .triple_lines import DATATYPES, LOOK, numbers, statements
 
@@ -168,12 +169,12 @@ class TripleReader:
             elif of is Kind.INTEGER:
                 value[rows] = cells.integers(*column)[0]
             else:
-                floats = cells.floats(*column)[0]
-                value[rows] = floats.view(np.int64)
+                decimals = floats(*column)[0]
+                value[rows] = decimals.view(np.int64)
                 look = np.flatnonzero(sure[rows] == LOOK)
                 places = zip(*(c[look].tolist() for c in column[1:]), strict=True)
                 spelled = [raw[start:end] for start, end in places]
-                found[rows[look[~_canonical(of, floats[look], spelled)]]] = 0
+                found[rows[look[~_canonical(of, decimals[look], spelled)]]] = 0
                 rows = rows[found[rows] == place]
             kind[rows] = int(of)
         return kind, value

@@ -19,6 +19,7 @@ from ..streams.compiled import JIT, Kernel
 from ..streams.sample import Column, Field, FieldType, Mask, SampleBatch, Schema, Times
 from ..streams.strings import StringPool
 from . import cells
+from .decimals import floats
 from .wire import Incoming, pool_of
 
 LEAST = 4_096
@@ -182,7 +183,7 @@ def _decode(raw: bytes, schema: Schema, pools: dict[str, StringPool]) -> Incomin
         column = data, starts[k, :rows], ends[k, :rows]
         match field.type:
             case FieldType.FLOAT:
-                columns[field.name] = cells.floats(*column)
+                columns[field.name] = floats(*column)
             case FieldType.INTEGER:
                 columns[field.name] = cells.integers(*column)
             case FieldType.BOOLEAN:

@@ -8,6 +8,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from dyknow.converters import WireError, cells
+from dyknow.converters.decimals import floats
 from dyknow.converters.ndjson import decode_exactly, decode_ndjson, encode_ndjson
 from dyknow.converters.regular import LEAST, decode_regular
 from dyknow.streams.compiled import JIT
@@ -205,7 +206,7 @@ def column(texts):
 @example(["0.1", "1e22", "1e23", "5e-1", "1.7976931348623157e299"])
 def test_floats_are_the_nearest_ones(texts):
     try:
-        found, null = cells.floats(*column(texts))
+        found, null = floats(*column(texts))
     except cells.Irregular:
         return
     assert null is None
@@ -220,7 +221,7 @@ def test_floats_beside_a_half_are_the_nearest_ones(significand, shift, beside):
     """Integers in the middle between two float64, and next to it."""
     middle = (2 * significand + 1) << (shift - 1)
     text = str(middle + beside)
-    found, _ = cells.floats(*column([text, text + ".0", text[:-3] + "." + text[-3:]]))
+    found, _ = floats(*column([text, text + ".0", text[:-3] + "." + text[-3:]]))
     assert found.tolist() == [float(text), float(text), float(text[:-3] + "." + text[-3:])]
 
 
