@@ -126,10 +126,11 @@ def times_from_arrow(column: Any, key: str, reader: TimeReader) -> Times:
         row = column.is_null().to_pylist().index(True) + 1
         raise WireError(row, f"{key!r} is missing", "every sample has its times")
     if pa.types.is_timestamp(column.type) or pa.types.is_signed_integer(column.type):
-        counts = _as(column, pa.int64()).to_numpy()
         if pa.types.is_timestamp(column.type):
+            counts = column.to_numpy().view(np.int64)
             scale = TIME_UNITS[column.type.unit]
         else:
+            counts = _as(column, pa.int64()).to_numpy()
             reader.observe((int(counts.min(initial=0)), int(counts.max(initial=0))))
             scale = TIME_UNITS[reader.unit]
         if scale > 1:
