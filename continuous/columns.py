@@ -121,6 +121,14 @@ class TermValues:
         self._follow()
         return self._tag[column.values], self._bits[column.values]
 
+    def spell(self, tags: NDArray[np.int8], bits: NDArray[np.int64]) -> None:
+        """Encode in place what is still the id of a term: where the tag is TERM."""
+        self._follow()
+        at = np.flatnonzero(tags == Kind.TERM)
+        ids = bits[at]
+        tags[at] = self._tag[ids]
+        bits[at] = self._bits[ids]
+
     @property
     def sorts_by_id(self) -> NDArray[np.int8]:
         """`Sort` of every id of the dictionary."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import gcd
 
@@ -78,13 +78,37 @@ class Contents:
             if one.counted:
                 self._counting[i].push(rows)
                 continue
-            self._panes[i].push(rows.time)
+            self._panes[i].push(rows.time, int(rows.time.min()), int(rows.time.max()))
             if self._patterns is not None:
-                self._patterns.rows.push(i, rows)
+                self._patterns.rows.push(i, [rows])
             keeps = self._keeps
         if keeps:
             self.intakes[input].push(rows, None)
         return late
+
+    def push_plain(self, input: str, tables: Sequence[TripleRows], after: int | None) -> bool:
+        """The same as `push` of each table, at once, where nothing is late, no triple is missing
+        and ``patterns`` alone keep the rows; False, and nothing done, where it is not so plain."""
+        if self._keeps or self._patterns is None:
+            return False
+        for table in tables:
+            for column in table.objects.values():
+                if column.null is not None:
+                    return False
+        tables = [table for table in tables if len(table) and table.objects]
+        if not tables:
+            return True
+        times = [table.time for table in tables]
+        moments = times[0] if len(times) == 1 else np.concatenate(times)
+        least, greatest = int(moments.min()), int(moments.max())
+        if after is not None and least <= after:
+            return False
+        self._known_next = None
+        for i, one in enumerate(self.schedule.windows):
+            if one.input == input:
+                self._panes[i].push(moments, least, greatest)
+                self._patterns.rows.push(i, tables)
+        return True
 
     def settle(self, watermark: int) -> None:
         """Nothing comes with τ < ``watermark`` any more."""

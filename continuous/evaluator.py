@@ -123,6 +123,8 @@ class ContinuousEvaluator:
             raise ValueError("the triples are of another dictionary")
         self._ended.discard(input)
         limit = self._limit(input)
+        if self._contents.push_plain(input, triples.tables, limit):
+            return
         for table in triples.tables:
             rows = self._relevant(table)
             if rows is not None:

@@ -25,9 +25,8 @@ class Panes:
         self._last: int | None = None
         """The greatest end that has been forgotten."""
 
-    def push(self, times: NDArray[np.int64]) -> None:
-        """Rows have come with these times."""
-        least, greatest = int(times.min()), int(times.max())
+    def push(self, times: NDArray[np.int64], least: int, greatest: int) -> None:
+        """Rows have come with these times, from ``least`` to ``greatest``."""
         if least <= self.low:
             times = times[times > self.low]
             if not len(times):

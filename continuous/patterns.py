@@ -18,10 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pyoxigraph import NamedNode
 
-from ..rdf.dictionary import Ids
 from ..rdf.namespaces import RDF_TYPE
 from ..rdf.timed import Kind, ObjectColumn, TripleRows, make_term
-from .columns import Relation, TermValues
+from .columns import Relation, TermValues, bits
 from .expressions import Call, Const, Expression, Var, conjuncts, variables
 from .kernels import ascending
 from .logical import Filter, Join, Plan, Position, Scan, TypeScan, inputs, outputs, with_inputs
@@ -170,23 +169,51 @@ class PatternRows:
         """Window, slot, subject, tag, bits, time of each triple; the first `count` are valid."""
         return self._columns
 
-    def push(self, window: int, rows: TripleRows) -> None:
+    def push(self, window: int, tables: Sequence[TripleRows]) -> None:
         """Rows of a window. Cost: a copy of each column that a pattern names."""
         numbers = self._slots_of(window)
-        for predicate, column in rows.objects.items():
-            slot = numbers.get(predicate)
-            if slot is None:
-                continue
-            if column.null is None:
-                tags, bits = self.terms.encoded(column)
-                self._append(window, slot, rows.subject, tags, bits, rows.time)
-                continue
-            at = np.flatnonzero(~column.null)
-            tags, bits = self.terms.encoded(ObjectColumn(column.kind, column.values[at]))
-            self._append(window, slot, rows.subject[at], tags, bits, rows.time[at])
-        if rows.sort is not None and len(rows):
-            number = self.sorts.setdefault(rows.sort, len(self.sorts))
-            self._append(window, _SORT_SLOT, rows.subject, 0, number, rows.time)
+        parts: list[tuple[Any, ...]] = []
+        for rows in tables:
+            for predicate, column in rows.objects.items():
+                slot = numbers.get(predicate)
+                if slot is None:
+                    continue
+                subjects, values, times = rows.subject, column.values, rows.time
+                if column.null is not None:
+                    at = np.flatnonzero(~column.null)
+                    subjects, values, times = subjects[at], values[at], times[at]
+                parts.append((slot, column.kind, subjects, values, times))
+            if rows.sort is not None and len(rows):
+                number = self.sorts.setdefault(rows.sort, len(self.sorts))
+                numbered = np.full(len(rows), number, np.int64)
+                parts.append((_SORT_SLOT, Kind.INTEGER, rows.subject, numbered, rows.time))
+        if parts:
+            self._append(window, parts)
+
+    def _append(self, window: int, parts: Sequence[tuple[Any, ...]]) -> None:
+        """Columns one after the other, in as few calls as there are kinds of arrays."""
+        slots, kinds, subjects, values, times = zip(*parts, strict=True)
+        lengths = [len(part) for part in subjects]
+        start = self.count
+        stop = start + sum(lengths)
+        if stop > len(self._columns[0]):
+            larger = _empty(2 * stop)
+            for old, new in zip(self._columns, larger, strict=True):
+                new[:start] = old[:start]
+            self._columns = larger
+        added = tuple(column[start:stop] for column in self._columns)
+        added[0][:] = window
+        added[1][:] = np.repeat(slots, lengths)
+        np.concatenate(subjects, out=added[2])
+        added[3][:] = np.repeat(kinds, lengths)
+        np.concatenate([bits(part) for part in values], out=added[4])
+        np.concatenate(times, out=added[5])
+        if Kind.TERM in kinds:
+            self.terms.spell(added[3], added[4])
+        if self._ordered:
+            before = self._columns[5][start - 1] if start else added[5][0]
+            self._ordered = bool(before <= added[5][0]) and ascending(added[5])
+        self.count = stop
 
     def _slots_of(self, window: int) -> dict[int, int]:
         """The dictionary may learn a predicate after the query was planned."""
@@ -197,23 +224,6 @@ class PatternRows:
                 if slot.graph == graph:
                     found[self.terms.dictionary.id(slot.predicate)] = number
         return found
-
-    def _append(
-        self, window: int, slot: int, subjects: Ids, tags: Any, bits: Any, times: Any
-    ) -> None:
-        start, stop = self.count, self.count + len(subjects)
-        if stop > len(self._columns[0]):
-            larger = _empty(2 * stop)
-            for old, new in zip(self._columns, larger, strict=True):
-                new[:start] = old[:start]
-            self._columns = larger
-        if self._ordered and stop > start:
-            before = self._columns[5][start - 1] if start else times[0]
-            self._ordered = bool(before <= times[0]) and ascending(times)
-        parts = (window, slot, subjects, tags, bits, times)
-        for column, values in zip(self._columns, parts, strict=True):
-            column[start:stop] = values
-        self.count = stop
 
     def drop(self, lows: NDArray[np.int64]) -> None:
         """Forget what is not above ``lows``, by window, when that is half of all."""

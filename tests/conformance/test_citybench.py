@@ -58,11 +58,6 @@ CASES = [
 ]
 
 
-def registered(text: str) -> str:
-    """Only until the parser takes a text without REGISTER; then the text of the file goes in."""
-    return f"REGISTER QUERY q AS {text}"
-
-
 def replayed(text: str, schedule: Schedule, records: int) -> dict[str, list]:
     names = [iri.removeprefix(SERVICE) for iri in definition.read(text).windows]
     assert set(names) <= set(SENSORS)
@@ -102,7 +97,7 @@ def test_the_queries_equal_the_definition(number, schedule, records, static, tou
     streams = replayed(text, schedule, records)
     found = {
         window.end: Counter(definition.canonical(row.items()) for row in window.solutions)
-        for window in dyknow.evaluate(registered(text), streams, static=static)
+        for window in dyknow.evaluate(text, streams, static=static)
     }
     assert_not_idle(found.values())
     assert found == dict(definition.evaluate(text, streams, touched))
@@ -127,7 +122,7 @@ def test_streams_with_different_windows(number, window, static, touched) -> None
     streams = replayed(text, SLOW, 20)
     answers = {
         answer.end: Counter(definition.canonical(row.items()) for row in answer.solutions)
-        for answer in dyknow.evaluate(registered(text), streams, static=static)
+        for answer in dyknow.evaluate(text, streams, static=static)
     }
     assert_not_idle(answers.values())
     assert answers == dict(definition.evaluate(text, streams, touched))
@@ -139,7 +134,7 @@ def solved(
     """The solutions of every window to the last digit; ``oxigraph``: by nothing but Oxigraph."""
     dictionary = TermDictionary()
     evaluator = ContinuousEvaluator(
-        parse_query(registered(text)), dictionary, background, tuple(streams)
+        parse_query(text), dictionary, background, tuple(streams)
     )
     assert evaluator._plan is not None, "a query of CityBench is evaluated in columns"
     if oxigraph:
