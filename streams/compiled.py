@@ -8,12 +8,17 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from threading import RLock
 from typing import Any
 
 JIT = os.environ.get("NUMBA_DISABLE_JIT", "0") in ("", "0") and (
     os.environ.get("DYKNOW_JIT", "on").lower() not in ("off", "0", "false")
 )
 """Whether loops are compiled."""
+
+
+_COMPILING = RLock()
+_KERNELS: list[Kernel] = []
 
 
 class Kernel:
@@ -24,15 +29,33 @@ class Kernel:
         self.py_func = py_func
         self.signature = signature
         self._compiled: Callable[..., Any] | None = None
+        _KERNELS.append(self)
 
     def __call__(self, *arguments: Any) -> Any:
-        if self._compiled is None:
-            # Imported here: numba takes half a second that a service without queries can save.
-            from numba import njit
+        compiled = self._compiled or self.compile()
+        return compiled(*arguments)
 
-            try:
-                self._compiled = njit(self.signature(), cache=True, nogil=True)(self.py_func)
-            except RuntimeError:
-                # No directory to cache in (a read-only root without a home): compile each start.
-                self._compiled = njit(self.signature(), nogil=True)(self.py_func)
-        return self._compiled(*arguments)
+    def compile(self) -> Callable[..., Any]:
+        """The compiled function: made now, read from the cache, or known already."""
+        with _COMPILING:
+            if self._compiled is None:
+                # Imported here: numba takes half a second that who needs no loop can save.
+                from numba import njit
+
+                try:
+                    self._compiled = njit(self.signature(), cache=True, nogil=True)(self.py_func)
+                except RuntimeError:
+                    # No directory to cache in (a read-only root, no home): compile each start.
+                    self._compiled = njit(self.signature(), nogil=True)(self.py_func)
+            return self._compiled
+
+
+def compile_all() -> None:
+    """Compile every loop of the modules that are imported, one after the other.
+
+    The very first time this takes half a minute; later, 30 ms a loop to read it. For a thread
+    beside a service that is starting: whoever needs a loop before waits for that one at most.
+    """
+    if JIT:
+        for kernel in _KERNELS:
+            kernel.compile()

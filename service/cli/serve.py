@@ -12,6 +12,7 @@ import typer
 
 from ...engine.engine import Engine
 from ...engine.loading import load_processes
+from ...streams.compiled import compile_all
 from ..app import create_app
 from ..logs import configure
 from ..server import bind, run, url_of
@@ -57,6 +58,8 @@ def serve(
     app = create_app(engine, settings, time.time_ns)
     url = url_of(listener)
     err().print(f"DyKnow serves at {url} (documentation: {url}/docs)", markup=False)
+    # Beside the start: the first query and the first large batch should not wait for compilers.
+    threading.Thread(target=compile_all, name="compile", daemon=True).start()
     stopping = threading.Event()
     if flights:
         player = threading.Thread(target=play_flights, args=(url, stopping.is_set), daemon=True)
