@@ -19,7 +19,7 @@ from .background import Background
 from .columns import NeedsOxigraph, Relation, TermValues
 from .explain import Stages
 from .heads import finish
-from .incremental import Incremental, shape_of
+from .incremental import Incremental
 from .intake import Intake
 from .logical import Plan, Query
 from .options import Options
@@ -27,6 +27,7 @@ from .oxigraph import OxigraphWindows
 from .relational import execute
 from .results import WindowResult
 from .rules import optimize
+from .shapes import shape_of
 from .sources import StaticSide, WindowSource
 from .translate import Unsupported, translate
 from .windows import schedule
@@ -146,16 +147,16 @@ class ContinuousEvaluator:
         )
 
     def _choose(self, plan: Plan) -> None:
-        if self.options.semantics == "set":
-            self._no_increment = "set semantics"
-        elif not self.schedule.uniform:
+        if not self.schedule.uniform:
             self._no_increment = "the inputs have several windows"
-        else:
-            shape = shape_of(plan, self._static)
-            if isinstance(shape, str):
-                self._no_increment = shape
-            else:
-                self._incremental = Incremental(shape, self._static, self._terms)
+            return
+        shape = shape_of(plan, self._static)
+        if isinstance(shape, str):
+            self._no_increment = shape
+            return
+        panes = self.schedule.inputs[0].range // self.schedule.pane
+        distinct = self.options.semantics == "set"
+        self._incremental = Incremental(shape, self._static, self._terms, panes, distinct=distinct)
 
     def _relevant(self, table: TripleRows) -> TripleRows | None:
         """The rows that stand for a triple, each object in its canonical spelling."""
@@ -309,6 +310,4 @@ class _Source(WindowSource):
         self.incremental = incremental
 
     def ready(self, plan: Plan) -> Relation | None:
-        if self.incremental is not None and plan is self.incremental.shape.aggregate:
-            return self.incremental.relation(self.tables)
-        return None
+        return None if self.incremental is None else self.incremental.ready(plan, self.tables)

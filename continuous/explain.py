@@ -9,9 +9,9 @@ from ..languages.csparql import format_query
 from ..languages.csparql.ast import ContinuousQuery
 from ..rdf.namespaces import shorten
 from ..streams.time import format_duration
-from .incremental import Shape
 from .logical import Query, describe, show
 from .options import Options
+from .shapes import Shape
 from .windows import Schedule
 
 
@@ -82,7 +82,8 @@ class Stages:
         yield f"fold {what} of {pattern} by subject, in panes of {pane}"
         for condition in shape.filters:
             yield f"  rows where {show(condition)}"
-        yield "merge the panes of a window by two stacks"
+        distinct = ", equal triples once" if self.options.semantics == "set" else ""
+        yield f"add what comes, take away what expires{distinct}"
         for sort in shape.sorts:
             yield f"keep subjects of sort {shorten(sort.value)}"
         for part in shape.rest:
