@@ -239,7 +239,8 @@ class FloatTotals(Totals):
                 values = np.where(finite, values, 0.0)
             elif not self._deepen(values):
                 tiny = np.abs(values) < 2.0**-900
-                values = np.where(tiny, np.trunc(values * 2.0**1012) * 2.0**-1012, values)
+                values = values.copy()
+                values[tiny] = np.trunc(values[tiny] * 2.0**1012) * 2.0**-1012
 
     def values(self, rows: NDArray[np.int64]) -> NDArray[Any]:
         if JIT:

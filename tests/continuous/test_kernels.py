@@ -35,7 +35,7 @@ def folded(rows, dtype, masked: bool, jit: bool, cut: int, extremes: bool):
     finally:
         kernels.JIT = before
     at, state = fold.take(groups.used)
-    again, nothing = fold.take(groups.used)
+    _, nothing = fold.take(groups.used)
     assert not nothing[:, 1].any()
     at = np.arange(groups.used) if at is None else at
     return groups.members[: groups.used].tolist(), at.tolist(), state.tobytes()
