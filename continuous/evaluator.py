@@ -20,7 +20,7 @@ from .columns import NeedsOxigraph, Relation, TermValues
 from .explain import Stages
 from .heads import finish
 from .incremental import Incremental
-from .intake import Intake
+from .intake import Intake, Rows
 from .logical import Plan, Query
 from .options import Options
 from .oxigraph import OxigraphWindows
@@ -269,13 +269,15 @@ class ContinuousEvaluator:
     def _solve(self, bounds: dict[str, tuple[int, int]], end: int) -> WindowResult:
         start = min(low for low, _ in bounds.values()) - self.schedule.shift
         shown = end - self.schedule.shift
-        tables: list[TripleRows] = []
-        if self._incremental is None or self._incremental.shape.retains:
-            tables = [
+        retains = self._incremental is None or self._incremental.shape.retains
+        tables = Rows(
+            lambda: [
                 table
                 for name, (low, high) in bounds.items()
+                if retains
                 for table in self._intakes[name].between(low, high)
             ]
+        )
         if self._plan is not None:
             try:
                 source = _Source(tables, self._static, self.options, self._plan, self._incremental)

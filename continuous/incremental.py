@@ -139,27 +139,25 @@ class Incremental:
         self._passing = grown(self._passing, used, False)
         touched = self._touched.groups(used)
         every = touched is None or DENSE * len(touched) > used
-        rows = slice(used) if touched is None or every else touched
-        self._passing[rows] = False
-        relation = self._direct(self._alive(rows), number=True)
+        looked: Rows = slice(used) if touched is None or every else touched
+        self._passing[looked] = False
+        rows = self._alive(looked)
+        relation = self._direct(rows)
         for filter in reversed(self.shape.having):
-            relation = relation.take(
+            kept = np.flatnonzero(
                 holds(filter.condition, relation.columns, relation.rows, self.terms)
             )
-        self._passing[relation.columns[_ROW].values] = True
+            rows, relation = rows[kept], relation.take(kept)
+        self._passing[rows] = True
         # Last: had this gone wrong, they would have to be looked at again.
         self._touched.clear()
-        if every:
-            return _without_row(relation)
-        return self._direct(np.flatnonzero(self._passing[:used]))
+        return relation if every else self._direct(np.flatnonzero(self._passing[:used]))
 
-    def _direct(self, rows: NDArray[np.int64], *, number: bool = False) -> Relation:
-        """The aggregates of the subjects ``rows``, if asked for with their numbers."""
+    def _direct(self, rows: NDArray[np.int64]) -> Relation:
+        """The aggregates of the subjects ``rows``."""
         subject = self.shape.scan.subject
         assert isinstance(subject, Var)
         columns = {subject.name: ObjectColumn(Kind.TERM, self.groups.members[rows])}
-        if number:
-            columns[_ROW] = ObjectColumn(Kind.INTEGER, rows)
         partials = [partial.partial(rows) for partial in self._partials]
         return self._finished(columns, partials, len(rows))
 
@@ -314,8 +312,3 @@ class Incremental:
 
 def _those(pairs: Pairs, rows: NDArray[Any]) -> Pairs:
     return pairs[0].take(rows), pairs[1].take(rows)
-
-
-def _without_row(relation: Relation) -> Relation:
-    columns = {name: column for name, column in relation.columns.items() if name != _ROW}
-    return Relation(columns, relation.rows, relation.key)

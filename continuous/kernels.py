@@ -185,7 +185,9 @@ class Groups:
         if len(new):
             distinct, first = np.unique(new, return_index=True)
             distinct = distinct[np.argsort(first)]
-            self.reserve(max(self.used + len(distinct), 2 * len(self.members)))
+            needed = self.used + len(distinct)
+            if needed > len(self.members):
+                self.reserve(2 * needed)
             self.group_of[distinct] = np.arange(self.used, self.used + len(distinct))
             self.members[self.used : self.used + len(distinct)] = distinct
             self.used += len(distinct)

@@ -34,12 +34,12 @@ def _find(
     pane: int,
     tail: int,
     found: Any,
-) -> tuple[int, int, int]:
+) -> tuple[int, int, int, int]:
     """Look for each pair; if ``enter``, write those that are new to the pane down in the log.
 
     ``found``: the rows whose pair is new to the window, or without ``enter``, those that are in it.
-    Returned: how many, the new tail of the log, and a number without meaning. ``pane`` is where
-    the pane begins in the log, ``again`` marks what came again later.
+    Returned: how many, the new tail of the log, the slots newly taken in ``young``, and a number
+    without meaning. ``pane`` is where the pane begins in the log, ``again`` marks what came again.
     """
     # A slot is (bits, subject * 2^32 + place in the log), (0, -1) where free. Linear probing; keys
     # are compared. The low 31 bits of a place tell whether it is in the log still.
@@ -48,7 +48,7 @@ def _find(
     low = np.int64(_REFERENCE)
     mixes = np.empty(128, np.uint64)
     rows = subjects.shape[0]
-    count = idle = np.int64(0)
+    count = taken = idle = np.int64(0)
     one, zero = np.uint64(1), np.uint64(0)
     for begin in range(0, rows, 128):
         stop = min(rows, begin + 128)
@@ -65,6 +65,7 @@ def _find(
             key, subject = bits[i], np.int64(subjects[i])
             slot = mixed & young_mask
             word = young[slot, one]
+            missing = 0
             while word >= 0 and not (word >> np.int64(32) == subject and young[slot, zero] == key):
                 slot = (slot + one) & young_mask
                 word = young[slot, one]
@@ -72,6 +73,7 @@ def _find(
             if word >= 0:
                 place = head + (((word & low) - head) & low)
             else:
+                missing = 1
                 other = mixed & old_mask
                 word = old[other, one]
                 while word >= 0 and not (
@@ -94,13 +96,14 @@ def _find(
             else:
                 found[count] = i
                 count += 1
+            taken += missing
             young[slot, zero] = key
             young[slot, one] = (subject << np.int64(32)) | (tail & low)
             log_subjects[tail & log_mask] = subject
             log_bits[tail & log_mask] = key
             again[tail & log_mask] = False
             tail += 1
-    return int(count), tail, int(idle)
+    return int(count), tail, int(taken), int(idle)
 
 
 def _signature() -> Any:
@@ -110,7 +113,7 @@ def _signature() -> Any:
     keys = (read_only(types.int32), read_only(types.int64))
     log = (types.int32[::1], types.int64[::1], types.boolean[::1])
     tuple_of: Any = types.UniTuple
-    return tuple_of(types.int64, 3)(
+    return tuple_of(types.int64, 4)(
         table, table, *keys, types.boolean, *log, *[types.int64] * 3, types.int64[::1]
     )
 
@@ -151,9 +154,7 @@ class SeenPairs:
             self._ends.append((end, self._tail))
         rows = len(pairs[0])
         self._reserve(rows)
-        before = self._tail
         fresh = self._entered(pairs) if JIT else self._entered_in_python(pairs)
-        self._in_young += self._tail - before
         self._ends[-1] = (end, self._tail)
         return fresh
 
@@ -171,8 +172,12 @@ class SeenPairs:
             for pair in zip(gone[0].tolist(), gone[1].tolist(), strict=True):
                 del self._known[pair]
         elif self._head >= self._old_tail:
+            # Half as large at least: after a gap the stream may go on as before.
+            size = max(_size(self._in_young), len(self._old) // 2)
+            spare = self._old if len(self._old) == size else _empty(size)
+            spare[:, 1] = -1
             self._old, self._old_tail = self._young, self._tail
-            self._young, self._in_young = _empty(_size(self._in_young)), 0
+            self._young, self._in_young = spare, 0
         return gone
 
     def holds(self, pairs: Pairs) -> NDArray[np.bool_]:
@@ -188,17 +193,15 @@ class SeenPairs:
     def _entered(self, pairs: Pairs) -> NDArray[np.int64]:
         if _size(self._in_young + len(pairs[0])) > len(self._young):
             slots = self._young[self._young[:, 1] >= 0]
-            self._in_young = len(slots)
-            needed = _size(self._in_young + len(pairs[0]))
-            if needed > len(self._young):
-                self._young = _empty(needed)
-                _place(self._young, slots)
-        fresh, self._tail = self._run(pairs, True)
+            self._young = _empty(_size(self._in_young + len(pairs[0])))
+            _place(self._young, slots)
+        fresh, self._tail, taken = self._run(pairs, True)
+        self._in_young += taken
         return fresh
 
-    def _run(self, pairs: Pairs, enter: bool) -> tuple[NDArray[np.int64], int]:
+    def _run(self, pairs: Pairs, enter: bool) -> tuple[NDArray[np.int64], int, int]:
         found = np.empty(len(pairs[0]), np.int64)
-        count, tail, _ = _find_kernel(
+        count, tail, taken, _ = _find_kernel(
             self._young,
             self._old,
             *pairs,
@@ -211,7 +214,7 @@ class SeenPairs:
             self._tail,
             found,
         )
-        return found[:count], tail
+        return found[:count], tail, taken
 
     def _entered_in_python(self, pairs: Pairs) -> NDArray[np.int64]:
         fresh, mask = [], len(self._bits) - 1
