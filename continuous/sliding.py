@@ -36,8 +36,8 @@ class Touched:
         self.all = True
 
     def mark(self, at: NDArray[Any] | None) -> None:
-        """These groups (None: all)."""
-        if at is None:
+        """These groups (None: all); so many rows as there are groups touch most of them."""
+        if at is None or len(at) > len(self._marks):
             self.all = True
         elif not self.all:
             self._marks[at] = True
