@@ -205,8 +205,7 @@ def main(rate: int = 1_000_000, panes: int = 12, times: int = 7) -> int:
         # In turns, so that whatever else the machine does is shared.
         runs = [(bag.run(), numpy(data)) for _ in range(times)]
         found, wanted = runs[0][0][1], runs[0][1][1]
-        distinct.run()
-        alike, told = median(distinct.run, 3)
+        alike, told = median(distinct.run, times)
         slow, theirs, windows = oxigraph(data)
         following, last = lasting(data)
         same = found == wanted == told and found[:windows] == theirs and [found[RANGE]] == last

@@ -307,6 +307,7 @@ class Incremental:
             for partial in self._partials:
                 partial.keep(kept, new)
             self._touched.all = True
+            self._passing[:] = False
         self._compact_at = max(COMPACT, 2 * len(kept))
 
 
