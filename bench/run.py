@@ -14,6 +14,7 @@ from pathlib import Path
 HERE = Path(__file__).parent
 TABLES = (
     "speed_query.py",
+    "windows.py",
     "service.py",
     "ingest.py",
     "accuracy.py",

@@ -23,7 +23,8 @@ from .columns import NeedsOxigraph, Relation, TermValues
 from .contents import Contents, Due
 from .explain import Stages
 from .heads import finish
-from .incremental import Incremental, shape_of
+from .incremental import Incremental
+from .intake import Rows
 from .logical import DEFAULT, AnyScan, Closure, Plan, Query, Scan, TypeScan, walk
 from .options import Options
 from .oxigraph import OxigraphWindows
@@ -31,6 +32,7 @@ from .patterns import PatternSolver, pattern_parts, served_parts
 from .relational import execute
 from .results import WindowResult
 from .rules import optimize
+from .shapes import shape_of
 from .sources import StaticSide, WindowSource
 from .stream_operators import Difference
 from .timestamps import asks_for_times, at_time, names_now
@@ -187,7 +189,15 @@ class ContinuousEvaluator:
             if isinstance(shape, str):
                 self._no_increment = shape
             else:
-                self._incremental = Incremental(shape, self._static, self._terms)
+                window = self.schedule.windows[0].range
+                assert window is not None
+                self._incremental = Incremental(
+                    shape,
+                    self._static,
+                    self._terms,
+                    window // self.schedule.pane,
+                    distinct=self.options.semantics == "set",
+                )
         if self._incremental is None and JIT:
             self._join_patterns(plan)
 
@@ -211,8 +221,6 @@ class ContinuousEvaluator:
 
     def _not_folded(self, plan: Plan) -> str:
         """Why windows cannot be folded pane by pane, whatever the plan computes."""
-        if self.options.semantics == "set":
-            return "set semantics"
         if not self.schedule.uniform:
             return "the windows are several, or not of time alone"
         if self._difference is not None or self.options.report != "non-empty":
@@ -403,7 +411,9 @@ class _Source(WindowSource):
         return self._windows_now.tables.get(graph, ())
 
     def ready(self, plan: Plan) -> Relation | None:
-        if self.incremental is not None and plan is self.incremental.shape.aggregate:
+        if self.incremental is not None:
+            # Brought together only if the aggregate has to be joined with rows.
             retains = self.incremental.shape.retains
-            return self.incremental.relation(self.tables(DEFAULT) if retains else ())
+            rows = Rows(lambda: list(self.tables(DEFAULT)) if retains else [])
+            return self.incremental.ready(plan, rows)
         return None if self.patterns is None else self.patterns.solve(plan)

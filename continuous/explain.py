@@ -18,10 +18,10 @@ from ..languages.csparql.ast import (
 from ..rdf.namespaces import shorten
 from ..streams.time import format_duration, format_time
 from .evaluation import foreign_calls
-from .incremental import Shape
 from .logical import DEFAULT, Plan, Query, expressions_of, walk
 from .options import Options
 from .printing import describe, describe_query, show
+from .shapes import Shape
 from .windows import Schedule
 
 
@@ -101,7 +101,8 @@ class Stages:
         yield f"fold {what} of {pattern} by subject, in panes of {pane}"
         for condition in shape.filters:
             yield f"  rows where {show(condition)}"
-        yield "merge the panes of a window by two stacks"
+        distinct = ", equal triples once" if self.options.semantics == "set" else ""
+        yield f"add what comes, take away what expires{distinct}"
         for sort in shape.sorts:
             yield f"keep subjects of sort {shorten(sort.value)}"
         for part in shape.rest:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import overload
 
 import numpy as np
 
@@ -25,6 +26,7 @@ class _Chunk:
     rows: TripleRows
     first: int
     last: int
+    small: bool
 
 
 class Intake:
@@ -57,7 +59,7 @@ class Intake:
                 tuple(sorted((p, int(column.kind)) for p, column in rows.objects.items())),
             )
             self._chunks.setdefault(shape, []).append(
-                _Chunk(rows, int(rows.time[0]), int(rows.time[-1]))
+                _Chunk(rows, int(rows.time[0]), int(rows.time[-1]), len(rows) < _SMALL)
             )
         return late
 
@@ -89,13 +91,15 @@ class Intake:
         """The greatest τ ≤ ``until`` ever pushed (dropped rows included), or None."""
         found = self._dropped
         for chunks in self._chunks.values():
-            for chunk in chunks:
-                if chunk.first > until:
-                    continue
-                time = chunk.last
-                if time > until:
-                    time = int(chunk.rows.time[_after(chunk.rows.time, until) - 1])
-                found = time if found is None else max(found, time)
+            # A window may have hundreds of chunks, and this is asked several times a step.
+            times = [chunk.last for chunk in chunks if chunk.last <= until]
+            times += [
+                int(chunk.rows.time[_after(chunk.rows.time, until) - 1])
+                for chunk in chunks
+                if chunk.first <= until < chunk.last
+            ]
+            if times:
+                found = max(times) if found is None else max(found, max(times))
         return found
 
     def drop(self, until: int, settled: int) -> None:
@@ -119,15 +123,41 @@ class Intake:
             self._chunks[shape] = _settle(chunks, settled)
 
 
+class Rows(Sequence[TripleRows]):
+    """Rows that are put together when they are asked for: few windows need them."""
+
+    def __init__(self, find: Callable[[], list[TripleRows]]) -> None:
+        self._find = find
+        self._found: list[TripleRows] | None = None
+
+    @overload
+    def __getitem__(self, index: int) -> TripleRows: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[TripleRows]: ...
+    def __getitem__(self, index: int | slice) -> TripleRows | list[TripleRows]:
+        return self._tables()[index]
+
+    def __len__(self) -> int:
+        return len(self._tables())
+
+    def _tables(self) -> list[TripleRows]:
+        if self._found is None:
+            self._found = self._find()
+        return self._found
+
+
 def _settle(chunks: list[_Chunk], settled: int) -> list[_Chunk]:
     """Runs of small chunks in order, up to ``settled``, as one chunk each."""
+    if sum(chunk.small for chunk in chunks) < 2:
+        return chunks
     made: list[_Chunk] = []
     run: list[_Chunk] = []
     for chunk in [*chunks, None]:
-        fits = chunk is not None and chunk.last <= settled and len(chunk.rows) < _SMALL
+        fits = chunk is not None and chunk.last <= settled and chunk.small
         if run and not (fits and chunk is not None and run[-1].last <= chunk.first):
             rows = concatenate_rows([one.rows for one in run])
-            made.append(_Chunk(rows, run[0].first, run[-1].last))
+            small = len(rows) < _SMALL
+            made.append(_Chunk(rows, run[0].first, run[-1].last, small))
             run = []
         if chunk is not None:
             (run if fits else made).append(chunk)

@@ -7,6 +7,7 @@ the bag (sums of float64 up to rounding), whatever the parts.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -17,26 +18,125 @@ from pyoxigraph import Literal
 from ..rdf.timed import DATATYPES, Kind, ObjectColumn
 from .columns import NeedsOxigraph, Sort, TermValues, concatenate
 from .decimals import rounded
-from .kernels import Groups, fold_sums, grown
+from .exact import At
+from .kernels import Groups, RowFold, mirrored
 
-NUMBERS = (Kind.INTEGER, Kind.DECIMAL, Kind.FLOAT, Kind.DOUBLE)
-_SAFE = 2**62
+KINDS = (Kind.INTEGER, Kind.DECIMAL, Kind.FLOAT, Kind.DOUBLE)
+SAFE = 2**62
+TERMS, ERRORS = 0, 1
+"""Columns of what is no number: other terms, and errors of the argument."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Numbers:
+    """The values of one kind by group, all of shape ``(groups,)`` but ``ends``.
+
+    ``sums``: float64, int64, or Python integers where one does not fit. ``ends``: shape
+    ``(groups, 2)``, the least value and the least mirrored one (`extremes`).
+    """
+
+    sums: NDArray[Any]
+    counts: NDArray[np.int64]
+    ends: NDArray[Any] | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Part:
+    """Rows of one kind; with None as kind, of no number: ``column`` is `TERMS` or `ERRORS`."""
+
+    kind: Kind | None
+    subjects: NDArray[np.int32]
+    values: NDArray[Any]
+    skip: NDArray[np.bool_] | None = None
+    column: int = TERMS
+
+
+def parts_of(
+    subjects: NDArray[np.int32],
+    column: ObjectColumn,
+    skip: NDArray[np.bool_] | None,
+    terms: TermValues,
+) -> Iterator[Part]:
+    """The rows but those in ``skip``, kind by kind. A null that is not skipped is an error."""
+    if column.null is not None:
+        failed = column.null if skip is None else column.null & ~skip
+        if failed.any():
+            yield Part(None, subjects[failed], column.values[failed], column=ERRORS)
+        skip = column.null if skip is None else column.null | skip
+    if column.kind is Kind.TERM:
+        rows = np.arange(len(subjects)) if skip is None else np.flatnonzero(~skip)
+        sorts = terms.sorts(column.values[rows])
+        for sort in np.unique(sorts).tolist():
+            at = rows[sorts == sort]
+            part = ObjectColumn(Kind.TERM, column.values[at])
+            if Sort.INTEGER <= sort <= Sort.DOUBLE:
+                kind = Kind(sort)
+                yield Part(kind, subjects[at], terms.typed(part, kind).values)
+            else:
+                yield Part(None, subjects[at], part.values)
+    elif column.kind is Kind.BOOLEAN:
+        rows = np.arange(len(subjects)) if skip is None else np.flatnonzero(~skip)
+        yield Part(None, subjects[rows], column.values[rows])
+    else:
+        yield Part(column.kind, subjects, column.values, skip)
+
+
+class NumberFold:
+    """Rows of one kind folded by group, integers exactly.
+
+    A sum of int64 wraps around at 64 bits. Where it might, the upper halves of the values are
+    summed too, which tells how often it did.
+    """
+
+    def __init__(self, kind: Kind, extremes: bool) -> None:
+        self._rows = RowFold(kind.dtype, extremes)
+        self._high: RowFold | None = None
+        self._bound = 0
+
+    def add(
+        self,
+        subjects: NDArray[np.int32],
+        values: NDArray[Any],
+        skip: NDArray[np.bool_] | None,
+        groups: Groups,
+    ) -> None:
+        """Fold the rows that are not in ``skip``, one after the other."""
+        if values.dtype == np.int64 and len(values):
+            self._bound += _greatest(values) * len(values)
+            if self._bound >= SAFE:
+                if self._high is None:
+                    self._high = RowFold(np.dtype(np.int64), False)
+                self._high.add(subjects, values >> 32, skip, groups)
+        self._rows.add(subjects, values, skip, groups)
+
+    def take(self, used: int) -> tuple[At, NDArray[Any], NDArray[np.int64] | None]:
+        """What was folded, and begin anew: see `RowFold.take`.
+
+        The third: integers whose 2^32-fold the first column of the rows lacks, None: of none.
+        """
+        at, rows = self._rows.take(used)
+        self._bound = 0
+        if self._high is None:
+            return at, rows, None
+        self._high.reserve(used)
+        high = self._high.state[slice(used) if at is None else at, 0].copy()
+        self._high = None
+        # In the lower halves no sum can leave 64 bits: 2^30 rows of 32 bits.
+        rows[:, 0] -= high << 32
+        return at, rows, high
 
 
 @dataclass(slots=True, eq=False)
 class Partial:
     """One argument's rows by group.
 
-    ``sums[kind]``: shape ``(groups, 2)``, sum and count. ``extremes[kind]``: shape ``(groups, 2)``,
-    least and greatest. ``others``: shape ``(groups, 2)``, values that are no numbers, and errors.
-    Arrays may be shorter than there are groups: the rest is empty. ``bound`` is at least the
-    greatest absolute sum of integers; beyond 62 bits sums are Python integers.
+    ``others``: shape ``(groups, 2)``, how many are `TERMS` and how many `ERRORS`, None: none are.
+    Cost and memory: see `RowFold`.
     """
 
-    sums: dict[Kind, NDArray[Any]] = field(default_factory=dict)
-    extremes: dict[Kind, NDArray[Any]] = field(default_factory=dict)
+    numbers: dict[Kind, Numbers] = field(default_factory=dict)
     others: NDArray[np.int64] | None = None
-    bound: int = 0
+    _folds: dict[Kind, NumberFold] = field(default_factory=dict)
 
     def add(
         self,
@@ -47,165 +147,76 @@ class Partial:
         terms: TermValues,
         extremes: bool,
     ) -> None:
-        """Fold rows in: values of ``column`` for the groups of ``subjects``, but those in ``skip``.
-
-        A null that is not skipped is an error of the argument.
-        """
-        if column.null is not None:
-            failed = column.null if skip is None else column.null & ~skip
-            if failed.any():
-                self._count(groups.groups(subjects[failed]), 1)
-            skip = column.null if skip is None else column.null | skip
-        if column.kind is Kind.TERM:
-            rows = np.arange(len(subjects)) if skip is None else np.flatnonzero(~skip)
-            sorts = terms.sorts(column.values[rows])
-            for sort in np.unique(sorts).tolist():
-                at = rows[sorts == sort]
-                part = ObjectColumn(Kind.TERM, column.values[at])
-                if Sort.INTEGER <= sort <= Sort.DOUBLE:
-                    numbers = terms.typed(part, Kind(sort))
-                    self.add(subjects[at], numbers, None, groups, terms, extremes)
-                else:
-                    self._count(groups.groups(subjects[at]), 0)
-        elif column.kind is Kind.BOOLEAN:
-            rows = np.arange(len(subjects)) if skip is None else np.flatnonzero(~skip)
-            self._count(groups.groups(subjects[rows]), 0)
-        else:
-            self._numbers(subjects, column, skip, groups, extremes)
-
-    def _numbers(
-        self,
-        subjects: NDArray[np.int32],
-        column: ObjectColumn,
-        skip: NDArray[np.bool_] | None,
-        groups: Groups,
-        extremes: bool,
-    ) -> None:
-        kind, values = column.kind, column.values
-        state = self.sums.get(kind)
-        if state is None:
-            state = np.zeros((0, 2), values.dtype)
-        if kind is Kind.INTEGER and len(values):
-            greatest = max(abs(int(values.max())), abs(int(values.min())))
-            self.bound += greatest * len(values)
-            if self.bound >= _SAFE:
-                state = state.astype(object)
-        self.sums[kind] = fold_sums(subjects, values, skip, groups, state)
-        if extremes:
-            if skip is not None:
-                subjects, values = subjects[~skip], values[~skip]
-            found = groups.groups(subjects)
-            low, high = _limits(kind)
-            ends = self.extremes.get(kind)
-            if ends is None:
-                ends = np.zeros((0, 2), values.dtype)
-            before = len(ends)
-            ends = grown(ends, groups.used, low)
-            ends[before:, 0] = high
-            np.minimum.at(ends[:, 0], found, values)
-            np.maximum.at(ends[:, 1], found, values)
-            self.extremes[kind] = ends
-
-    def _count(self, found: NDArray[np.int32], column: int) -> None:
-        capacity = int(found.max(initial=-1)) + 1
-        others = np.zeros((0, 2), np.int64) if self.others is None else self.others
-        self.others = grown(others, capacity, 0)
-        np.add.at(self.others[:, column], found, 1)
-
-    def rows(self, groups: int) -> NDArray[np.float64]:
-        """How many rows each group has, errors too, shape ``(groups,)``."""
-        total = np.zeros(groups, np.float64)
-        for state in self.sums.values():
-            part = state[:groups, 1]
-            total[: len(part)] += part.astype(np.float64)
-        if self.others is not None:
-            part = self.others[:groups]
-            total[: len(part)] += part.sum(axis=1)
-        return total
+        """Fold all rows in: values of ``column`` for the groups of ``subjects``, but ``skip``."""
+        for part in parts_of(subjects, column, skip, terms):
+            if part.kind is None:
+                found = groups.groups(part.subjects)
+                if self.others is None:
+                    self.others = np.zeros((groups.used, 2), np.int64)
+                np.add.at(self.others[:, part.column], found, 1)
+            else:
+                fold = self._folds.get(part.kind)
+                if fold is None:
+                    fold = self._folds[part.kind] = NumberFold(part.kind, extremes)
+                fold.add(part.subjects, part.values, part.skip, groups)
+        for kind, fold in self._folds.items():
+            _, rows, high = fold.take(groups.used)
+            sums = rows[:, 0]
+            if high is not None:
+                sums = high.astype(object) * 2**32 + sums.astype(object)
+            counts = rows[:, 1].astype(np.int64)
+            self.numbers[kind] = Numbers(sums, counts, rows[:, 2:] if extremes else None)
 
     def merged(self, groups: NDArray[np.int64], rows: NDArray[np.int64], count: int) -> Partial:
         """The partial of ``count`` groups where group ``groups[i]`` takes in our ``rows[i]``."""
-        made = Partial(bound=self.bound * max(1, len(rows)))
-        for kind, state in self.sums.items():
-            state = _padded(state, rows, 0)
-            if kind is Kind.INTEGER and made.bound >= _SAFE:
-                state = state.astype(object)
-            target = np.zeros((count, 2), state.dtype)
-            np.add.at(target, groups, state[rows])
-            made.sums[kind] = target
-        for kind, state in self.extremes.items():
-            low, high = _limits(kind)
-            target = np.full((count, 2), low, state.dtype)
-            target[:, 0] = high
-            known = rows < len(state)
-            np.minimum.at(target[:, 0], groups[known], state[rows[known], 0])
-            np.maximum.at(target[:, 1], groups[known], state[rows[known], 1])
-            made.extremes[kind] = target
+        made = Partial()
+        for kind, mine in self.numbers.items():
+            sums = mine.sums
+            if sums.dtype == np.int64 and len(sums) and _greatest(sums) * len(rows) >= SAFE:
+                sums = sums.astype(object)
+            total, counts = np.zeros(count, sums.dtype), np.zeros(count, np.int64)
+            np.add.at(total, groups, sums[rows])
+            np.add.at(counts, groups, mine.counts[rows])
+            ends = None
+            if mine.ends is not None:
+                ends = np.full((count, 2), _nothing(kind), mine.ends.dtype)
+                np.minimum.at(ends, groups, mine.ends[rows])
+            made.numbers[kind] = Numbers(total, counts, ends)
         if self.others is not None:
             made.others = np.zeros((count, 2), np.int64)
-            np.add.at(made.others, groups, _padded(self.others, rows, 0)[rows])
-        return made
-
-    def taken(self, groups: NDArray[np.int64]) -> Partial:
-        """The partial of these groups (ascending), renumbered 0, 1, 2 …"""
-
-        def of(state: NDArray[Any]) -> NDArray[Any]:
-            taken: NDArray[Any] = state[groups[groups < len(state)]]
-            return taken
-
-        sums = {kind: of(state) for kind, state in self.sums.items()}
-        extremes = {kind: of(state) for kind, state in self.extremes.items()}
-        others = None if self.others is None else of(self.others)
-        return Partial(sums, extremes, others, self.bound)
-
-    def __add__(self, other: Partial) -> Partial:
-        """Both together, group by group: a new value, the old ones stay as they are."""
-        made = Partial(bound=self.bound + other.bound)
-        for kind in NUMBERS:
-            a, b = self.sums.get(kind), other.sums.get(kind)
-            if a is not None or b is not None:
-                total = _added(a, b)
-                if kind is Kind.INTEGER and made.bound >= _SAFE and total.dtype != object:
-                    exact = [None if s is None else s.astype(object) for s in (a, b)]
-                    total = _added(exact[0], exact[1])
-                made.sums[kind] = total
-            c, d = self.extremes.get(kind), other.extremes.get(kind)
-            if c is not None or d is not None:
-                made.extremes[kind] = _wider(c, d)
-        if self.others is not None or other.others is not None:
-            made.others = _added(self.others, other.others)
+            np.add.at(made.others, groups, self.others[rows])
         return made
 
     def finish(
-        self, function: str, rows: NDArray[np.int64], terms: TermValues, star: bool = False
+        self, function: str, groups: NDArray[np.int64], terms: TermValues, star: bool = False
     ) -> ObjectColumn:
-        """The aggregate's value for the groups ``rows``: null where it is an error or unbound."""
-        counts = {k: _padded(s, rows, 0)[rows, 1].astype(np.int64) for k, s in self.sums.items()}
-        others = np.zeros((len(rows), 2), np.int64)
-        if self.others is not None:
-            others = _padded(self.others, rows, 0)[rows]
-        numbers = np.zeros(len(rows), np.int64)
-        for count in counts.values():
-            numbers += count
+        """The aggregate's value for all ``groups``: null where it is an error or unbound."""
+        counts = {kind: of.counts for kind, of in self.numbers.items()}
+        kinds = [kind for kind in KINDS if kind in counts and counts[kind].any()]
+        numbers = counts[kinds[0]] if kinds else np.zeros(len(groups), np.int64)
+        for kind in kinds[1:]:
+            numbers = numbers + counts[kind]
+        others = self.others
         if function == "COUNT":
-            total = numbers + others[:, 0] + (others[:, 1] if star else 0)
-            return ObjectColumn(Kind.INTEGER, total)
-        # One error among the values makes the aggregate an error; so does a term in a sum.
-        wrong = others[:, 1] > 0
-        if function in ("MIN", "MAX"):
-            if others[:, 0].any():
+            if others is not None:
+                numbers = numbers + others[:, TERMS] + (others[:, ERRORS] if star else 0)
+            return ObjectColumn(Kind.INTEGER, numbers)
+        extreme = function in ("MIN", "MAX")
+        wrong: NDArray[np.bool_] | None = None
+        if others is not None:
+            # One error among the values makes the aggregate an error; so does a term in a sum.
+            if extreme and others[:, TERMS].any():
                 raise NeedsOxigraph(f"{function} over terms that are no numbers")
-            wrong |= numbers == 0
-        else:
-            wrong |= others[:, 0] > 0
-        null = wrong if wrong.any() else None
-        kinds = [kind for kind in NUMBERS if kind in counts and counts[kind].any()]
+            wrong = np.asarray(others.any(axis=1))
+        if extreme and not numbers.all():
+            wrong = numbers == 0 if wrong is None else wrong | (numbers == 0)
+        null = wrong if wrong is not None and wrong.any() else None
         if not kinds:
-            return ObjectColumn(Kind.INTEGER, np.zeros(len(rows), np.int64), null)
-        if function in ("MIN", "MAX"):
-            column = self._extreme(function, kinds, rows, counts, terms)
+            return ObjectColumn(Kind.INTEGER, np.zeros(len(groups), np.int64), null)
+        if extreme:
+            column = self._extreme(function, kinds, len(groups), counts, terms)
         else:
-            column = self._total(function == "AVG", kinds, rows, counts, numbers, terms)
+            column = self._total(function == "AVG", kinds, counts, numbers, terms)
         nulls = (
             column.null if null is None else (null if column.null is None else null | column.null)
         )
@@ -215,15 +226,14 @@ class Partial:
         self,
         average: bool,
         kinds: list[Kind],
-        rows: NDArray[np.int64],
         counts: dict[Kind, NDArray[np.int64]],
         numbers: NDArray[np.int64],
         terms: TermValues,
     ) -> ObjectColumn:
-        sums = {kind: _padded(self.sums[kind], rows, 0)[rows, 0] for kind in kinds}
+        sums = {kind: self.numbers[kind].sums for kind in kinds}
         if len(kinds) == 1:
             return _sum_column(kinds[0], sums[kinds[0]], numbers, average, terms)
-        promoted = np.full(len(rows), int(Kind.INTEGER))
+        promoted = np.full(len(numbers), int(Kind.INTEGER))
         for kind in kinds:
             promoted = np.where(counts[kind] > 0, int(kind), promoted)
         places, parts = [], []
@@ -236,26 +246,27 @@ class Partial:
                     values = values + (part if code == Kind.INTEGER else part.astype(np.float64))
             places.append(at)
             parts.append(_sum_column(Kind(code), values, numbers[at], average, terms))
-        return _scattered(places, parts, len(rows), terms)
+        return _scattered(places, parts, len(numbers), terms)
 
     def _extreme(
         self,
         function: str,
         kinds: list[Kind],
-        rows: NDArray[np.int64],
+        rows: int,
         counts: dict[Kind, NDArray[np.int64]],
         terms: TermValues,
     ) -> ObjectColumn:
         side = 0 if function == "MIN" else 1
         ends = {}
         for kind in kinds:
-            low, high = _limits(kind)
-            ends[kind] = _padded(self.extremes[kind], rows, low if side else high)[rows, side]
+            found = self.numbers[kind].ends
+            assert found is not None
+            ends[kind] = mirrored(found[:, 1]) if side else found[:, 0]
         if len(kinds) == 1:
             return ObjectColumn(kinds[0], ends[kinds[0]])
         worst = np.inf if side == 0 else -np.inf
-        best = np.full(len(rows), worst)
-        chosen = np.zeros(len(rows), np.int64)
+        best = np.full(rows, worst)
+        chosen = np.zeros(rows, np.int64)
         for kind in kinds:
             value = np.where(counts[kind] > 0, ends[kind].astype(np.float64), worst)
             better = (value < best) if side == 0 else (value > best)
@@ -267,7 +278,7 @@ class Partial:
             kind = kinds[0] if code == 0 else Kind(code)
             parts.append(ObjectColumn(kind, ends[kind][at]))
             places.append(at)
-        return _scattered(places, parts, len(rows), terms)
+        return _scattered(places, parts, rows, terms)
 
 
 def _sum_column(
@@ -305,39 +316,12 @@ def _scattered(
     return whole.take(back)
 
 
-def _limits(kind: Kind) -> tuple[Any, Any]:
-    if kind is Kind.INTEGER:
-        return -(2**63), 2**63 - 1
-    return -np.inf, np.inf
+def _nothing(kind: Kind) -> Any:
+    return 2**63 - 1 if kind is Kind.INTEGER else np.inf
 
 
-def _padded(state: NDArray[Any], rows: NDArray[np.int64], fill: Any) -> NDArray[Any]:
-    return grown(state, int(rows.max(initial=-1)) + 1, fill)
-
-
-def _added(a: NDArray[Any] | None, b: NDArray[Any] | None) -> NDArray[Any]:
-    if a is None or b is None:
-        present = b if a is None else a
-        assert present is not None
-        return present
-    if len(a) < len(b):
-        a, b = b, a
-    if len(a) == len(b):
-        total: NDArray[Any] = a + b
-        return total
-    total = a.astype(np.result_type(a.dtype, b.dtype))
-    total[: len(b)] += b
-    return total
-
-
-def _wider(a: NDArray[Any] | None, b: NDArray[Any] | None) -> NDArray[Any]:
-    if a is None or b is None:
-        present = b if a is None else a
-        assert present is not None
-        return present
-    if len(a) < len(b):
-        a, b = b, a
-    wide = a.copy()
-    np.minimum(wide[: len(b), 0], b[:, 0], out=wide[: len(b), 0])
-    np.maximum(wide[: len(b), 1], b[:, 1], out=wide[: len(b), 1])
-    return wide
+def _greatest(values: NDArray[Any]) -> int:
+    """The greatest absolute value."""
+    if values.strides == (0,):
+        return abs(int(values[0]))
+    return max(abs(int(values.max())), abs(int(values.min())))

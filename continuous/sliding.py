@@ -1,82 +1,312 @@
-"""Sliding aggregates without subtraction: two stacks of partial aggregates.
+"""Sliding aggregates by group: what comes is added, what expires is subtracted, both exactly.
 
-Sums that subtract what expires drift, and minima cannot be subtracted. Two stacks need only a
-merge: the front holds suffix totals of the older panes, the back the newer panes and their total.
+A pane's rows are folded in order, as they come (`kernels.RowFold`); a window's sum is the exact sum
+of its panes' sums, rounded once (`exact`). So a sum neither drifts nor depends on what was in the
+window before, and a group without new or expired rows keeps its aggregates to the last bit: only
+the others have to be looked at. Extremes cannot be subtracted: `extremes`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Generic, Protocol, Self, TypeVar
+from collections import deque
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .partials import Partial
+from ..rdf.timed import Kind, ObjectColumn
+from .columns import TermValues
+from .exact import At, FloatTotals, IntegerTotals
+from .extremes import SlidingExtremes
+from .kernels import Groups, grown, mirrored
+from .partials import NumberFold, Numbers, Part, Partial, parts_of
+
+Rows = NDArray[np.int64] | slice
+"""Groups; a slice has a stop only."""
 
 
-class Monoid(Protocol):
-    """Anything whose values can be merged into a new value."""
+class Touched:
+    """The groups whose aggregates may have changed since they were last looked at.
 
-    def __add__(self, other: Self, /) -> Self: ...
-
-
-M = TypeVar("M", bound=Monoid)
-
-
-class Sliding(Generic[M]):
-    """The merge of the panes that are in the window.
-
-    Law: `total` is the merge of all panes pushed and not evicted. Cost: two merges a pane,
-    amortized, and one a `total`. Memory: one partial a pane.
+    Memory: a byte a group. Cost of `groups`: a pass over those bytes.
     """
 
     def __init__(self) -> None:
-        self._front: list[tuple[int, M]] = []
-        self._back: list[tuple[int, M]] = []
-        self._back_total: M | None = None
+        self._marks: NDArray[np.bool_] = np.zeros(0, np.bool_)
+        self.all = True
 
-    def push(self, end: int, pane: M) -> None:
-        """The next pane, which ends at ``end`` (later than all before)."""
-        self._back.append((end, pane))
-        self._back_total = pane if self._back_total is None else self._back_total + pane
+    def mark(self, at: NDArray[Any] | None) -> None:
+        """These groups (None: all); so many rows as there are groups touch most of them."""
+        if at is None or len(at) > len(self._marks):
+            self.all = True
+        elif not self.all:
+            self._marks[at] = True
 
-    def evict(self, until: int) -> None:
+    def reserve(self, groups: int) -> None:
+        """Make room for ``groups`` groups; new ones count as touched."""
+        if len(self._marks) < groups:
+            marks = np.ones(max(groups, 2 * len(self._marks)), np.bool_)
+            marks[: len(self._marks)] = self._marks
+            self._marks = marks
+
+    def groups(self, used: int) -> NDArray[np.int64] | None:
+        """Those touched, ascending; None: all."""
+        return None if self.all else np.flatnonzero(self._marks[:used])
+
+    def clear(self) -> None:
+        """All have been looked at."""
+        self._marks[:] = False
+        self.all = False
+
+
+class SlidingNumbers:
+    """One argument's values of one kind: sums and counts, and extremes if asked for.
+
+    Law: `numbers` is of the rows in all panes pushed and not evicted, and of those added and not
+    taken away; extremes of the rows in panes and of those held. Cost: see `RowFold`; then
+    O(touched) a pane, once when it comes and once when it expires. Memory: two (with extremes four)
+    numbers a touched group and pane.
+    """
+
+    def __init__(self, kind: Kind, extremes: bool, panes: int) -> None:
+        self._fold = NumberFold(kind, extremes)
+        self._panes: deque[tuple[int, At, NDArray[Any], NDArray[np.int64] | None]] = deque()
+        self._totals: IntegerTotals | FloatTotals = (
+            IntegerTotals() if kind is Kind.INTEGER else FloatTotals()
+        )
+        self._sliding = SlidingExtremes(kind.dtype, panes) if extremes else None
+        self._held: NDArray[Any] | None = None
+
+    def counts_of(self, rows: Rows) -> NDArray[np.int64]:
+        """How many rows each of the groups ``rows`` has."""
+        self._totals.reserve(_above(rows))
+        return self._totals.counts[rows]
+
+    def fold(self, part: Part, groups: Groups) -> None:
+        """Rows of the pane that is being read."""
+        self._fold.add(part.subjects, part.values, part.skip, groups)
+
+    def abandon(self, used: int) -> None:
+        """Forget the rows of the pane that is being read."""
+        self._fold.take(used)
+
+    def push(self, end: int, used: int, touched: Touched, *, distinct: bool) -> None:
+        """The pane has been read; ``distinct``: its extremes only, the sums are added by rows."""
+        at, rows, high = self._fold.take(used)
+        if not len(rows):
+            return
+        touched.mark(at)
+        if self._sliding is not None:
+            self._sliding.reserve(used)
+            self._sliding.push(end, at, rows[:, 2:])
+            rows = rows[:, :2].copy()
+        if not distinct:
+            self._panes.append((end, at, rows, high))
+            self._add(at, rows, high, 1)
+
+    def evict(self, until: int, touched: Touched) -> None:
         """Forget the panes that end at or before ``until``."""
-        while self._front and self._front[-1][0] <= until:
-            self._front.pop()
-        if not self._front and self._back and self._back[0][0] <= until:
-            total: M | None = None
-            for end, pane in reversed(self._back):
-                if end <= until:
-                    break
-                total = pane if total is None else pane + total
-                self._front.append((end, total))
-            self._back, self._back_total = [], None
+        while self._panes and self._panes[0][0] <= until:
+            _, at, rows, high = self._panes.popleft()
+            touched.mark(at)
+            self._add(at, rows, high, -1)
+        if self._sliding is not None:
+            for at in self._sliding.evict(until):
+                touched.mark(at)
 
-    def change(self, of: Callable[[M], M]) -> None:
-        """Put ``of(pane)`` in each pane's place; ``of`` keeps merges: of(a) + of(b) = of(a + b)."""
-        self._front = [(end, of(total)) for end, total in self._front]
-        self._back = [(end, of(pane)) for end, pane in self._back]
-        self._back_total = None if self._back_total is None else of(self._back_total)
+    def add(self, at: NDArray[np.int32], values: NDArray[Any], sign: int) -> None:
+        """Sums and counts of rows: added (1) or taken away (-1)."""
+        self._totals.reserve(int(at.max(initial=-1)) + 1)
+        self._totals.add(at, values, None, sign)
 
-    def total(self) -> M | None:
-        """The merge of all panes in the window, None if there is none."""
-        if not self._front:
-            return self._back_total
-        front = self._front[-1][1]
-        return front if self._back_total is None else front + self._back_total
+    def hold(self, at: NDArray[np.int32], values: NDArray[Any]) -> None:
+        """Extremes of rows that do not expire."""
+        if self._sliding is not None:
+            known = 0 if self._held is None else len(self._held)
+            held = self._sliding.nothing(max(known, int(at.max(initial=-1)) + 1))
+            if self._held is not None:
+                held[: len(self._held)] = self._held
+            np.minimum.at(held[:, 0], at, values)
+            np.minimum.at(held[:, 1], at, mirrored(values))
+            self._held = held
+
+    def release(self) -> None:
+        """Forget what is held."""
+        self._held = None
+
+    def numbers(self, rows: NDArray[np.int64]) -> Numbers:
+        """Of the groups ``rows``."""
+        used = int(rows.max(initial=-1)) + 1
+        self._totals.reserve(used)
+        ends = None
+        if self._sliding is not None:
+            self._sliding.reserve(used)
+            ends = self._sliding.ends(rows)
+            if self._held is not None:
+                known = rows < len(self._held)
+                ends[known] = np.minimum(ends[known], self._held[rows[known]])
+        return Numbers(self._totals.values(rows), self._totals.counts[rows], ends)
+
+    def keep(self, kept: NDArray[np.int64], new: NDArray[np.int32]) -> None:
+        """Forget all groups but ``kept`` (ascending); group g becomes ``new[g]``."""
+
+        def of(at: At, rows: NDArray[Any]) -> tuple[At, NDArray[Any]]:
+            return (None, rows[kept[kept < len(rows)]]) if at is None else (new[at], rows)
+
+        renamed = []
+        for end, at, rows, high in self._panes:
+            if high is not None:
+                high = of(at, high)[1]
+            renamed.append((end, *of(at, rows), high))
+        self._panes = deque(renamed)
+        self._totals.keep(kept)
+        if self._sliding is not None:
+            self._sliding.keep(kept, new)
+        if self._held is not None:
+            self._held = of(None, self._held)[1]
+
+    def _add(self, at: At, rows: NDArray[Any], high: NDArray[np.int64] | None, sign: int) -> None:
+        self._totals.reserve(len(rows) if at is None else int(at[-1]) + 1)
+        self._totals.add(at, rows[:, 0], rows[:, 1], sign)
+        if high is not None:
+            assert isinstance(self._totals, IntegerTotals)
+            self._totals.add_high(at, high, sign)
 
 
-class Partials(tuple[Partial, ...]):
-    """A partial for each argument of a query, merged one by one."""
+class SlidingPartial:
+    """One argument of a query over the window: numbers by kind, and what is no number.
 
-    __slots__ = ()
+    ``distinct``: rows are added and taken away one by one (set semantics), and only their extremes
+    are folded by pane, which do not depend on how often a row came.
+    """
 
-    def __add__(self, other: object) -> Partials:
-        assert isinstance(other, Partials)
-        return Partials(a + b for a, b in zip(self, other, strict=True))
+    def __init__(self, extremes: bool, panes: int, *, distinct: bool) -> None:
+        self._wants_extremes, self._panes, self._distinct = extremes, panes, distinct
+        self._kinds: dict[Kind, SlidingNumbers] = {}
+        self._others: NDArray[np.int64] = np.zeros((0, 2), np.int64)
+        self._odd: list[tuple[NDArray[np.int32], int]] = []
+        self._odd_panes: deque[tuple[int, NDArray[np.int32], int]] = deque()
+        self._odd_rows = 0
 
-    def taken(self, groups: NDArray[np.int64]) -> Partials:
-        """Each with these groups only."""
-        return Partials(partial.taken(groups) for partial in self)
+    def fold(
+        self,
+        subjects: NDArray[np.int32],
+        column: ObjectColumn,
+        skip: NDArray[np.bool_] | None,
+        groups: Groups,
+        terms: TermValues,
+    ) -> None:
+        """Rows of the pane that is being read, but those in ``skip``."""
+        if self._distinct and not self._wants_extremes:
+            return
+        for part in parts_of(subjects, column, skip, terms):
+            if part.kind is not None:
+                self._of(part.kind).fold(part, groups)
+            elif not self._distinct:
+                self._odd.append((groups.groups(part.subjects), part.column))
+
+    def abandon(self, used: int) -> None:
+        """Forget the rows of the pane that is being read."""
+        self._odd = []
+        for numbers in self._kinds.values():
+            numbers.abandon(used)
+
+    def push(self, end: int, used: int, touched: Touched) -> None:
+        """The pane has been read."""
+        for numbers in self._kinds.values():
+            numbers.push(end, used, touched, distinct=self._distinct)
+        for at, column in self._odd:
+            self._odd_panes.append((end, at, column))
+            self._count(at, column, 1, touched)
+        self._odd = []
+
+    def evict(self, until: int, touched: Touched) -> None:
+        """Forget the panes that end at or before ``until``."""
+        for numbers in self._kinds.values():
+            numbers.evict(until, touched)
+        while self._odd_panes and self._odd_panes[0][0] <= until:
+            _, at, column = self._odd_panes.popleft()
+            self._count(at, column, -1, touched)
+
+    def add(
+        self,
+        subjects: NDArray[np.int32],
+        column: ObjectColumn,
+        sign: int,
+        groups: Groups,
+        terms: TermValues,
+        touched: Touched,
+    ) -> None:
+        """Rows of their own: added (1) or taken away (-1)."""
+        for part in parts_of(subjects, column, None, terms):
+            present = slice(None) if part.skip is None else ~part.skip
+            at = groups.groups(part.subjects[present])
+            touched.reserve(groups.used)
+            if part.kind is None:
+                self._count(at, part.column, sign, touched)
+            else:
+                touched.mark(at)
+                self._of(part.kind).add(at, part.values[present], sign)
+
+    def hold(
+        self,
+        subjects: NDArray[np.int32],
+        column: ObjectColumn,
+        groups: Groups,
+        terms: TermValues,
+    ) -> None:
+        """Extremes of rows that do not expire, instead of those held so far."""
+        for numbers in self._kinds.values():
+            numbers.release()
+        for part in parts_of(subjects, column, None, terms):
+            if part.kind is not None:
+                present = slice(None) if part.skip is None else ~part.skip
+                at = groups.groups(part.subjects[present])
+                self._of(part.kind).hold(at, part.values[present])
+
+    def rows(self, rows: Rows) -> NDArray[np.int64]:
+        """How many rows each of the groups ``rows`` has, errors too."""
+        total = np.zeros(rows.stop if isinstance(rows, slice) else len(rows), np.int64)
+        if self._odd_rows:
+            self._reserve(_above(rows))
+            total += self._others[rows].sum(axis=1)
+        for numbers in self._kinds.values():
+            total += numbers.counts_of(rows)
+        return total
+
+    def partial(self, rows: NDArray[np.int64]) -> Partial:
+        """The aggregates of the groups ``rows``, as groups 0, 1, 2 …"""
+        made = Partial({kind: numbers.numbers(rows) for kind, numbers in self._kinds.items()})
+        if self._odd_rows:
+            self._reserve(int(rows.max(initial=-1)) + 1)
+            made.others = self._others[rows]
+        return made
+
+    def keep(self, kept: NDArray[np.int64], new: NDArray[np.int32]) -> None:
+        """Forget all groups but ``kept`` (ascending); group g becomes ``new[g]``."""
+        for numbers in self._kinds.values():
+            numbers.keep(kept, new)
+        self._reserve(int(kept.max(initial=-1)) + 1)
+        self._others = self._others[kept]
+        self._odd_panes = deque((end, new[at], column) for end, at, column in self._odd_panes)
+
+    def _of(self, kind: Kind) -> SlidingNumbers:
+        found = self._kinds.get(kind)
+        if found is None:
+            found = SlidingNumbers(kind, self._wants_extremes, self._panes)
+            self._kinds[kind] = found
+        return found
+
+    def _count(self, at: NDArray[np.int32], column: int, sign: int, touched: Touched) -> None:
+        self._reserve(int(at.max(initial=-1)) + 1)
+        np.add.at(self._others[:, column], at, sign)
+        self._odd_rows += sign * len(at)
+        touched.mark(at)
+
+    def _reserve(self, groups: int) -> None:
+        if len(self._others) < groups:
+            self._others = grown(self._others, max(groups, 2 * len(self._others)), 0)
+
+
+def _above(rows: Rows) -> int:
+    return int(rows.stop if isinstance(rows, slice) else rows.max(initial=-1) + 1)

@@ -13,7 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pyoxigraph import Literal, NamedNode, Quad, Store, Variable
 
-from dyknow.continuous import incremental
+from dyknow.continuous import exact as sums_of
+from dyknow.continuous import incremental, kernels, seen
 from dyknow.continuous.background import Background
 from dyknow.continuous.evaluator import ContinuousEvaluator
 from dyknow.continuous.options import Options
@@ -63,6 +64,7 @@ def background() -> Background:
 
 doubles = st.sampled_from([0.5, 1.0, 2.0, 2.5, -3.0, 40.25, 100.0, 1e9]).map(Literal)
 integers = st.integers(-5, 8).map(Literal)
+reals = st.floats(-1e6, 1e6).map(lambda x: Literal(x if abs(x) > 1e-250 else 0.0))
 any_value = st.one_of(
     doubles,
     integers,
@@ -254,8 +256,12 @@ options = st.builds(
     Options, st.sampled_from(["bag", "set"]), st.sampled_from(["(]", "[)"]), st.integers(-7, 7)
 )
 sizes = st.tuples(st.integers(1, 9), st.integers(1, 9))
+many_panes = st.tuples(st.integers(1, 50), st.integers(1, 3))
 cuts = st.lists(st.integers(0, 25), max_size=6)
 law = settings(deadline=None, max_examples=150)
+
+
+many = settings(deadline=None, max_examples=60)
 
 
 def check(spec: Spec, elements: list, cuts: list[int], opts: Options, size) -> None:
@@ -289,11 +295,95 @@ def test_sliding_aggregates_equal_the_definition(spec, elements, cuts, origin, s
 
 
 @law
-@given(aggregates, elements_of(doubles, 40, 10), cuts, st.integers(-7, 7), sizes)
-def test_groups_that_left_the_window_can_be_forgotten(spec, elements, cuts, origin, size) -> None:
+@given(aggregates, elements_of(doubles, 40, 10), cuts, options, st.one_of(sizes, many_panes))
+def test_groups_that_left_the_window_can_be_forgotten(spec, elements, cuts, opts, size) -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(incremental, "COMPACT", 1)
-        check(spec, elements, cuts, Options(origin=origin), size)
+        check(spec, elements, cuts, opts, size)
+
+
+@many
+@given(
+    aggregates,
+    st.one_of(elements_of(doubles, 40, 10), elements_of(integers, 40, 10)),
+    cuts,
+    options,
+    many_panes,
+)
+def test_sliding_aggregates_of_many_panes_equal_the_definition(
+    spec, elements, cuts, opts, size
+) -> None:
+    check(spec, elements, cuts, opts, size)
+
+
+@many
+@given(sums, elements_of(any_value), cuts, options, many_panes)
+def test_sliding_sums_of_mixed_terms_equal_the_definition(spec, elements, cuts, opts, size) -> None:
+    check(spec, elements, cuts, opts, size)
+
+
+def of_many_objects(values: st.SearchStrategy) -> st.SearchStrategy:
+    one = st.builds(
+        Element,
+        st.integers(0, 60),
+        st.sampled_from([node(f"o{i}") for i in range(40)]),
+        st.just(A),
+        values,
+        st.sampled_from([None, None, UAV]),
+    )
+    return st.lists(one, min_size=10, max_size=60).map(
+        lambda found: sorted(found, key=lambda e: e.time)
+    )
+
+
+having = st.composite(
+    lambda draw: Spec(
+        draw(st.sampled_from(PATTERNS[:2])),
+        keys=("?s",),
+        aggregates=tuple(
+            (f"?x{i}", f, "?v")
+            for i, f in enumerate(
+                draw(
+                    st.lists(
+                        st.sampled_from(["AVG", "SUM", "COUNT", "MIN", "MAX"]),
+                        min_size=1,
+                        max_size=3,
+                        unique=True,
+                    )
+                )
+            )
+        ),
+        having=(("?x0", draw(st.sampled_from([">", "<="])), draw(numbers)),),
+        head=("?s", "?x0"),
+    )
+)()
+
+
+@many
+@given(
+    having, st.one_of(of_many_objects(reals), of_many_objects(integers)), cuts, options, many_panes
+)
+def test_looking_at_touched_groups_alone_changes_no_bit(spec, elements, cuts, opts, size) -> None:
+    check(spec, elements, cuts, opts, size)
+    query, found = parse_query(text(spec, *size)), []
+    # All groups in every window; only the touched ones, however many.
+    for share in (2**60, 0):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(incremental, "DENSE", share)
+            found.append([exact(result) for result in run(query, elements, cuts, opts)])
+    assert found[0] == found[1]
+
+
+@many
+@given(aggregates, elements_of(st.one_of(reals, integers), 40, 10), cuts, options, many_panes)
+def test_numpy_in_place_of_compiled_loops_changes_no_bit(spec, elements, cuts, opts, size) -> None:
+    query, found = parse_query(text(spec, *size)), []
+    for jit in (True, False):
+        with pytest.MonkeyPatch.context() as patch:
+            for module in (kernels, sums_of, seen):
+                patch.setattr(module, "JIT", jit)
+            found.append([exact(result) for result in run(query, elements, cuts, opts)])
+    assert found[0] == found[1]
 
 
 @law
@@ -327,6 +417,16 @@ def test_columns_equal_oxigraph(spec, elements, opts, size) -> None:
 @law
 @given(specs, elements_of(st.floats(-1e6, 1e6).map(Literal)), cuts, options, sizes)
 def test_batch_cuts_change_no_bit(spec, elements, cuts, opts, size) -> None:
+    same_however_cut(spec, elements, cuts, opts, size)
+
+
+@many
+@given(aggregates, elements_of(st.one_of(reals, integers), 40, 10), cuts, options, many_panes)
+def test_batch_cuts_change_no_bit_of_sliding_aggregates(spec, elements, cuts, opts, size) -> None:
+    same_however_cut(spec, elements, cuts, opts, size)
+
+
+def same_however_cut(spec, elements, cuts, opts, size) -> None:
     query = parse_query(text(spec, *size))
     whole = run(query, elements, [], opts)
     parts = run(query, elements, cuts, opts)

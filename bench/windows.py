@@ -1,0 +1,171 @@
+"""What a step of a sliding aggregate costs: by the length of the window, by what is touched.
+
+Run by ``make bench`` (``python bench/windows.py``). One process, one core. Batches of a step each;
+the windows are evaluated as they close. *ratio* is to the first row of its table. The worst step is
+given beside the mean: none may pay for the whole window.
+"""
+
+from __future__ import annotations
+
+import gc
+import resource
+import statistics
+import sys
+import time
+import tracemalloc
+from collections.abc import Iterator
+
+import numpy as np
+from pyoxigraph import NamedNode, Store
+
+from dyknow.continuous import incremental
+from dyknow.continuous.background import Background
+from dyknow.continuous.evaluator import ContinuousEvaluator
+from dyknow.continuous.options import Options
+from dyknow.languages.csparql import parse_query
+from dyknow.rdf.dictionary import TermDictionary
+from dyknow.rdf.timed import Kind, ObjectColumn, TimedTriples, TripleRows
+
+SECOND = 10**9
+PLACE = "http://bench.example/"
+STREAM = PLACE + "s"
+SPEED = NamedNode(PLACE + "speed")
+
+
+class Query:
+    """One aggregate by object over seconds of samples."""
+
+    def __init__(
+        self,
+        function: str,
+        range: int,
+        objects: int,
+        having: str = "",
+        semantics: str = "bag",
+        seed: int = 5,
+    ) -> None:
+        text = (
+            f"REGISTER QUERY q AS SELECT ?o ({function}(?v) AS ?a) "
+            f"FROM STREAM <{STREAM}> [RANGE {range}s STEP 1s] "
+            f"WHERE {{ ?o <{SPEED.value}> ?v }} GROUP BY ?o {having}"
+        )
+        self.dictionary = TermDictionary()
+        self.first = len(self.dictionary)
+        for i in np.arange(objects).tolist():
+            self.dictionary.id(NamedNode(f"{PLACE}o{i}"))
+        self.speed = self.dictionary.id(SPEED)
+        self.objects = objects
+        self.random = np.random.default_rng(seed)
+        self.second = 0
+        self.evaluator = ContinuousEvaluator(
+            parse_query(text),
+            self.dictionary,
+            Background(Store()),
+            [STREAM],
+            Options(semantics),
+        )
+
+    def steps(self, count: int, rows: int, *, in_turn: bool = False) -> Iterator[float]:
+        """Seconds that each of the next ``count`` steps takes, with ``rows`` samples each.
+
+        They are of any objects, or of all objects in turn.
+        """
+        for _ in range(count):
+            at = self.second * SECOND + 1 + np.sort(self.random.integers(0, SECOND - 1, rows))
+            some = (self.second * rows + np.arange(rows)) % self.objects
+            if not in_turn:
+                some = self.random.integers(0, self.objects, rows)
+            subject = (some + self.first).astype(np.int32)
+            # Tenths, as sensors give them: so that some are equal.
+            values = np.round(self.random.uniform(50, 150, rows), 1)
+            objects = {self.speed: ObjectColumn(Kind.DOUBLE, values)}
+            triples = TimedTriples(self.dictionary, (TripleRows(at, at, subject, objects),))
+            self.second += 1
+            begin = time.perf_counter()
+            self.evaluator.push(STREAM, triples)
+            results = self.evaluator.advance(STREAM, self.second * SECOND + 1)
+            spent = time.perf_counter() - begin
+            assert [result.end for result in results] == [self.second * SECOND]
+            yield spent
+
+
+def lengths(objects: int, rows: int) -> None:
+    """RANGE in steps of one second: 1, 10, 600."""
+    print(f"{objects:,} objects, {rows:,} triples a step, SELECT of all groups; ms a step")
+    print(f"{'':<18}{'RANGE':>8}{'mean':>10}{'ratio':>8}{'median':>10}{'worst':>10}")
+    for function, semantics in (("AVG", "bag"), ("MIN", "bag"), ("AVG", "set")):
+        queries = {r: Query(function, r, objects, semantics=semantics) for r in (1, 10, 600)}
+        for range, query in queries.items():
+            for _ in query.steps(range + 30, rows):
+                pass
+        # In turns, so that whatever else the machine does is shared.
+        spent = list(zip(*(query.steps(650, rows) for query in queries.values()), strict=True))
+        name = function if semantics == "bag" else f"{function}, set"
+        for range, mine in zip(queries, zip(*spent, strict=True), strict=True):
+            ratio = statistics.fmean(mine) / statistics.fmean(step[0] for step in spent)
+            print(
+                f"{name:<18}{range:>7}s{statistics.fmean(mine) * 1e3:>10.3f}{ratio:>8.2f}"
+                f"{statistics.median(mine) * 1e3:>10.3f}{max(mine) * 1e3:>10.3f}",
+                flush=True,
+            )
+    print()
+
+
+def touched(objects: int = 100_000) -> None:
+    """All objects are in the window; some have a new sample, as many others lose one."""
+    print(f"{objects:,} objects, some touched a step, as many expire; median ms a step")
+    print(f"{'touched':<10}{'HAVING':<24}{'touched only':>14}{'all groups':>12}{'ratio':>8}")
+    dense = incremental.DENSE
+    for few in (1_000, 10_000, 50_000):
+        for having in ("HAVING (AVG(?v) > 149.9)", "HAVING (MAX(?v) < 50.1)"):
+            found = []
+            for share in (dense, 2**60):
+                incremental.DENSE = share
+                length = 3 * objects // (2 * few)
+                query = Query(having[8:11], length, objects, having)
+                for _ in query.steps(2 * length, few, in_turn=True):
+                    pass
+                found.append(statistics.median(query.steps(100, few, in_turn=True)))
+            incremental.DENSE = dense
+            print(
+                f"{few:<10,}{having[7:]:<24}{found[0] * 1e3:>14.3f}{found[1] * 1e3:>12.3f}"
+                f"{found[1] / found[0]:>8.2f}",
+                flush=True,
+            )
+    print()
+
+
+def memory() -> None:
+    """What is held over an hour of virtual time."""
+    print("an hour at 1,000 triples a second, 2,000 objects, RANGE 60s; MB held (tracemalloc)")
+    print(f"{'':<18}{'after 2 min':>12}{'20 min':>10}{'40 min':>10}{'60 min':>10}")
+    for function, semantics in (("AVG", "bag"), ("MIN", "bag"), ("AVG", "set")):
+        gc.collect()
+        tracemalloc.start()
+        query = Query(function, 60, 2_000, semantics=semantics)
+        held = []
+        for minutes in (2, 18, 20, 20):
+            for _ in query.steps(60 * minutes, 1_000):
+                pass
+            gc.collect()
+            held.append(tracemalloc.get_traced_memory()[0] / 1e6)
+        tracemalloc.stop()
+        name = function if semantics == "bag" else f"{function}, set"
+        print(f"{name:<18}{held[0]:>12.2f}" + "".join(f"{h:>10.2f}" for h in held[1:]), flush=True)
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+    print(f"peak of the whole process: {peak:,.0f} MB\n")
+
+
+def main() -> int:
+    """Print the tables."""
+    for _ in Query("MIN", 2, 10).steps(5, 5_000):
+        pass
+    lengths(1_000, 20_000)
+    lengths(5_000, 20_000)
+    touched()
+    memory()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

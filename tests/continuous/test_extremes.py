@@ -1,0 +1,106 @@
+"""Sliding extremes and distinct pairs, against recomputation from all panes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dyknow.continuous import seen
+from dyknow.continuous.extremes import SlidingExtremes
+from dyknow.continuous.seen import SeenPairs
+
+pane = st.tuples(
+    st.integers(1, 4),
+    st.dictionaries(st.integers(0, 5), st.integers(-9, 9), max_size=6),
+    st.booleans(),
+)
+
+
+@settings(deadline=None, max_examples=200)
+@given(st.lists(pane, max_size=40), st.integers(1, 12), st.integers(1, 20))
+def test_extremes_are_of_the_panes_in_the_window(panes, length, hint) -> None:
+    sliding = SlidingExtremes(np.dtype(np.int64), hint)
+    sliding.reserve(6)
+    content, end = [], 0
+    for gap, values, dense in panes:
+        end += gap
+        at = np.array(sorted(values), np.int32)
+        ends = np.array([[values[g], -values[g]] for g in at.tolist()], np.int64).reshape(-1, 2)
+        if dense:
+            whole = np.full((6, 2), 2**63 - 1)
+            whole[at] = ends
+            at, ends = None, whole
+        sliding.push(end, at, ends)
+        content.append((end, values))
+        sliding.evict(end - length)
+        content = [(e, v) for e, v in content if e > end - length]
+        found = sliding.ends(np.arange(6))
+        for group in range(6):
+            inside = [v[group] for _, v in content if group in v]
+            wanted = [min(inside), -max(inside)] if inside else [2**63 - 1] * 2
+            assert found[group].tolist() == wanted
+
+
+def test_no_step_turns_the_whole_window_around() -> None:
+    panes = 60
+    sliding = SlidingExtremes(np.dtype(np.float64), panes)
+    sliding.reserve(4)
+    turned, at = [], np.array([1], np.int32)
+    turn = sliding._turn
+    sliding._turn = lambda n: (turned.append(min(n, len(sliding._middle))), turn(n))[1]
+    for end in range(1, 400):
+        sliding.push(end, at, np.array([[float(end), -end]]))
+        sliding.evict(end - panes)
+        assert sliding.ends(at).tolist() == [[max(1, end - panes + 1), -end]]
+    assert max(turned) <= 2
+
+
+pairs = st.lists(st.tuples(st.integers(0, 3), st.integers(-4, 4)), max_size=12)
+
+
+@pytest.mark.parametrize("jit", [True, False])
+@settings(deadline=None, max_examples=100)
+@given(st.lists(st.tuples(st.integers(0, 3), pairs), max_size=30), st.integers(1, 9))
+def test_pairs_come_once_and_leave_once(jit, panes, length) -> None:
+    before, seen.JIT = seen.JIT, jit
+    try:
+        found, end, last = SeenPairs(), 0, {}
+        for gap, rows in panes:
+            end += gap
+            gone = found.leave(end - length)
+            left = sorted(pair for pair, at in last.items() if at <= end - length)
+            last = {pair: at for pair, at in last.items() if at > end - length}
+            listed = [] if gone is None else zip(gone[0].tolist(), gone[1].tolist(), strict=True)
+            assert sorted(listed) == left
+            arrays = np.array([r[0] for r in rows], np.int32), np.array([r[1] for r in rows], int)
+            new = [i for i, pair in enumerate(rows) if pair not in {*last, *rows[:i]}]
+            assert found.see(end, arrays).tolist() == new
+            last.update(dict.fromkeys(rows, end))
+            assert found.holds(arrays).all()
+            assert not found.holds((arrays[0], arrays[1] + 100)).any()
+    finally:
+        seen.JIT = before
+
+
+def test_many_pairs_and_long_histories() -> None:
+    random = np.random.default_rng(5)
+    runs = []
+    for jit in (True, False):
+        before, seen.JIT = seen.JIT, jit
+        try:
+            found, out = SeenPairs(), []
+            random = np.random.default_rng(5)
+            for end in range(120):
+                count = int(random.integers(0, 2000)) if 20 < end < 60 else 30
+                subjects = random.integers(0, 40, count).astype(np.int32)
+                bits = np.floor(random.uniform(0, 60, count)).view(np.int64)
+                out.append(found.see(end, (subjects, bits)).tolist())
+                gone = found.leave(end - 7)
+                out.append(None if gone is None else (gone[0].tolist(), gone[1].tolist()))
+            runs.append(out)
+            assert len(found._bits) <= 2048
+        finally:
+            seen.JIT = before
+    assert runs[0] == runs[1]
