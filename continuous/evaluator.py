@@ -29,6 +29,7 @@ from .logical import DEFAULT, AnyScan, Closure, Plan, Query, Scan, TypeScan, wal
 from .options import Options
 from .oxigraph import OxigraphWindows
 from .patterns import PatternSolver, pattern_parts, served_parts
+from .profile import Profile
 from .relational import execute
 from .results import WindowResult
 from .rules import optimize
@@ -67,6 +68,8 @@ class ContinuousEvaluator:
         self.query = query
         self.options = options or Options()
         self.inputs = tuple(inputs)
+        self.profile: Profile | None = None
+        """Where it is set, it takes what the operators cost, and `explain` shows it."""
         self.late = 0
         """Rows that came behind a watermark, or for a window that had closed, and were dropped."""
         self.schedule = schedule(query, self.inputs, self.options)
@@ -178,6 +181,7 @@ class ContinuousEvaluator:
                 self._reason,
                 self._no_increment if self._incremental is None else self._incremental.shape,
                 "" if oxigraph.counting is not None else oxigraph.merges,
+                self.profile,
             )
         )
 
@@ -358,6 +362,7 @@ class ContinuousEvaluator:
                         incremental,
                         self._patterns,
                     )
+                    source.profile = self.profile
                     plan = self._plan.plan
                     plan = at_time(plan, shown) if self._names_now else plan
                     relation = execute(plan, source, self._terms)

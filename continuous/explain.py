@@ -21,6 +21,7 @@ from .evaluation import foreign_calls
 from .logical import DEFAULT, Plan, Query, expressions_of, walk
 from .options import Options
 from .printing import describe, describe_query, show
+from .profile import Profile
 from .shapes import Shape
 from .windows import Schedule
 
@@ -32,6 +33,7 @@ class Stages:
     ``translated`` and ``plan`` are None where the query runs on Oxigraph, ``reason`` says why;
     else ``shape`` is how it is computed incrementally, or why it is not. ``merges`` is why
     Oxigraph counts equal triples once although the bag is asked for, "" where it does not.
+    ``profile`` is what the operators have cost so far, where that is measured.
     """
 
     query: ContinuousQuery
@@ -44,6 +46,7 @@ class Stages:
     reason: str
     shape: Shape | str
     merges: str
+    profile: Profile | None = None
 
     def __str__(self) -> str:
         return "\n".join(self._lines())
@@ -63,6 +66,8 @@ class Stages:
         if self.rules:
             names = ", ".join(rule.replace("_", " ") for rule in self.rules)
             yield from _section(f"improved by: {names}", describe_query(self.plan))
+        if self.profile is not None:
+            yield from _section("measured", describe_query(self.plan, self.profile.note))
         if isinstance(self.shape, str):
             yield f"in columns, each window anew: {self.shape}"
         else:

@@ -54,13 +54,17 @@ from .logical import (
     walk,
     with_inputs,
 )
+from .profile import Profile
 
 Pairs = tuple[ObjectColumn, ObjectColumn]
 """Subjects and objects of triples of one predicate: two columns of one length, without nulls."""
 
 
 class Source(Protocol):
-    """Where the leaves of a plan come from."""
+    """Where the leaves of a plan come from, and who is told what operators cost."""
+
+    @property
+    def profile(self) -> Profile | None: ...
 
     def pairs(self, scan: Scan | TypeScan) -> Pairs:
         """The triples of a scan's predicate (a superset of what its constants select)."""
@@ -81,6 +85,16 @@ SUBJECT, PREDICATE, OBJECT = "\0s", "\0p", "\0o"
 
 def execute(plan: Plan, source: Source, terms: TermValues) -> Relation:
     """The solutions of ``plan``. Cost: that of sorting each join and group key once."""
+    profile = source.profile
+    if profile is None:
+        return _execute(plan, source, terms)
+    begin = profile.clock()
+    relation = _execute(plan, source, terms)
+    profile.add(plan, relation.rows, profile.clock() - begin)
+    return relation
+
+
+def _execute(plan: Plan, source: Source, terms: TermValues) -> Relation:
     ready = source.ready(plan)
     if ready is not None:
         return ready
@@ -208,6 +222,10 @@ class _With:
     source: Source
     given: Given
     relation: Relation
+
+    @property
+    def profile(self) -> Profile | None:
+        return self.source.profile
 
     def pairs(self, scan: Scan | TypeScan) -> Pairs:
         return self.source.pairs(scan)

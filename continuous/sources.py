@@ -15,6 +15,7 @@ from .background import Background
 from .columns import Relation, TermValues, as_terms, concatenate, first_rows, key_codes, term_column
 from .expressions import Const, Var
 from .logical import AnyScan, Plan, Scan, TypeScan
+from .profile import Profile
 from .relational import OBJECT, PREDICATE, SUBJECT, Pairs, pairs_of
 
 
@@ -102,6 +103,7 @@ class WindowSource:
         self.static = static
         self.windows = frozenset(windows)
         self.distinct = distinct
+        self.profile: Profile | None = None
 
     def tables(self, graph: str) -> Sequence[TripleRows]:
         """The rows of a graph's windows."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping, Sequence
 from enum import StrEnum
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import Annotated, Any
 import typer
 from pyoxigraph import Literal, NamedNode
 
-from ...continuous.evaluate import evaluate
+from ...continuous.evaluate import Explained, evaluate
 from ...converters.recording import open_recording
 from ...converters.to_triples import SampleConverter
 from ...languages.errors import LanguageError
@@ -28,7 +29,7 @@ from ...streams.time import format_time, parse_duration
 from ..negotiation import ONTOLOGY_FORMATS, TURTLE
 from ..triples_file import TimedTriple, holds_graphs, read_timed_graphs, read_timed_triples
 from .ontologies import MEDIA_TYPES
-from .output import Json, fail, show_json, show_table, show_text
+from .output import Json, err, fail, show_json, show_table, show_text
 from .streams import read_text, text_or_file
 
 
@@ -65,6 +66,9 @@ def run(
     lateness: Annotated[
         str | None, typer.Option(help="How far out of order the files are, such as 5s.")
     ] = None,
+    explain: Annotated[
+        bool, typer.Option("--explain", help="Tell afterwards how it was computed, and its cost.")
+    ] = False,
     as_json: Json = False,
 ) -> None:
     """Evaluate a continuous query over recorded streams and print each window's result.
@@ -75,6 +79,7 @@ def run(
     behind = _lateness(lateness)
     files = _files(stream)
     inputs = _triples(files) if ssl is None else _samples(files, text_or_file(ssl), static or ())
+    explained = Explained(time.perf_counter_ns)
     try:
         windows = evaluate(
             read_text(query),
@@ -82,6 +87,7 @@ def run(
             static=static or (),
             semantics=None if semantics is None else semantics.value,
             lateness=behind,
+            explained=explained if explain else None,
         )
     except (LanguageError, OntologyError):
         raise  # told with their place
@@ -96,6 +102,8 @@ def run(
             show_json({"end": format_time(window.end), "solutions": _plain(window.solutions)})
         else:
             _show(window.end, window.solutions)
+    if explain:
+        err().print(str(explained), markup=False, highlight=False)
     if not as_json:
         show_text(f"({count} {'window' if count == 1 else 'windows'} with a result)")
 

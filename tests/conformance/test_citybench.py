@@ -133,9 +133,7 @@ def solved(
 ) -> dict[int, Counter]:
     """The solutions of every window to the last digit; ``oxigraph``: by nothing but Oxigraph."""
     dictionary = TermDictionary()
-    evaluator = ContinuousEvaluator(
-        parse_query(text), dictionary, background, tuple(streams)
-    )
+    evaluator = ContinuousEvaluator(parse_query(text), dictionary, background, tuple(streams))
     assert evaluator._plan is not None, "a query of CityBench is evaluated in columns"
     if oxigraph:
         evaluator._plan = evaluator._incremental = None

@@ -7,7 +7,7 @@ from itertools import count, islice
 import pytest
 from pyoxigraph import Literal, NamedNode
 
-from dyknow.continuous.evaluate import evaluate
+from dyknow.continuous.evaluate import Explained, evaluate
 from dyknow.rdf.dictionary import TermDictionary
 from dyknow.rdf.timed import from_terms
 
@@ -123,3 +123,55 @@ def test_the_pattern_of_a_short_construct_is_its_template(modifier) -> None:
         {X: [(1, WHO, P, Literal(5)), (2, WHO, Q, Literal(6))]},
     )
     assert window.solutions == [(WHO, P, Literal(5))]
+
+
+def test_what_operators_cost_is_told_when_it_is_asked_for() -> None:
+    ticks = count(0, 1000)
+    explained = Explained(lambda: next(ticks))
+    data = [(t, WHO, P, Literal(t)) for t in (1, 2, 12)]
+    body = f"SELECT ?v FROM STREAM <{X}> [RANGE 10ns STEP 10ns] WHERE {{ ?s <{D}p> ?v }}"
+    windows = evaluate(f"{body} ORDER BY ?v", {X: data}, explained=explained)
+    assert [w.end for w in windows] == [10, 20]
+    text = str(explained)
+    assert "Order by ASC ?v    [2 windows: 1.5 rows," in text
+    assert "\nmeasured:\n" in text
+
+
+def test_graphs_are_given_by_name(tmp_path) -> None:
+    one, two = tmp_path / "one.ttl", tmp_path / "two.ttl"
+    one.write_text(f"<{WHO.value}> <{D}is> 1 .")
+    two.write_text(f"<{WHO.value}> <{D}is> 2 .")
+    static = {D + "g1": one, D + "g2": two}
+    head = f"SELECT ?a ?b FROM <{D}g1> FROM NAMED <{D}g2>"
+    window = f"FROM STREAM <{X}> [RANGE 10ns STEP 10ns]"
+    body = f"WHERE {{ ?s <{D}p> ?v ; <{D}is> ?a GRAPH <{D}g2> {{ ?s <{D}is> ?b }} }}"
+    data = [(1, WHO, P, Literal(7))]
+    (found,) = evaluate(f"{head} {window} {body}", {X: data}, static=static)
+    assert found.solutions == [{"a": Literal(1), "b": Literal(2)}]
+    with pytest.raises(ValueError, match=r"names the graph <http://d\.example/g1>"):
+        evaluate(f"{head} {window} {body}", {X: data}, static={D + "g2": two})
+    with pytest.raises(ValueError, match="no graph with a name"):
+        evaluate(f"{head} {window} {body}", {X: data}, static=[one])
+
+
+def test_named_windows_over_one_stream_and_what_is_new() -> None:
+    data = [(t, WHO, P, Literal(t)) for t in range(1, 7)]
+    text = (
+        f"REGISTER ISTREAM <{D}out> AS SELECT ?a ?b "
+        f"FROM NAMED WINDOW <{D}w1> ON <{X}> [RANGE PT0.000000002S STEP PT0.000000002S] "
+        f"FROM NAMED WINDOW <{D}w2> ON <{X}> [ELEMENTS 1] "
+        f"WHERE {{ WINDOW <{D}w1> {{ ?s <{D}p> ?a }} WINDOW <{D}w2> {{ ?s <{D}p> ?b }} }}"
+    )
+    found = list(evaluate(text, {X: data}))
+    rows = [[(r["a"].value, r["b"].value) for r in w.solutions] for w in found]
+    assert rows[:3] == [
+        [("1", "2"), ("2", "2")],
+        [("3", "4"), ("4", "4")],
+        [("5", "6"), ("6", "6")],
+    ]
+
+
+def test_what_is_absent_is_told_where_windows_close_anyway() -> None:
+    data = [(1, WHO, P, Literal(1)), (35, WHO, P, Literal(1))]
+    found = evaluate(counting(D + "p", X), {X: data}, report="close")
+    assert shown(found) == [(10, "1"), (20, "0"), (30, "0"), (40, "1")]
