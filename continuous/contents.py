@@ -226,9 +226,16 @@ class Contents:
                 tables.extend(self.intakes[one.input].between(*one.bounds(end)))
         return found
 
+    def _is_full(self) -> bool:
+        """Whether it is worth while to look for what can be forgotten."""
+        crowded = any(len(panes) > 64 for panes in self._panes.values())
+        return crowded or (self._patterns is not None and self._patterns.rows.is_full)
+
     def drop(self, end: int, *, raw: bool) -> None:
         """Forget what no evaluation after ``end`` needs; ``raw``: windows are read again, else what
         was in one has been folded already."""
+        if not self._keeps and not self._counting and not self._is_full():
+            return
         following = self.schedule.after(end)
         lows: dict[str, int] = {}
         highs: dict[str, int] = {}

@@ -22,13 +22,13 @@ from .background import Background
 from .columns import NeedsOxigraph, Relation, TermValues
 from .contents import Contents, Due
 from .explain import Stages
-from .heads import finish
+from .heads import finish, head_variables
 from .incremental import Incremental
 from .intake import Rows
-from .logical import DEFAULT, AnyScan, Closure, Plan, Query, Scan, TypeScan, walk
+from .logical import DEFAULT, AnyScan, Closure, Plan, Query, Scan, TypeScan, outputs, walk
 from .options import Options
 from .oxigraph import OxigraphWindows
-from .patterns import PatternSolver, pattern_parts, served_parts
+from .patterns import PatternSolver, needed_outside, pattern_parts, served_parts
 from .profile import Profile
 from .relational import execute
 from .results import WindowResult
@@ -216,7 +216,11 @@ class ContinuousEvaluator:
             self._plan = Query(self._plan.head, plan)
             graphs = [one.graph for one in windows]
             distinct = self.options.semantics == "set"
-            self._patterns = PatternSolver(parts, graphs, self._static, distinct=distinct)
+            shown = head_variables(self._plan.head)
+            wanted = [
+                (part, needed_outside(plan, part) | (shown & outputs(part))) for part in parts
+            ]
+            self._patterns = PatternSolver(wanted, graphs, self._static, distinct=distinct)
             covered = {id(node) for part in parts for node in walk(part)}
             scans = (Scan, TypeScan, AnyScan, Closure)
             alone = all(id(n) in covered for n in walk(plan) if isinstance(n, scans))

@@ -31,6 +31,20 @@ def finish(head: Head, relation: Relation, start: int, end: int, terms: TermValu
             assert_never(head)
 
 
+def head_variables(head: Head) -> frozenset[str]:
+    """The variables that the head shows."""
+    match head:
+        case Select(variables):
+            return frozenset(variables)
+        case Construct(template):
+            places = (place for triple in template for place in triple)
+            return frozenset(place.name for place in places if isinstance(place, Var))
+        case Ask():
+            return frozenset()
+        case _:
+            assert_never(head)
+
+
 def construct(head: Construct, relation: Relation, time: int, terms: TermValues) -> TimedTriples:
     """The template's triples for every solution, at τ = ``time``: a graph, so each triple once.
 

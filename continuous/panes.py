@@ -25,6 +25,9 @@ class Panes:
         self._last: int | None = None
         """The greatest end that has been forgotten."""
 
+    def __len__(self) -> int:
+        return len(self._ends)
+
     def push(self, times: NDArray[np.int64], least: int, greatest: int) -> None:
         """Rows have come with these times, from ``least`` to ``greatest``."""
         if least <= self.low:

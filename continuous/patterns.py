@@ -23,7 +23,25 @@ from ..rdf.timed import Kind, ObjectColumn, TripleRows, make_term
 from .columns import Relation, TermValues, bits
 from .expressions import Call, Const, Expression, Var, conjuncts, variables
 from .kernels import ascending
-from .logical import Filter, Join, Plan, Position, Scan, TypeScan, inputs, outputs, with_inputs
+from .logical import (
+    START,
+    STOP,
+    Aggregate,
+    Closure,
+    Distinct,
+    Filter,
+    Join,
+    Plan,
+    Position,
+    Project,
+    Scan,
+    TypeScan,
+    expressions_of,
+    inputs,
+    outputs,
+    walk,
+    with_inputs,
+)
 from .pattern_kernels import (
     ADD,
     AND,
@@ -142,6 +160,32 @@ def _depth(expression: Expression) -> int | None:
             return None
 
 
+def needed_outside(plan: Plan, part: Plan) -> frozenset[str]:
+    """The variables of ``part`` that the rest of ``plan`` looks at: all, where it compares whole
+    solutions."""
+    inside = {id(node) for node in walk(part)}
+    names: set[str] = set()
+    for node in walk(plan):
+        if id(node) in inside:
+            continue
+        if not inputs(node):
+            names |= outputs(node)
+        for expression in expressions_of(node):
+            names |= variables(expression)
+        match node:
+            case Project(shown):
+                names |= set(shown)
+            case Aggregate(keys, aggregations):
+                names |= set(keys)
+                if any(one.distinct and one.argument is None for one in aggregations):
+                    return outputs(part)
+            case Closure():
+                names |= outputs(node) | {START, STOP}
+            case Distinct(child) if not isinstance(child, Project):
+                return outputs(part)
+    return outputs(part) & names
+
+
 class PatternRows:
     """The triples of all windows that the patterns of a query can touch, in order of arrival.
 
@@ -225,9 +269,14 @@ class PatternRows:
                     found[self.terms.dictionary.id(slot.predicate)] = number
         return found
 
+    @property
+    def is_full(self) -> bool:
+        """Whether half of the triples may have left their windows."""
+        return self.count >= 64 and self.count >= 2 * self.inside
+
     def drop(self, lows: NDArray[np.int64]) -> None:
         """Forget what is not above ``lows``, by window, when that is half of all."""
-        if self.count < 64 or self.count < 2 * self.inside:
+        if not self.is_full:
             return
         window, times = self._columns[0][: self.count], self._columns[5][: self.count]
         keep = np.flatnonzero(times > lows[window])
@@ -333,8 +382,11 @@ class StaticRows:
 class PatternJoin:
     """One part of a plan as tables for the compiled loop."""
 
-    def __init__(self, part: Plan, slots: Mapping[Slot, int], terms: TermValues) -> None:
+    def __init__(
+        self, part: Plan, shown: frozenset[str], slots: Mapping[Slot, int], terms: TermValues
+    ) -> None:
         self.terms = terms
+        self._shown = [(i, name) for i, name in enumerate(sorted(outputs(part))) if name in shown]
         leaves = list(_leaves(part))
         self.variables = tuple(sorted(outputs(part)))
         place = {name: i for i, name in enumerate(self.variables)}
@@ -398,7 +450,8 @@ class PatternJoin:
                 break
             self._capacity = 2 * found
         columns = {}
-        for i, (name, tag) in enumerate(zip(self.variables, uniform.tolist(), strict=True)):
+        for i, name in self._shown:
+            tag = uniform[i]
             if tag < 0:
                 columns[name] = self._mixed(tags[i, :found], bits[i, :found])
             else:
@@ -449,21 +502,25 @@ class PatternSolver:
 
     def __init__(
         self,
-        parts: Sequence[Plan],
+        parts: Sequence[tuple[Plan, frozenset[str]]],
         windows: Sequence[str],
         static: StaticSide,
         *,
         distinct: bool,
     ) -> None:
+        """``parts``: each with the variables that are looked at outside it."""
         self.static = static
         self._parts = tuple(parts)
-        slots = list(dict.fromkeys(slot_of(leaf) for part in parts for leaf in _leaves(part)))
+        leaves = (leaf for part, _ in parts for leaf in _leaves(part))
+        slots = list(dict.fromkeys(map(slot_of, leaves)))
         self.rows = PatternRows(slots, windows, static.terms)
         self.slots = slots
         self._static_rows = StaticRows(slots, frozenset(w for w in windows if w), static)
         numbers = self.rows.slots
         # Parts are told apart by identity, which hashing a deep plan would cost more than.
-        self._joins = {id(part): PatternJoin(part, numbers, static.terms) for part in parts}
+        self._joins = {
+            id(part): PatternJoin(part, shown, numbers, static.terms) for part, shown in parts
+        }
         self._once = np.array([distinct or s.predicate == RDF_TYPE for s in slots], np.bool_)
         self._starts = np.zeros(len(slots) + 1, np.int64)
         self._expanded: tuple[int, int] | None = None
