@@ -219,6 +219,20 @@ class Ontology:
         """Name of a registered transformation -> its description as JSON text."""
         return self._named_texts(graphs.TRANSFORMATIONS)
 
+    def set_query(self, name: str, registration_json: str) -> None:
+        """Keeps the registration of a continuous query."""
+        node = graphs.query_node(name)
+        kept = _named_text(node, _SPECIFICATION, name, registration_json)
+        self._keep(graphs.QUERIES, node, kept)
+
+    def remove_query(self, name: str) -> None:
+        """Forgets the registration, if there is one."""
+        self._keep(graphs.QUERIES, graphs.query_node(name), set())
+
+    def queries(self) -> dict[str, str]:
+        """Name of a registered continuous query -> its registration as JSON text."""
+        return self._named_texts(graphs.QUERIES)
+
     def set_kpl(self, text: str) -> None:
         """Keeps all KPL declarations; empty text forgets them."""
         node = graphs.KPL
@@ -424,6 +438,7 @@ class Ontology:
             graphs.DECLARATIONS,
             graphs.TRANSFORMATIONS,
             graphs.KPL,
+            graphs.QUERIES,
             graphs.SPECIFICATIONS,
         )
         return frozenset().union(*map(self._graph, kept))

@@ -1,0 +1,439 @@
+"""Continuous queries that people register without a template ([Events14 §III-V], SPEC §5).
+
+A query names its streams (FROM STREAM), or they are found from the features that it needs, as for
+events. Its results are a stream of its name; the windows themselves are kept beside, for people.
+What is registered survives a restart, unless the system had to invent a name for it.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from ..continuous.options import Bounds, Options, Report, Semantics
+from ..continuous.results import WindowResult
+from ..converters.errors import ConversionError
+from ..converters.to_triples import SampleConverter
+from ..languages.csparql import parse_query
+from ..languages.csparql.ast import ContinuousQuery, Dialect
+from ..languages.errors import LanguageError
+from ..languages.ssl.annotation import Content, StreamAnnotation
+from ..matching.match import Match
+from ..matching.plan import annotation_of
+from ..matching.space import StreamSpace
+from ..matching.want import THING
+from ..ontology.ontology import Ontology
+from ..rdf.dictionary import TermDictionary
+from ..rdf.namespaces import local_name
+from ..templates.library import TemplateLibrary
+from ..templates.needs import Needs, NeedsError
+from . import explain as explanations
+from .changes import Change, ChangeKind
+from .configuration import RESERVED, Configuration
+from .declared import DeclaredStreams
+from .errors import (
+    AlreadyExists,
+    BadArguments,
+    Conflict,
+    DyknowError,
+    NoPlan,
+    NoResult,
+    UnknownQuery,
+)
+from .finding import check_graphs, find_streams, mean_the_same
+from .kept_windows import KeptWindows
+from .knowing import checked_strategy, did_you_mean
+from .plans import Plans
+from .queries import Manner
+from .reading import Reading, read_streams
+from .registrations import Asked, Registration, check_same, registration_of
+from .results import check_head, head_role, result_form
+from .unit import QueryUnit
+from .views import QueryView, Since
+
+
+@dataclass(slots=True, eq=False)
+class _Running:
+    """A query at work. ``matches`` say how its streams were found, ``reads`` which it names;
+    one of the two is empty."""
+
+    name: str
+    registration: Registration
+    query: ContinuousQuery
+    unit: QueryUnit
+    kept: KeptWindows
+    matches: tuple[Match, ...]
+    reads: tuple[Reading, ...]
+    converter: SampleConverter | None
+    users: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class _Lost:
+    """A query that cannot be started any more; what was asked is kept."""
+
+    registration: Registration
+    reason: str
+
+
+class RegisteredQueries:
+    """The queries that people registered; the engine's face for them.
+
+    ``annotation_of`` tells what people have said of a stream, ``converter_of`` converts its samples
+    to triples (None where nobody has said what it contains).
+    """
+
+    def __init__(
+        self,
+        ontology: Ontology,
+        dictionary: TermDictionary,
+        templates: TemplateLibrary,
+        configuration: Configuration,
+        plans: Plans,
+        space: StreamSpace,
+        declared: DeclaredStreams,
+        changed: Callable[[Change], None],
+        converter_of: Callable[[str], SampleConverter | None],
+    ) -> None:
+        self._ontology = ontology
+        self._dictionary = dictionary
+        self._templates = templates
+        self._configuration = configuration
+        self._plans = plans
+        self._space = space
+        self._declared = declared
+        self._changed = changed
+        self._converter_of = converter_of
+        self._running: dict[str, _Running] = {}
+        self._lost: dict[str, _Lost] = {}
+        self._number = 0
+
+    # -- registering -------------------------------------------------------------------------
+
+    def register(
+        self,
+        text: str,
+        *,
+        semantics: Semantics | None = None,
+        bounds: Bounds = "(]",
+        origin: int = 0,
+        report: Report = "non-empty",
+        strategy: str = "fast",
+        since: Since = Since.NOW,
+    ) -> QueryView:
+        """Start a query; registered again it is shared, with one user more.
+
+        ``semantics`` is the dialect's unless given. Raises `LanguageError`, `Refused` for a name
+        that is not the user's to give, `AlreadyExists` for one that is taken, `UnknownStream`,
+        `NotAnnotated`, `NoPlan`, `BadArguments` and `ConversionError`; nothing has begun then.
+        """
+        query = parse_query(text)
+        usual: Semantics = "set" if query.dialect is Dialect.RSP_QL else "bag"
+        options = Options(semantics or usual, bounds, origin, report)
+        return self.start(query, Asked(text.strip(), options, strategy, since))
+
+    def start(self, query: ContinuousQuery, asked: Asked) -> QueryView:
+        """The same for a query that was read already."""
+        checked_strategy(asked.strategy)
+        name = self._name_of(query, asked)
+        known = self._running.get(name)
+        if known is not None:
+            check_same(name, known.registration.asked, asked)
+            if self._is_sound(known):
+                known.users += 1
+                known.unit.users += 1
+                return self.view(name)
+            self._stop(known)
+        self._number += 1
+        registration = Registration.of(self._number, asked, query)
+        try:
+            running = self._start(name, registration, query)
+        except Exception as error:
+            if known is not None:
+                self._lost[name] = _Lost(known.registration, str(error))
+            raise
+        if known is not None:
+            running.users = running.unit.users = known.users + 1
+        if query.name and not any(each.name.startswith(RESERVED) for each in running.reads):
+            # Another run may give such a name to another stream.
+            self._ontology.set_query(name, registration.json())
+        self._lost.pop(name, None)
+        return self.view(name)
+
+    def remove(self, name: str) -> None:
+        """One user less; with the last the query stops. Raises `UnknownQuery`, and `Conflict` for
+        the last one while others read its stream."""
+        if name in self._lost:
+            del self._lost[name]
+            self._ontology.remove_query(name)
+            return
+        running = self._get(name)
+        if running.users > 1:
+            running.users -= 1
+            running.unit.users -= 1
+            return
+        readers = self._readers(running)
+        if readers:
+            raise Conflict(
+                f"the stream of query {name!r} is read by {', '.join(readers)}",
+                "remove or cancel what reads it first",
+            )
+        self._stop(running)
+        self._declared.forget_annotation(name)
+        self._ontology.remove_query(name)
+
+    # -- asking ------------------------------------------------------------------------------
+
+    def views(self) -> tuple[QueryView, ...]:
+        """The registered queries, oldest first, with those of an earlier run that do not hold."""
+        views = map(self.view, (*self._lost, *self._running))
+        return tuple(sorted(views, key=lambda view: view.created))
+
+    def view(self, name: str) -> QueryView:
+        """One query; raises `UnknownQuery`."""
+        lost = self._lost.get(name)
+        if lost is not None:
+            return lost.registration.view(name, "not restored", lost.reason, 0)
+        running = self._get(name)
+        unit, output = running.unit, running.unit.output
+        state, failure = self._state(running)
+        view = running.registration.view(name, state, failure, running.users)
+        latest = running.kept.latest
+        return replace(
+            view,
+            stream=output.name,
+            fields=output.schema.fields,
+            position=output.stream.last_number,
+            waits_for=explanations.waits_for(self._configuration, unit),
+            windows=len(running.kept),
+            last_window=None if latest is None else latest.end,
+            late=unit.evaluator.late,
+            plan=explanations.plan_view(self._configuration, unit),
+        )
+
+    def latest(self, name: str) -> WindowResult:
+        """What the last window that closed gave; raises `UnknownQuery` and `NoResult`."""
+        found = self._get(name).kept.latest
+        if found is None:
+            waiting = self.view(name).waits_for
+            raise NoResult(
+                f"no window of query {name!r} has closed yet",
+                f"it waits for {', '.join(waiting)}"
+                if waiting
+                else "a window closes when its streams have passed its end",
+            )
+        return found
+
+    def results(
+        self,
+        name: str,
+        start: int | None = None,
+        end: int | None = None,
+        limit: int | None = None,
+    ) -> Sequence[WindowResult]:
+        """What kept windows gave; see `KeptWindows.between`. Raises `UnknownQuery`."""
+        return self._get(name).kept.between(start, end, limit)
+
+    def variables(self, name: str) -> tuple[str, ...]:
+        """The variables of a SELECT's head; raises `UnknownQuery`."""
+        return tuple(self._get(name).unit.output.schema.names)
+
+    def explain_running(self, name: str) -> str:
+        """Each stage of a query that runs; raises `UnknownQuery`."""
+        running = self._get(name)
+        return explanations.running_query(
+            running.registration.asked.source,
+            [each.annotation for each in running.reads],
+            running.matches,
+            explanations.plan_text(self._configuration, running.unit),
+            running.unit.evaluator.explain(),
+        )
+
+    def explain(self, text: str) -> str:
+        """Each stage of a query that is not registered: nothing is started. Its streams need not
+        exist. Raises `LanguageError` and `NoPlan`."""
+        query = parse_query(text)
+        if query.streams:
+            return explanations.query(query, self._ontology, self._dictionary)
+        wanted = self._needs(query)
+        matches = self._plans.match(wanted.wants, "fast", explained=True)
+        return explanations.inferred(query, wanted, matches, self._ontology, self._dictionary)
+
+    def of_stream(self, stream: str) -> tuple[str, ...]:
+        """The queries that a stream answers, as people call them."""
+        return (f"query {stream}",) if stream in self._running else ()
+
+    def converter(self, stream: str) -> SampleConverter | None:
+        """Converts the samples of a query's stream to the triples that its head constructed; None
+        of another stream, of a table, and where people have said what the stream contains."""
+        running = self._running.get(stream)
+        if running is None or self._declared.annotation_of(stream) is not None:
+            return None
+        return running.converter
+
+    # -- an earlier run ----------------------------------------------------------------------
+
+    def recall(self) -> tuple[str, ...]:
+        """The names of the queries that an earlier run was told of; `restore` starts them."""
+        kept = self._ontology.queries()
+        for name, text in kept.items():
+            try:
+                self._lost[name] = _Lost(registration_of(text), "not started yet")
+            except (ValueError, KeyError, TypeError) as error:
+                reason = f"{type(error).__name__}: {error}\n{text}"
+                self._changed(Change(ChangeKind.NOT_RESTORED, name, specification=reason))
+        numbers = (lost.registration.number for lost in self._lost.values())
+        self._number = max(numbers, default=0)
+        return tuple(kept)
+
+    def restore(self, restored: Callable[[str], None]) -> None:
+        """Start what can be, in order of registration; ``restored`` hears of each."""
+        for name, lost in sorted(self._lost.items(), key=_number_of):
+            registration = lost.registration
+            try:
+                self._start(name, registration, parse_query(registration.asked.source))
+            except (LanguageError, DyknowError, ConversionError) as error:
+                self._lost[name] = replace(lost, reason=str(error))
+                continue
+            del self._lost[name]
+            restored(name)
+
+    def tell_lost(self) -> None:
+        """Tell what could not be restored on the status stream; it is kept."""
+        for name, lost in self._lost.items():
+            reason = f"{lost.reason}\n{lost.registration.asked.source}"
+            self._changed(Change(ChangeKind.NOT_RESTORED, name, specification=reason))
+
+    # -- within ------------------------------------------------------------------------------
+
+    def _name_of(self, query: ContinuousQuery, asked: Asked) -> str:
+        """The name of the query and its stream; raises `Refused` and `AlreadyExists`."""
+        if not query.name:
+            for running in self._running.values():
+                if not running.query.name and running.registration.asked == asked:
+                    return running.name
+            return self._configuration.reserved_name()
+        name = local_name(query.name) if ":" in query.name else query.name
+        if name not in self._running:
+            self._declared.check_stream_name(name)
+            if self._configuration.has(name):
+                raise AlreadyExists(
+                    f"there is a stream called {name!r}, and a query's results are a stream of "
+                    "its name",
+                    "give the query another name",
+                )
+        return name
+
+    def _start(self, name: str, registration: Registration, query: ContinuousQuery) -> _Running:
+        asked = registration.asked
+        check_head(query)
+        check_graphs(self._ontology, query)
+        kept = KeptWindows()
+        manner = Manner(name, asked.options, kept.keep)
+        matches: tuple[Match, ...] = ()
+        reads: tuple[Reading, ...] = ()
+        try:
+            if query.streams:
+                query, reads = read_streams(self._configuration, self._converter_of, query)
+                read = {each.generator: each.converter for each in reads}
+                unit = self._plans.queries.start_over(query, read, asked.since, manner)
+            else:
+                wanted = self._needs(query)
+                matches = find_streams(
+                    self._plans, wanted, asked.strategy, asked.since, f"query {name}"
+                )
+                supplies = [match.supply for match in matches if match.supply is not None]
+                unit = self._plans.queries.start(query, supplies, asked.since, manner).unit
+        except Exception as error:
+            self._configuration.release_unused()
+            if type(error) is ValueError:  # what the evaluator says of a query
+                raise BadArguments(str(error)) from error
+            raise
+        unit.users += 1
+        running = _Running(name, registration, query, unit, kept, matches, reads, None)
+        self._running[name] = running
+        running.converter = self._compiled(running)
+        return running
+
+    def _compiled(self, running: _Running) -> SampleConverter | None:
+        """The converter of the results back to the triples of the head; None of a table."""
+        form = result_form(running.query, self._ontology.vocabulary)
+        role = head_role(running.query, self._ontology.vocabulary, _contents(running))
+        annotation = form.rdf_annotation(running.name, [role])
+        if annotation is None:
+            return None
+        return SampleConverter(
+            annotation,
+            form.schema,
+            self._ontology.vocabulary,
+            self._dictionary,
+            ranges=dict.fromkeys(form.naming, THING),
+        )
+
+    def _needs(self, query: ContinuousQuery) -> Needs:
+        try:
+            return self._templates.needs(query)
+        except NeedsError as error:
+            raise NoPlan(error.message, (), error.hint) from error
+
+    def _get(self, name: str) -> _Running:
+        found = self._running.get(name)
+        if found is None:
+            near = difflib.get_close_matches(name, self._running, n=3)
+            raise UnknownQuery(
+                f"there is no query called {name!r}",
+                did_you_mean(near) or "GET /queries lists those that are registered",
+            )
+        return found
+
+    def _is_sound(self, running: _Running) -> bool:
+        """It works, and what it reads is there still and means what it did."""
+        configuration, unit = self._configuration, running.unit
+        return (
+            configuration.units.get(running.name) is unit
+            and not configuration.is_broken(unit)
+            and configuration.reads_what_is_there(unit)
+            and mean_the_same(running.matches, self._space)
+            and all(map(self._means_the_same, running.reads))
+        )
+
+    def _means_the_same(self, reading: Reading) -> bool:
+        now = self._converter_of(reading.name)
+        return now is not None and now.annotation == reading.annotation
+
+    def _state(self, running: _Running) -> tuple[str, str | None]:
+        units = self._configuration.units_behind(running.unit)
+        failures = (f"{unit.name}: {unit.failure}" for unit in units if unit.failure is not None)
+        failure = next(failures, None)
+        if failure is not None:
+            return "failed", failure
+        return ("ended" if running.unit.output.is_ended else "running"), None
+
+    def _readers(self, running: _Running) -> tuple[str, ...]:
+        if self._configuration.units.get(running.name) is not running.unit:
+            return ()
+        units = {unit.name: stream for stream, unit in self._configuration.units.items()}
+        readers = self._configuration.readers_of(running.name)
+        return tuple(
+            f"query {units[reader]}" if units.get(reader) in self._running else reader
+            for reader in readers
+        )
+
+    def _stop(self, running: _Running) -> None:
+        del self._running[running.name]
+        if self._configuration.units.get(running.name) is running.unit:
+            self._configuration.remove_unit(running.unit)
+
+
+def _number_of(item: tuple[str, _Lost]) -> int:
+    return item[1].registration.number
+
+
+def _contents(running: _Running) -> Sequence[Content]:
+    """What the streams contain that a query reads."""
+    said: list[StreamAnnotation] = [each.annotation for each in running.reads]
+    for match in running.matches:
+        if match.supply is not None:
+            said += [annotation_of(source.node) for source in match.supply.sources]
+    return [content for annotation in said for content in annotation.contents]
