@@ -190,6 +190,10 @@ class RegisteredQueries:
         views = map(self.view, (*self._lost, *self._running))
         return tuple(sorted(views, key=lambda view: view.created))
 
+    def has(self, name: str) -> bool:
+        """Whether a query of this name runs."""
+        return name in self._running
+
     def view(self, name: str) -> QueryView:
         """One query; raises `UnknownQuery`."""
         lost = self._lost.get(name)
@@ -234,10 +238,6 @@ class RegisteredQueries:
     ) -> Sequence[WindowResult]:
         """What kept windows gave; see `KeptWindows.between`. Raises `UnknownQuery`."""
         return self._get(name).kept.between(start, end, limit)
-
-    def variables(self, name: str) -> tuple[str, ...]:
-        """The variables of a SELECT's head; raises `UnknownQuery`."""
-        return tuple(self._get(name).unit.output.schema.names)
 
     def explain_running(self, name: str) -> str:
         """Each stage of a query that runs; raises `UnknownQuery`."""
@@ -327,7 +327,7 @@ class RegisteredQueries:
 
     def _start(self, name: str, registration: Registration, query: ContinuousQuery) -> _Running:
         asked = registration.asked
-        check_head(query)
+        check_head(query, self._ontology.vocabulary)
         check_graphs(self._ontology, query)
         kept = KeptWindows()
         manner = Manner(name, asked.options, kept.keep)

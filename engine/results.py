@@ -34,6 +34,8 @@ _AGGREGATE_KINDS = {
     "Aggregate_Sum": Kind.DOUBLE,
     "Aggregate_Count": Kind.INTEGER,
 }
+LONGEST_NAME = 200
+"""So many characters has the name of a field at most, as of streams that people declare."""
 _KIND_OF_RANGE = {datatype.value: kind for kind, datatype in DATATYPES.items()}
 
 
@@ -119,7 +121,7 @@ def result_form(query: ContinuousQuery, vocabulary: Vocabulary) -> ResultForm:
     return ResultForm(schema, tuple(predicates), units, _naming(tree, vocabulary))
 
 
-def check_head(query: ContinuousQuery) -> None:
+def check_head(query: ContinuousQuery, vocabulary: Vocabulary) -> None:
     """The results of ``query`` make samples, whose fields are known before the first; raises
     `LanguageError`, which says what to write instead."""
     tree = algebra(query).algebra
@@ -145,6 +147,11 @@ def check_head(query: ContinuousQuery) -> None:
             elif taken:
                 told = f"a field cannot be called {taken[0]!r}: that is a sample's time"
                 hint = f"rename it: (?{taken[0]} AS ?{taken[0]}Time)"
+    names = (
+        [field.name for field in result_form(query, vocabulary).schema.fields] if not told else []
+    )
+    if any(len(name) > LONGEST_NAME for name in names):
+        told, hint = f"a field's name has at most {LONGEST_NAME} characters", "shorten it"
     if told:
         shape = query_shape(query.sparql)
         assert shape is not None, "parse_query refuses a text without WHERE"
@@ -204,6 +211,7 @@ def _kinds(tree: CompValue, vocabulary: Vocabulary) -> dict[str, Kind]:
     """Kinds of the variables that are numbers or booleans: by the range of the feature whose
     value they are, and by the aggregate that computes them."""
     kinds: dict[str, Kind] = {}
+    said: dict[str, Kind | None] = {}
 
     def learn(node: Any) -> None:
         if not isinstance(node, CompValue):
@@ -212,8 +220,15 @@ def _kinds(tree: CompValue, vocabulary: Vocabulary) -> dict[str, Kind]:
             for _, predicate, object in node.triples:
                 info = vocabulary.feature(str(predicate))
                 kind = _KIND_OF_RANGE.get((info.range if info else None) or "")
-                if kind is not None and isinstance(object, RdflibVariable):
-                    kinds.setdefault(str(object), kind)
+                if not isinstance(object, RdflibVariable):
+                    continue
+                if said.setdefault(str(object), kind) is not kind:
+                    # In a UNION the one may hold or the other: text fits both.
+                    kind = said[str(object)] = None
+                if kind is None:
+                    kinds.pop(str(object), None)
+                else:
+                    kinds[str(object)] = kind
         elif node.name.startswith("Aggregate_"):
             argument = kinds.get(str(node.vars))
             kind = _AGGREGATE_KINDS.get(node.name, argument)
