@@ -208,6 +208,7 @@ class RegisteredQueries:
             view,
             stream=output.name,
             fields=output.schema.fields,
+            reads=tuple(source.name for source in unit.inputs),
             position=output.stream.last_number,
             waits_for=explanations.waits_for(self._configuration, unit),
             windows=len(running.kept),
@@ -333,16 +334,18 @@ class RegisteredQueries:
         manner = Manner(name, asked.options, kept.keep)
         matches: tuple[Match, ...] = ()
         reads: tuple[Reading, ...] = ()
+        if query.streams:
+            query, reads = read_streams(self._configuration, self._converter_of, query)
+        else:
+            wanted = self._needs(query)
+            told = f"query {name}"
+            matches = find_streams(self._plans, wanted, asked.strategy, asked.since, told)
+        converter = self._compiled(name, query, _contents(matches, reads))
         try:
-            if query.streams:
-                query, reads = read_streams(self._configuration, self._converter_of, query)
+            if reads:
                 read = {each.generator: each.converter for each in reads}
                 unit = self._plans.queries.start_over(query, read, asked.since, manner)
             else:
-                wanted = self._needs(query)
-                matches = find_streams(
-                    self._plans, wanted, asked.strategy, asked.since, f"query {name}"
-                )
                 supplies = [match.supply for match in matches if match.supply is not None]
                 unit = self._plans.queries.start(query, supplies, asked.since, manner).unit
         except Exception as error:
@@ -351,22 +354,23 @@ class RegisteredQueries:
                 raise BadArguments(str(error)) from error
             raise
         unit.users += 1
-        running = _Running(name, registration, query, unit, kept, matches, reads, None)
+        running = _Running(name, registration, query, unit, kept, matches, reads, converter)
         self._running[name] = running
-        running.converter = self._compiled(running)
         return running
 
-    def _compiled(self, running: _Running) -> SampleConverter | None:
+    def _compiled(
+        self, name: str, query: ContinuousQuery, read: Sequence[Content]
+    ) -> SampleConverter | None:
         """The converter of the results back to the triples of the head; None of a table."""
-        form = result_form(running.query, self._ontology.vocabulary)
-        role = head_role(running.query, self._ontology.vocabulary, _contents(running))
-        annotation = form.rdf_annotation(running.name, [role])
+        vocabulary = self._ontology.vocabulary
+        form = result_form(query, vocabulary)
+        annotation = form.rdf_annotation(name, [head_role(query, vocabulary, read)])
         if annotation is None:
             return None
         return SampleConverter(
             annotation,
             form.schema,
-            self._ontology.vocabulary,
+            vocabulary,
             self._dictionary,
             ranges=dict.fromkeys(form.naming, THING),
         )
@@ -430,10 +434,10 @@ def _number_of(item: tuple[str, _Lost]) -> int:
     return item[1].registration.number
 
 
-def _contents(running: _Running) -> Sequence[Content]:
+def _contents(matches: Sequence[Match], reads: Sequence[Reading]) -> Sequence[Content]:
     """What the streams contain that a query reads."""
-    said: list[StreamAnnotation] = [each.annotation for each in running.reads]
-    for match in running.matches:
+    said: list[StreamAnnotation] = [each.annotation for each in reads]
+    for match in matches:
         if match.supply is not None:
             said += [annotation_of(source.node) for source in match.supply.sources]
     return [content for annotation in said for content in annotation.contents]

@@ -8,7 +8,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from rdflib import URIRef
+from rdflib import BNode, URIRef
+from rdflib import Literal as RdflibLiteral
 from rdflib import Variable as RdflibVariable
 from rdflib.namespace import RDF
 from rdflib.plugins.sparql.parserutils import CompValue
@@ -22,12 +23,13 @@ from ..languages.ssl.annotation import Content, Role, StreamAnnotation
 from ..matching.want import THING
 from ..ontology.units import Unit
 from ..ontology.vocabulary import Vocabulary
+from ..rdf.datatypes import NUMBERS
 from ..rdf.namespaces import RDF as RDF_NAMESPACE
-from ..rdf.namespaces import RDFS, XSD, local_name
+from ..rdf.namespaces import RDFS, XSD, local_name, shorten
 from ..rdf.timed import DATATYPES, Kind
 from ..streams.sample import TIME_FIELDS, Schema
 from ..streams.strings import StringPool
-from ..templates.patterns import head_subjects, patterns
+from ..templates.patterns import patterns
 
 _AGGREGATE_KINDS = {
     "Aggregate_Avg": Kind.DOUBLE,
@@ -104,7 +106,7 @@ def result_form(query: ContinuousQuery, vocabulary: Vocabulary) -> ResultForm:
             schema, (), {}, ordered=shape is not None and bool(shape.modifier("ORDER"))
         )
     predicates: dict[str, Kind | None] = {}
-    for _, predicate, object in tree.template:
+    for _, predicate, object in template_of(query):
         if isinstance(predicate, URIRef):
             kind = kinds_of.get(str(object)) if isinstance(object, RdflibVariable) else None
             predicates.setdefault(str(predicate), kind)
@@ -118,7 +120,12 @@ def result_form(query: ContinuousQuery, vocabulary: Vocabulary) -> ResultForm:
         kinds={name: kind for name, kind in predicates.items() if kind is not None},
         vocabulary=vocabulary,
     )
-    return ResultForm(schema, tuple(predicates), units, _naming(tree, vocabulary))
+    return ResultForm(schema, tuple(predicates), units, _naming(query, vocabulary))
+
+
+def template_of(query: ContinuousQuery) -> Sequence[tuple[Any, Any, Any]]:
+    """The triples of a CONSTRUCT head."""
+    return algebra(query).algebra.template or ()
 
 
 def check_head(query: ContinuousQuery, vocabulary: Vocabulary) -> None:
@@ -133,12 +140,15 @@ def check_head(query: ContinuousQuery, vocabulary: Vocabulary) -> None:
             told = "what DESCRIBE gives has no fields that are known beforehand"
             hint = "write CONSTRUCT { ?o <feature> ?value } with the features that are wanted"
         case Form.CONSTRUCT:
-            predicates = [predicate for _, predicate, _ in tree.template]
+            predicates = [predicate for _, predicate, _ in template_of(query)]
             hint = "write the features that are wanted: CONSTRUCT { ?o <feature> ?value }"
             if not predicates:
-                told = "the head constructs nothing"
+                told = "the head says nothing"
             elif not all(isinstance(predicate, URIRef) for predicate in predicates):
                 told = "a predicate that is a variable gives no fields that are known beforehand"
+            else:
+                told = _no_number(query, vocabulary)
+                hint = "write another predicate for it" if told else hint
         case Form.SELECT:
             names = [str(variable) for variable in tree.PV]
             taken = [name for name in names if name in TIME_FIELDS]
@@ -158,6 +168,19 @@ def check_head(query: ContinuousQuery, vocabulary: Vocabulary) -> None:
         raise LanguageError(told, query.source, shape.tokens[shape.start].span, hint)
 
 
+def _no_number(query: ContinuousQuery, vocabulary: Vocabulary) -> str:
+    """What a head says of a feature whose values are numbers, and that can be none."""
+    names = _names(algebra(query).algebra, vocabulary)
+    for _, predicate, object in template_of(query):
+        info = vocabulary.feature(str(predicate))
+        if info is None or info.range not in NUMBERS:
+            continue
+        is_text = isinstance(object, RdflibLiteral) and str(object.datatype) not in NUMBERS
+        if is_text or isinstance(object, URIRef | BNode) or object in names:
+            return f"the values of {shorten(str(predicate))} are numbers, {object.n3()} is none"
+    return ""
+
+
 def head_role(query: ContinuousQuery, vocabulary: Vocabulary, read: Iterable[Content]) -> Role:
     """What the subjects of a head are, by what the query itself requires of them: one sort, if it
     names one for all of them, or if all that it reads of them speaks of one; else any thing.
@@ -168,7 +191,7 @@ def head_role(query: ContinuousQuery, vocabulary: Vocabulary, read: Iterable[Con
     contents = list(read)
     body = patterns(tree)
     sorts = set()
-    for subject in head_subjects(tree):
+    for subject in dict.fromkeys(subject for subject, _, _ in template_of(query)):
         own = [pattern for pattern in body if pattern.subject == subject]
         named = {str(c) for pattern in own for c in pattern.classes if vocabulary.is_sort(str(c))}
         features = {str(pattern.predicate) for pattern in own}
@@ -184,23 +207,29 @@ def head_role(query: ContinuousQuery, vocabulary: Vocabulary, read: Iterable[Con
     return Role(sorts.pop() if len(sorts) == 1 else THING, None, ID)
 
 
-def _naming(tree: CompValue, vocabulary: Vocabulary) -> frozenset[str]:
+def _naming(query: ContinuousQuery, vocabulary: Vocabulary) -> frozenset[str]:
     """The predicates of a head whose objects are always IRIs: written so, or stand in the body
     where nothing else can."""
-    names = set()
-    for pattern in patterns(tree):
-        names.add(pattern.subject)
-        info = vocabulary.feature(str(pattern.predicate))
-        if pattern.predicate == RDF.type or (info is not None and _is_class(info.range)):
-            names.add(pattern.object)
+    names = _names(algebra(query).algebra, vocabulary)
     objects: dict[str, set[Any]] = defaultdict(set)
-    for _, predicate, object in tree.template:
+    for _, predicate, object in template_of(query):
         objects[str(predicate)].add(object)
     return frozenset(
         predicate
         for predicate, found in objects.items()
         if all(isinstance(each, URIRef) or each in names for each in found)
     )
+
+
+def _names(tree: CompValue, vocabulary: Vocabulary) -> set[Any]:
+    """What can only be a name, and no literal, by where it stands in the body."""
+    names = set()
+    for pattern in patterns(tree):
+        names.add(pattern.subject)
+        info = vocabulary.feature(str(pattern.predicate))
+        if pattern.predicate == RDF.type or (info is not None and _is_class(info.range)):
+            names.add(pattern.object)
+    return names
 
 
 def _is_class(range: str | None) -> bool:
@@ -246,6 +275,9 @@ def _kinds(tree: CompValue, vocabulary: Vocabulary) -> dict[str, Kind]:
     while before < len(kinds):
         before = len(kinds)
         _walk(tree, learn)
+    for name in _names(tree, vocabulary):
+        # A number in one branch of a UNION, a name in another.
+        kinds.pop(str(name), None)
     return kinds
 
 

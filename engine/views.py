@@ -120,7 +120,8 @@ class QueryView:
 
     ``state``: running, failed, ended (all that it reads has), or not restored (of an earlier run;
     then ``stream`` and ``plan`` are None); ``failure`` says why. ``users`` counts who registered
-    it. ``every`` and ``origin`` in ns; ``position`` is the number of the stream's last sample,
+    it. ``origin`` in ns; ``reads`` are the streams that its unit reads, which units may make that
+    the plan tells; ``position`` is the number of the stream's last sample,
     ``windows`` how many results are kept, ``last_window`` the end (ns) of the last that closed,
     ``late`` the triples that came too late for theirs.
     """
@@ -142,6 +143,7 @@ class QueryView:
     created: int
     stream: str | None = None
     fields: tuple[Field, ...] = ()
+    reads: tuple[str, ...] = ()
     position: int = 0
     waits_for: tuple[str, ...] = ()
     windows: int = 0

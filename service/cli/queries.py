@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from ...engine.views import Since
+from ...streams.time import format_time
 from ..negotiation import CSV, JSON_LD, NTRIPLES, SPARQL_JSON, SPARQL_XML, TSV, TURTLE
 from .events import STRATEGY
 from .knowing import show_bindings
@@ -107,7 +108,7 @@ def list_queries(url: Url = DEFAULT_URL, as_json: Json = False) -> None:
                 each["name"],
                 each["form"],
                 each["state"],
-                [] if each["plan"] is None else each["plan"]["streams"],
+                each["reads"],
                 clock_of(each["last_window"]) or "-",
                 each["users"],
             )
@@ -198,5 +199,7 @@ def _how(found: dict[str, Any]) -> str:
     if found["late"]:
         words.append(f"{found['late']} triples came too late")
     how = f"{options['semantics']} semantics, windows {options['bounds']}"
-    how += f" from {options['origin']} on, report {options['report']}, since {options['since']}"
+    if options["origin"] != format_time(0):
+        how += f" at {options['origin']} and so on"
+    how += f", report {options['report']}, since {options['since']}"
     return "; ".join(words) + "\n" + how

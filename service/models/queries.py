@@ -35,6 +35,7 @@ class QueryModel(BaseModel):
     users: int = Field(description="how often it was registered: it stops with the last removal")
     stream: str | None
     fields: dict[str, str] = Field(description="the fields of the stream's samples and their types")
+    reads: list[str] = Field(description="the streams that the query itself reads")
     position: str | None = Field(description="id of the stream's last sample: follow with since=")
     events: str | None
     results: str
@@ -62,6 +63,7 @@ class QueryModel(BaseModel):
             users=view.users,
             stream=stream,
             fields={field.name: str(field.type) for field in view.fields},
+            reads=list(view.reads),
             position=None if stream is None else f"{epoch}-{view.position}",
             events=None if stream is None else f"/streams/{quote(stream, safe='')}/events",
             results=f"{path}/results",

@@ -159,6 +159,11 @@ def test_order_by_is_kept(flying):
         ("DESCRIBE ?o", "write CONSTRUCT"),
         ("CONSTRUCT { ?o ?p ?v }", "write the features"),
         ("SELECT ?valid", "(?valid AS ?validTime)"),
+        ("CONSTRUCT { ?o dyknow:speed 'fast' }", "another predicate"),
+        ("CONSTRUCT { ?o dyknow:speed ?o }", "another predicate"),
+        ("CONSTRUCT { }", "write the features"),
+        ("CONSTRUCT", "write the features"),
+        (f"SELECT ?o ({'?v AS ?' + 'x' * 201})", "shorten it"),
     ],
 )
 def test_heads_without_known_fields_are_refused_with_what_to_write(flying, head, hint):
@@ -168,6 +173,20 @@ def test_heads_without_known_fields_are_refused_with_what_to_write(flying, head,
     assert hint in refused.value.hint
     assert refused.value.column == 21
     assert flying.queries.views() == ()
+
+
+@pytest.mark.parametrize(
+    ("other", "types"),
+    [("?o a ?v", FieldType.STRING), ("?v a dyknow:UAV", FieldType.STRING)],
+)
+def test_a_column_of_numbers_and_names_is_text(flying, other, types):
+    view = flying.queries.register(
+        f"REGISTER QUERY q AS SELECT ?v FROM STREAM {S5} {WINDOW} "
+        f"WHERE {{ {{ ?o dyknow:speed ?v }} UNION {{ {other} }} }}"
+    )
+    assert view.fields == (Field("v", types),)
+    play(flying)
+    assert flying.queries.view("q").state == "ended"
 
 
 # -- streams ---------------------------------------------------------------------------------

@@ -359,7 +359,7 @@ def test_on_the_command_line(dyknow: Any, flying: httpx.Client, tmp_path: Path) 
     assert "dyknow:uav2" in dyknow("query", "results", "fast", "--limit", "9").stdout
     assert "o,mean" in dyknow("query", "results", "means", "--format", "csv").stdout
     assert json.loads(dyknow("query", "results", "means", "--json").stdout)["head"]
-    assert "from 1970-01-01T00:00:00.5Z on" in dyknow("query", "show", "fast").stdout
+    assert "at 1970-01-01T00:00:00.5Z and so on" in dyknow("query", "show", "fast").stdout
     assert "evaluation" in dyknow("query", "show", "fast", "--explain").stdout
     assert json.loads(dyknow("query", "list", "--json").stdout.splitlines()[0])["name"] == "means"
     assert "runs on for 1" in dyknow("query", "remove", "means").stdout
