@@ -185,6 +185,10 @@ class RegisteredQueries:
 
     # -- asking ------------------------------------------------------------------------------
 
+    def __len__(self) -> int:
+        """How many there are, with those of an earlier run that do not hold."""
+        return len(self._lost) + len(self._running)
+
     def views(self) -> tuple[QueryView, ...]:
         """The registered queries, oldest first, with those of an earlier run that do not hold."""
         views = map(self.view, (*self._lost, *self._running))

@@ -222,12 +222,13 @@ class Ontology:
     def set_query(self, name: str, registration_json: str) -> None:
         """Keeps the registration of a continuous query."""
         node = graphs.query_node(name)
-        kept = _named_text(node, _SPECIFICATION, name, registration_json)
-        self._keep(graphs.QUERIES, node, kept)
+        self._keep_aside(
+            graphs.QUERIES, node, _named_text(node, _SPECIFICATION, name, registration_json)
+        )
 
     def remove_query(self, name: str) -> None:
         """Forgets the registration, if there is one."""
-        self._keep(graphs.QUERIES, graphs.query_node(name), set())
+        self._keep_aside(graphs.QUERIES, graphs.query_node(name), set())
 
     def queries(self) -> dict[str, str]:
         """Name of a registered continuous query -> its registration as JSON text."""
@@ -370,6 +371,14 @@ class Ontology:
             self._flush()
             self._changed()
 
+    def _keep_aside(self, graph: NamedNode, subject: NamedNode, triples: set[Triple]) -> None:
+        """The same of what nothing follows from and no continuous query reads: to them the
+        ontology is as it was, and they need not look at it anew."""
+        with self._lock:
+            before = {q.triple for q in self.store.quads_for_pattern(subject, None, None, graph)}
+            self._apply({graph: _change(frozenset(before), frozenset(triples))})
+            self._flush()
+
     def _changed(self) -> None:
         self.version += 1
         self.vocabulary = self._base.with_events(self.templates(), self.version)
@@ -438,7 +447,6 @@ class Ontology:
             graphs.DECLARATIONS,
             graphs.TRANSFORMATIONS,
             graphs.KPL,
-            graphs.QUERIES,
             graphs.SPECIFICATIONS,
         )
         return frozenset().union(*map(self._graph, kept))

@@ -25,6 +25,7 @@ from dyknow.engine.errors import (
 from dyknow.engine.registrations import Asked
 from dyknow.engine.views import Since, StreamDeclaration
 from dyknow.languages.csparql import parse_query
+from dyknow.languages.csparql.ast import CountWindow, Dialect, StreamOperator
 from dyknow.languages.errors import LanguageError
 from dyknow.streams.sample import Field, FieldType, batch_from_rows
 from dyknow.streams.time import SECOND
@@ -300,6 +301,51 @@ def test_options_say_how_the_text_is_read(flying):
     assert (view.semantics, view.bounds, view.origin) == ("set", "[)", SECOND // 2)
     play(flying, twice)
     assert samples(flying, "n") == [(1.5, {"n": 1})]
+
+
+def test_windows_with_names_and_graphs_with_names(flying):
+    """What RSP-QL says, put together by hand: two windows of one stream, an ontology by its name,
+    what is new in the result."""
+    text = f"""REGISTER QUERY q AS SELECT ?o ?v ?last
+    FROM STREAM {S5} [RANGE 5s STEP 1s] FROM STREAM <{DYKNOW}s6.trdf> [RANGE 5s STEP 1s] WHERE {{
+      GRAPH <http://x.org/time> {{ ?o dyknow:speed ?v }}
+      GRAPH <http://x.org/count> {{ ?o dyknow:speed ?last }}
+      GRAPH <{DYKNOW}ontology.rdf> {{ dyknow:UAV a ?class }} }}"""
+    query = parse_query(text)
+    time, count = query.streams
+    clauses = (
+        replace(time, name="http://x.org/time"),
+        replace(count, iri=time.iri, name="http://x.org/count", window=CountWindow(2, 1)),
+    )
+    query = replace(
+        query,
+        streams=clauses,
+        static_named=(DYKNOW + "ontology.rdf",),
+        dialect=Dialect.RSP_QL,
+        operator=StreamOperator.ISTREAM,
+    )
+    view = flying.queries.start(query, Asked(text, Options("set"), "fast", Since.NOW))
+    assert (view.dialect, view.reads) == ("RSP-QL", ("s5",))
+    rows = [(s, {"id": "uav1", "spd": float(s), "alt": None}) for s in (1, 2, 3)]
+    play(flying, rows)
+    assert flying.queries.view("q").state == "ended"
+    found = [(t, row["v"], row["last"]) for t, row in samples(flying, "q")]
+    assert found[:6] == [
+        (1.0, 1.0, 1.0),
+        (2.0, 1.0, 2.0),
+        (2.0, 2.0, 1.0),
+        (2.0, 2.0, 2.0),
+        (3.0, 1.0, 3.0),
+        (3.0, 2.0, 3.0),
+    ]
+
+
+def test_a_registration_leaves_the_ontology_as_it_was(flying):
+    """Queries that run need not look at it anew."""
+    version = flying.ontology.version
+    flying.queries.register(FAST)
+    flying.queries.remove("fast")
+    assert flying.ontology.version == version
 
 
 def test_the_past_is_answered_when_it_is_asked_for(flying):
