@@ -13,60 +13,45 @@ from dataclasses import dataclass, replace
 
 from ..continuous.options import Bounds, Options, Report, Semantics
 from ..continuous.results import WindowResult
-from ..converters.errors import ConversionError
 from ..converters.to_triples import SampleConverter
 from ..languages.csparql import parse_query
 from ..languages.csparql.ast import ContinuousQuery, Dialect
-from ..languages.errors import LanguageError
-from ..languages.ssl.annotation import Content, StreamAnnotation
-from ..matching.match import Match
-from ..matching.plan import annotation_of
 from ..matching.space import StreamSpace
-from ..matching.want import THING
 from ..ontology.ontology import Ontology
 from ..rdf.dictionary import TermDictionary
 from ..rdf.namespaces import local_name
 from ..templates.library import TemplateLibrary
-from ..templates.needs import Needs, NeedsError
 from . import explain as explanations
 from .changes import Change, ChangeKind
 from .configuration import RESERVED, Configuration
 from .declared import DeclaredStreams
 from .errors import (
     AlreadyExists,
-    BadArguments,
     Conflict,
-    DyknowError,
-    NoPlan,
     NoResult,
     UnknownQuery,
 )
-from .finding import check_graphs, find_streams, mean_the_same
-from .kept_windows import KeptWindows
 from .knowing import checked_strategy, did_you_mean
 from .plans import Plans
-from .queries import Manner
-from .reading import Reading, read_streams
 from .registrations import Asked, Registration, check_same, registration_of
-from .results import check_head, head_role, result_form
+from .starting import Started, Starter
 from .unit import QueryUnit
 from .views import QueryView, Since
 
 
 @dataclass(slots=True, eq=False)
 class _Running:
-    """A query at work. ``matches`` say how its streams were found, ``reads`` which it names;
-    one of the two is empty."""
+    """A query at work under its name; ``is_named`` unless the system had to invent that."""
 
     name: str
+    is_named: bool
     registration: Registration
-    query: ContinuousQuery
-    unit: QueryUnit
-    kept: KeptWindows
-    matches: tuple[Match, ...]
-    reads: tuple[Reading, ...]
-    converter: SampleConverter | None
+    started: Started
     users: int = 1
+
+    @property
+    def unit(self) -> QueryUnit:
+        return self.started.unit
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,8 +65,7 @@ class _Lost:
 class RegisteredQueries:
     """The queries that people registered; the engine's face for them.
 
-    ``annotation_of`` tells what people have said of a stream, ``converter_of`` converts its samples
-    to triples (None where nobody has said what it contains).
+    ``changed`` hears what cannot be restored; for the others see `Starter`.
     """
 
     def __init__(
@@ -98,13 +82,13 @@ class RegisteredQueries:
     ) -> None:
         self._ontology = ontology
         self._dictionary = dictionary
-        self._templates = templates
         self._configuration = configuration
         self._plans = plans
-        self._space = space
         self._declared = declared
         self._changed = changed
-        self._converter_of = converter_of
+        self._starter = Starter(
+            ontology, dictionary, templates, configuration, plans, space, converter_of
+        )
         self._running: dict[str, _Running] = {}
         self._lost: dict[str, _Lost] = {}
         self._number = 0
@@ -140,7 +124,7 @@ class RegisteredQueries:
         known = self._running.get(name)
         if known is not None:
             check_same(name, known.registration.asked, asked)
-            if self._is_sound(known):
+            if self._starter.is_sound(known.started):
                 known.users += 1
                 known.unit.users += 1
                 return self.view(name)
@@ -155,7 +139,7 @@ class RegisteredQueries:
             raise
         if known is not None:
             running.users = running.unit.users = known.users + 1
-        if query.name and not any(each.name.startswith(RESERVED) for each in running.reads):
+        if query.name and not any(each.name.startswith(RESERVED) for each in running.started.reads):
             # Another run may give such a name to another stream.
             self._ontology.set_query(name, registration.json())
         self._lost.pop(name, None)
@@ -207,7 +191,7 @@ class RegisteredQueries:
         unit, output = running.unit, running.unit.output
         state, failure = self._state(running)
         view = running.registration.view(name, state, failure, running.users)
-        latest = running.kept.latest
+        latest = running.started.kept.latest
         return replace(
             view,
             stream=output.name,
@@ -215,7 +199,7 @@ class RegisteredQueries:
             reads=tuple(source.name for source in unit.inputs),
             position=output.stream.last_number,
             waits_for=explanations.waits_for(self._configuration, unit),
-            windows=len(running.kept),
+            windows=len(running.started.kept),
             last_window=None if latest is None else latest.end,
             late=unit.evaluator.late,
             plan=explanations.plan_view(self._configuration, unit),
@@ -223,7 +207,7 @@ class RegisteredQueries:
 
     def latest(self, name: str) -> WindowResult:
         """What the last window that closed gave; raises `UnknownQuery` and `NoResult`."""
-        found = self._get(name).kept.latest
+        found = self._get(name).started.kept.latest
         if found is None:
             waiting = self.view(name).waits_for
             raise NoResult(
@@ -242,15 +226,15 @@ class RegisteredQueries:
         limit: int | None = None,
     ) -> Sequence[WindowResult]:
         """What kept windows gave; see `KeptWindows.between`. Raises `UnknownQuery`."""
-        return self._get(name).kept.between(start, end, limit)
+        return self._get(name).started.kept.between(start, end, limit)
 
     def explain_running(self, name: str) -> str:
         """Each stage of a query that runs; raises `UnknownQuery`."""
         running = self._get(name)
         return explanations.running_query(
             running.registration.asked.source,
-            [each.annotation for each in running.reads],
-            running.matches,
+            [each.annotation for each in running.started.reads],
+            running.started.matches,
             explanations.plan_text(self._configuration, running.unit),
             running.unit.evaluator.explain(),
         )
@@ -261,7 +245,7 @@ class RegisteredQueries:
         query = parse_query(text)
         if query.streams:
             return explanations.query(query, self._ontology, self._dictionary)
-        wanted = self._needs(query)
+        wanted = self._starter.needs(query)
         matches = self._plans.match(wanted.wants, "fast", explained=True)
         return explanations.inferred(query, wanted, matches, self._ontology, self._dictionary)
 
@@ -275,7 +259,7 @@ class RegisteredQueries:
         running = self._running.get(stream)
         if running is None or self._declared.annotation_of(stream) is not None:
             return None
-        return running.converter
+        return running.started.converter
 
     # -- an earlier run ----------------------------------------------------------------------
 
@@ -298,7 +282,7 @@ class RegisteredQueries:
             registration = lost.registration
             try:
                 self._start(name, registration, parse_query(registration.asked.source))
-            except (LanguageError, DyknowError, ConversionError) as error:
+            except Exception as error:  # noqa: BLE001  the engine starts without it, and says why
                 self._lost[name] = replace(lost, reason=str(error))
                 continue
             del self._lost[name]
@@ -316,7 +300,7 @@ class RegisteredQueries:
         """The name of the query and its stream; raises `Refused` and `AlreadyExists`."""
         if not query.name:
             for running in self._running.values():
-                if not running.query.name and running.registration.asked == asked:
+                if not running.is_named and running.registration.asked == asked:
                     return running.name
             return self._configuration.reserved_name()
         name = local_name(query.name) if ":" in query.name else query.name
@@ -331,59 +315,11 @@ class RegisteredQueries:
         return name
 
     def _start(self, name: str, registration: Registration, query: ContinuousQuery) -> _Running:
-        asked = registration.asked
-        check_head(query, self._ontology.vocabulary)
-        check_graphs(self._ontology, query)
-        kept = KeptWindows()
-        manner = Manner(name, asked.options, kept.keep)
-        matches: tuple[Match, ...] = ()
-        reads: tuple[Reading, ...] = ()
-        if query.streams:
-            query, reads = read_streams(self._configuration, self._converter_of, query)
-        else:
-            wanted = self._needs(query)
-            told = f"query {name}"
-            matches = find_streams(self._plans, wanted, asked.strategy, asked.since, told)
-        converter = self._compiled(name, query, _contents(matches, reads))
-        try:
-            if reads:
-                read = {each.generator: each.converter for each in reads}
-                unit = self._plans.queries.start_over(query, read, asked.since, manner)
-            else:
-                supplies = [match.supply for match in matches if match.supply is not None]
-                unit = self._plans.queries.start(query, supplies, asked.since, manner).unit
-        except Exception as error:
-            self._configuration.release_unused()
-            if type(error) is ValueError:  # what the evaluator says of a query
-                raise BadArguments(str(error)) from error
-            raise
-        unit.users += 1
-        running = _Running(name, registration, query, unit, kept, matches, reads, converter)
+        started = self._starter.start(name, query, registration.asked)
+        started.unit.users += 1
+        running = _Running(name, bool(query.name), registration, started)
         self._running[name] = running
         return running
-
-    def _compiled(
-        self, name: str, query: ContinuousQuery, read: Sequence[Content]
-    ) -> SampleConverter | None:
-        """The converter of the results back to the triples of the head; None of a table."""
-        vocabulary = self._ontology.vocabulary
-        form = result_form(query, vocabulary)
-        annotation = form.rdf_annotation(name, [head_role(query, vocabulary, read)])
-        if annotation is None:
-            return None
-        return SampleConverter(
-            annotation,
-            form.schema,
-            vocabulary,
-            self._dictionary,
-            ranges=dict.fromkeys(form.naming, THING),
-        )
-
-    def _needs(self, query: ContinuousQuery) -> Needs:
-        try:
-            return self._templates.needs(query)
-        except NeedsError as error:
-            raise NoPlan(error.message, (), error.hint) from error
 
     def _get(self, name: str) -> _Running:
         found = self._running.get(name)
@@ -394,21 +330,6 @@ class RegisteredQueries:
                 did_you_mean(near) or "GET /queries lists those that are registered",
             )
         return found
-
-    def _is_sound(self, running: _Running) -> bool:
-        """It works, and what it reads is there still and means what it did."""
-        configuration, unit = self._configuration, running.unit
-        return (
-            configuration.units.get(running.name) is unit
-            and not configuration.is_broken(unit)
-            and configuration.reads_what_is_there(unit)
-            and mean_the_same(running.matches, self._space)
-            and all(map(self._means_the_same, running.reads))
-        )
-
-    def _means_the_same(self, reading: Reading) -> bool:
-        now = self._converter_of(reading.name)
-        return now is not None and now.annotation == reading.annotation
 
     def _state(self, running: _Running) -> tuple[str, str | None]:
         units = self._configuration.units_behind(running.unit)
@@ -436,12 +357,3 @@ class RegisteredQueries:
 
 def _number_of(item: tuple[str, _Lost]) -> int:
     return item[1].registration.number
-
-
-def _contents(matches: Sequence[Match], reads: Sequence[Reading]) -> Sequence[Content]:
-    """What the streams contain that a query reads."""
-    said: list[StreamAnnotation] = [each.annotation for each in reads]
-    for match in matches:
-        if match.supply is not None:
-            said += [annotation_of(source.node) for source in match.supply.sources]
-    return [content for annotation in said for content in annotation.contents]

@@ -63,15 +63,12 @@ def answer(body: bytes | None, kind: str) -> Response:
     return Response(body or b"", media_type=kind)
 
 
-def one_window(request: Request, result: WindowResult, variables: Sequence[str]) -> Response:
-    """The result of a window as SPARQL has it; ``variables`` are the head's of a SELECT.
-
-    Raises a 406 `Problem`.
-    """
+def one_window(request: Request, result: WindowResult) -> Response:
+    """The result of a window as SPARQL has it; raises a 406 `Problem`."""
     if result.triples is not None:
         return _graph(request, [result])
     if result.solutions is not None:
-        return _table(request, variables, result.solutions.rows())
+        return _table(request, result.solutions.variables, result.solutions.rows())
     kind = accepted(request, tuple(BOOLEANS))
     told = json.dumps({"head": {}, "boolean": bool(result.answer)})
     return answer(_written(told, BOOLEANS[kind]), kind)
@@ -81,10 +78,14 @@ def many_windows(
     request: Request, results: Sequence[WindowResult], form: str, variables: Sequence[str]
 ) -> Response:
     """The results of several windows: one table, each row with the end of its window first; one
-    graph of all that was constructed. Raises a 406 `Problem`."""
+    graph of all that was constructed. ``variables`` are a table's where no window tells.
+
+    Raises a 406 `Problem`.
+    """
     if form in ("CONSTRUCT", "DESCRIBE"):
         return _graph(request, results)
-    names = [ANSWER] if form == "ASK" else list(variables)
+    told = next((each.solutions.variables for each in results if each.solutions), variables)
+    names = [ANSWER] if form == "ASK" else list(told)
     end = WINDOW_END
     while end in names:
         end += "_"

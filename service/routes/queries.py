@@ -155,13 +155,13 @@ async def read_results(
     answer to ASK; Turtle, N-Triples, JSON-LD for CONSTRUCT. Terms are as the query gave them.
     """
     queries = service.engine.queries
-    view = queries.view(name)
-    variables = tuple(field.name for field in view.fields)
     # Results do not change, so that they are written beside the event loop.
     if start is None and end is None and limit is None:
         latest = queries.latest(name)
-        response = await anyio.to_thread.run_sync(one_window, request, latest, variables)
+        response = await anyio.to_thread.run_sync(one_window, request, latest)
         response.headers[WINDOW_END] = format_time(latest.end)
         return response
+    view = queries.view(name)
+    variables = tuple(field.name for field in view.fields)
     found = queries.results(name, time_of(start, "from"), time_of(end, "to"), limit)
     return await anyio.to_thread.run_sync(many_windows, request, found, view.form, variables)
