@@ -34,7 +34,7 @@ from .errors import (
 from .knowing import checked_strategy, did_you_mean
 from .plans import Plans
 from .registrations import Asked, Registration, check_same, registration_of
-from .starting import Started, Starter
+from .starting import Started, Starter, told_as_arguments
 from .unit import QueryUnit
 from .views import QueryView, Since
 
@@ -241,13 +241,15 @@ class RegisteredQueries:
 
     def explain(self, text: str) -> str:
         """Each stage of a query that is not registered: nothing is started. Its streams need not
-        exist. Raises `LanguageError` and `NoPlan`."""
+        exist. Raises `LanguageError`, `NoPlan` and `BadArguments`."""
         query = parse_query(text)
-        if query.streams:
-            return explanations.query(query, self._ontology, self._dictionary)
-        wanted = self._starter.needs(query)
-        matches = self._plans.match(wanted.wants, "fast", explained=True)
-        return explanations.inferred(query, wanted, matches, self._ontology, self._dictionary)
+        known = self._ontology, self._dictionary
+        with told_as_arguments():
+            if query.streams:
+                return explanations.query(query, *known)
+            wanted = self._starter.needs(query)
+            matches = self._plans.match(wanted.wants, "fast", explained=True)
+            return explanations.inferred(query, wanted, matches, *known)
 
     def of_stream(self, stream: str) -> tuple[str, ...]:
         """The queries that a stream answers, as people call them."""

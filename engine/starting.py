@@ -4,7 +4,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 from ..converters.to_triples import SampleConverter
@@ -84,16 +85,15 @@ class Starter:
         kept = KeptWindows()
         manner = Manner(name, asked.options, kept.keep)
         try:
-            if reads:
-                read = {each.generator: each.converter for each in reads}
-                unit = self._plans.queries.start_over(query, read, asked.since, manner)
-            else:
-                supplies = [match.supply for match in matches if match.supply is not None]
-                unit = self._plans.queries.start(query, supplies, asked.since, manner).unit
-        except Exception as error:
+            with told_as_arguments():
+                if reads:
+                    read = {each.generator: each.converter for each in reads}
+                    unit = self._plans.queries.start_over(query, read, asked.since, manner)
+                else:
+                    supplies = [match.supply for match in matches if match.supply is not None]
+                    unit = self._plans.queries.start(query, supplies, asked.since, manner).unit
+        except Exception:
             self._configuration.release_unused()
-            if type(error) is ValueError:  # what the evaluator says of a query
-                raise BadArguments(str(error)) from error
             raise
         return Started(unit, kept, matches, reads, converter)
 
@@ -134,6 +134,17 @@ class Starter:
             self._dictionary,
             ranges=dict.fromkeys(form.naming, THING),
         )
+
+
+@contextmanager
+def told_as_arguments() -> Iterator[None]:
+    """What the evaluator says of a query that it cannot evaluate becomes `BadArguments`."""
+    try:
+        yield
+    except ValueError as error:
+        if type(error) is not ValueError:  # an error of a language has a place of its own
+            raise
+        raise BadArguments(str(error)) from error
 
 
 def _contents(matches: Sequence[Match], reads: Sequence[Reading]) -> Sequence[Content]:

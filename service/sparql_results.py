@@ -84,7 +84,9 @@ def many_windows(
     """
     if form in ("CONSTRUCT", "DESCRIBE"):
         return _graph(request, results)
-    told = next((each.solutions.variables for each in results if each.solutions), variables)
+    told = next(
+        (each.solutions.variables for each in results if each.solutions is not None), variables
+    )
     names = [ANSWER] if form == "ASK" else list(told)
     end = WINDOW_END
     while end in names:

@@ -43,7 +43,7 @@ Origin = Annotated[
 ]
 Report = Annotated[
     ReportWord,
-    typer.Option(help="A result a window with content, with other content, or that closes."),
+    typer.Option(help="Windows that give a result: with content, with other than before, all."),
 ]
 
 

@@ -19,7 +19,10 @@ LIMIT = 8192
 @router.get(
     "/explain",
     response_model=ExplainModel,
-    responses={200: {"content": {TEXT: {"schema": {"type": "string"}}}}, **responses(404, 406)},
+    responses={
+        200: {"content": {TEXT: {"schema": {"type": "string"}}}},
+        **responses(404, 406, 422),
+    },
 )
 async def explain(
     request: Request,

@@ -467,6 +467,18 @@ def test_explanations(flying):
         assert words in found
 
 
+def test_a_query_that_cannot_be_evaluated_is_told_so_beforehand(flying, monkeypatch):
+    def refuses(*arguments):
+        raise ValueError("these do not go together")
+
+    monkeypatch.setattr("dyknow.engine.queries.ContinuousEvaluator", refuses)
+    monkeypatch.setattr("dyknow.engine.explain.ContinuousEvaluator", refuses)
+    for ask in (flying.queries.register, flying.queries.explain):
+        with pytest.raises(BadArguments, match="go together"):
+            ask(FAST)
+    assert {view.name for view in flying.streams()} == {"s5", "status"}
+
+
 # -- an earlier run --------------------------------------------------------------------------
 
 
