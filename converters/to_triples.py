@@ -35,7 +35,8 @@ class SampleConverter:
     the valid time beside it. No object or no value: no triple. Features that share subject and
     condition share one table of wide rows, in the samples' order; rows without any triple are left
     out. ``features`` (IRIs) keeps only these, ``units`` gives a feature (IRI) another unit than the
-    stream's. Objects named by an id field lie in ``namespace`` unless they are IRIs.
+    stream's; ``ranges`` are those of features that the vocabulary does not know. Objects named by
+    an id field lie in ``namespace`` unless they are IRIs.
 
     Law (tests/laws): `TripleConverter` of the same annotation gives the samples back.
 
@@ -56,6 +57,7 @@ class SampleConverter:
         namespace: str = DYKNOW,
         features: Collection[str] | None = None,
         units: Mapping[str, Unit] | None = None,
+        ranges: Mapping[str, str] | None = None,
     ) -> None:
         self.annotation = annotation
         self.dictionary = dictionary
@@ -68,7 +70,7 @@ class SampleConverter:
             names = ObjectTable(dictionary, namespace)
             objects = object_column(
                 field_of(schema, content.field, annotation),
-                None if info is None else info.range,
+                (None if info is None else info.range) or (ranges or {}).get(content.feature),
                 edge_conversion(content, units),
                 names,
                 dictionary,

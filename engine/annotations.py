@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 
 from ..converters.errors import ConversionError
@@ -112,23 +112,33 @@ class Annotations:
         known = (transformation.annotation for transformation in self._transformations.values())
         return (*self._streams.annotations(), *known)
 
-    def restore(self) -> None:
-        """The annotations that an earlier run was told.
+    def restore(self, later: Collection[str] = ()) -> None:
+        """The annotations that an earlier run was told, but for those ``later``.
 
         What does not hold any more (the ontology has changed since) is told on the status stream
         and left out; its text is kept.
         """
         for name, source in self._ontology.annotations().items():
-            try:
-                checked = self._read(name, source)
-                for annotation in checked:
-                    self._check(annotation)
-            except (LanguageError, DyknowError, ConversionError, ValueError, KeyError) as error:
-                reason = f"{error}\n{source}"
-                self._changed(Change(ChangeKind.NOT_RESTORED, name, specification=reason))
-                continue
+            if name not in later:
+                self._restore(name, source)
+
+    def restore_of(self, name: str) -> None:
+        """The same for one of those that were left for later."""
+        source = self._ontology.annotations().get(name)
+        if source is not None:
+            self._restore(name, source)
+
+    def _restore(self, name: str, source: str) -> None:
+        try:
+            checked = self._read(name, source)
             for annotation in checked:
-                self._apply(annotation, kept=source)
+                self._check(annotation)
+        except (LanguageError, DyknowError, ConversionError, ValueError, KeyError) as error:
+            reason = f"{error}\n{source}"
+            self._changed(Change(ChangeKind.NOT_RESTORED, name, specification=reason))
+            return
+        for annotation in checked:
+            self._apply(annotation, kept=source)
 
     def _read(self, name: str, kept: str) -> tuple[CheckedAnnotation, ...]:
         """SSL, or the JSON of `describe`; raises `ValueError` and `KeyError` for neither."""

@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from typing import Protocol
 
 from ..continuous.evaluator import ContinuousEvaluator
+from ..continuous.results import WindowResult
 from ..converters.to_samples import ResultConverter
 from ..converters.to_triples import SampleConverter
 from ..languages.kpl import format_policy
@@ -254,19 +255,27 @@ class Configuration:
         make: Callable[[StreamGenerator], tuple[ContinuousEvaluator, ResultConverter, str]],
         converters: Mapping[str, Sequence[SampleConverter]],
         since: Since = Since.NOW,
+        name: str | None = None,
+        hear: Callable[[WindowResult], None] | None = None,
     ) -> QueryUnit:
-        """A C-SPARQL unit over ``inputs`` with a new reserved output stream of ``schema``.
+        """A C-SPARQL unit over ``inputs`` with a new output stream of ``schema``, called ``name``
+        or by the next reserved one.
 
         ``make`` is called with the output's generator, for its name and string pools; it gives
-        the evaluator, the converter of results, and the query's text.
+        the evaluator, the converter of results, and the query's text. ``hear`` as in `QueryUnit`.
         """
-        output = self.reserved_stream(schema, DYKNOW, {})
-        evaluator, results, text = make(output)
+        output = self.add_stream(name or self.reserved_name(), schema)
+        try:
+            evaluator, results, text = make(output)
+        except Exception:
+            self.remove_stream(output.name)
+            raise
         unit = QueryUnit(
             *self.identity(C_SPARQL, inputs, output, {"query": text}),
             evaluator=evaluator,
             converters=converters,
             results=results,
+            hear=hear,
         )
         self.start(unit, since, text)
         return unit

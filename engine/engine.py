@@ -53,6 +53,7 @@ from .kpl import KplDeclarations
 from .plans import Plans
 from .processes import PROCESSES, Processes
 from .registered import RegisteredTransformations, check_quality
+from .registered_queries import RegisteredQueries
 from .rematching import Rematching
 from .requests import EventRequests
 from .semantics_manager import SemanticsManager
@@ -148,6 +149,17 @@ class Engine:
             self._manager.space,
             self._changed,
         )
+        self.queries = RegisteredQueries(
+            self.ontology,
+            self.dictionary,
+            self._templates,
+            self._configuration,
+            self._plans,
+            self._manager.space,
+            self._declared,
+            self._changed,
+            self._converter,
+        )
         self._application = Application(
             self._configuration,
             processes,
@@ -177,7 +189,7 @@ class Engine:
             self._changed,
             contents=self._contents,
             check_name=self._declared.check_name,
-            users=Users(self._requests, self._subscriptions, self._kpl),
+            users=Users(self._requests, self.queries, self._subscriptions, self._kpl),
         )
         status.listen(self._specifications.heard)
         status.open(self._configuration.add_stream(STATUS, SCHEMA, retention=RETENTION))
@@ -189,9 +201,14 @@ class Engine:
         self._declared.restore_streams()
         with self._manager.together():
             self._kpl.restore()
-        self._annotations.restore()
+        # Queries read streams that are declared, annotated, specified, and each other's; what is
+        # said of their own streams, and specifications that read these, wait for them.
+        self._annotations.restore(later=self.queries.recall())
         with self._manager.together():
+            self.queries.restore(self._annotations.restore_of)
             self._specifications.restore()
+            self.queries.restore(self._annotations.restore_of)
+        self.queries.tell_lost()
 
     # -- streams -----------------------------------------------------------------------------
 
@@ -546,7 +563,7 @@ class Engine:
         if template is not None:
             return explanations.template(self._template(template))
         if query is not None:
-            return explanations.query(query, self.ontology, self.dictionary)
+            return self.queries.explain(query)
         raise BadArguments("explain needs an event, a template or a query")
 
     # -- within ------------------------------------------------------------------------------
@@ -594,6 +611,8 @@ class Engine:
     def _converter(self, name: str) -> SampleConverter | None:
         """Converts the samples of a stream to RDF, by its annotation; None without one."""
         found = self._converters.get(name)
+        if found is None:
+            found = self.queries.converter(name)
         if found is None:
             generator = self._configuration.stream(name)
             annotation = self._rdf_of(name) or self._manager.annotations.get(name)

@@ -87,6 +87,24 @@ class Refused(DyknowError):
     title = "refused"
 
 
+class UnknownQuery(DyknowError):
+    """No registered query has this name."""
+
+    title = "unknown query"
+
+
+class NotAnnotated(DyknowError):
+    """A query names a stream of which nobody has said what it contains."""
+
+    title = "stream without annotation"
+
+
+class NoResult(DyknowError):
+    """No window of a query has closed yet."""
+
+    title = "no result yet"
+
+
 class UnknownDeclaration(DyknowError):
     """Nothing of this name was declared in KPL."""
 

@@ -8,18 +8,21 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import assert_never
 
+from pyoxigraph import NamedNode, Store
+
 from ..continuous.background import Background
 from ..continuous.evaluator import ContinuousEvaluator
-from ..languages.csparql import (
+from ..languages.csparql import format_query, with_streams
+from ..languages.csparql.ast import (
+    ContinuousQuery,
     CountWindow,
+    EventRequest,
     LandmarkWindow,
+    Template,
     TimeWindow,
     Window,
-    format_query,
-    parse_query,
-    with_streams,
 )
-from ..languages.csparql.ast import ContinuousQuery, EventRequest, Template
+from ..languages.ssl.annotation import StreamAnnotation
 from ..matching.match import Match
 from ..matching.plan import Node, streams_of
 from ..matching.render import render
@@ -33,13 +36,29 @@ from ..rdf.namespaces import shorten
 from ..streams.time import format_duration, format_time
 from ..templates.needs import Needs
 from .configuration import Configuration
-from .unit import ComputationalUnit
+from .unit import ComputationalUnit, QueryUnit
 from .views import MatchView, PlanView, UnitView
 
 
-def closed_ontology(ontology: Ontology) -> Background:
-    """The static side of queries: the ontologies with all that they entail, as they are now."""
-    return Background(ontology.closed_store, lambda: ontology.version)
+def closed_ontology(ontology: Ontology, named: Sequence[str] = ()) -> Background:
+    """The static side of queries: the ontologies with all that they entail, as they are now.
+
+    ``named`` are the ontologies that a query names with FROM NAMED: graphs of their own, too.
+    """
+    if not named:
+        return Background(ontology.closed_store, lambda: ontology.version)
+    made: list[tuple[int, Store]] = []
+
+    def store() -> Store:
+        if not made or made[0][0] != ontology.version:
+            both = Store()
+            both.extend(ontology.closed_store())
+            for iri in named:
+                both.extend(ontology.store.quads_for_pattern(None, None, None, NamedNode(iri)))
+            made[:] = [(ontology.version, both)]
+        return made[0][1]
+
+    return Background(store, lambda: ontology.version)
 
 
 def unit_view(unit: ComputationalUnit) -> UnitView:
@@ -109,12 +128,41 @@ def template(known: Template) -> str:
     return "\n".join([*lines, "", known.source.strip()])
 
 
-def query(text: str, ontology: Ontology, dictionary: TermDictionary) -> str:
-    """A continuous query: its text as understood, then its plans."""
-    parsed = parse_query(text)
-    names = list(dict.fromkeys(clause.iri for clause in parsed.streams)) or ["stream"]
-    evaluator = ContinuousEvaluator(parsed, dictionary, closed_ontology(ontology), names)
+def query(parsed: ContinuousQuery, ontology: Ontology, dictionary: TermDictionary) -> str:
+    """A continuous query that names its streams: its text as understood, then its plans."""
+    names = list(dict.fromkeys(clause.iri for clause in parsed.streams))
+    background = closed_ontology(ontology, parsed.static_named)
+    evaluator = ContinuousEvaluator(parsed, dictionary, background, names)
     return f"{format_query(parsed)}\n\n{evaluator.explain()}"
+
+
+def inferred(
+    parsed: ContinuousQuery,
+    wanted: Needs,
+    matches: Sequence[Match],
+    ontology: Ontology,
+    dictionary: TermDictionary,
+) -> str:
+    """A continuous query whose streams are found: its text, how, and its plans."""
+    stages = _found(parsed, wanted, matches, ontology, dictionary)
+    return "\n\n".join([f"registered\n{_indent(parsed.source.strip())}", *stages])
+
+
+def running_query(
+    source: str,
+    read: Sequence[StreamAnnotation],
+    matches: Sequence[Match],
+    plan: str,
+    evaluation: str,
+) -> str:
+    """A continuous query at work: its text, the streams that it names with what they contain or
+    how its streams were found, what runs, and how windows are evaluated."""
+    parts = [f"registered\n{_indent(source)}"]
+    if read:
+        parts.append("streams\n" + "\n".join(_indent(each.source or each.stream) for each in read))
+    if matches:
+        parts.append("semantic matching\n" + "\n".join(_indent(render(m)) for m in matches))
+    return "\n\n".join([*parts, f"units\n{_indent(plan)}", f"evaluation\n{_indent(evaluation)}"])
 
 
 def request(
@@ -130,6 +178,19 @@ def request(
     parts = [
         f"request\n  {asked.source.strip()}",
         f"template\n{_indent(known.source.strip())}",
+    ]
+    return "\n\n".join([*parts, *_found(bound, wanted, matches, ontology, dictionary)])
+
+
+def _found(
+    bound: ContinuousQuery,
+    wanted: Needs,
+    matches: Sequence[Match],
+    ontology: Ontology,
+    dictionary: TermDictionary,
+) -> list[str]:
+    """What a query needs, how that is found, and the plans of its evaluation if it is."""
+    parts = [
         "features needed\n" + "\n".join(f"  {want}" for want in wanted.wants),
         "semantic matching\n" + "\n".join(_indent(render(match)) for match in matches),
     ]
@@ -140,7 +201,27 @@ def request(
         evaluator = ContinuousEvaluator(filled, dictionary, closed_ontology(ontology), names)
         parts.append(f"query\n{_indent(format_query(filled))}")
         parts.append(f"evaluation\n{_indent(evaluator.explain())}")
-    return "\n\n".join(parts)
+    return parts
+
+
+def plan_view(configuration: Configuration, unit: QueryUnit) -> PlanView:
+    """How a query that runs is answered: the tree, the streams and units behind it."""
+    units = configuration.units_behind(unit)
+    made = {part.output.name for part in units}
+    sources = [source.name for part in units for source in part.inputs]
+    return PlanView(
+        text=plan_text(configuration, unit),
+        streams=tuple(dict.fromkeys(name for name in sources if name not in made)),
+        units=tuple(unit_view(part) for part in units),
+        query=unit.parameters["query"],
+    )
+
+
+def waits_for(configuration: Configuration, unit: ComputationalUnit) -> tuple[str, ...]:
+    """Streams behind ``unit`` that are no unit's and have not begun."""
+    waiting = (s for part in configuration.units_behind(unit) for s in part.waits_for)
+    names = dict.fromkeys(source.name for source in waiting)
+    return tuple(name for name in names if name not in configuration.units)
 
 
 def _inputs(

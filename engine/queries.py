@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 from ..continuous.evaluator import ContinuousEvaluator
+from ..continuous.options import Options
+from ..continuous.results import WindowResult
 from ..converters.to_samples import ResultConverter
 from ..converters.to_triples import SampleConverter
 from ..languages.csparql import format_query, with_streams
@@ -22,6 +24,20 @@ from .configuration import Configuration
 from .results import ResultForm, result_form
 from .unit import QueryUnit
 from .views import Since
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Manner:
+    """How a query runs beside what it says: the name of its stream (None: one of the system's),
+    how it is read where the text leaves that open, who hears of each window's result."""
+
+    name: str | None = None
+    options: Options = field(default_factory=Options)
+    hear: Callable[[WindowResult], None] | None = None
+
+
+EVENT = Manner()
+"""How the query of an event runs."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,7 +69,13 @@ class Queries:
         """What the results of a query look like."""
         return result_form(query, self._ontology.vocabulary)
 
-    def start(self, query: ContinuousQuery, supplies: Sequence[Supply], since: Since) -> BuiltQuery:
+    def start(
+        self,
+        query: ContinuousQuery,
+        supplies: Sequence[Supply],
+        since: Since,
+        manner: Manner = EVENT,
+    ) -> BuiltQuery:
         """Start what the supplies ask for, inputs first, then the query unit over them."""
         inputs: dict[str, StreamGenerator] = {}
         converters: dict[str, list[SampleConverter]] = defaultdict(list)
@@ -80,7 +102,8 @@ class Queries:
                     )
                 )
         form = self.form(query)
-        unit = self._start(with_streams(query, list(inputs)), inputs, converters, form, since)
+        query = with_streams(query, list(inputs))
+        unit = self._start(query, inputs, converters, form, since, manner)
         roles = [role for s in supplies for source in s.sources for role in source.roles]
         name = unit.output.name
         return BuiltQuery(
@@ -89,21 +112,38 @@ class Queries:
             form.rdf_annotation(name, roles),
         )
 
+    def start_over(
+        self,
+        query: ContinuousQuery,
+        read: Mapping[StreamGenerator, SampleConverter],
+        since: Since,
+        manner: Manner,
+    ) -> QueryUnit:
+        """Start a query over the streams that its clauses name, by their own names; ``read`` gives
+        each with the converter of all that it says."""
+        inputs = {generator.name: generator for generator in read}
+        converters = {generator.name: [converter] for generator, converter in read.items()}
+        form = self.form(query)
+        return self._start(query, inputs, converters, form, since, manner, query.source.strip())
+
     def _start(
         self,
         query: ContinuousQuery,
-        inputs: dict[str, StreamGenerator],
-        converters: dict[str, list[SampleConverter]],
+        inputs: Mapping[str, StreamGenerator],
+        converters: Mapping[str, Sequence[SampleConverter]],
         form: ResultForm,
         since: Since,
+        manner: Manner,
+        text: str | None = None,
     ) -> QueryUnit:
         def make(output: StreamGenerator) -> tuple[ContinuousEvaluator, ResultConverter, str]:
             named = replace(query, name=output.name)
+            background = explanations.closed_ontology(self._ontology, named.static_named)
             evaluator = ContinuousEvaluator(
-                named, self._dictionary, explanations.closed_ontology(self._ontology), list(inputs)
+                named, self._dictionary, background, list(inputs), manner.options
             )
-            return evaluator, form.converter(output.stream.pools), format_query(named)
+            return evaluator, form.converter(output.stream.pools), text or format_query(named)
 
         return self._configuration.start_query(
-            list(inputs.values()), form.schema, make, converters, since
+            list(inputs.values()), form.schema, make, converters, since, manner.name, manner.hear
         )

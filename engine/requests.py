@@ -15,8 +15,7 @@ from pyoxigraph import Literal, Variable
 
 from ..languages.csparql.ast import ContinuousQuery, EventRequest, Template
 from ..languages.ssl.annotation import StreamAnnotation
-from ..matching.match import Match, UnknownStrategy
-from ..matching.plan import UseStream, nodes_of_supply
+from ..matching.match import Match
 from ..matching.space import StreamSpace
 from ..matching.strategy import Kind
 from ..ontology.ontology import Ontology
@@ -29,9 +28,10 @@ from . import explain as explanations
 from .changes import Change, ChangeKind
 from .configuration import Configuration
 from .errors import BadArguments, NoPlan, UnknownRequest
+from .finding import check_graphs, find_streams, mean_the_same
 from .plans import Plans
 from .unit import QueryUnit
-from .views import EventView, PlanView, Since
+from .views import EventView, Since
 
 _SHORT = {
     XSD + "integer": re.compile(r"[+-]?[0-9]+"),
@@ -157,8 +157,8 @@ class EventRequests:
             since=str(request.since),
             position=request.position,
             stream=running.unit.output.name,
-            waits_for=self._waits_for(running.unit),
-            plan=self._plan_view(running),
+            waits_for=explanations.waits_for(self._configuration, running.unit),
+            plan=explanations.plan_view(self._configuration, running.unit),
             created=request.number,
         )
 
@@ -195,33 +195,9 @@ class EventRequests:
         self, template: Template, request: EventRequest, strategy: str, since: Since
     ) -> tuple[ContinuousQuery, tuple[Match, ...]]:
         query, wanted = self._query(template, request)
-        without = self._plans.unusable(since)
-        for graph in (*query.static, *query.static_named):
-            if not self._ontology.static_graph(graph):
-                raise NoPlan(
-                    f"FROM <{graph}> names no loaded ontology",
-                    (graph,),
-                    "static graphs are named, never fetched: load it, or leave FROM out",
-                )
-        try:
-            matches = self._plans.match(wanted.wants, strategy, without, explained=True)
-        except UnknownStrategy as error:
-            raise BadArguments(str(error)) from error
-        missing = tuple(
-            f"{match.want}: {text}"
-            for match in matches
-            if match.supply is None
-            for text in match.missing or ("nothing gives it",)
-        )
-        if missing or not matches:
-            raise NoPlan(
-                f"no stream and no transformation answers {shorten(request.event)}: "
-                + ("; ".join(missing) or "the query needs no feature of a stream"),
-                missing,
-                "annotate a stream that contains the feature, or one it can be computed from; "
-                "POST /match shows what was tried",
-            )
-        return query, matches
+        check_graphs(self._ontology, query)
+        asked = shorten(request.event)
+        return query, find_streams(self._plans, wanted, strategy, since, asked)
 
     def _build(self, query: ContinuousQuery, matches: Sequence[Match], since: Since) -> _Running:
         """Start what the matches ask for, inputs first, then the query unit."""
@@ -229,24 +205,10 @@ class EventRequests:
         built = self._plans.queries.start(query, supplies, since)
         return _Running(built.unit, tuple(matches), built.annotation, built.rdf)
 
-    def _waits_for(self, unit: QueryUnit) -> tuple[str, ...]:
-        """Streams that are no unit's and have not begun."""
-        waiting = (s for part in self._configuration.units_behind(unit) for s in part.waits_for)
-        names = dict.fromkeys(source.name for source in waiting)
-        return tuple(name for name in names if name not in self._configuration.units)
-
     def _is_sound(self, running: _Running) -> bool:
         """It works, and the streams it reads mean what they meant when it started."""
-        if self._configuration.is_broken(running.unit):
-            return False
-        streams = self._space.streams
-        return all(
-            node.stream in streams and streams[node.stream].contents == node.contents
-            for match in running.matches
-            if match.supply is not None
-            for node in nodes_of_supply(match.supply)
-            if isinstance(node, UseStream)
-        )
+        broken = self._configuration.is_broken(running.unit)
+        return not broken and mean_the_same(running.matches, self._space)
 
     def _tell_meaning(self, running: _Running) -> None:
         if running.annotation is not None:
@@ -258,17 +220,6 @@ class EventRequests:
                     annotation=running.annotation,
                 )
             )
-
-    def _plan_view(self, running: _Running) -> PlanView:
-        units = self._configuration.units_behind(running.unit)
-        made = {unit.output.name for unit in units}
-        sources = [source.name for unit in units for source in unit.inputs]
-        return PlanView(
-            text=explanations.plan_text(self._configuration, running.unit),
-            streams=tuple(dict.fromkeys(name for name in sources if name not in made)),
-            units=tuple(explanations.unit_view(unit) for unit in units),
-            query=running.unit.parameters["query"],
-        )
 
 
 def _key(

@@ -317,7 +317,9 @@ class QueryUnit(ComputationalUnit):
     """The C-SPARQL computational unit ([Events14 §V.B, Fig. 2]): samples in, converted to timed
     triples, evaluated in windows, results converted back to samples.
 
-    A result becomes available right after its window's end, which is its valid time.
+    A result becomes available right after its window's end, which is its valid time; after the
+    results before it, where windows end closer together than they have solutions: available times
+    are unique. ``hear`` is told the result of each window as the query gave it.
     """
 
     def __init__(
@@ -326,11 +328,15 @@ class QueryUnit(ComputationalUnit):
         evaluator: ContinuousEvaluator,
         converters: Mapping[str, Sequence[SampleConverter]],
         results: ResultConverter,
+        hear: Callable[[WindowResult], None] | None = None,
     ) -> None:
         super().__init__(*args)
         self.evaluator = evaluator
         self._converters = converters
         self._results = results
+        self._hear = hear
+        self._sent = TIME_MIN
+        """The available time (ns) of the last sample of a result."""
 
     def process(self, source: StreamGenerator, batch: SampleBatch) -> None:
         for converter in self._converters[source.name]:
@@ -349,6 +355,9 @@ class QueryUnit(ComputationalUnit):
 
     def _emit(self, windows: Sequence[WindowResult]) -> None:
         for window in windows:
-            batch = self._results.convert(window, window.end + 1)
+            if self._hear is not None:
+                self._hear(window)
+            batch = self._results.convert(window, max(window.end, self._sent) + 1)
             if len(batch):
+                self._sent = int(batch.available[-1])
                 self.output.offer(batch)

@@ -1,8 +1,9 @@
-"""Who uses a unit: requests, subscriptions and KPL declarations, by name."""
+"""Who uses a unit: requests, queries, subscriptions and KPL declarations, by name."""
 
 from __future__ import annotations
 
 from .kpl import KplDeclarations
+from .registered_queries import RegisteredQueries
 from .requests import EventRequests
 from .subscriptions import Subscriptions
 
@@ -11,16 +12,21 @@ class Users:
     """Names the users of a unit or a stream, for people to find them."""
 
     def __init__(
-        self, requests: EventRequests, subscriptions: Subscriptions, kpl: KplDeclarations
+        self,
+        requests: EventRequests,
+        queries: RegisteredQueries,
+        subscriptions: Subscriptions,
+        kpl: KplDeclarations,
     ) -> None:
         self._requests = requests
+        self._queries = queries
         self._subscriptions = subscriptions
         self._kpl = kpl
 
     def __call__(self, unit: str, stream: str) -> tuple[str, ...]:
         """Those that have ``unit`` at work for them, read ``stream`` as it is, or are answered by
         it. Either may be empty."""
-        answered = self._requests.of_stream(stream)
+        answered = (*self._requests.of_stream(stream), *self._queries.of_stream(stream))
         subscribed = self._subscriptions.of_stream(stream)
         views = self._kpl.views() if unit else ()
         declared = (view.name for view in views if view.unit == unit)

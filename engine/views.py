@@ -115,6 +115,44 @@ class EventView:
 
 
 @dataclass(frozen=True, slots=True)
+class QueryView:
+    """A registered continuous query. ``kind`` is STREAM or QUERY, as the text registers it.
+
+    ``state``: running, failed, ended (all that it reads has), or not restored (of an earlier run;
+    then ``stream`` and ``plan`` are None); ``failure`` says why. ``users`` counts who registered
+    it. ``origin`` in ns; ``reads`` are the streams that its unit reads, which units may make that
+    the plan tells; ``position`` is the number of the stream's last sample,
+    ``windows`` how many results are kept, ``last_window`` the end (ns) of the last that closed,
+    ``late`` the triples that came too late for theirs.
+    """
+
+    name: str
+    kind: str
+    form: str
+    dialect: str
+    source: str
+    semantics: str
+    bounds: str
+    origin: int
+    report: str
+    strategy: str
+    since: str
+    state: str
+    failure: str | None
+    users: int
+    created: int
+    stream: str | None = None
+    fields: tuple[Field, ...] = ()
+    reads: tuple[str, ...] = ()
+    position: int = 0
+    waits_for: tuple[str, ...] = ()
+    windows: int = 0
+    last_window: int | None = None
+    late: int = 0
+    plan: PlanView | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class MatchView:
     """What semantic matching found for a feature, and why.
 

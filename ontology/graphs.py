@@ -24,6 +24,7 @@ ALIGNMENTS: Final = "http://www.dyknow.eu/ontology/alignments/"
 _ANNOTATION_NODES: Final = "http://www.dyknow.eu/annotations/"
 _DECLARATION_NODES: Final = "http://www.dyknow.eu/declarations/"
 _TRANSFORMATION_NODES: Final = "http://www.dyknow.eu/transformations/"
+_QUERY_NODES: Final = "http://www.dyknow.eu/queries/"
 _OWN: Final = "http://www.dyknow.eu/graphs/"
 ENTAILMENTS: Final = NamedNode(_OWN + "entailments")
 """What OWL RL adds to the loaded ontologies."""
@@ -37,6 +38,8 @@ TRANSFORMATIONS: Final = NamedNode(_OWN + "transformations")
 """Registered transformations, one JSON text a transformation."""
 KPL: Final = NamedNode(_OWN + "kpl")
 """All KPL declarations, as one text."""
+QUERIES: Final = NamedNode(_OWN + "queries")
+"""Registered continuous queries, one JSON text a query."""
 SPECIFICATIONS: Final = NamedNode(_OWN + "specifications")
 """What specifications inserted, as one text."""
 CONCEPT_ENTAILMENTS: Final = NamedNode(_OWN + "concept-entailments")
@@ -56,6 +59,7 @@ SYSTEM: Final = frozenset(
         DECLARATIONS,
         TRANSFORMATIONS,
         KPL,
+        QUERIES,
         SPECIFICATIONS,
         CONCEPT_ENTAILMENTS,
         STREAM_SPACE,
@@ -84,6 +88,11 @@ def declaration_node(name: str) -> NamedNode:
 def transformation_node(name: str) -> NamedNode:
     """The `:Specification` that keeps the description of the transformation called ``name``."""
     return NamedNode(f"{_TRANSFORMATION_NODES}{quote(name, safe='')}")
+
+
+def query_node(name: str) -> NamedNode:
+    """The `:Specification` that keeps the registration of the query called ``name``."""
+    return NamedNode(f"{_QUERY_NODES}{quote(name, safe='')}")
 
 
 def ontology_graph(name: str) -> NamedNode:

@@ -219,6 +219,21 @@ class Ontology:
         """Name of a registered transformation -> its description as JSON text."""
         return self._named_texts(graphs.TRANSFORMATIONS)
 
+    def set_query(self, name: str, registration_json: str) -> None:
+        """Keeps the registration of a continuous query."""
+        node = graphs.query_node(name)
+        self._keep_aside(
+            graphs.QUERIES, node, _named_text(node, _SPECIFICATION, name, registration_json)
+        )
+
+    def remove_query(self, name: str) -> None:
+        """Forgets the registration, if there is one."""
+        self._keep_aside(graphs.QUERIES, graphs.query_node(name), set())
+
+    def queries(self) -> dict[str, str]:
+        """Name of a registered continuous query -> its registration as JSON text."""
+        return self._named_texts(graphs.QUERIES)
+
     def set_kpl(self, text: str) -> None:
         """Keeps all KPL declarations; empty text forgets them."""
         node = graphs.KPL
@@ -355,6 +370,14 @@ class Ontology:
             self._apply({graph: change, graphs.CONCEPT_ENTAILMENTS: implied})
             self._flush()
             self._changed()
+
+    def _keep_aside(self, graph: NamedNode, subject: NamedNode, triples: set[Triple]) -> None:
+        """The same of what nothing follows from and no continuous query reads: to them the
+        ontology is as it was, and they need not look at it anew."""
+        with self._lock:
+            before = {q.triple for q in self.store.quads_for_pattern(subject, None, None, graph)}
+            self._apply({graph: _change(frozenset(before), frozenset(triples))})
+            self._flush()
 
     def _changed(self) -> None:
         self.version += 1

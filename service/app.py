@@ -27,6 +27,7 @@ from .routes import (
     kpl,
     match,
     ontologies,
+    queries,
     samples,
     sparql,
     specifications,
@@ -42,6 +43,7 @@ from .sse import Feeds
 RESOURCES = (
     templates,
     events,
+    queries,
     streams,
     samples,
     subscriptions,

@@ -363,6 +363,61 @@ class Client(Connection):
         """Give an event request up."""
         self._send("DELETE", f"/events/{_part(id)}")
 
+    def register_query(
+        self,
+        text: str,
+        *,
+        semantics: str | None = None,
+        bounds: str = "(]",
+        origin: str | int = 0,
+        report: str = "non-empty",
+        strategy: str = "fast",
+        since: str = "now",
+    ) -> dict[str, Any]:
+        """Register a continuous query (``REGISTER STREAM|QUERY …``); its samples are `events` of
+        the answer's ``stream``, its windows `query_results`. The same again is shared."""
+        given = {"semantics": semantics, "bounds": bounds, "origin": origin, "report": report}
+        given |= {"strategy": strategy, "since": since}
+        parameters = {key: value for key, value in given.items() if value is not None}
+        headers = {"Content-Type": SPARQL_QUERY}
+        return self._object("POST", "/queries", content=text, headers=headers, params=parameters)
+
+    def queries(self) -> list[dict[str, Any]]:
+        """The registered queries."""
+        return self._list("GET", "/queries")
+
+    def query(self, name: str, *, explain: bool = False) -> dict[str, Any]:
+        """One registered query; with ``explain`` each stage of it as ``explanation``."""
+        parameters = {"explain": "true"} if explain else {}
+        return self._object("GET", f"/queries/{_part(name)}", params=parameters)
+
+    def remove_query(self, name: str) -> None:
+        """Give a registered query up."""
+        self._send("DELETE", f"/queries/{_part(name)}")
+
+    def query_results(
+        self,
+        name: str,
+        *,
+        start: str | int | None = None,
+        end: str | int | None = None,
+        limit: int | None = None,
+    ) -> dict[str, Any] | str:
+        """The result of the last window: SPARQL JSON for SELECT and ASK, Turtle for CONSTRUCT. Or
+        those of the kept windows that end from ``start`` to ``end``, the newest ``limit``."""
+        accept = f"{SPARQL_JSON}, {TURTLE};q=0.9"
+        answer = self._query_results(name, accept, start, end, limit)
+        if answer.headers["content-type"].startswith(SPARQL_JSON):
+            found: dict[str, Any] = answer.json()
+            return found
+        return answer.text
+
+    def query_results_text(self, name: str, media_type: str = CSV, **arguments: Any) -> str:
+        """The same as text: ``text/csv``, ``text/tab-separated-values``,
+        ``application/sparql-results+xml``, ``application/n-triples``, ``application/ld+json``."""
+        wanted = [arguments.get(key) for key in ("start", "end", "limit")]
+        return self._query_results(name, media_type, *wanted).text
+
     def match(
         self,
         feature: str,
@@ -413,6 +468,19 @@ class Client(Connection):
         return self._history(stream, NTRIPLES, None, None, limit, None).text
 
     # -- within
+
+    def _query_results(
+        self,
+        name: str,
+        accept: str,
+        start: str | int | None,
+        end: str | int | None,
+        limit: int | None,
+    ) -> httpx.Response:
+        given = {"from": start, "to": end, "limit": limit}
+        parameters = {key: value for key, value in given.items() if value is not None}
+        path = f"/queries/{_part(name)}/results"
+        return self._send("GET", path, params=parameters, headers={"Accept": accept})
 
     def _history(
         self,

@@ -82,10 +82,13 @@ _STATUS: tuple[tuple[type[DyknowError], int], ...] = (
     (engine_errors.UnknownRequest, 404),
     (engine_errors.UnknownFeature, 404),
     (engine_errors.UnknownDeclaration, 404),
+    (engine_errors.UnknownQuery, 404),
+    (engine_errors.NoResult, 404),
     (engine_errors.AlreadyExists, 409),
     (engine_errors.Conflict, 409),
     (engine_errors.BadArguments, 400),
     (engine_errors.NoPlan, 422),
+    (engine_errors.NotAnnotated, 422),
     (engine_errors.Refused, 403),
 )
 

@@ -23,6 +23,7 @@ from .knowing import explain, match, sparql
 from .kpl import kpl
 from .ontologies import ontology
 from .output import JSON_WANTED, fail
+from .queries import query
 from .replay import replay
 from .run import run
 from .serve import serve
@@ -103,6 +104,7 @@ app.command()(demo)
 app.command()(replay)
 app.add_typer(template, name="template")
 app.command()(events)
+app.add_typer(query, name="query")
 app.command()(streams)
 app.command()(follow)
 app.command()(annotate)

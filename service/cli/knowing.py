@@ -25,13 +25,20 @@ def sparql(
         show_text(found)
     elif as_json:
         show_json(found)
-    elif "boolean" in found:
-        show_text("yes" if found["boolean"] else "no")
     else:
-        names = found["head"]["vars"]
-        rows = found["results"]["bindings"]
+        show_bindings(found)
+
+
+def show_bindings(found: dict[str, Any]) -> None:
+    """SPARQL JSON as people read it: a table, or yes or no."""
+    if "boolean" in found:
+        show_text("yes" if found["boolean"] else "no")
+        return
+    names = found["head"]["vars"]
+    rows = found["results"]["bindings"]
+    if rows:
         show_table(names, [[_term(row.get(name)) for name in names] for row in rows])
-        show_text(f"({len(rows)} {'row' if len(rows) == 1 else 'rows'})")
+    show_text(f"({len(rows)} {'row' if len(rows) == 1 else 'rows'})")
 
 
 def match(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -30,14 +29,8 @@ from ..negotiation import ONTOLOGY_FORMATS, TURTLE
 from ..triples_file import TimedTriple, holds_graphs, read_timed_graphs, read_timed_triples
 from .ontologies import MEDIA_TYPES
 from .output import Json, err, fail, show_json, show_table, show_text
+from .reading import Bounds, BoundsWord, Origin, Report, ReportWord, Semantics, origin_of
 from .streams import read_text, text_or_file
-
-
-class Semantics(StrEnum):
-    """Whether a window holds each timed triple, or each triple once."""
-
-    BAG = "bag"
-    SET = "set"
 
 
 def run(
@@ -51,18 +44,21 @@ def run(
         ),
     ],
     static: Annotated[
-        list[Path] | None,
+        list[str] | None,
         typer.Option(
-            help="A file of static knowledge. May be repeated.", exists=True, dir_okay=False
+            help="A file of static knowledge, with IRI= the graph that FROM names so. May be "
+            "repeated.",
+            metavar="[IRI=]FILE",
         ),
     ] = None,
     ssl: Annotated[
         str | None,
         typer.Option(help="SSL for the streams whose files are tables of samples."),
     ] = None,
-    semantics: Annotated[
-        Semantics | None, typer.Option(help="bag or set; else as the language has it.")
-    ] = None,
+    semantics: Semantics = None,
+    bounds: Bounds = BoundsWord.LATER,
+    origin: Origin = "0",
+    report: Report = ReportWord.NON_EMPTY,
     lateness: Annotated[
         str | None, typer.Option(help="How far out of order the files are, such as 5s.")
     ] = None,
@@ -77,17 +73,23 @@ def run(
     prov:generatedAtTime), or with --ssl a table of samples.
     """
     behind = _lateness(lateness)
+    begin = origin_of(origin)
     files = _files(stream)
-    inputs = _triples(files) if ssl is None else _samples(files, text_or_file(ssl), static or ())
+    known = _static(static or ())
+    paths = list(known.values()) if isinstance(known, dict) else known
+    inputs = _triples(files) if ssl is None else _samples(files, text_or_file(ssl), paths)
     explained = Explained(time.perf_counter_ns)
     try:
         windows = evaluate(
             read_text(query),
             inputs,
-            static=static or (),
+            static=known,
             semantics=None if semantics is None else semantics.value,
+            bounds=bounds.value,
+            origin=begin,
             lateness=behind,
             explained=explained if explain else None,
+            report=report.value,
         )
     except (LanguageError, OntologyError):
         raise  # told with their place
@@ -125,6 +127,25 @@ def _files(pairs: Sequence[str]) -> dict[str, Path]:
         if not Path(name).is_file():
             raise fail(f"there is no file {name}")
     return files
+
+
+def _static(given: Sequence[str]) -> list[Path] | dict[str, Path]:
+    """Files, or graphs by name: not both, for a query reads all of the one, and of the other what
+    its FROM clauses name."""
+    files: list[Path] = []
+    named: dict[str, Path] = {}
+    for text in given:
+        iri, equals, name = text.rpartition("=")
+        path = Path(text)
+        if equals and iri and not path.is_file():
+            named[iri.strip("<>")] = path = Path(name)
+        else:
+            files.append(path)
+        if not path.is_file():
+            raise fail(f"there is no file {path}")
+    if files and named:
+        raise typer.BadParameter("--static: give every file its IRI=, or none")
+    return named or files
 
 
 def _triples(files: Mapping[str, Path]) -> dict[str, Any]:

@@ -6,6 +6,7 @@ from .events import EventIn, EventModel, PlanModel, TemplateModel, UnitModel
 from .kpl import DeclarationModel, OneDeclarationModel, RemovedModel
 from .matching import MatchIn, MatchModel
 from .parts import Strategy, schema_of, text_schema
+from .queries import QueryModel
 from .specifications import InsertionModel, SpecificationModel
 from .state import (
     ExplainModel,
@@ -51,6 +52,7 @@ __all__ = [
     "PlanModel",
     "PortModel",
     "QualityIn",
+    "QueryModel",
     "RematchModel",
     "RemovedModel",
     "RetentionModel",

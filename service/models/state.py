@@ -36,6 +36,7 @@ class StatusModel(BaseModel):
     streams: int
     templates: int
     requests: int = Field(description="event requests that run")
+    queries: int = Field(description="continuous queries that are registered")
     clients: int = Field(description="clients that listen to streams")
     accepted: int = Field(description="samples accepted since the start")
 

@@ -19,7 +19,10 @@ LIMIT = 8192
 @router.get(
     "/explain",
     response_model=ExplainModel,
-    responses={200: {"content": {TEXT: {"schema": {"type": "string"}}}}, **responses(404, 406)},
+    responses={
+        200: {"content": {TEXT: {"schema": {"type": "string"}}}},
+        **responses(404, 406, 422),
+    },
 )
 async def explain(
     request: Request,
@@ -29,7 +32,7 @@ async def explain(
     ),
     template: str | None = Query(None, max_length=LIMIT, description="a template's name"),
     query: str | None = Query(None, max_length=LIMIT, description="a REGISTER STREAM|QUERY text"),
-    id: str | None = Query(None, max_length=LIMIT, description="the id of a running request"),
+    id: str | None = Query(None, max_length=LIMIT, description="a running request or query"),
     feature: str | None = Query(None, max_length=LIMIT, description="a feature to match"),
     sort: str | None = Query(None, max_length=LIMIT, description="whose feature"),
     strategy: Strategy = "fast",
@@ -54,6 +57,9 @@ async def explain(
 
 
 def _request(service: Service, id: str) -> str:
+    queries = service.engine.queries
+    if queries.has(id):
+        return queries.explain_running(id) + "\n"
     view = service.engine.event(id)
     return f"{view.plan.text.rstrip()}\n\n{view.plan.query}".rstrip() + "\n"
 

@@ -16,11 +16,12 @@ from ...converters.wire import Incoming
 from ...streams.fluent import FluentStream
 from ...streams.generator import StreamGenerator
 from ...streams.sample import SampleBatch
-from ...streams.time import TIME_MAX, parse_time
+from ...streams.time import TIME_MAX
 from ..context import Context
 from ..models import AcceptedModel
 from ..negotiation import ARROW, CSV, JSON, NDJSON, NTRIPLES, accepted, content_type
 from ..problems import Problem, responses
+from ..times import Time, time_of
 
 router = APIRouter(tags=["samples"])
 
@@ -47,7 +48,6 @@ CONTENT: dict[int | str, dict[str, Any]] = {
         "content": {kind: {"schema": {}} for kind in FORMATS},
     }
 }
-Time = Annotated[str | None, Query(description="ISO-8601 or integer nanoseconds")]
 
 
 @router.post(
@@ -108,7 +108,7 @@ async def read_samples(
     kind = accepted(request, FORMATS)
     stream = service.engine.generator(name).stream
     given = {"from": start, "to": end, "at": at, "known": known}
-    times = {key: _time(text, key) for key, text in given.items()}
+    times = {key: time_of(text, key) for key, text in given.items()}
     batch = _select(stream, times, limit or service.settings.history_limit)
     if kind == NTRIPLES:
         lines = [text for text in service.engine.rdf_of(name, batch) if text]
@@ -165,15 +165,3 @@ def _select(stream: FluentStream, times: Mapping[str, int | None], limit: int) -
     if start is None:
         return batch.take(slice(max(0, len(batch) - limit), None))
     return batch.take(slice(0, limit))
-
-
-def _time(text: str | None, key: str) -> int | None:
-    if text is None:
-        return None
-    # A plus of a UTC offset that was not escaped arrives as a blank.
-    number = text.strip()
-    try:
-        whole = number.lstrip("-").isascii() and number.lstrip("-").isdigit()
-        return parse_time(int(number) if whole else number)
-    except ValueError as error:
-        raise Problem(400, "bad time", f"{key}: {error}") from error

@@ -12,49 +12,16 @@ from urllib.parse import parse_qsl
 import anyio
 import anyio.to_thread
 from fastapi import APIRouter, Query, Request, Response
-from pyoxigraph import (
-    QueryBoolean,
-    QueryResultsFormat,
-    QuerySolutions,
-    QueryTriples,
-    RdfFormat,
-)
+from pyoxigraph import QueryBoolean, QuerySolutions, QueryTriples
 
 from ...ontology.ontology import Ontology
 from ..context import Context, Service
-from ..negotiation import (
-    CSV,
-    FORM,
-    JSON,
-    JSON_LD,
-    NTRIPLES,
-    SPARQL_JSON,
-    SPARQL_QUERY,
-    SPARQL_XML,
-    TSV,
-    TURTLE,
-    accepted,
-    content_type,
-    utf8,
-)
+from ..negotiation import FORM, SPARQL_QUERY, accepted, content_type, utf8
 from ..problems import Problem, responses
+from ..sparql_results import BOOLEANS, GRAPHS, RESULTS, answer
 
 router = APIRouter(tags=["sparql"])
 
-RESULTS = {
-    SPARQL_JSON: QueryResultsFormat.JSON,
-    JSON: QueryResultsFormat.JSON,
-    SPARQL_XML: QueryResultsFormat.XML,
-    CSV: QueryResultsFormat.CSV,
-    TSV: QueryResultsFormat.TSV,
-}
-# CSV and TSV stand for tables: SPARQL 1.1 has no boolean in them.
-BOOLEANS = {kind: RESULTS[kind] for kind in (SPARQL_JSON, JSON, SPARQL_XML)}
-GRAPHS = {
-    TURTLE: RdfFormat.TURTLE,
-    NTRIPLES: RdfFormat.N_TRIPLES,
-    JSON_LD: RdfFormat.JSON_LD,
-}
 EXAMPLE = """PREFIX dyknow-o: <http://www.dyknow.eu/ontology#>
 SELECT ?name WHERE { ?stream a dyknow-o:Stream ; dyknow-o:hasName ?name }"""
 TEXT_SCHEMA = {"type": "string", "description": "SELECT, ASK, CONSTRUCT or DESCRIBE"}
@@ -171,17 +138,13 @@ def _evaluate(ontology: Ontology, text: str, request: Request) -> Response:
         match found:
             case QuerySolutions():
                 kind = accepted(request, tuple(RESULTS))
-                return _response(found.serialize(format=RESULTS[kind]), kind)
+                return answer(found.serialize(format=RESULTS[kind]), kind)
             case QueryBoolean():
                 kind = accepted(request, tuple(BOOLEANS))
-                return _response(found.serialize(format=BOOLEANS[kind]), kind)
+                return answer(found.serialize(format=BOOLEANS[kind]), kind)
             case QueryTriples():
                 kind = accepted(request, tuple(GRAPHS))
-                return _response(found.serialize(format=GRAPHS[kind]), kind)
+                return answer(found.serialize(format=GRAPHS[kind]), kind)
     except (SyntaxError, RuntimeError, OSError) as error:
         # What the store finds while it evaluates, after the text has passed the check.
         raise Problem(400, "query failed", str(error)) from error
-
-
-def _response(body: bytes | None, kind: str) -> Response:
-    return Response(body or b"", media_type=kind)

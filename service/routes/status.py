@@ -27,6 +27,7 @@ async def read_status(service: Context) -> StatusModel:
         streams=len(streams),
         templates=len(engine.templates()),
         requests=len(engine.events()),
+        queries=len(engine.queries),
         clients=service.feeds.clients,
         accepted=sum(stream.counters.accepted for stream in streams),
     )

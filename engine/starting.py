@@ -1,0 +1,156 @@
+"""Starting a registered query: its streams, its unit, the way back from its samples to triples
+([Events14 §V.B, Fig. 2]).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+from ..converters.to_triples import SampleConverter
+from ..languages.csparql.ast import ContinuousQuery
+from ..languages.ssl.annotation import Content, StreamAnnotation
+from ..matching.match import Match
+from ..matching.plan import annotation_of
+from ..matching.space import StreamSpace
+from ..matching.want import THING
+from ..ontology.ontology import Ontology
+from ..rdf.dictionary import TermDictionary
+from ..templates.library import TemplateLibrary
+from ..templates.needs import Needs, NeedsError
+from .configuration import Configuration
+from .errors import BadArguments, NoPlan
+from .finding import check_graphs, find_streams, mean_the_same
+from .kept_windows import KeptWindows
+from .plans import Plans
+from .queries import Manner
+from .reading import Reading, read_streams
+from .registrations import Asked
+from .results import check_head, head_role, result_form
+from .unit import QueryUnit
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Started:
+    """A query at work. ``matches`` say how its streams were found, ``reads`` which it names: one of
+    the two is empty. ``converter`` makes the triples of its head of its samples; None of a table.
+    """
+
+    unit: QueryUnit
+    kept: KeptWindows
+    matches: tuple[Match, ...]
+    reads: tuple[Reading, ...]
+    converter: SampleConverter | None
+
+
+class Starter:
+    """Starts queries under a name, and says whether they hold still.
+
+    ``converter_of`` converts the samples of a stream to triples; None where nobody has said what
+    it contains.
+    """
+
+    def __init__(
+        self,
+        ontology: Ontology,
+        dictionary: TermDictionary,
+        templates: TemplateLibrary,
+        configuration: Configuration,
+        plans: Plans,
+        space: StreamSpace,
+        converter_of: Callable[[str], SampleConverter | None],
+    ) -> None:
+        self._ontology = ontology
+        self._dictionary = dictionary
+        self._templates = templates
+        self._configuration = configuration
+        self._plans = plans
+        self._space = space
+        self._converter_of = converter_of
+
+    def start(self, name: str, query: ContinuousQuery, asked: Asked) -> Started:
+        """Start ``query`` with the stream ``name``; raises as `RegisteredQueries.register`, and
+        then nothing has begun."""
+        check_head(query, self._ontology.vocabulary)
+        check_graphs(self._ontology, query)
+        matches: tuple[Match, ...] = ()
+        reads: tuple[Reading, ...] = ()
+        if query.streams:
+            query, reads = read_streams(self._configuration, self._converter_of, query)
+        else:
+            wanted, told = self.needs(query), f"query {name}"
+            matches = find_streams(self._plans, wanted, asked.strategy, asked.since, told)
+        converter = self._back(name, query, _contents(matches, reads))
+        kept = KeptWindows()
+        manner = Manner(name, asked.options, kept.keep)
+        try:
+            with told_as_arguments():
+                if reads:
+                    read = {each.generator: each.converter for each in reads}
+                    unit = self._plans.queries.start_over(query, read, asked.since, manner)
+                else:
+                    supplies = [match.supply for match in matches if match.supply is not None]
+                    unit = self._plans.queries.start(query, supplies, asked.since, manner).unit
+        except Exception:
+            self._configuration.release_unused()
+            raise
+        return Started(unit, kept, matches, reads, converter)
+
+    def needs(self, query: ContinuousQuery) -> Needs:
+        """What a query needs that names no streams; raises `NoPlan`."""
+        try:
+            return self._templates.needs(query)
+        except NeedsError as error:
+            raise NoPlan(error.message, (), error.hint) from error
+
+    def is_sound(self, started: Started) -> bool:
+        """It works, and what it reads is there still and means what it did."""
+        configuration, unit = self._configuration, started.unit
+        return (
+            configuration.units.get(unit.output.name) is unit
+            and not configuration.is_broken(unit)
+            and configuration.reads_what_is_there(unit)
+            and mean_the_same(started.matches, self._space)
+            and all(map(self._means_the_same, started.reads))
+        )
+
+    def _means_the_same(self, reading: Reading) -> bool:
+        now = self._converter_of(reading.name)
+        return now is not None and now.annotation == reading.annotation
+
+    def _back(
+        self, name: str, query: ContinuousQuery, read: Sequence[Content]
+    ) -> SampleConverter | None:
+        vocabulary = self._ontology.vocabulary
+        form = result_form(query, vocabulary)
+        annotation = form.rdf_annotation(name, [head_role(query, vocabulary, read)])
+        if annotation is None:
+            return None
+        return SampleConverter(
+            annotation,
+            form.schema,
+            vocabulary,
+            self._dictionary,
+            ranges=dict.fromkeys(form.naming, THING),
+        )
+
+
+@contextmanager
+def told_as_arguments() -> Iterator[None]:
+    """What the evaluator says of a query that it cannot evaluate becomes `BadArguments`."""
+    try:
+        yield
+    except ValueError as error:
+        if type(error) is not ValueError:  # an error of a language has a place of its own
+            raise
+        raise BadArguments(str(error)) from error
+
+
+def _contents(matches: Sequence[Match], reads: Sequence[Reading]) -> Sequence[Content]:
+    """What the streams contain that a query reads."""
+    said: list[StreamAnnotation] = [each.annotation for each in reads]
+    for match in matches:
+        if match.supply is not None:
+            said += [annotation_of(source.node) for source in match.supply.sources]
+    return [content for annotation in said for content in annotation.contents]

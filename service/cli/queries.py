@@ -1,0 +1,205 @@
+"""``dyknow query``: continuous queries in a running service."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import Annotated, Any
+
+import typer
+
+from ...engine.views import Since
+from ...streams.time import format_time
+from ..negotiation import CSV, JSON_LD, NTRIPLES, SPARQL_JSON, SPARQL_XML, TSV, TURTLE
+from .events import STRATEGY
+from .knowing import show_bindings
+from .output import (
+    DEFAULT_URL,
+    Json,
+    Url,
+    clock_of,
+    connect,
+    show_json,
+    show_lines,
+    show_table,
+    show_text,
+)
+from .reading import Bounds, BoundsWord, Origin, Report, ReportWord, Semantics, origin_of
+from .streams import text_or_file
+
+query = typer.Typer(
+    help="Continuous queries: add, list, show, results, remove.", no_args_is_help=True
+)
+
+Name = Annotated[str, typer.Argument(help="The query's name.")]
+
+
+class Format(StrEnum):
+    """What results may be written in."""
+
+    CSV = "csv"
+    TSV = "tsv"
+    JSON = "json"
+    XML = "xml"
+    TURTLE = "turtle"
+    NTRIPLES = "ntriples"
+    JSON_LD = "jsonld"
+
+
+_TYPES = {
+    Format.CSV: CSV,
+    Format.TSV: TSV,
+    Format.JSON: SPARQL_JSON,
+    Format.XML: SPARQL_XML,
+    Format.TURTLE: TURTLE,
+    Format.NTRIPLES: NTRIPLES,
+    Format.JSON_LD: JSON_LD,
+}
+
+
+@query.command()
+def add(
+    source: Annotated[str, typer.Argument(help="REGISTER STREAM|QUERY text, its file, or - .")],
+    semantics: Semantics = None,
+    bounds: Bounds = BoundsWord.LATER,
+    origin: Origin = "0",
+    report: Report = ReportWord.NON_EMPTY,
+    strategy: Annotated[str, STRATEGY] = "fast",
+    since: Annotated[
+        Since, typer.Option(help="Begin with what comes, or with what the streams keep.")
+    ] = Since.NOW,
+    url: Url = DEFAULT_URL,
+    as_json: Json = False,
+) -> None:
+    """Register a query; its results are a stream of its name."""
+    text = text_or_file(source)
+    with connect(url) as client:
+        found = client.register_query(
+            text,
+            semantics=None if semantics is None else semantics.value,
+            bounds=bounds.value,
+            origin=origin_of(origin),
+            report=report.value,
+            strategy=strategy,
+            since=since.value,
+        )
+    if as_json:
+        show_json(found)
+        return
+    if found["users"] > 1:
+        show_text(f"{found['name']} was registered already; it is shared by {found['users']}")
+    else:
+        show_text(f"registered {found['name']}")
+    show_text(found["plan"]["text"].rstrip())
+    show_text(f"follow it: dyknow follow {found['stream']}")
+
+
+@query.command("list")
+def list_queries(url: Url = DEFAULT_URL, as_json: Json = False) -> None:
+    """List the registered queries."""
+    with connect(url) as client:
+        found = client.queries()
+    if as_json:
+        show_lines(found)
+        return
+    show_table(
+        ["query", "form", "state", "reads", "last window", "users"],
+        [
+            (
+                each["name"],
+                each["form"],
+                each["state"],
+                each["reads"],
+                clock_of(each["last_window"]) or "-",
+                each["users"],
+            )
+            for each in found
+        ],
+        whole=["query"],
+        empty="no queries yet: dyknow query add FILE",
+    )
+
+
+@query.command()
+def show(
+    name: Name,
+    explain: Annotated[bool, typer.Option(help="Each stage of what runs.")] = False,
+    url: Url = DEFAULT_URL,
+    as_json: Json = False,
+) -> None:
+    """Print a query's text and how it is."""
+    with connect(url) as client:
+        found = client.query(name, explain=explain)
+    if as_json:
+        show_json(found)
+    elif explain:
+        show_text(found["explanation"])
+    else:
+        show_text(found["source"])
+        show_text("")
+        show_text(_how(found))
+
+
+@query.command()
+def results(
+    name: Name,
+    start: Annotated[
+        str | None, typer.Option("--from", help="Windows that end from this time on.")
+    ] = None,
+    end: Annotated[str | None, typer.Option("--to", help="Windows that end by then.")] = None,
+    limit: Annotated[
+        int | None, typer.Option(min=1, help="The newest so many; with --from the oldest.")
+    ] = None,
+    format: Annotated[
+        Format | None, typer.Option(help="As text in this format, for programs.")
+    ] = None,
+    url: Url = DEFAULT_URL,
+    as_json: Json = False,
+) -> None:
+    """Print the result of the last window, or of several."""
+    wanted: dict[str, Any] = {"start": start, "end": end, "limit": limit}
+    with connect(url) as client:
+        if format is not None:
+            print(client.query_results_text(name, _TYPES[format], **wanted), end="")
+            return
+        found = client.query_results(name, **wanted)
+        last = client.query(name)["last_window"]
+    if as_json:
+        show_json(found if isinstance(found, dict) else {"turtle": found})
+        return
+    if start is None and end is None and limit is None:
+        show_text(f"window that ends {last}")
+    if isinstance(found, str):
+        show_text(found or "(no triple)")
+    else:
+        show_bindings(found)
+
+
+@query.command()
+def remove(name: Name, url: Url = DEFAULT_URL, as_json: Json = False) -> None:
+    """Give a query up; it stops when all who registered it have."""
+    with connect(url) as client:
+        client.remove_query(name)
+        left = next((each["users"] for each in client.queries() if each["name"] == name), 0)
+    if as_json:
+        show_json({"removed": name, "users": left})
+    elif left:
+        show_text(f"gave up {name}; it runs on for {left} who registered it too")
+    else:
+        show_text(f"removed {name}")
+
+
+def _how(found: dict[str, Any]) -> str:
+    """State and options in a line or two."""
+    options = found["options"]
+    words = [found["state"] + (f": {found['failure']}" if found["failure"] else "")]
+    if found["waits_for"]:
+        words.append(f"waits for {', '.join(found['waits_for'])}")
+    if found["last_window"] is not None:
+        words.append(f"last window ended {found['last_window']}, {found['windows']} kept")
+    if found["late"]:
+        words.append(f"{found['late']} triples came too late")
+    how = f"{options['semantics']} semantics, windows {options['bounds']}"
+    if options["origin"] != format_time(0):
+        how += f" at {options['origin']} and so on"
+    how += f", report {options['report']}, since {options['since']}"
+    return "; ".join(words) + "\n" + how

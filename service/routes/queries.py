@@ -1,0 +1,167 @@
+"""Continuous queries without a template ([Events14 §III]): register, read, results, remove."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import anyio.to_thread
+from fastapi import APIRouter, Path, Query, Request, Response
+from fastapi.responses import JSONResponse, PlainTextResponse
+
+from ...continuous.options import Bounds, Report, Semantics
+from ...engine.views import Since
+from ...streams.time import format_time
+from ..context import Context
+from ..models import QueryModel, Strategy, text_schema
+from ..negotiation import JSON, SPARQL_QUERY, TEXT, accepted, text_body
+from ..problems import responses
+from ..sparql_results import GRAPHS, RESULTS, many_windows, one_window
+from ..times import Time, time_of
+
+router = APIRouter(tags=["queries"])
+
+TEXTS = (TEXT, SPARQL_QUERY)
+EXAMPLE = """REGISTER STREAM fast COMPUTE EVERY 1s AS
+PREFIX dyknow: <http://www.ida.liu.se/dyknow/>
+CONSTRUCT { ?o dyknow:speed ?mean }
+FROM STREAM <http://www.ida.liu.se/dyknow/s5.trdf> [RANGE 5s STEP 1s]
+WHERE { ?o a dyknow:UAV . ?o dyknow:speed ?v . }
+AGGREGATE {(?mean, AVG, {?v}) FILTER (?mean > 100)}"""
+BODY = {
+    "requestBody": {
+        "required": True,
+        "content": {kind: text_schema("a REGISTER STREAM|QUERY text", EXAMPLE) for kind in TEXTS},
+    }
+}
+TEXT_TOO: dict[int | str, dict[str, Any]] = {
+    200: {"content": {TEXT: {"schema": {"type": "string"}}}}
+}
+CONTENT: dict[int | str, dict[str, Any]] = {
+    200: {
+        "description": "bindings or a boolean for SELECT and ASK, triples for CONSTRUCT",
+        "content": {kind: {"schema": {}} for kind in (*RESULTS, *GRAPHS)},
+    }
+}
+WINDOW_END = "Dyknow-Window-End"
+"""The header that says of which window a result is."""
+Name = Annotated[str, Path(description="the query's name")]
+
+
+@router.post(
+    "/queries",
+    status_code=201,
+    response_model=QueryModel,
+    openapi_extra=BODY,
+    responses={200: {"model": QueryModel}, **responses(403, 404, 409, 413, 415, 422)},
+)
+async def register_query(
+    request: Request,
+    service: Context,
+    semantics: Annotated[
+        Semantics | None, Query(description="as the dialect has it: bag, or set for RSP-QL")
+    ] = None,
+    bounds: Annotated[
+        Bounds, Query(description="of a window with end e: (e - RANGE, e] or [e - RANGE, e)")
+    ] = "(]",
+    origin: Annotated[
+        str, Query(description="windows end at origin + k STEP; ISO-8601 or integer ns")
+    ] = "0",
+    report: Annotated[
+        Report, Query(description="which windows give a result: with content, with other, all")
+    ] = "non-empty",
+    strategy: Annotated[
+        Strategy, Query(description="how streams are chosen where the text names none")
+    ] = "fast",
+    since: Annotated[
+        Since, Query(description="begin with what comes, or with what the streams keep")
+    ] = Since.NOW,
+) -> Response:
+    """Register a continuous query in C-SPARQL or RSP-QL: 201, and 200 when it is there already.
+
+    Its results are a stream of its name. Streams are those of FROM STREAM, or found from the
+    features that the query names. The same text again is shared. 404: no such stream; 409: the name
+    is taken; 422: a stream without annotation, a graph that is not loaded, or nothing gives what
+    is needed.
+    """
+    text = await text_body(request, TEXTS)
+    engine = service.engine
+    view = engine.queries.register(
+        text,
+        semantics=semantics,
+        bounds=bounds,
+        origin=time_of(origin, "origin") or 0,
+        report=report,
+        strategy=strategy,
+        since=since,
+    )
+    service.feeds.review()
+    body = QueryModel.of(view, engine.epoch).model_dump(mode="json")
+    location = {"Location": f"/queries/{view.name}"}
+    return JSONResponse(body, 201 if view.users == 1 else 200, location)
+
+
+@router.get("/queries")
+async def list_queries(service: Context) -> list[QueryModel]:
+    """The registered queries, oldest first."""
+    engine = service.engine
+    return [QueryModel.of(view, engine.epoch) for view in engine.queries.views()]
+
+
+@router.get("/queries/{name}", response_model=QueryModel, responses=TEXT_TOO | responses(404, 406))
+async def read_query(
+    name: Name,
+    request: Request,
+    service: Context,
+    explain: Annotated[bool, Query(description="tell each stage of what runs")] = False,
+) -> Response:
+    """One query; for ``Accept: text/plain`` its text, or with ``explain`` each stage of it."""
+    kind = accepted(request, (JSON, TEXT))
+    engine = service.engine
+    view = engine.queries.view(name)
+    stages = engine.queries.explain_running(name) if explain else None
+    if kind == TEXT:
+        return PlainTextResponse(f"{stages or view.source}\n")
+    return JSONResponse(QueryModel.of(view, engine.epoch, stages).model_dump(mode="json"))
+
+
+@router.delete("/queries/{name}", status_code=204, responses=responses(404, 409))
+async def remove_query(name: Name, service: Context) -> Response:
+    """Give a query up. It stops with its last user; 409 for that one while others read its
+    stream."""
+    service.engine.queries.remove(name)
+    service.feeds.review()
+    return Response(status_code=204)
+
+
+@router.get(
+    "/queries/{name}/results",
+    response_class=Response,
+    responses=CONTENT | responses(404, 406),
+)
+async def read_results(
+    name: Name,
+    request: Request,
+    service: Context,
+    start: Annotated[Time, Query(alias="from")] = None,
+    end: Annotated[Time, Query(alias="to")] = None,
+    limit: Annotated[
+        int | None, Query(ge=1, description="the newest so many windows; with `from` the oldest")
+    ] = None,
+) -> Response:
+    """The result of the last window that closed; 404 while there is none.
+
+    Or, with `from`, `to` or `limit`, those of the kept windows that end then: a table with the
+    column `window_end` first, or one graph. JSON, XML, CSV, TSV for SELECT; JSON, XML for one
+    answer to ASK; Turtle, N-Triples, JSON-LD for CONSTRUCT. Terms are as the query gave them.
+    """
+    queries = service.engine.queries
+    # Results do not change, so that they are written beside the event loop.
+    if start is None and end is None and limit is None:
+        latest = queries.latest(name)
+        response = await anyio.to_thread.run_sync(one_window, request, latest)
+        response.headers[WINDOW_END] = format_time(latest.end)
+        return response
+    view = queries.view(name)
+    variables = tuple(field.name for field in view.fields)
+    found = queries.results(name, time_of(start, "from"), time_of(end, "to"), limit)
+    return await anyio.to_thread.run_sync(many_windows, request, found, view.form, variables)
