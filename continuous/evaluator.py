@@ -236,8 +236,12 @@ class ContinuousEvaluator:
         if self._names_now:
             return "it asks for NOW()"
         for node in walk(plan):
-            if isinstance(node, Scan | TypeScan | AnyScan | Closure) and node.graph != DEFAULT:
-                return "it reads a graph with a name"
+            if not isinstance(node, Scan | TypeScan | AnyScan | Closure):
+                continue
+            if node.graph != self.schedule.windows[0].graph:
+                return "it reads several graphs"
+            if isinstance(node, TypeScan) and node.graph != DEFAULT:
+                return "what a named window says of sorts is not folded"
             if isinstance(node, Scan) and node.times.names:
                 return "it asks when triples were said"
         return ""
@@ -422,7 +426,7 @@ class _Source(WindowSource):
     def ready(self, plan: Plan) -> Relation | None:
         if self.incremental is not None:
             # Brought together only if the aggregate has to be joined with rows.
-            retains = self.incremental.shape.retains
-            rows = Rows(lambda: list(self.tables(DEFAULT)) if retains else [])
+            shape = self.incremental.shape
+            rows = Rows(lambda: list(self.tables(shape.scan.graph)) if shape.retains else [])
             return self.incremental.ready(plan, rows)
         return None if self.patterns is None else self.patterns.solve(plan)

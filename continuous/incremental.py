@@ -173,8 +173,12 @@ class Incremental:
             members = self.groups.members[rows]
             columns[shape.scan.subject.name] = ObjectColumn(Kind.TERM, members)
         base = Relation(columns, len(rows))
+        graph = shape.scan.graph
         source = WindowSource(
-            {DEFAULT: tables}, self.static, windows=(), distinct=self._distinct is not None
+            {graph: tables},
+            self.static,
+            windows=() if graph == DEFAULT else (graph,),
+            distinct=self._distinct is not None,
         )
         rest = [execute(part, source, self.terms) for part in shape.rest]
         joined = join_all([base, *rest], self.terms)

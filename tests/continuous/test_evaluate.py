@@ -175,3 +175,19 @@ def test_what_is_absent_is_told_where_windows_close_anyway() -> None:
     data = [(1, WHO, P, Literal(1)), (35, WHO, P, Literal(1))]
     found = evaluate(counting(D + "p", X), {X: data}, report="close")
     assert shown(found) == [(10, "1"), (20, "0"), (30, "0"), (40, "1")]
+
+
+@pytest.mark.parametrize("semantics", ["bag", "set"])
+def test_an_aggregate_over_a_named_window_is_folded(semantics, tmp_path) -> None:
+    path = tmp_path / "static.ttl"
+    path.write_text(f"<{WHO.value}> <{D}p> 100 .")
+    data = [(t, WHO, P, Literal(v)) for t, v in ((1, 2), (2, 2), (3, 5), (14, 7))]
+    text = (
+        f"SELECT ?s (SUM(?v) AS ?n) FROM NAMED WINDOW <{D}w> ON <{X}> [RANGE 10ns STEP 10ns] "
+        f"WHERE {{ WINDOW <{D}w> {{ ?s <{D}p> ?v }} }} GROUP BY ?s"
+    )
+    explained = Explained(lambda: 0)
+    found = list(evaluate(text, {X: data}, static=[path], semantics=semantics, explained=explained))
+    # Nothing static is in a window with a name.
+    assert shown(found) == [(10, "9" if semantics == "bag" else "7"), (20, "7")]
+    assert "in columns, incrementally" in str(explained)
