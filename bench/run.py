@@ -14,6 +14,7 @@ from pathlib import Path
 HERE = Path(__file__).parent
 TABLES = (
     "speed_query.py",
+    "instances.py",
     "service.py",
     "accuracy.py",
     "policies.py",

@@ -38,6 +38,9 @@ class Reader(ContinuousEvaluator):
 
     def __init__(self, owner: ContinuousEvaluator, query: ContinuousQuery) -> None:
         self._owner = owner
+        self.key: tuple[object, ...] = ()
+        """What its instances agree on."""
+        self.serial = 0
         dictionary, background = owner._terms.dictionary, owner._static.background
         super().__init__(query, dictionary, background, owner.inputs, owner.options)
 
@@ -173,7 +176,8 @@ class Together(Reader):
             case Project(variables):
                 # Parameters are known everywhere in a template.
                 own = (*self.joint.joined, *self.joint.compared, INSTANCE)
-                kept = {name: relation.column(name) for name in (*variables, *own)}
+                kept = {name: relation.column(name) for name in variables}
+                kept |= {name: columns[name] for name in own if name in columns}
                 key = relation.key
                 key = key if key is not None and key <= kept.keys() else None
                 return Relation(kept, relation.rows, key)
@@ -208,7 +212,7 @@ def joint_of(
 ) -> tuple[Joint | None, dict[str, str]]:
     """How instances that agree with ``arguments`` on the fixed parameters are computed together:
     these are ``fixed`` and those that the reasons name. None where nothing is left to share."""
-    reasons = {name: "" for name in fixed}
+    reasons = dict.fromkeys(fixed, "")
     if query.operator is not StreamOperator.RSTREAM:
         why = f"{query.operator} compares the results of an instance"
         return None, dict.fromkeys(arguments, why)

@@ -71,16 +71,24 @@ def instantiated(
     """The well-formed triples of every solution, by the id of the predicate."""
     found: dict[int, list[Instantiated]] = {}
     for template in head.template:
-        columns = [_position(p, relation, time, terms) for p in template]
-        subjects, predicates, objects = columns
-        if subjects is None or predicates is None or objects is None:
+        subjects, objects = (_position(template[i], relation, time, terms) for i in (0, 2))
+        if subjects is None or objects is None:
             continue
-        rows = np.flatnonzero(
-            _nodes(subjects, terms) & _iris(predicates, terms) & objects.present
-        )
-        subjects, predicates, objects = (c.take(rows) for c in (subjects, predicates, objects))
+        keep = _nodes(subjects, terms) & objects.present
         named = {p.name for p in template if isinstance(p, Var)}
         unique = relation.key is not None and relation.key <= named
+        if isinstance(template[1], Const):
+            if isinstance(template[1].term, NamedNode):
+                rows, id = np.flatnonzero(keep), terms.dictionary.id(template[1].term)
+                whole = ObjectColumn(objects.kind, objects.values[rows])
+                part = Instantiated(rows, subjects.values[rows], whole, unique)
+                found.setdefault(id, []).append(part)
+            continue
+        predicates = _position(template[1], relation, time, terms)
+        if predicates is None:
+            continue
+        rows = np.flatnonzero(keep & _iris(predicates, terms))
+        subjects, predicates, objects = (c.take(rows) for c in (subjects, predicates, objects))
         objects = ObjectColumn(objects.kind, objects.values)
         for id in np.unique(predicates.values).tolist():
             at = np.flatnonzero(predicates.values == id)

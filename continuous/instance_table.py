@@ -1,7 +1,8 @@
 """The table of a template's instances: their terms in columns, and which of them a solution is for.
 
 Instances that agree on the joined terms are a group; in a group they are sorted by the compared
-term that a condition searches for. So a window costs O(solutions + what it gives), not O(instances).
+term that a condition searches for. So a window costs O(solutions + what it gives), whatever the number
+of instances.
 """
 
 from __future__ import annotations
@@ -12,12 +13,12 @@ from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from pyoxigraph import Literal
+from pyoxigraph import Literal, NamedNode
 
 from ..rdf.dictionary import NO_TERM, Term, TermDictionary
 from ..rdf.timed import DATATYPES, Kind, ObjectColumn, make_term, split_term
 from .columns import Relation, TermValues, bits, canonical
-from .instance_kernel import fired
+from .instance_kernel import fired, least_of
 from .parameters import Joint, Search
 from .patterns import decoded
 
@@ -53,14 +54,19 @@ class Terms:
 
     def settle(self) -> None:
         """Encode what was appended. Cost: a microsecond a number or known IRI."""
-        pairs = [_split(term, self.dictionary) for term in self._waiting]
+        dictionary = self.dictionary
+        pairs = [_split(term, dictionary) for term in self._waiting]
         self._waiting = []
-        tags = np.array([kind for kind, _ in pairs], np.int8)
-        new = np.zeros(len(pairs), np.int64)
-        for tag in np.unique(tags).tolist():
-            at = np.flatnonzero(tags == tag)
-            values = np.array([pairs[i][1] for i in at.tolist()], Kind(tag).dtype)
-            new[at] = bits(values)
+        kinds, values = zip(*pairs, strict=True)
+        if len(set(kinds)) == 1:
+            tags = np.full(len(kinds), kinds[0], np.int8)
+            new = bits(np.array(values, kinds[0].dtype))
+        else:
+            tags = np.array(kinds, np.int8)
+            new = np.zeros(len(kinds), np.int64)
+            for kind in set(kinds):
+                at = np.flatnonzero(tags == kind)
+                new[at] = bits(np.array([values[i] for i in at.tolist()], kind.dtype))
         self.tags = np.concatenate([self.tags, tags])
         self.bits = np.concatenate([self.bits, new])
 
@@ -93,9 +99,10 @@ class Terms:
 
 def _split(term: Term, dictionary: TermDictionary) -> tuple[Kind, Any]:
     """`split_term` of the canonical spelling; doubles and integers without spelling them first."""
+    if isinstance(term, NamedNode):
+        return Kind.TERM, dictionary.id(term)
     if isinstance(term, Literal):
-        known = _READ.get(term.datatype.value)
-        text = term.value
+        known, text = _READ.get(term.datatype.value), term.value
         if known is not None and text.isascii() and "_" not in text and text == text.strip():
             kind, read = known
             try:
@@ -119,9 +126,7 @@ class InstanceTable:
     def __init__(self, joint: Joint, terms: TermValues) -> None:
         self.joint = joint
         self.terms = terms
-        self.columns = {
-            name: Terms(terms.dictionary) for name in (*joint.joined, *joint.compared)
-        }
+        self.columns = {name: Terms(terms.dictionary) for name in (*joint.joined, *joint.compared)}
         self.live = 0
         self._numbers = array("q")
         self._settled: Rows = np.zeros(0, np.int64)
@@ -173,13 +178,16 @@ class InstanceTable:
         values = None if search is None else self._searched(search, relation)
         decided = values is not None
         parts = [index.find(relation, values) for index in self._indexes()]
-        at, rows = (np.concatenate(side) for side in zip(*parts, strict=True))
-        alive = self._alive[rows]
-        if not alive.all():
+        at, rows = parts[0]
+        if len(parts) > 1:
+            at, rows = (np.concatenate(side) for side in zip(*parts, strict=True))
+        if self.live < len(self._settled):
+            alive = self._alive[rows]
             at, rows = at[alive], rows[alive]
         columns = {name: column.take(at) for name, column in relation.columns.items()}
         for name in self.joint.compared:
-            columns[name] = self.columns[name].column(rows)
+            if name in self.joint.asked or not decided:
+                columns[name] = self.columns[name].column(rows)
         columns[INSTANCE] = ObjectColumn(Kind.INTEGER, rows)
         # Within an instance the joined terms are the same, so the rest of a key is one.
         key = None
@@ -240,6 +248,7 @@ class _Index:
         self.limits = self.limits[by]
         counts = np.bincount(groups, minlength=count)
         self.starts = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+        self._least = least_of(self.starts, self.limits)
 
     def find(self, relation: Relation, values: ObjectColumn | None) -> tuple[Rows, Rows]:
         """Rows of ``relation`` and of the table that belong together."""
@@ -247,15 +256,16 @@ class _Index:
         if values is None or self.search is None:
             # Nothing to search for: all of a group.
             number, strict = np.zeros(relation.rows), False
-            limits = np.full(len(self.limits), -np.inf)
+            limits, least = np.zeros(len(self.limits)), np.zeros(len(self._least))
+            least[0] = np.nan
         else:
             number, strict = values.values.astype(np.float64, copy=False), self.search.strict
             if not self.search.greater:
                 number = -number
-            limits = self.limits
+            limits, least = self.limits, self._least
             if values.null is not None:
                 groups = np.where(values.null, -1, groups)
-        at, places = fired(groups, number, self.starts, limits, strict)
+        at, places = fired(groups, number, self.starts, limits, least, strict)
         return at, self.rows[places]
 
     def _groups(self, relation: Relation) -> Rows:

@@ -7,6 +7,7 @@ which computes the plan once and joins it with the table of its instances (`coho
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -46,8 +47,8 @@ class TemplateEvaluator:
 
     Cost: that of one query a cohort, then O(its solutions + what it gives out): see `explain` for
     what is shared. Memory: the rows of the open windows once, partial aggregates a cohort; an
-    instance of a cohort 29 bytes and 9 more a parameter (`InstanceTable`), one that is evaluated
-    alone a plan.
+    instance as `InstanceTable` says and 8 bytes that stay when it has gone; one that is evaluated
+    alone keeps a plan.
     """
 
     def __init__(
@@ -60,12 +61,15 @@ class TemplateEvaluator:
     ) -> None:
         self.query = query
         self._results: list[InstanceResults] = []
-        self._windows = _TemplateWindows(query, dictionary, background, inputs, options, self._closed)
+        self._windows = _TemplateWindows(
+            query, dictionary, background, inputs, options, self._closed
+        )
         self._families: dict[tuple[Variable, ...], _Family] = {}
         self._cohorts: dict[tuple[object, ...], Alone | Together] = {}
-        self._cohort_of: dict[int, tuple[object, ...]] = {}
-        """The key of the cohort by instance."""
-        self._next = 0
+        self._serials: dict[int, Alone | Together] = {}
+        self._cohort_of = array("q")
+        """By instance the serial number of its cohort, -1 of one that has gone."""
+        self._live = self._next = 0
 
     @property
     def late(self) -> int:
@@ -74,7 +78,7 @@ class TemplateEvaluator:
 
     def __len__(self) -> int:
         """How many instances there are."""
-        return len(self._cohort_of)
+        return self._live
 
     def add(self, arguments: Mapping[Variable, Term]) -> int:
         """A new instance, by its number (never given again); arguments left out stay variables.
@@ -95,20 +99,23 @@ class TemplateEvaluator:
         key: tuple[object, ...] = (family.names, *[given[name] for name in family.fixed])
         cohort = self._cohorts.get(key)
         if cohort is None:
-            key, cohort = self._cohort(family, key, given)
-        number = self._next
-        self._next += 1
+            cohort = self._cohort(family, key, given)
+        number = len(self._cohort_of)
         cohort.add(number, given)
-        self._cohort_of[number] = key
+        self._cohort_of.append(cohort.serial)
+        self._live += 1
         return number
 
     def remove(self, instance: int) -> None:
         """Forget an instance; raises ``KeyError`` if it is not there."""
-        key = self._cohort_of.pop(instance)
-        cohort = self._cohorts[key]
+        if not 0 <= instance < len(self._cohort_of) or self._cohort_of[instance] < 0:
+            raise KeyError(instance)
+        cohort = self._serials[self._cohort_of[instance]]
+        self._cohort_of[instance] = -1
+        self._live -= 1
         cohort.remove(instance)
         if not cohort.live:
-            del self._cohorts[key]
+            del self._serials[cohort.serial], self._cohorts[cohort.key]
 
     def push(self, input: str, triples: TimedTriples) -> None:
         self._windows.push(input, triples)
@@ -157,7 +164,7 @@ class TemplateEvaluator:
 
     def _cohort(
         self, family: _Family, key: tuple[object, ...], given: Mapping[str, Term]
-    ) -> tuple[tuple[object, ...], Alone | Together]:
+    ) -> Alone | Together:
         fixed = tuple(family.fixed)
         made: Alone | Together | None = None
         if len(fixed) < len(family.names):
@@ -168,12 +175,16 @@ class TemplateEvaluator:
             else:
                 # With these terms more has to be fixed than with those that came first.
                 key = (family.names, *given.items())
-                made = self._cohorts.get(key)
+                found = self._cohorts.get(key)
+                if found is not None:
+                    return found
         if made is None:
             arguments = {Variable(name): given[name] for name in family.names}
             made = Alone(self._windows, bind(self.query, arguments))
-        self._cohorts[key] = made
-        return key, made
+        made.key, made.serial = key, self._next
+        self._next += 1
+        self._cohorts[key] = self._serials[made.serial] = made
+        return made
 
     def _taken(self) -> list[InstanceResults]:
         taken, self._results = self._results, []

@@ -20,6 +20,7 @@ from .expressions import Call, Var, variables
 from .logical import (
     Aggregate,
     AnyScan,
+    Construct,
     Distinct,
     Exists,
     Extend,
@@ -33,6 +34,7 @@ from .logical import (
     Project,
     Query,
     Scan,
+    Select,
     TypeScan,
     Union,
     expressions_of,
@@ -80,6 +82,18 @@ class Joint:
     search: Search | None
     joined: tuple[str, ...]
     compared: tuple[str, ...]
+
+    @property
+    def asked(self) -> frozenset[str]:
+        """The variables that ``rest`` (after the searched condition) or the head name."""
+        steps = self.rest if self.search is None else self.rest[1:]
+        found = {name for step in steps for e in expressions_of(step) for name in variables(e)}
+        match self.head:
+            case Select(names):
+                found |= set(names)
+            case Construct(template):
+                found |= {p.name for triple in template for p in triple if isinstance(p, Var)}
+        return frozenset(found)
 
 
 def joint(query: Query, names: Sequence[str]) -> Joint:

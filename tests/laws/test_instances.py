@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pyoxigraph import Literal, NamedNode, Variable
+from pyoxigraph import Literal, Variable
 
 from dyknow.continuous import instance_kernel, instance_table
 from dyknow.continuous.evaluator import ContinuousEvaluator
@@ -44,7 +44,8 @@ BODIES = [
     f"SELECT DISTINCT ?v ?t WHERE {{ ?o {A} ?v . ?o {ON} ?k FILTER(?v > ?t && ?v < 2 * ?t) }}",
     f"ASK WHERE {{ ?o {A} ?t . ?o {ON} ?k }}",
     f"SELECT * WHERE {{ ?o {A} ?v . ?o {ON} ?k FILTER(?v > ?t) }}",
-    f"SELECT ?o ?w ?t WHERE {{ ?o {A} ?v FILTER(?v >= ?t) BIND(?v + ?t AS ?w) OPTIONAL {{ ?o {ON} ?k }} }}",
+    f"SELECT ?o ?w ?t WHERE {{ ?o {A} ?v FILTER(?v >= ?t) BIND(?v + ?t AS ?w) "
+    f"OPTIONAL {{ ?o {ON} ?k }} }}",
     # Above a sub-select, below an aggregate, in what may be missing.
     f"SELECT ?o ?x WHERE {{ {{ SELECT ?o (MAX(?v) AS ?x) WHERE {{ {AVERAGE} }} GROUP BY ?o }} "
     "FILTER(?x > ?t) }",
@@ -104,7 +105,7 @@ def fed(evaluator, dictionary, elements, cuts, at=None) -> list:
     return results + evaluator.end(INPUT)
 
 
-def columns(results) -> dict[int, object]:
+def columns(results, dictionary) -> dict[int, object]:
     """What each instance has by the columns of all, as `laws.shown`."""
     found: dict[int, list] = {}
     for numbers, solutions in results.solutions():
@@ -114,15 +115,10 @@ def columns(results) -> dict[int, object]:
             )
     for numbers, rows in results.triples():
         for i, number in enumerate(numbers.tolist()):
-            one = laws.TimedTriples(results_dictionary(results), (rows.take(np.array([i])),))
+            one = laws.TimedTriples(dictionary, (rows.take(np.array([i])),))
             for _, s, p, o in one:
                 found.setdefault(number, []).append(tuple(laws.canonical(x) for x in (s, p, o)))
     return {number: laws.Counter(rows) for number, rows in found.items()}
-
-
-def results_dictionary(results):
-    for part in results.parts:
-        return part.terms.dictionary if hasattr(part, "terms") else part.result.triples.dictionary
 
 
 def check(body, size, elements, cuts, instances, opts) -> None:
@@ -142,9 +138,9 @@ def check(body, size, elements, cuts, instances, opts) -> None:
         lives[key][2] = -(10**9) if last is None else last
 
     given_to = {}
-    for key, (start, given, stay) in enumerate(instances):
+    for key, (start, one, stay) in enumerate(instances):
         given_to[key] = {
-            Variable(name): term for name, term in given.items() if name in parameters(body)
+            Variable(name): term for name, term in one.items() if name in parameters(body)
         }
         start = min(start, len(elements))
         at.setdefault(start, []).append(lambda key=key: come(key, given_to[key]))
@@ -173,7 +169,7 @@ def check(body, size, elements, cuts, instances, opts) -> None:
             if result.answer is not None:
                 assert (number in by_end[end].holding()) == result.answer
             else:
-                told = columns(by_end[end]).get(number, laws.Counter())
+                told = columns(by_end[end], dictionary).get(number, laws.Counter())
                 assert told == laws.shown(result)
     for end, results in by_end.items():
         there = [n for n, _, _ in lives.values() if results.of(n) is not None]
@@ -219,15 +215,21 @@ rows = st.lists(st.tuples(st.integers(-1, 3), st.sampled_from([-1.0, 0.5, 2.0, f
 @law
 @given(st.lists(limits, min_size=4, max_size=4), rows, st.booleans())
 def test_the_kernel_equals_its_twins(groups, rows, strict) -> None:
+    # No group of a table is empty.
+    groups = [one or [np.nan] for one in groups]
     starts = np.cumsum([0, *map(len, groups)])
-    sorted_limits = np.concatenate([np.sort(np.array(one, np.float64)) for one in groups])
+    ordered = np.concatenate([np.sort(np.array(one, np.float64)) for one in groups])
     group = np.array([g for g, _ in rows], np.int64)
     value = np.array([v for _, v in rows], np.float64)
-    given_to = (group, value, starts, sorted_limits, strict)
-    found = [list(zip(*map(np.ndarray.tolist, f(*given_to)), strict=True)) for f in (
-        instance_kernel.fired, instance_kernel.fired_plain
-    )]
-    at, places = np.empty(200, np.int64), np.empty(200, np.int64)
-    count = instance_kernel.kernel.py_func(*given_to, at, places)
-    found.append(list(zip(at[:count].tolist(), places[:count].tolist(), strict=True)))
+    least = instance_kernel.least_of(starts, ordered)
+    room = np.empty((2, len(ordered) * len(rows)), np.int64)
+    count = instance_kernel.kernel.py_func(
+        group, value, starts, ordered, least, strict, room[0], room[1]
+    )
+    found = [
+        instance_kernel.fired(group, value, starts, ordered, least, strict),
+        instance_kernel.fired_plain(group, value, starts, ordered, strict),
+        room[:, :count],
+    ]
+    found = [list(zip(at.tolist(), places.tolist(), strict=True)) for at, places in found]
     assert found[0] == found[1] == found[2]
