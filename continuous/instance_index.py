@@ -1,4 +1,4 @@
-"""The index of instances: those that agree on the joined terms are a group, in which they are sorted
+"""The index of instances: those that agree on the joined terms are a group, sorted in itself
 by the compared term that a condition searches for.
 """
 
