@@ -218,18 +218,19 @@ def joint_of(
         return None, dict.fromkeys(arguments, why)
     bound = _with_rows_only(bind(query, {Variable(n): term for n, term in arguments.items()}))
     tree = algebra(bound).algebra
+    before = {variable.value: term for variable, term in query.bindings.items()}
     shape = query_shape(query.sparql)
     every = shape is not None and shape.selects_all
     graphs = Graphs(owner.schedule.named, query.static_named, query.window_variables)
     for name in arguments.keys() & _graph_names(tree):
         reasons[name] = f"?{name} is a graph"
     try:
-        head = translate(tree, arguments, graphs, selects_all=every).head
+        head = translate(tree, {**before, **arguments}, graphs, selects_all=every).head
         while True:
             names = [name for name in arguments if name not in reasons]
             if not names:
                 return None, reasons
-            given = {name: arguments[name] for name in reasons}
+            given = before | {name: arguments[name] for name in reasons}
             found = translate(tree, given, graphs, selects_all=every)
             shown = head if isinstance(head, Select) else found.head
             plan, _ = optimize(found.plan)

@@ -8,6 +8,7 @@ from pyoxigraph import BlankNode, Literal, NamedNode, Quad, Store, Variable
 
 from dyknow.continuous.background import Background
 from dyknow.continuous.evaluator import ContinuousEvaluator
+from dyknow.continuous.instance_results import Common, Joined
 from dyknow.continuous.instances import TemplateEvaluator
 from dyknow.languages.csparql import bind, parse_query, parse_template
 from dyknow.rdf.dictionary import TermDictionary
@@ -131,6 +132,36 @@ def test_one_that_goes_is_not_told_of_any_more() -> None:
     again = run.template.add({WHO: ONE, TYPE: UAV, THRESHOLD: Literal(0)})
     assert again > max(numbers)
     assert run.advance(3 * S + 1)[0].of(again).size == 1
+
+
+def test_a_template_may_have_arguments_before() -> None:
+    run = Run(bind(parse_template(HIGH_SPEED).query, {TYPE: UAV}))
+    for who in (ONE, THREE):
+        run.add(o=who, threshold=Literal(10))
+    run.push((S, ONE, 50.0), (S, THREE, 70.0))
+    (result,) = run.advance(S + 1)
+    assert [result.of(i).size for i in (0, 1)] == [1, 0]
+    assert "?threshold: compared, found by order" in run.template.explain()
+
+
+def test_a_window_that_columns_cannot_judge_is_evaluated_for_each() -> None:
+    run = Run(
+        parse_query(
+            f"PREFIX dyknow: <{DYKNOW}> REGISTER QUERY q AS SELECT ?o "
+            f"FROM STREAM <{X}> [RANGE 5s STEP 1s] "
+            "WHERE { ?o dyknow:speed ?v FILTER(?threshold) }"
+        )
+    )
+    date = Literal("2020-01-01", datatype=NamedNode(XSD + "date"))
+    yes, strange = run.add(threshold=Literal(1)), run.add(threshold=date)
+    run.push((S, ONE, 50.0))
+    (result,) = run.advance(S + 1)
+    assert (result.of(yes).size, result.of(strange).size) == (1, 0)
+    assert all(isinstance(part, Common) for part in result.parts)
+    run.template.remove(strange)
+    del run.own[strange]
+    (result,) = run.advance(2 * S + 1)
+    assert [type(part) for part in result.parts] == [Joined]
 
 
 def test_what_is_wrong_is_refused() -> None:
