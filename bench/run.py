@@ -15,6 +15,8 @@ HERE = Path(__file__).parent
 TABLES = (
     "speed_query.py",
     "windows.py",
+    "citybench.py",
+    "instances.py",
     "service.py",
     "ingest.py",
     "accuracy.py",

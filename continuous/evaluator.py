@@ -354,10 +354,14 @@ class ContinuousEvaluator:
             done = pane_end
         incremental.evict(window.bounds(end)[0])
 
-    def _solve(self, end: int) -> WindowResult:
+    def _span(self, end: int) -> tuple[int, int]:
+        """The start and end that the result at ``end`` is told with."""
         shift = self.schedule.shift
         lows = [one.bounds(end)[0] for one in self.schedule.windows if not one.lasts]
-        start, shown = min(lows, default=end) - shift, end - shift
+        return min(lows, default=end) - shift, end - shift
+
+    def _solve(self, end: int) -> WindowResult:
+        start, shown = self._span(end)
         contents = _Windows(self._contents, end)
         if self._plan is not None:
             for incremental in dict.fromkeys((self._incremental, None)):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import assert_never
 
 import numpy as np
@@ -54,30 +55,60 @@ def construct(head: Construct, relation: Relation, time: int, terms: TermValues)
     wide = _wide(head, relation, time, terms)
     if wide is not None:
         return TimedTriples(terms.dictionary, (wide,) if len(wide) else ())
-    found: dict[int, list[tuple[Ids, ObjectColumn, bool]]] = {}
-    for template in head.template:
-        columns = [_position(p, relation, time, terms) for p in template]
-        subjects, predicates, objects = columns
-        if subjects is None or predicates is None or objects is None:
-            continue
-        keep = _nodes(subjects, terms) & _iris(predicates, terms) & objects.present
-        subjects, predicates, objects = (c.take(keep) for c in (subjects, predicates, objects))
-        named = {p.name for p in template if isinstance(p, Var)}
-        unique = relation.key is not None and relation.key <= named
-        objects = ObjectColumn(objects.kind, objects.values)
-        for id in np.unique(predicates.values).tolist():
-            at = predicates.values == id
-            found.setdefault(id, []).append((subjects.values[at], objects.take(at), unique))
+    found = instantiated(head, relation, time, terms)
     tables = []
     for id, parts in found.items():
-        subject_ids = np.concatenate([part[0] for part in parts])
-        column = concatenate([part[1] for part in parts], terms.dictionary)
-        if len(subject_ids) > 1 and (len(parts) > 1 or not parts[0][2]):
+        subject_ids = np.concatenate([part.subjects for part in parts])
+        column = concatenate([part.objects for part in parts], terms.dictionary)
+        if len(subject_ids) > 1 and (len(parts) > 1 or not parts[0].unique):
             keys = [[ObjectColumn(Kind.TERM, subject_ids)], [column]]
             rows = first_rows(key_codes(keys, terms.dictionary)[0])
             subject_ids, column = subject_ids[rows], column.take(rows)
         tables.append(_table(time, subject_ids, {id: column}))
     return TimedTriples(terms.dictionary, tuple(table for table in tables if len(table)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Instantiated:
+    """What one triple of a template gives of one predicate: the solutions (``rows``) with a
+    well-formed triple, its subjects and objects. ``unique``: no two of them are equal."""
+
+    rows: NDArray[np.int64]
+    subjects: Ids
+    objects: ObjectColumn
+    unique: bool
+
+
+def instantiated(
+    head: Construct, relation: Relation, time: int, terms: TermValues
+) -> dict[int, list[Instantiated]]:
+    """The well-formed triples of every solution, by the id of the predicate."""
+    found: dict[int, list[Instantiated]] = {}
+    for template in head.template:
+        subjects, objects = (_position(template[i], relation, time, terms) for i in (0, 2))
+        if subjects is None or objects is None:
+            continue
+        keep = _nodes(subjects, terms) & objects.present
+        named = {p.name for p in template if isinstance(p, Var)}
+        unique = relation.key is not None and relation.key <= named
+        if isinstance(template[1], Const):
+            if isinstance(template[1].term, NamedNode):
+                rows, id = np.flatnonzero(keep), terms.dictionary.id(template[1].term)
+                whole = ObjectColumn(objects.kind, objects.values[rows])
+                part = Instantiated(rows, subjects.values[rows], whole, unique)
+                found.setdefault(id, []).append(part)
+            continue
+        predicates = _position(template[1], relation, time, terms)
+        if predicates is None:
+            continue
+        rows = np.flatnonzero(keep & _iris(predicates, terms))
+        subjects, predicates, objects = (c.take(rows) for c in (subjects, predicates, objects))
+        objects = ObjectColumn(objects.kind, objects.values)
+        for id in np.unique(predicates.values).tolist():
+            at = np.flatnonzero(predicates.values == id)
+            part = Instantiated(rows[at], subjects.values[at], objects.take(at), unique)
+            found.setdefault(id, []).append(part)
+    return found
 
 
 def _wide(head: Construct, relation: Relation, time: int, terms: TermValues) -> TripleRows | None:

@@ -1,0 +1,232 @@
+"""How the parameters of a template meet its plan: what one computation serves all instances.
+
+A parameter that is given in an instance is one of three. *Joined*: patterns bind it, so the plan
+is computed with it free, and an instance has the solutions with its own term. *Compared*: only
+FILTER, HAVING, BIND or the head name it, above all patterns and aggregates; so it is a column of
+the table of instances. *Fixed*: its term is put into the plan, which then serves the instances that
+agree on it (the sort in ``?o a ?type``, a predicate, whatever stands in OPTIONAL, EXISTS, …).
+
+Law: of an instance, the solutions of `Joint.plan` that have its joined terms, each with its
+compared terms, under `Joint.rest`, are those of the plan with all of its terms put in.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TypeAlias
+
+from .expressions import Call, Var, variables
+from .logical import (
+    Aggregate,
+    AnyScan,
+    Construct,
+    Distinct,
+    Exists,
+    Extend,
+    Filter,
+    Head,
+    Join,
+    LeftJoin,
+    Minus,
+    Order,
+    Plan,
+    Project,
+    Query,
+    Scan,
+    Select,
+    TypeScan,
+    Union,
+    expressions_of,
+    outputs,
+    walk,
+    with_inputs,
+)
+from .timestamps import names_now
+
+Step: TypeAlias = Project | Filter | Extend | Distinct
+"""What is done to each solution, or to those of one instance, alone."""
+
+_FLIPPED = {"<": ">", "<=": ">=", ">": "<", ">=": "<="}
+
+
+class Unfit(Exception):
+    """The parameter ``name`` has to be fixed ("": all of them), and why."""
+
+    def __init__(self, name: str, reason: str) -> None:
+        super().__init__(reason)
+        self.name = name
+
+
+@dataclass(frozen=True, slots=True)
+class Search:
+    """A condition ``?value > ?limit`` with a compared parameter: instances sorted by it are found
+    without looking at the others. ``greater``: else the value is less; ``strict``: not equal."""
+
+    value: str
+    limit: str
+    greater: bool
+    strict: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Joint:
+    """``plan`` is computed once; joined with the instances, its solutions go through ``rest``.
+
+    ``search``: the condition that the join itself can decide, which is ``rest[0]``.
+    """
+
+    head: Head
+    plan: Plan
+    rest: tuple[Step, ...]
+    search: Search | None
+    joined: tuple[str, ...]
+    compared: tuple[str, ...]
+
+    @property
+    def asked(self) -> frozenset[str]:
+        """The variables that ``rest`` (after the searched condition) or the head name."""
+        steps = self.rest if self.search is None else self.rest[1:]
+        found = {name for step in steps for e in expressions_of(step) for name in variables(e)}
+        match self.head:
+            case Select(names):
+                found |= set(names)
+            case Construct(template):
+                found |= {p.name for triple in template for p in triple if isinstance(p, Var)}
+        return frozenset(found)
+
+
+def joint(query: Query, names: Sequence[str]) -> Joint:
+    """How ``query`` serves all instances that give ``names``, which are free in it.
+
+    Raises `Unfit` with the first of them that has to be fixed.
+    """
+    if names_now(query.plan):
+        raise Unfit("", "it asks for NOW()")
+    core, steps = _spine(query.plan)
+    for name in names:
+        if any(isinstance(step, Extend) and step.variable == name for step in steps):
+            raise Unfit(name, f"an expression is bound to ?{name}")
+    if isinstance(core, Aggregate):
+        inner = _mentioned(core.child).union(*map(variables, expressions_of(core)))
+        core = replace(core, keys=tuple(k for k in core.keys if k in inner or k not in names))
+    joined = tuple(name for name in names if name in _mentioned(core))
+    compared = tuple(name for name in names if name not in joined)
+    for name in joined:
+        core = _carrying(core, name)
+    shared: Plan = core
+    at = 0
+    for step in steps:
+        if isinstance(step, Project):
+            # The join gives the compared ones, and needs the joined ones.
+            kept = dict.fromkeys((*step.variables, *joined))
+            shared = Project(tuple(name for name in kept if name not in compared), shared)
+        elif any(not variables(e).isdisjoint(compared) for e in expressions_of(step)):
+            break
+        else:
+            shared = replace(step, child=shared)
+        at += 1
+    rest, search = _search(steps[at:], frozenset(names), frozenset(compared), outputs(shared))
+    return Joint(query.head, shared, rest, search, joined, compared)
+
+
+def _spine(plan: Plan) -> tuple[Plan, list[Step]]:
+    """What stands above patterns and aggregates, from below, and what it stands on."""
+    steps: list[Step] = []
+    while isinstance(plan, Project | Filter | Extend | Distinct | Order):
+        # Solutions have no order, where none are cut off.
+        if not isinstance(plan, Order):
+            steps.append(plan)
+        plan = plan.child
+    return plan, steps[::-1]
+
+
+def _search(
+    steps: Sequence[Step], names: frozenset[str], compared: frozenset[str], known: frozenset[str]
+) -> tuple[tuple[Step, ...], Search | None]:
+    """The steps with the condition that can be searched for, if any, in front."""
+    for i, step in enumerate(steps):
+        if not isinstance(step, Filter):
+            break
+        match step.condition:
+            case Call(operator, (Var(left), Var(right))) if operator in _FLIPPED:
+                if left in compared:
+                    left, right, operator = right, left, _FLIPPED[operator]
+                if right in compared and left in known and left not in names:
+                    found = Search(left, right, operator[0] == ">", len(operator) == 1)
+                    return (step, *steps[:i], *steps[i + 1 :]), found
+    return tuple(steps), None
+
+
+def _carrying(plan: Plan, name: str) -> Plan:
+    """``plan`` such that each of its solutions binds ``name``, and those with one term are the
+    solutions of the plan with that term put in. Raises `Unfit`."""
+
+    def unfit(reason: str) -> Unfit:
+        return Unfit(name, f"?{name} {reason}")
+
+    def below(child: Plan) -> Plan:
+        if name not in _mentioned(child):
+            raise unfit("stands where no pattern binds it")
+        return _carrying(child, name)
+
+    def also(part: Plan) -> Plan:
+        # Bound on both sides, it is what the sides agree on.
+        return _carrying(part, name) if name in _mentioned(part) else part
+
+    match plan:
+        case Scan():
+            return plan
+        case AnyScan(_, predicate):
+            if predicate == Var(name):
+                raise unfit("is a predicate")
+            return plan
+        case TypeScan(_, sort):
+            if sort == Var(name):
+                raise unfit("is a sort, of which there are few")
+            return plan
+        case Join(parts):
+            return Join(tuple(also(part) for part in parts))
+        case Union(parts):
+            return Union(tuple(below(part) for part in parts))
+        case Extend(variable) if variable == name:
+            raise unfit("is bound to an expression")
+        case Filter() | Extend() | Distinct() | Order():
+            return with_inputs(plan, below)
+        case Project(names, child):
+            return Project(tuple(dict.fromkeys((*names, name))), below(child))
+        case Aggregate(keys, _, child):
+            if name not in keys:
+                raise unfit("is aggregated over")
+            return replace(plan, child=below(child))
+        case LeftJoin(child, optional):
+            return replace(plan, child=below(child), optional=also(optional))
+        case Minus(child, removed):
+            if name in _mentioned(removed):
+                # MINUS takes nothing away where the two sides share no variable.
+                raise unfit("stands in MINUS")
+            return replace(plan, child=below(child))
+        case Exists(_, pattern, child):
+            return replace(plan, child=below(child), pattern=also(pattern))
+        case _:
+            raise unfit(f"stands in {type(plan).__name__}")
+
+
+def _mentioned(plan: Plan) -> frozenset[str]:
+    """The variables that a plan binds or asks about."""
+    found: set[str] = set()
+    for node in walk(plan):
+        found |= outputs(node)
+        for expression in expressions_of(node):
+            found |= variables(expression)
+    return frozenset(found)
+
+
+def described(joint: Joint, reasons: Mapping[str, str]) -> list[str]:
+    """The parameters and what becomes of them, for people."""
+    lines = [f"?{name}: joined, patterns bind it" for name in joint.joined]
+    search = joint.search
+    for name in joint.compared:
+        sought = search is not None and search.limit == name
+        lines.append(f"?{name}: compared, {'found by order' if sought else 'a solution at a time'}")
+    return lines + [f"?{name}: fixed, {reason}" for name, reason in reasons.items()]
