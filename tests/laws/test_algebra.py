@@ -258,7 +258,8 @@ def dataset(clauses: list[w.Clause], contents: tuple, semantics: str) -> Data:
 def defined(query, clauses: list[w.Clause], streams: dict, every, options: Options, operator: str):
     """``(end, result)`` of each evaluation that reports; None where a result is not determined."""
     found = w.evaluations(clauses, streams, every, options.origin, options.bounds)
-    wanted = w.reported(found, options.report)
+    times = [e.time for part in streams.values() for e in part]
+    wanted = w.reported(found, options.report, max(times, default=0) + (options.bounds == "[)"))
     known: dict[tuple, object] = {}
 
     def result_of(evaluation: w.Evaluation) -> object:
@@ -548,3 +549,9 @@ def holds_for(query, elements: list, window=SIZE, options: Options | None = None
 
 def said(time: int, subject: int, value) -> Element:
     return Element(time, drawing.OBJECTS[subject], drawing.A, Literal(value), None, time)
+
+
+def test_an_offset_without_a_limit() -> None:
+    where = q.Group(q.Triple("?s", drawing.A, "?v"))
+    query = q.Select((("?v", None),), where, order=(("?v", False),), offset=1)
+    holds_for(query, [said(1, 1, 3), said(2, 1, 4)])

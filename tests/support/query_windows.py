@@ -148,13 +148,15 @@ def by_moves(clauses: Sequence[Clause], streams: Streams, shift: int) -> list[Ev
     return found
 
 
-def reported(found: Sequence[Evaluation], report: str) -> list[bool]:
-    """Which of them give a result."""
+def reported(found: Sequence[Evaluation], report: str, passed: float = -inf) -> list[bool]:
+    """Which of them give a result. ``passed``: ends before it had closed when the input ended, so
+    that "close" gives them, though nothing came any more."""
     active = [k for k, evaluation in enumerate(found) if evaluation.active]
     if report == "non-empty" or not active:
         return [evaluation.active for evaluation in found]
     if report == "close":
-        return [active[0] <= k <= active[-1] for k in range(len(found))]
+        ends = [evaluation.end for evaluation in found]
+        return [active[0] <= k and (k <= active[-1] or end < passed) for k, end in enumerate(ends)]
     nothing = tuple(() for _ in found[0].contents)
     keys = [nothing, *(evaluation.key for evaluation in found)]
     return [now != then for then, now in pairwise(keys)]
