@@ -6,7 +6,7 @@ how they were cut into batches.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Set
 from dataclasses import dataclass, replace
 from typing import Protocol, assert_never
 
@@ -49,6 +49,7 @@ from .logical import (
     TypeScan,
     Union,
     Values,
+    certain,
     expressions_of,
     outputs,
     walk,
@@ -180,7 +181,7 @@ def _marked(plan: Exists, source: Source, terms: TermValues) -> Relation:
     child = execute(plan.child, source, terms)
     pattern = plan.pattern
     names = _mentioned(pattern) & child.columns.keys()
-    if _looks_outside(pattern):
+    if _looks_outside(pattern) or _depends(pattern, names):
         bound = distinct(_projected(child, tuple(sorted(names))), terms)
         row = ObjectColumn(Kind.INTEGER, np.arange(bound.rows))
         given = Given(tuple(sorted(names)))
@@ -244,6 +245,20 @@ def _looks_outside(plan: Plan) -> bool:
         elif isinstance(node, LeftJoin):
             below = outputs(node.child) | outputs(node.optional)
         if not _asked(node) <= below:
+            return True
+    return False
+
+
+def _depends(plan: Plan, names: Set[str]) -> bool:
+    """Whether substituting ``names`` changes more than which solutions of ``plan`` remain.
+
+    It does in the right side of an OPTIONAL (its left rows get, or miss, a partner by it), and in
+    an EXISTS of which the rows of ``plan`` do not bind them all.
+    """
+    for node in walk(plan):
+        if isinstance(node, LeftJoin) and _mentioned(node.optional) & names - certain(node.child):
+            return True
+        if isinstance(node, Exists) and _mentioned(node.pattern) & names - certain(node.child):
             return True
     return False
 

@@ -555,3 +555,15 @@ def test_an_offset_without_a_limit() -> None:
     where = q.Group(q.Triple("?s", drawing.A, "?v"))
     query = q.Select((("?v", None),), where, order=(("?v", False),), offset=1)
     holds_for(query, [said(1, 1, 3), said(2, 1, 4)])
+
+
+@pytest.mark.parametrize("nested", [False, True])
+def test_exists_substitutes_also_where_an_optional_or_an_exists_has_the_variable(nested) -> None:
+    """?v of the OPTIONAL is a constant to it, so that it takes nothing from the road (§18.6)."""
+    inner: tuple = (q.Optional(q.Group(q.Triple(drawing.OBJECTS[1], drawing.A, "?v"))),)
+    if nested:
+        on = q.Group(q.Triple("?s", drawing.ON, "?r"), *inner)
+        inner = (q.Triple("?s", drawing.A, "?v"), q.Filter(q.Exists(on)))
+    road = q.Group(q.Triple("?s", drawing.ON, "?r"), *inner)
+    body = q.Group(q.Triple("?s", drawing.A, "?v"), q.Filter(q.Exists(road)))
+    holds_for(drawing.star(body), [said(1, 0, 3), said(1, 1, 4)])
