@@ -567,3 +567,14 @@ def test_exists_substitutes_also_where_an_optional_or_an_exists_has_the_variable
     road = q.Group(q.Triple("?s", drawing.ON, "?r"), *inner)
     body = q.Group(q.Triple("?s", drawing.A, "?v"), q.Filter(q.Exists(road)))
     holds_for(drawing.star(body), [said(1, 0, 3), said(1, 1, 4)])
+
+
+@pytest.mark.parametrize("report", ["non-empty", "change", "close"])
+@pytest.mark.parametrize("operator", ["RSTREAM", "ISTREAM", "DSTREAM"])
+def test_what_lies_between_two_windows_brings_about_nothing(report, operator) -> None:
+    ask = q.Ask(q.Group(q.Triple("?s", drawing.A, "?v")))
+    options = Options(report=report)
+    holds_for(ask, [said(1, 0, 3)], w.Time(1, 3), options, operator=operator)
+    between = [said(3, 0, 3), said(7, 0, 3), said(12, 0, 3), said(16, 0, 3)]
+    if operator == "RSTREAM":
+        holds_for(ask, between, w.Time(1, 3), options)
