@@ -353,7 +353,7 @@ def area(draw_query, values: list = VALUES, times=TIMES):
     """A law: queries of one area over one window of time, under both semantics."""
 
     @law
-    @given(st.data(), drawing.elements(values, times), CUTS, OPTIONS, SIZES)
+    @given(st.data(), drawing.elements(values, times, 11), CUTS, OPTIONS, SIZES)
     def holds(data, elements, cuts, options, size) -> None:
         query = draw_query(data.draw)
         check(query, [w.Clause(INPUTS[0], size)], {INPUTS[0]: elements}, cuts, options)
@@ -482,7 +482,8 @@ AREAS = st.sampled_from(
         drawing.joined,
         lambda draw: drawing.star(drawing.patterned(draw)),
         drawing.existing,
-        drawing.walked,
+        # From a node that is in no triple, Oxigraph does not always see the path of no steps.
+        lambda draw: drawing.walked(draw, ()),
         drawing.expressed,
         lambda draw: drawing.summed(draw, ["SUM", "AVG", "MIN", "MAX"]),
         drawing.nested,
@@ -588,3 +589,12 @@ def test_a_count_skips_what_fails() -> None:
     length = q.Aggregate("COUNT", q.Call("STRLEN", "?s"))
     where = q.Group(q.Triple("?s", drawing.A, "?v"))
     holds_for(q.Select((("?x", length),), where), [said(1, 1, 3)])
+
+
+def test_what_if_gives_is_of_its_kind_in_the_expression_around_it() -> None:
+    where = q.Group(q.Triple("?s", drawing.A, "?v"))
+    choice = q.Call("IF", q.Call(">", "?v", Literal(2)), Literal(1), drawing.OBJECTS[1])
+    number = q.Call("IF", q.Call(">", "?v", Literal(2)), Literal(1), Literal(2.5))
+    calls = [q.Call(sign, one, Literal(1)) for sign in ("+", "=", ">=") for one in (choice, number)]
+    head = tuple((f"?x{i}", call) for i, call in enumerate(calls))
+    holds_for(q.Select(head, where), [said(1, 1, 2), said(1, 2, 3)])

@@ -329,9 +329,9 @@ def path(draw: Draw, depth: int = 2) -> Any:
     return q.Repeated(path(draw, depth - 1), draw(st.sampled_from("*+?")))
 
 
-def walked(draw: Draw) -> q.Select | q.Ask:
-    """Property paths between variables and constants, alone and joined."""
-    ends = st.sampled_from(["?s", "?s", "?t", "?r", OBJECTS[1], ROADS[0], node("nowhere")])
+def walked(draw: Draw, far: tuple = (node("nowhere"),)) -> q.Select | q.Ask:
+    """Property paths between variables and constants (``far``: in no triple), alone and joined."""
+    ends = st.sampled_from(["?s", "?s", "?t", "?r", OBJECTS[1], ROADS[0], *far])
     body: list = [q.Triple(draw(ends), path(draw), draw(ends))]
     if draw(st.booleans()):
         body += triples(draw, 1, 1)
