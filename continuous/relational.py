@@ -181,7 +181,7 @@ def _marked(plan: Exists, source: Source, terms: TermValues) -> Relation:
     child = execute(plan.child, source, terms)
     pattern = plan.pattern
     names = _mentioned(pattern) & child.columns.keys()
-    if _looks_outside(pattern) or _depends(pattern, names):
+    if _looks_outside(pattern, names) or _depends(pattern, names):
         bound = distinct(_projected(child, tuple(sorted(names))), terms)
         row = ObjectColumn(Kind.INTEGER, np.arange(bound.rows))
         given = Given(tuple(sorted(names)))
@@ -236,15 +236,15 @@ def _asked(node: Plan) -> frozenset[str]:
     return frozenset().union(*map(variables, expressions_of(node)))
 
 
-def _looks_outside(plan: Plan) -> bool:
-    """Whether an expression in it names a variable that is not bound below it."""
+def _looks_outside(plan: Plan, names: Set[str]) -> bool:
+    """Whether an expression in it names one of ``names`` that not every row below it binds."""
     for node in walk(plan):
         below: frozenset[str] = frozenset()
         if isinstance(node, Filter | Extend | Order | Aggregate):
-            below = outputs(node.child)
+            below = certain(node.child)
         elif isinstance(node, LeftJoin):
-            below = outputs(node.child) | outputs(node.optional)
-        if not _asked(node) <= below:
+            below = certain(node.child) | certain(node.optional)
+        if _asked(node) & names - below:
             return True
     return False
 

@@ -598,3 +598,12 @@ def test_what_if_gives_is_of_its_kind_in_the_expression_around_it() -> None:
     calls = [q.Call(sign, one, Literal(1)) for sign in ("+", "=", ">=") for one in (choice, number)]
     head = tuple((f"?x{i}", call) for i, call in enumerate(calls))
     holds_for(q.Select(head, where), [said(1, 1, 2), said(1, 2, 3)])
+
+
+def test_exists_substitutes_also_where_only_one_branch_of_a_union_has_the_variable() -> None:
+    either = q.Union(
+        q.Group(q.Triple("?s", drawing.A, "?v")), q.Group(q.Triple("?s", drawing.B, "?w"))
+    )
+    inner = q.Group(either, q.Filter(q.Call("=", "?v", "?v")))
+    body = q.Group(q.Triple("?s", drawing.B, "?v"), q.Filter(q.Exists(inner)))
+    holds_for(drawing.star(body), [said(1, 0, 3)])
