@@ -156,7 +156,14 @@ class Contents:
             if not one.lasts and last is not None and last > one.bounds(following)[0]:
                 return following
         pane = panes.first_after(seen)
-        return None if pane is None else self.schedule.first_end(one, pane)
+        while pane is not None:
+            end = self.schedule.first_end(one, pane)
+            low = one.bounds(end)[0]
+            if pane > low:
+                return end
+            # Between two windows, where RANGE is less than STEP: nobody sees it.
+            pane = panes.first_after(low)
+        return None
 
     def _next_count(self, i: int, one: InputWindow) -> int | None:
         move = next(self._counting[i].next_moves(self._numbers[i]), None)
@@ -191,8 +198,9 @@ class Contents:
             content |= entered or (not one.lasts and last is not None and last > low)
             changed |= entered
             if closed is not None and not one.lasts:
-                left = panes.last_until(low)
-                changed |= left is not None and left > one.bounds(closed)[0]
+                before = one.bounds(closed)
+                left = panes.last_until(min(low, before[1]))
+                changed |= left is not None and left > before[0]
         return content, changed
 
     # -- what is in the windows ------------------------------------------------------------

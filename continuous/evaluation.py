@@ -71,7 +71,7 @@ def evaluate(
         answers = {name: ask(call, columns, rows, terms) for name, call in strange}
         columns = {**columns, **answers}
     try:
-        return _native(native, columns, rows, terms)
+        return _native(*_chosen(native, columns, rows, terms), rows, terms)
     except NeedsOxigraph:
         return ask(expression, columns, rows, terms)
 
@@ -95,6 +95,26 @@ def _parted(expression: Expression) -> tuple[Expression, tuple[tuple[str, Call],
 
     native = go(expression)
     return native, tuple((name, call) for call, name in strange.items())
+
+
+def _chosen(
+    expression: Expression, columns: Mapping[str, ObjectColumn], rows: int, terms: TermValues
+) -> tuple[Expression, Mapping[str, ObjectColumn]]:
+    """The expression with a column for each IF and COALESCE in it: what they give may be of several
+    kinds, which `_native` tells apart in columns only."""
+    found = dict(columns)
+
+    def go(expression: Expression) -> Expression:
+        if not isinstance(expression, Call):
+            return expression
+        call = Call(expression.name, tuple(go(argument) for argument in expression.arguments))
+        if call.name not in ("IF", "COALESCE"):
+            return call
+        name = f"\0c{len(found)}"
+        found[name] = _native(call, found, rows, terms)
+        return Var(name)
+
+    return go(expression), found
 
 
 def _native(

@@ -6,7 +6,7 @@ how they were cut into batches.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Set
 from dataclasses import dataclass, replace
 from typing import Protocol, assert_never
 
@@ -49,6 +49,7 @@ from .logical import (
     TypeScan,
     Union,
     Values,
+    certain,
     expressions_of,
     outputs,
     walk,
@@ -194,7 +195,7 @@ def _marked(plan: Exists, source: Source, terms: TermValues) -> Relation:
     child = execute(plan.child, source, terms)
     pattern = plan.pattern
     names = _mentioned(pattern) & child.columns.keys()
-    if _looks_outside(pattern):
+    if _looks_outside(pattern, names) or _depends(pattern, names):
         bound = distinct(_projected(child, tuple(sorted(names))), terms)
         row = ObjectColumn(Kind.INTEGER, np.arange(bound.rows))
         given = Given(tuple(sorted(names)))
@@ -253,15 +254,29 @@ def _asked(node: Plan) -> frozenset[str]:
     return frozenset().union(*map(variables, expressions_of(node)))
 
 
-def _looks_outside(plan: Plan) -> bool:
-    """Whether an expression in it names a variable that is not bound below it."""
+def _looks_outside(plan: Plan, names: Set[str]) -> bool:
+    """Whether an expression in it names one of ``names`` that not every row below it binds."""
     for node in walk(plan):
         below: frozenset[str] = frozenset()
         if isinstance(node, Filter | Extend | Order | Aggregate):
-            below = outputs(node.child)
+            below = certain(node.child)
         elif isinstance(node, LeftJoin):
-            below = outputs(node.child) | outputs(node.optional)
-        if not _asked(node) <= below:
+            below = certain(node.child) | certain(node.optional)
+        if _asked(node) & names - below:
+            return True
+    return False
+
+
+def _depends(plan: Plan, names: Set[str]) -> bool:
+    """Whether substituting ``names`` changes more than which solutions of ``plan`` remain.
+
+    It does in the right side of an OPTIONAL (its left rows get, or miss, a partner by it), and in
+    an EXISTS of which the rows of ``plan`` do not bind them all.
+    """
+    for node in walk(plan):
+        if isinstance(node, LeftJoin) and _mentioned(node.optional) & names - certain(node.child):
+            return True
+        if isinstance(node, Exists) and _mentioned(node.pattern) & names - certain(node.child):
             return True
     return False
 
