@@ -28,7 +28,8 @@ from .intake import Rows
 from .logical import DEFAULT, AnyScan, Closure, Plan, Query, Scan, TypeScan, outputs, walk
 from .options import Options
 from .oxigraph import OxigraphWindows
-from .patterns import PatternSolver, needed_outside, pattern_parts, served_parts
+from .pattern_parts import needed_outside, pattern_parts, served_parts
+from .patterns import PatternSolver
 from .profile import Profile
 from .relational import execute
 from .results import WindowResult

@@ -15,7 +15,7 @@ from .columns import Relation, bits
 from .instance_kernel import fired, least_of
 from .instance_terms import Terms
 from .parameters import Joint
-from .patterns import decoded
+from .pattern_rows import decoded
 
 Rows: TypeAlias = NDArray[np.int64]
 

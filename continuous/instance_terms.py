@@ -12,7 +12,7 @@ from pyoxigraph import Literal, NamedNode
 from ..rdf.dictionary import NO_TERM, Term, TermDictionary
 from ..rdf.timed import DATATYPES, Kind, ObjectColumn, make_term, split_term
 from .columns import bits, canonical
-from .patterns import decoded
+from .pattern_rows import decoded
 
 _BLOCK = 4096
 """As many terms wait to be encoded: long lists of them keep the garbage collector busy."""

@@ -5,6 +5,9 @@ an object as tag and bits (`encoding`). `select` picks the rows of the windows t
 slot; `chain` links rows with an equal end; `match` puts the patterns in order by how much they
 leave, and matches one inside the other, along a chain where an end is bound. `patterns` makes the
 tables and reads the answers. Each is the same in plain Python (``py_func``).
+
+`_match` is one function of four hundred lines, and makes this file long, because what is compiled can
+call nothing that is not: its parts are headed by comments instead of names.
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from pyoxigraph import BlankNode, Literal, NamedNode, Quad, Store
 
 from dyknow.continuous import evaluator as evaluation
-from dyknow.continuous import patterns
+from dyknow.continuous import pattern_rows, patterns
 from dyknow.continuous.background import Background
 from dyknow.continuous.evaluator import ContinuousEvaluator
 from dyknow.continuous.options import Options
@@ -151,8 +151,8 @@ def test_three_ways_to_join_patterns_agree(body, elements, static, options) -> N
         patch.setattr(evaluation, "JIT", False)
         assert solutions(body, elements, static, options) == found
     with pytest.MonkeyPatch.context() as patch:
-        for name in ("select", "chain", "match"):
-            patch.setattr(patterns, name, getattr(patterns, name).py_func)
+        for module, name in ((patterns, "select"), (pattern_rows, "chain"), (patterns, "match")):
+            patch.setattr(module, name, getattr(module, name).py_func)
         assert solutions(body, elements, static, options) == found
 
 

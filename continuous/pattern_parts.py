@@ -1,0 +1,167 @@
+"""Which parts of a plan the compiled loop serves: patterns with constant predicates, their joins,
+and filters of numbers on them (see `patterns`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from pyoxigraph import NamedNode
+
+from ..rdf.namespaces import RDF_TYPE
+from .expressions import Call, Const, Expression, Var, conjuncts, variables
+from .logical import (
+    START,
+    STOP,
+    Aggregate,
+    Closure,
+    Distinct,
+    Filter,
+    Join,
+    Plan,
+    Project,
+    Scan,
+    TypeScan,
+    expressions_of,
+    inputs,
+    outputs,
+    walk,
+    with_inputs,
+)
+from .pattern_kernels import (
+    ADD,
+    AND,
+    DIVIDE,
+    EQUAL,
+    GREATER,
+    GREATER_EQUAL,
+    LESS,
+    LESS_EQUAL,
+    MULTIPLY,
+    NEGATE,
+    NOT,
+    OR,
+    SUBTRACT,
+    UNEQUAL,
+)
+
+OPERATIONS = {
+    "+": ADD,
+    "-": SUBTRACT,
+    "*": MULTIPLY,
+    "/": DIVIDE,
+    "=": EQUAL,
+    "!=": UNEQUAL,
+    "<": LESS,
+    "<=": LESS_EQUAL,
+    ">": GREATER,
+    ">=": GREATER_EQUAL,
+    "&&": AND,
+    "||": OR,
+    "!": NOT,
+    "NEGATE": NEGATE,
+}
+_DEEPEST = 60
+
+
+@dataclass(frozen=True, slots=True)
+class Slot:
+    """A predicate in a graph; of classes, `RDF_TYPE`."""
+
+    graph: str
+    predicate: NamedNode
+
+
+def slot_of(leaf: Scan | TypeScan) -> Slot:
+    return Slot(leaf.graph, RDF_TYPE if isinstance(leaf, TypeScan) else leaf.predicate)
+
+
+def pattern_parts(plan: Plan) -> Plan:
+    """``plan`` with the parts of each join that this room serves put together in one join."""
+    plan = with_inputs(plan, pattern_parts)
+    if isinstance(plan, Join):
+        served = tuple(part for part in plan.parts if _is_served(part))
+        others = tuple(part for part in plan.parts if not _is_served(part))
+        if len(served) > 1 and others:
+            return Join((Join(served), *others))
+    return plan
+
+
+def served_parts(plan: Plan) -> Iterator[Plan]:
+    """The largest parts of ``plan`` that are served: joins and filters of patterns."""
+    if _is_served(plan) and any(True for _ in leaves(plan)):
+        yield plan
+        return
+    for part in inputs(plan):
+        yield from served_parts(part)
+
+
+def _is_served(plan: Plan) -> bool:
+    match plan:
+        case Scan():
+            return not plan.times.names
+        case TypeScan():
+            return True
+        case Join(parts):
+            return bool(parts) and all(_is_served(part) for part in parts)
+        case Filter(condition, child):
+            # What a filter inside a join does not see there is unbound.
+            seen = variables(condition) <= outputs(child)
+            return seen and _is_served(child) and _depth(condition) is not None
+        case _:
+            return False
+
+
+def leaves(plan: Plan) -> Iterator[Scan | TypeScan]:
+    if isinstance(plan, Scan | TypeScan):
+        yield plan
+    for part in inputs(plan):
+        yield from leaves(part)
+
+
+def conditions(plan: Plan) -> Iterator[Expression]:
+    if isinstance(plan, Filter):
+        yield from conjuncts(plan.condition)
+    for part in inputs(plan):
+        yield from conditions(part)
+
+
+def _depth(expression: Expression) -> int | None:
+    """How high the stack grows; None for what the loop does not know."""
+    match expression:
+        case Var() | Const():
+            return 1
+        case Call("!" | "NEGATE", (argument,)):
+            return _depth(argument)
+        case Call(name, (left, right)) if name in OPERATIONS:
+            a, b = _depth(left), _depth(right)
+            return None if a is None or b is None or b >= _DEEPEST else max(a, b + 1)
+        case _:
+            return None
+
+
+def needed_outside(plan: Plan, part: Plan) -> frozenset[str]:
+    """The variables of ``part`` that the rest of ``plan`` looks at: all, where it compares whole
+    solutions."""
+    inside = {id(node) for node in walk(part)}
+    names: set[str] = set()
+    for node in walk(plan):
+        if id(node) in inside:
+            continue
+        if not inputs(node):
+            names |= outputs(node)
+        for expression in expressions_of(node):
+            names |= variables(expression)
+        match node:
+            case Project(shown):
+                names |= set(shown)
+            case Aggregate(keys, aggregations):
+                names |= set(keys)
+                if any(one.distinct and one.argument is None for one in aggregations):
+                    return outputs(part)
+            case Closure():
+                names |= outputs(node) | {START, STOP}
+            case Distinct(child) if not isinstance(child, Project):
+                return outputs(part)
+    return outputs(part) & names
