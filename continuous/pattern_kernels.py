@@ -1,8 +1,8 @@
 """The compiled join of triple patterns: one loop for every query, which reads its patterns as data.
 
 Triples are numbers here: a *slot* (a predicate in a graph that the query names), a subject id, and
-an object as tag and bits (`columns.TermValues.encoded`). `select` picks the rows of the windows that close, slot by
-slot; `chain` links rows with an equal end; `match` puts the patterns in order by how much they
+an object as tag and bits (`columns.TermValues.encoded`). `select` picks the rows of the windows
+that close, slot by slot; `chain` links rows with an equal end; `match` puts the patterns in order by how much they
 leave, and matches one inside the other, along a chain where an end is bound. `patterns` makes the
 tables and reads the answers. Each is the same in plain Python (``py_func``).
 
