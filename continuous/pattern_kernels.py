@@ -3,8 +3,8 @@
 Triples are numbers here: a *slot* (a predicate in a graph that the query names), a subject id, and
 an object as tag and bits (`columns.TermValues.encoded`). `select` picks the rows of the windows
 that close, slot by slot; `chain` links rows with an equal end; `match` puts the patterns in order
-by how much they leave, and matches one inside the other, along a chain where an end is bound. `patterns` makes the
-tables and reads the answers. Each is the same in plain Python (``py_func``).
+by how much they leave, and matches one inside the other, along a chain where an end is bound.
+`patterns` makes the tables and reads the answers. Each is the same in plain Python (``py_func``).
 
 `_match` is one function of four hundred lines, and makes this file long, because what is compiled
 can call nothing that is not: its parts are headed by comments instead of names.
