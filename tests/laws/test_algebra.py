@@ -259,7 +259,7 @@ def defined(query, clauses: list[w.Clause], streams: dict, every, options: Optio
     """``(end, result)`` of each evaluation that reports; None where a result is not determined."""
     found = w.evaluations(clauses, streams, every, options.origin, options.bounds)
     times = [e.time for part in streams.values() for e in part]
-    wanted = w.reported(found, options.report, max(times, default=0) + (options.bounds == "[)"))
+    wanted = w.reported(found, options.report, max(times, default=0))
     known: dict[tuple, object] = {}
 
     def result_of(evaluation: w.Evaluation) -> object:
@@ -353,7 +353,7 @@ def area(draw_query, values: list = VALUES, times=TIMES):
     """A law: queries of one area over one window of time, under both semantics."""
 
     @law
-    @given(st.data(), drawing.elements(values, times, 11), CUTS, OPTIONS, SIZES)
+    @given(st.data(), drawing.elements(values, times, 9), CUTS, OPTIONS, SIZES)
     def holds(data, elements, cuts, options, size) -> None:
         query = draw_query(data.draw)
         check(query, [w.Clause(INPUTS[0], size)], {INPUTS[0]: elements}, cuts, options)
@@ -477,13 +477,21 @@ def test_reports_equal_the_definition(data, streams, cuts, options, windows, eve
 
 # --- Oxigraph, and cuts
 
+
+def walked_as_oxigraph_does(draw):
+    """Not from a node that is in no triple (it misses the path of no steps), and each solution once
+    (it does not count a pair twice that both sides of ``|`` have)."""
+    query = drawing.walked(draw, ())
+    return replace(query, distinct=True) if isinstance(query, q.Select) else query
+
+
 AREAS = st.sampled_from(
     [
         drawing.joined,
         lambda draw: drawing.star(drawing.patterned(draw)),
-        drawing.existing,
-        # From a node that is in no triple, Oxigraph does not always see the path of no steps.
-        lambda draw: drawing.walked(draw, ()),
+        # An EXISTS within an EXISTS over an OPTIONAL it gets wrong.
+        lambda draw: drawing.existing(draw, 0),
+        walked_as_oxigraph_does,
         drawing.expressed,
         lambda draw: drawing.summed(draw, ["SUM", "AVG", "MIN", "MAX"]),
         drawing.nested,

@@ -280,11 +280,11 @@ def patterned(draw: Draw, depth: int = 2) -> q.Group:
     return q.Group(*members)
 
 
-def existing(draw: Draw) -> q.Select | q.Ask:
+def existing(draw: Draw, depth: int = 1) -> q.Select | q.Ask:
     """EXISTS, alone and inside boolean expressions, nested, with filters on outer variables."""
     body = triples(draw, 1, 2)
     names = variables(q.Group(*body))
-    test: Any = exists(draw, names)
+    test: Any = exists(draw, names, depth)
     kind = draw(st.integers(0, 5))
     if kind == 0:
         test = q.Call("!", test)
@@ -500,16 +500,16 @@ def in_windows(draw: Draw) -> q.Select | q.Ask:
     members: list = []
     for _ in range(draw(st.integers(1, 2))):
         name = draw(st.sampled_from([*WINDOW_NAMES[:2], "?g", "?g"]))
-        inner = (
-            patterned(draw, 1) if draw(st.integers(0, 2)) == 0 else q.Group(*triples(draw, 1, 2))
-        )
+        kind = draw(st.integers(0, 5)) if members else None
+        # Substitution, which EXISTS is, is defined for patterns and filters only.
+        simple = kind == 2 or draw(st.integers(0, 2))
+        inner = q.Group(*triples(draw, 1, 2)) if simple else patterned(draw, 1)
         part: Any = q.Named(name, inner)
-        kind = draw(st.integers(0, 5))
-        if members and kind == 0:
+        if kind == 0:
             part = q.Optional(q.Group(part))
-        elif members and kind == 1:
+        elif kind == 1:
             part = q.Minus(q.Group(part))
-        elif members and kind == 2:
+        elif kind == 2:
             part = q.Filter(q.Exists(q.Group(part), draw(st.booleans())))
         members.append(part)
     if draw(st.booleans()):

@@ -132,16 +132,18 @@ def has_come(time: int, end: int, bounds: str) -> bool:
 def by_moves(clauses: Sequence[Clause], streams: Streams, shift: int) -> list[Evaluation]:
     """Only windows of a count: an evaluation for each move of each.
 
+    Moves of one time go input by input, in the order of the clauses.
     Its end is the time of the element that moved it; one later where ends are exclusive.
     """
+    inputs = list(streams)
     moves = [
-        (streams[c.stream][at - 1].time, place, at)
+        (streams[c.stream][at - 1].time, inputs.index(c.stream), place, at)
         for place, c in enumerate(clauses)
         for at in range(c.window.step, len(streams[c.stream]) + 1, c.window.step)
     ]
     contents: list[tuple] = [() for _ in clauses]
     found = []
-    for time, place, at in sorted(moves):
+    for time, _, place, at in sorted(moves):
         clause = clauses[place]
         contents[place] = tuple(streams[clause.stream][max(at - clause.window.size, 0) : at])
         found.append(Evaluation(time + shift, tuple(contents), True))
