@@ -353,7 +353,7 @@ def area(draw_query, values: list = VALUES, times=TIMES):
     """A law: queries of one area over one window of time, under both semantics."""
 
     @law
-    @given(st.data(), drawing.elements(values, times, 9), CUTS, OPTIONS, SIZES)
+    @given(st.data(), drawing.elements(values, times, 8), CUTS, OPTIONS, SIZES)
     def holds(data, elements, cuts, options, size) -> None:
         query = draw_query(data.draw)
         check(query, [w.Clause(INPUTS[0], size)], {INPUTS[0]: elements}, cuts, options)
