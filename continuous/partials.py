@@ -125,6 +125,19 @@ class NumberFold:
         rows[:, 0] -= high << 32
         return at, rows, high
 
+    def take_all(self, used: int) -> tuple[NDArray[Any], NDArray[np.int64] | None]:
+        """As `take`, but a row for each group, also where few were touched."""
+        at, rows, high = self.take(used)
+        if at is None:
+            return rows, high
+        whole = np.tile(self._rows.empty, (used, 1))
+        whole[at] = rows
+        if high is not None:
+            above = np.zeros(used, np.int64)
+            above[at] = high
+            high = above
+        return whole, high
+
 
 @dataclass(slots=True, eq=False)
 class Partial:
@@ -160,7 +173,7 @@ class Partial:
                     fold = self._folds[part.kind] = NumberFold(part.kind, extremes)
                 fold.add(part.subjects, part.values, part.skip, groups)
         for kind, fold in self._folds.items():
-            _, rows, high = fold.take(groups.used)
+            rows, high = fold.take_all(groups.used)
             sums = rows[:, 0]
             if high is not None:
                 sums = high.astype(object) * 2**32 + sums.astype(object)

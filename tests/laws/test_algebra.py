@@ -615,3 +615,14 @@ def test_exists_substitutes_also_where_only_one_branch_of_a_union_has_the_variab
     inner = q.Group(either, q.Filter(q.Call("=", "?v", "?v")))
     body = q.Group(q.Triple("?s", drawing.B, "?v"), q.Filter(q.Exists(inner)))
     holds_for(drawing.star(body), [said(1, 0, 3)])
+
+
+def test_groups_of_which_few_have_a_number() -> None:
+    """One number in one of many groups: the others are there all the same."""
+    where = q.Group(
+        q.Triple("?s", "?p", "?o"), q.Optional(q.Group(q.Triple("?s", drawing.B, "?v")))
+    )
+    for function in ("COUNT", "SUM", "AVG", "MIN"):
+        head = (("?s", None), ("?p", None), ("?x", q.Aggregate(function, "?v")))
+        query = q.Select(head, where, keys=(("?s", None), ("?p", None)))
+        holds_for(query, [said(1, 1, "x"), said(1, 2, 1)])
