@@ -154,9 +154,11 @@ class WindowSource:
         rdf_type = dictionary.find(RDF_TYPE)
         wanted = dictionary.find(scan.predicate) if isinstance(scan, Scan) else None
         for table in self.tables(scan.graph):
-            for predicate, column in table.objects.items():
+            # By their names: in which order columns stand depends on how the input was cut.
+            for predicate in sorted(table.objects, key=lambda id: str(dictionary.term(id))):
                 if predicate == rdf_type or wanted not in (None, predicate):
                     continue
+                column = table.objects[predicate]
                 rows = np.flatnonzero(column.present)
                 columns = {
                     SUBJECT: ObjectColumn(Kind.TERM, table.subject[rows]),

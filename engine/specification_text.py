@@ -52,16 +52,36 @@ class Writer:
         self._written: set[Shape] = set()
 
     def write(self, tops: Sequence[tuple[Shape, str | None]]) -> tuple[UnitSpecification, ...]:
-        """The insertions: ``tops`` in order, each under its name, with all that they read."""
+        """The insertions: ``tops``, each under its name, with all that they read.
+
+        In order, but that a stream's own name comes before its others, for it is the first that a
+        text gives it.
+        """
         self._tops = {shape for shape, _ in tops}
-        shapes = list(_behind(self._tops_in_order(tops)))
+        shapes = list(_behind(shape for shape, _ in tops))
         read = Counter(below for shape in shapes for below in _inputs(shape))
         for shape in shapes:
             self._label(shape, {name for top, name in tops if top is shape}, read[shape])
-        return tuple(self._element(shape, name or self._needed(shape)) for shape, name in tops)
+        ordered = self._own_names_first(tops, shapes)
+        return tuple(self._element(shape, name or self._needed(shape)) for shape, name in ordered)
 
-    def _tops_in_order(self, tops: Sequence[tuple[Shape, str | None]]) -> tuple[Shape, ...]:
-        return tuple(dict.fromkeys(shape for shape, _ in tops))
+    def _own_names_first(
+        self, tops: Sequence[tuple[Shape, str | None]], shapes: Sequence[Shape]
+    ) -> list[tuple[Shape, str | None]]:
+        """``tops`` reordered; ``shapes`` has all shapes behind those that they read."""
+        own_first = sorted(tops, key=lambda top: top[1] != self._own_name(top[0]))
+        names: dict[Shape, list[str | None]] = {}
+        for shape, name in reversed(own_first):
+            names.setdefault(shape, []).append(name)
+        ordered = [(shape, names[shape].pop()) for shape, _ in tops]
+        # A name that is given where the unit is read stands with its readers: these come first.
+        inside = {s: i for i, s in enumerate(shapes) if self._own_name(s) == self._inner.get(s, "")}
+        return [top for top in ordered if top[0] not in inside] + sorted(
+            (top for top in ordered if top[0] in inside), key=lambda top: -inside[top[0]]
+        )
+
+    def _own_name(self, shape: Shape) -> str | None:
+        return next(iter(self._names.get(shape, ())), None)
 
     def _label(self, shape: Shape, given: set[str | None], read: int) -> None:
         """By which name a shape is read."""

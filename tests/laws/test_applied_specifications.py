@@ -3,7 +3,7 @@ configuration as a text gives itself again, and a text that is refused changes n
 
 import re
 
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from specifying import state, text
 
@@ -78,6 +78,8 @@ def unit(inner):
 insertions = st.lists(
     st.recursive(unit(streams), lambda inner: unit(inner | streams), max_leaves=6), max_size=3
 ).map("".join)
+OBJECT = """<parameter name="field" value="id"/><parameter name="object" value="uav1"/>
+<stream name="t"/>"""
 removals = st.lists(
     st.sampled_from(
         [f'<cu name="{name}"/>' for name in NAMES]
@@ -155,8 +157,25 @@ def test_what_is_removed_leaves_nothing_behind(given):
     assert not engine._plans.made
 
 
+GAUGE_TWICE = text(
+    '<cu type="slow"><cu name="a" type="gauge"/></cu><cu name="b" type="gauge"/>', ""
+)
+GAUGE_READ_BY_ITS_SECOND_NAME = text(
+    '<cu type="fast"><stream name="a"/></cu><cu name="b" type="gauge"/><cu name="a" type="gauge"/>',
+    "",
+)
+OBJECT_TWICE = text(
+    f"""<cu name="dyknow_reserved1" type="selectObject">{OBJECT}</cu>
+    <cu type="fast"><cu name="a" type="selectObject">{OBJECT}</cu></cu>
+    <cu name="b" type="selectObject">{OBJECT}</cu>""",
+    "",
+)
+
+
 @LIMITS
 @given(texts)
+@example([GAUGE_TWICE])
+@example([GAUGE_READ_BY_ITS_SECOND_NAME])
 def test_the_running_configuration_gives_itself_again(given):
     engine, _ = played(given)
     current = engine.current_specification()
@@ -172,6 +191,8 @@ def test_the_running_configuration_gives_itself_again(given):
 
 @LIMITS
 @given(texts)
+@example([GAUGE_TWICE])
+@example([OBJECT_TWICE, text("", '<cu name="a"/>')])
 def test_what_is_kept_gives_the_same_insertions(given):
     engine, _ = played(given)
     kept = engine.ontology.specifications()
