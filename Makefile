@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
 PORT ?= 8000
 
-.PHONY: demo serve test image-check lint bench lock format clean
+.PHONY: demo serve test soak image-check lint bench lock format clean
 
 demo: $(VENV)/installed ## replay five minutes of recorded flights and find events in them
 	@$(BIN)/dyknow demo
@@ -16,7 +16,11 @@ serve: $(VENV)/installed ## leave the service running with the same flights repl
 	@$(BIN)/dyknow serve --port $(PORT) --flights
 
 test: lint image-check ## everything that CI runs
-	$(BIN)/pytest
+	$(BIN)/pytest --hypothesis-profile=ci
+
+ROUNDS ?= 3
+soak: $(VENV)/installed-dev ## look for what breaks a law, in random examples (ROUNDS of all laws)
+	for round in $$(seq $(ROUNDS)); do $(BIN)/pytest tests/laws --hypothesis-profile=default || exit 1; done
 
 image-check: ## what the Dockerfile does, as a script in an empty folder
 	sh docker/check

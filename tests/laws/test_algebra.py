@@ -6,7 +6,6 @@ The definition is `tests/support/query_definition.py` and its neighbours, writte
 
 from __future__ import annotations
 
-import os
 from collections import Counter, defaultdict
 from dataclasses import replace
 from functools import partial
@@ -47,10 +46,9 @@ from dyknow.rdf.dictionary import TermDictionary
 from dyknow.rdf.timed import TimedTriples, TripleRows, from_terms
 
 INPUTS = [drawing.D + "s", drawing.D + "t"]
-# `ALGEBRA_EXAMPLES=20 pytest tests/laws/test_algebra.py` looks twenty times as hard.
 law = settings(
     deadline=None,
-    max_examples=int(150 * float(os.environ.get("ALGEBRA_EXAMPLES", "1"))),
+    max_examples=150,
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
 )
 
