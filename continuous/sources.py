@@ -153,12 +153,15 @@ class WindowSource:
         dictionary = self.static.terms.dictionary
         rdf_type = dictionary.find(RDF_TYPE)
         wanted = dictionary.find(scan.predicate) if isinstance(scan, Scan) else None
-        for table in self.tables(scan.graph):
-            # By their names: in which order columns stand depends on how the input was cut.
-            for predicate in sorted(table.objects, key=lambda id: str(dictionary.term(id))):
-                if predicate == rdf_type or wanted not in (None, predicate):
+        tables = self.tables(scan.graph)
+        there = {id for table in tables for id in table.objects} - {rdf_type}
+        found = there if wanted is None else there & {wanted}
+        # By their names: in which order columns come depends on how the input was cut.
+        for predicate in sorted(found, key=lambda id: str(dictionary.term(id))):
+            for table in tables:
+                column = table.objects.get(predicate)
+                if column is None:
                     continue
-                column = table.objects[predicate]
                 rows = np.flatnonzero(column.present)
                 columns = {
                     SUBJECT: ObjectColumn(Kind.TERM, table.subject[rows]),

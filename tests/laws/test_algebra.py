@@ -624,3 +624,14 @@ def test_groups_of_which_few_have_a_number() -> None:
         head = (("?s", None), ("?p", None), ("?x", q.Aggregate(function, "?v")))
         query = q.Select(head, where, keys=(("?s", None), ("?p", None)))
         holds_for(query, [said(1, 1, "x"), said(1, 2, 1)])
+
+
+def test_in_which_order_predicates_came_before_the_window_is_no_matter() -> None:
+    query = drawing.star(q.Group(q.Triple("?s", "?p", "?v")))
+    elements = [
+        Element(time, drawing.OBJECTS[0], predicate, Literal(1), None, time)
+        for time, predicate in ((0, drawing.ON), (10, drawing.B), (11, drawing.A))
+    ]
+    read = parsed(query, [w.Clause(INPUTS[0], w.Time(3, 3))], None, "RSTREAM")
+    ways = [run(read, {INPUTS[0]: elements}, cuts, Options("bag")) for cuts in ([], [1], [1, 2])]
+    assert len({str([(r.end, exact(r)) for r in way]) for way in ways}) == 1
