@@ -627,10 +627,15 @@ def test_groups_of_which_few_have_a_number() -> None:
 
 
 def test_in_which_order_predicates_came_before_the_window_is_no_matter() -> None:
-    query = drawing.star(q.Group(q.Triple("?s", "?p", "?v")))
+    every = q.Optional(q.Group(q.Triple("?s", "?p", "?v")))
+    query = drawing.star(q.Group(q.Triple("?t", drawing.A, "?w"), every))
     elements = [
-        Element(time, drawing.OBJECTS[0], predicate, Literal(1), None, time)
-        for time, predicate in ((0, drawing.ON), (10, drawing.B), (11, drawing.A))
+        Element(time, drawing.OBJECTS[0], predicate, object, None, time)
+        for time, predicate, object in (
+            (0, drawing.ON, drawing.ROADS[0]),
+            (10, drawing.B, Literal(0.0)),
+            (11, drawing.A, Literal(0.0)),
+        )
     ]
     read = parsed(query, [w.Clause(INPUTS[0], w.Time(3, 3))], None, "RSTREAM")
     ways = [run(read, {INPUTS[0]: elements}, cuts, Options("bag")) for cuts in ([], [1], [1, 2])]
