@@ -14,7 +14,7 @@ from ..rdf.timed import Kind, ObjectColumn, TripleRows
 from .columns import Relation, TermValues, concatenate, first_rows, key_codes
 from .heads import finish, instantiated
 from .instance_table import INSTANCE
-from .logical import Construct, Head, Select
+from .logical import Ask, Construct, Head, Select
 from .results import Solutions, WindowResult
 
 Numbers: TypeAlias = NDArray[np.int64]
@@ -34,6 +34,11 @@ class Common:
     @property
     def reported(self) -> Numbers:
         return self.instances
+
+    @property
+    def answered(self) -> Numbers:
+        some = self.result.answer is not None or self.result.size > 0
+        return self.instances if some else self.instances[:0]
 
     @property
     def rows(self) -> int:
@@ -82,6 +87,10 @@ class Joined:
     @property
     def reported(self) -> Numbers:
         return self.numbers[self.alive]
+
+    @property
+    def answered(self) -> Numbers:
+        return self.reported if isinstance(self.head, Ask) else np.unique(self._numbers)
 
     @property
     def rows(self) -> int:
@@ -150,6 +159,11 @@ class InstanceResults:
     def instances(self) -> Numbers:
         """The instances that have a result, which may be empty, ascending."""
         return np.sort(np.concatenate([_NONE, *(part.reported for part in self.parts)]))
+
+    @property
+    def answered(self) -> Numbers:
+        """The instances that have solutions (of an ASK: an answer), ascending."""
+        return np.sort(np.concatenate([_NONE, *(part.answered for part in self.parts)]))
 
     @property
     def size(self) -> int:

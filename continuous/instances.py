@@ -8,7 +8,7 @@ which computes the plan once and joins it with the table of its instances (`coho
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 from pyoxigraph import BlankNode, Variable
@@ -22,8 +22,9 @@ from .cohorts import Alone, Together, joint_of
 from .contents import Due
 from .evaluator import ContinuousEvaluator
 from .instance_results import Common, InstanceResults, Joined
+from .logical import Ask
 from .options import Options
-from .parameters import described
+from .parameters import confined, described
 from .results import WindowResult
 
 
@@ -105,6 +106,24 @@ class TemplateEvaluator:
         self._cohort_of.append(cohort.serial)
         self._live += 1
         return number
+
+    def serves(
+        self,
+        arguments: Mapping[Variable, Term],
+        one_by_one: Collection[str],
+        streamed: Collection[str],
+    ) -> bool:
+        """Whether instances with such arguments share more than their windows; and whether those
+        in ``one_by_one`` need no other triples than those about their term, of the predicates
+        (IRIs) that are ``streamed``, so that an instance has what it would have over these alone.
+        """
+        given = {variable.value: term for variable, term in arguments.items()}
+        found, fixed = joint_of(self._windows, self.query, given)
+        if found is None or not fixed.keys().isdisjoint(one_by_one):
+            return False
+        # ASK says no as well.
+        alike = not isinstance(found.head, Ask) and confined(found.plan, one_by_one, streamed)
+        return alike or not one_by_one
 
     def remove(self, instance: int) -> None:
         """Forget an instance; raises ``KeyError`` if it is not there."""

@@ -12,7 +12,7 @@ compared terms, under `Joint.rest`, are those of the plan with all of its terms 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
@@ -20,6 +20,7 @@ from .expressions import Call, Var, variables
 from .logical import (
     Aggregate,
     AnyScan,
+    Closure,
     Construct,
     Distinct,
     Exists,
@@ -35,9 +36,12 @@ from .logical import (
     Query,
     Scan,
     Select,
+    Slice,
     TypeScan,
     Union,
+    Values,
     expressions_of,
+    inputs,
     outputs,
     walk,
     with_inputs,
@@ -220,6 +224,44 @@ def _mentioned(plan: Plan) -> frozenset[str]:
         for expression in expressions_of(node):
             found |= variables(expression)
     return frozenset(found)
+
+
+def confined(plan: Plan, names: Collection[str], streamed: Collection[str]) -> bool:
+    """Whether solutions with given terms for ``names`` come of the triples about these terms alone,
+    and where a window has none of these there are none. ``streamed``: the predicates that may be
+    in a window; facts of sorts may be as well."""
+    about = {Var(name) for name in names}
+
+    def is_about(leaf: Plan) -> bool:
+        match leaf:
+            case Scan(subject, predicate, object):
+                return predicate.value not in streamed or not about.isdisjoint((subject, object))
+            case TypeScan(subject):
+                return subject in about
+            case _:
+                return isinstance(leaf, Values) or bool(inputs(leaf))
+
+    def is_empty(node: Plan) -> bool:
+        """Whether it has no solution without triples about the terms."""
+        match node:
+            case Scan(_, predicate):
+                return predicate.value in streamed
+            case Join(parts):
+                return any(map(is_empty, parts))
+            case Union(parts):
+                return bool(parts) and all(map(is_empty, parts))
+            case Aggregate(implicit=True):
+                return False
+            case LeftJoin(child) | Minus(child) | Exists(_, _, child):
+                return is_empty(child)
+            case Filter() | Extend() | Aggregate() | Project() | Distinct() | Order() | Slice():
+                return is_empty(node.child)
+            case _:
+                return False
+
+    odd = (Closure, AnyScan)
+    nodes = walk(plan)
+    return is_empty(plan) and all(is_about(n) and not isinstance(n, odd) for n in nodes)
 
 
 def described(joint: Joint, reasons: Mapping[str, str]) -> list[str]:

@@ -11,12 +11,8 @@ from collections import defaultdict
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from contextlib import contextmanager
-from typing import Protocol
+from typing import Protocol, TypeVar
 
-from ..continuous.evaluator import ContinuousEvaluator
-from ..continuous.results import WindowResult
-from ..converters.to_samples import ResultConverter
-from ..converters.to_triples import SampleConverter
 from ..languages.kpl import format_policy
 from ..rdf.namespaces import DYKNOW
 from ..streams.fluent import Retention
@@ -28,7 +24,7 @@ from .errors import AlreadyExists, UnknownStream
 from .reports import Report
 from .status import STATUS
 from .stream_units import AdaptationUnit, PolicyUnit
-from .unit import ComputationalUnit, QueryUnit
+from .unit import ComputationalUnit
 from .views import Since
 from .violations import SUFFIX, Violations
 
@@ -42,6 +38,9 @@ MERGE = "merge"
 """The transformation that brings what several streams hold of a feature into one."""
 C_SPARQL = "cSparql"
 """The transformation that evaluates a continuous query ([Events14 §V.B])."""
+SELECT_INSTANCE = "selectInstance"
+"""The transformation that selects a request's results from those of its template."""
+AnyUnit = TypeVar("AnyUnit", bound=ComputationalUnit)
 _NAMED = 20
 """So many streams are listed when an unknown one is asked for."""
 RESERVED = "dyknow_reserved"
@@ -250,34 +249,24 @@ class Configuration:
 
     def start_query(
         self,
-        inputs: Sequence[StreamGenerator],
         schema: Schema,
-        make: Callable[[StreamGenerator], tuple[ContinuousEvaluator, ResultConverter, str]],
-        converters: Mapping[str, Sequence[SampleConverter]],
+        make: Callable[[StreamGenerator], AnyUnit],
         since: Since = Since.NOW,
         name: str | None = None,
-        hear: Callable[[WindowResult], None] | None = None,
-    ) -> QueryUnit:
-        """A C-SPARQL unit over ``inputs`` with a new output stream of ``schema``, called ``name``
-        or by the next reserved one.
+    ) -> AnyUnit:
+        """A unit of a continuous query with a new output stream of ``schema``, called ``name`` or
+        by the next reserved one.
 
-        ``make`` is called with the output's generator, for its name and string pools; it gives
-        the evaluator, the converter of results, and the query's text. ``hear`` as in `QueryUnit`.
+        ``make`` is called with the output's generator, for its name and string pools; it gives the
+        unit, whose parameter ``query`` is the query's text.
         """
         output = self.add_stream(name or self.reserved_name(), schema)
         try:
-            evaluator, results, text = make(output)
+            unit = make(output)
         except Exception:
             self.remove_stream(output.name)
             raise
-        unit = QueryUnit(
-            *self.identity(C_SPARQL, inputs, output, {"query": text}),
-            evaluator=evaluator,
-            converters=converters,
-            results=results,
-            hear=hear,
-        )
-        self.start(unit, since, text)
+        self.start(unit, since, unit.parameters["query"])
         return unit
 
     def release(self, unit: ComputationalUnit) -> None:

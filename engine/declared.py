@@ -25,7 +25,14 @@ from ..streams.sample import TIME_FIELDS, Field, FieldType, Schema
 from ..streams.strings import StringPool
 from .application import BUILT_IN
 from .changes import Change, ChangeKind
-from .configuration import C_SPARQL, MERGE, SELECT_OBJECT, SYNCHRONIZE, Configuration
+from .configuration import (
+    C_SPARQL,
+    MERGE,
+    SELECT_INSTANCE,
+    SELECT_OBJECT,
+    SYNCHRONIZE,
+    Configuration,
+)
 from .errors import BadArguments, Conflict, Refused
 from .semantics_manager import term
 from .status import STATUS
@@ -34,6 +41,7 @@ from .views import StreamDeclaration
 from .violations import SUFFIX
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
+_SYSTEM = (STATUS, SELECT_OBJECT, SELECT_INSTANCE, SYNCHRONIZE, MERGE, C_SPARQL, *BUILT_IN)
 SYSTEMS_OWN = "dyknow_"
 """Names of streams and units that the system invents begin so."""
 
@@ -193,7 +201,7 @@ class DeclaredStreams:
     def check_name(self, name: str) -> None:
         """Raises `Refused` for names that are the system's own."""
         if (
-            name in (STATUS, SELECT_OBJECT, SYNCHRONIZE, MERGE, C_SPARQL, *BUILT_IN)
+            name in _SYSTEM
             or name.startswith(SYSTEMS_OWN)
             or name.endswith(SUFFIX)
             or name in IMPLEMENTATIONS

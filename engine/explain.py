@@ -36,7 +36,7 @@ from ..rdf.namespaces import shorten
 from ..streams.time import format_duration, format_time
 from ..templates.needs import Needs
 from .configuration import Configuration
-from .unit import ComputationalUnit, QueryUnit
+from .unit import ComputationalUnit
 from .views import MatchView, PlanView, UnitView
 
 
@@ -204,8 +204,8 @@ def _found(
     return parts
 
 
-def plan_view(configuration: Configuration, unit: QueryUnit) -> PlanView:
-    """How a query that runs is answered: the tree, the streams and units behind it."""
+def plan_view(configuration: Configuration, unit: ComputationalUnit) -> PlanView:
+    """How a query that runs is answered, by ``unit``: the tree, the streams and units behind it."""
     units = configuration.units_behind(unit)
     made = {part.output.name for part in units}
     sources = [source.name for part in units for source in part.inputs]

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Generic
+
+from pyoxigraph import Variable
 
 from ..continuous.evaluator import ContinuousEvaluator
+from ..continuous.instances import TemplateEvaluator
 from ..continuous.options import Options
 from ..continuous.results import WindowResult
-from ..converters.to_samples import ResultConverter
 from ..converters.to_triples import SampleConverter
 from ..languages.csparql import format_query, with_streams
 from ..languages.csparql.ast import ContinuousQuery
@@ -17,11 +20,12 @@ from ..languages.ssl.annotation import Content, StreamAnnotation
 from ..matching.plan import Node, Supply, wanted_annotation
 from ..ontology.ontology import Ontology
 from ..ontology.units import Unit
-from ..rdf.dictionary import TermDictionary
+from ..rdf.dictionary import Term, TermDictionary
 from ..streams.generator import StreamGenerator
 from . import explain as explanations
-from .configuration import Configuration
+from .configuration import C_SPARQL, SELECT_INSTANCE, AnyUnit, Configuration
 from .results import ResultForm, result_form
+from .template_unit import TALLY, InstanceUnit, TemplateUnit
 from .unit import QueryUnit
 from .views import Since
 
@@ -41,11 +45,11 @@ EVENT = Manner()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BuiltQuery:
+class BuiltQuery(Generic[AnyUnit]):
     """A C-SPARQL unit at work. ``annotation`` says what its stream means (None of a table),
     ``rdf`` how its samples are written as triples."""
 
-    unit: QueryUnit
+    unit: AnyUnit
     annotation: StreamAnnotation | None
     rdf: StreamAnnotation | None
 
@@ -75,8 +79,76 @@ class Queries:
         supplies: Sequence[Supply],
         since: Since,
         manner: Manner = EVENT,
-    ) -> BuiltQuery:
+    ) -> BuiltQuery[QueryUnit]:
         """Start what the supplies ask for, inputs first, then the query unit over them."""
+        inputs, converters = self._read(supplies, since)
+        form = self.form(query)
+        query = with_streams(query, list(inputs))
+        unit = self._start(query, inputs, converters, form, since, manner)
+        return _built(unit, query, form, supplies)
+
+    def start_template(self, query: ContinuousQuery, supplies: Sequence[Supply]) -> TemplateUnit:
+        """Start the query of a template, its parameters free, over what the supplies ask for."""
+        inputs, converters = self._read(supplies, Since.NOW)
+
+        def make(output: StreamGenerator) -> TemplateUnit:
+            named = replace(with_streams(query, list(inputs)), name=output.name)
+            sources, text = list(inputs.values()), format_query(named)
+            return TemplateUnit(
+                *self._configuration.identity(C_SPARQL, sources, output, {"query": text}),
+                evaluator=self._evaluator(named, list(inputs)),
+                converters=converters,
+            )
+
+        return self._configuration.start_query(TALLY, make)
+
+    def start_instance(
+        self,
+        template: TemplateUnit,
+        query: ContinuousQuery,
+        supplies: Sequence[Supply],
+        request: str,
+    ) -> BuiltQuery[InstanceUnit]:
+        """Start the part of ``query``, which is the template's with the arguments of ``request``
+        (its text); ``supplies`` are those it would have by itself."""
+        form = self.form(query)
+        query = with_streams(query, [source.name for source in template.inputs])
+
+        def make(output: StreamGenerator) -> InstanceUnit:
+            text = format_query(replace(query, name=output.name))
+            given = {"request": request, "query": text}
+            return InstanceUnit(
+                *self._configuration.identity(SELECT_INSTANCE, [template.output], output, given),
+                template=template,
+                arguments=query.bindings,
+                results=form.converter(output.stream.pools),
+            )
+
+        unit = self._configuration.start_query(form.schema, make)
+        return _built(unit, query, form, supplies)
+
+    def serves(
+        self,
+        query: ContinuousQuery,
+        arguments: Mapping[Variable, Term],
+        streamed: Collection[str],
+        selected: Collection[str],
+    ) -> bool:
+        """Whether requests of a template with such arguments can share a query over streams of the
+        features ``streamed``, where each selects the objects that ``selected`` parameters name."""
+        # Any name of a stream does: only what the query says decides.
+        evaluator = self._evaluator(with_streams(query, ["any"]), ["any"])
+        return evaluator.serves(arguments, selected, streamed)
+
+    def _evaluator(self, query: ContinuousQuery, inputs: Sequence[str]) -> TemplateEvaluator:
+        background = explanations.closed_ontology(self._ontology, query.static_named)
+        return TemplateEvaluator(query, self._dictionary, background, inputs)
+
+    def _read(
+        self, supplies: Sequence[Supply], since: Since
+    ) -> tuple[dict[str, StreamGenerator], dict[str, list[SampleConverter]]]:
+        """The streams that the supplies ask for, started, with the converters of what is wanted of
+        each."""
         inputs: dict[str, StreamGenerator] = {}
         converters: dict[str, list[SampleConverter]] = defaultdict(list)
         # Two patterns may want the same of one stream: its samples are still elements once.
@@ -101,16 +173,7 @@ class Queries:
                         units=units,
                     )
                 )
-        form = self.form(query)
-        query = with_streams(query, list(inputs))
-        unit = self._start(query, inputs, converters, form, since, manner)
-        roles = [role for s in supplies for source in s.sources for role in source.roles]
-        name = unit.output.name
-        return BuiltQuery(
-            unit,
-            form.event_annotation(name, query.name, roles),
-            form.rdf_annotation(name, roles),
-        )
+        return inputs, converters
 
     def start_over(
         self,
@@ -136,14 +199,30 @@ class Queries:
         manner: Manner,
         text: str | None = None,
     ) -> QueryUnit:
-        def make(output: StreamGenerator) -> tuple[ContinuousEvaluator, ResultConverter, str]:
+        def make(output: StreamGenerator) -> QueryUnit:
             named = replace(query, name=output.name)
             background = explanations.closed_ontology(self._ontology, named.static_named)
-            evaluator = ContinuousEvaluator(
-                named, self._dictionary, background, list(inputs), manner.options
+            sources, told = list(inputs.values()), {"query": text or format_query(named)}
+            return QueryUnit(
+                *self._configuration.identity(C_SPARQL, sources, output, told),
+                evaluator=ContinuousEvaluator(
+                    named, self._dictionary, background, list(inputs), manner.options
+                ),
+                converters=converters,
+                results=form.converter(output.stream.pools),
+                hear=manner.hear,
             )
-            return evaluator, form.converter(output.stream.pools), text or format_query(named)
 
-        return self._configuration.start_query(
-            list(inputs.values()), form.schema, make, converters, since, manner.name, manner.hear
-        )
+        return self._configuration.start_query(form.schema, make, since, manner.name)
+
+
+def _built(
+    unit: AnyUnit, query: ContinuousQuery, form: ResultForm, supplies: Sequence[Supply]
+) -> BuiltQuery[AnyUnit]:
+    roles = [role for s in supplies for source in s.sources for role in source.roles]
+    name = unit.output.name
+    return BuiltQuery(
+        unit,
+        form.event_annotation(name, query.name, roles),
+        form.rdf_annotation(name, roles),
+    )

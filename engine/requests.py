@@ -10,6 +10,8 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 from pyoxigraph import Literal, Variable
 
@@ -30,6 +32,9 @@ from .configuration import Configuration
 from .errors import BadArguments, NoPlan, UnknownRequest
 from .finding import check_graphs, find_streams, mean_the_same
 from .plans import Plans
+from .queries import BuiltQuery
+from .sharing import Common, Sharing
+from .template_unit import InstanceUnit, TemplateUnit
 from .unit import QueryUnit
 from .views import EventView, Since
 
@@ -46,13 +51,15 @@ _SHORT = {
 class _Running:
     """One C-SPARQL unit that answers requests, with what was decided when it started.
 
-    ``annotation`` says what its stream means, ``rdf`` how its samples are written as triples.
+    ``annotation`` says what its stream means, ``rdf`` how its samples are written as triples;
+    ``common``, with whom it could share what it computes by itself.
     """
 
-    unit: QueryUnit
+    unit: QueryUnit | InstanceUnit
     matches: tuple[Match, ...]
     annotation: StreamAnnotation | None
     rdf: StreamAnnotation | None
+    common: Common | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,6 +94,7 @@ class EventRequests:
         self._plans = plans
         self._space = space
         self._changed = changed
+        self._sharing = Sharing(ontology, templates, plans)
         self._requests: dict[str, _Request] = {}
         # By what was asked, to share; by the stream it makes, to say what that means. One that is
         # not sound any more is shared no longer, and still makes its stream.
@@ -103,12 +111,14 @@ class EventRequests:
         if running is None or not self._is_sound(running):
             query, matches = self._plan(template, request, strategy, since)
             try:
-                running = self._build(query, matches, since)
+                running = self._build(template, request, query, matches, strategy, since)
             except Exception:
                 self._configuration.release_unused()
                 raise
             self._running[key] = running
             self._answers[running.unit.output.name] = running
+            if running.common is not None:
+                self._sharing.began_alone(running.common)
             self._tell_meaning(running)
         running.unit.users += 1
         # Of a stream that others asked for before, what came until now is their past.
@@ -130,6 +140,8 @@ class EventRequests:
             # One that is not sound any more may have been replaced under the same key since.
             if self._running.get(request.key) is running:
                 del self._running[request.key]
+            if running.common is not None:
+                self._sharing.ended_alone(running.common)
         self._configuration.release(running.unit)
 
     def views(self) -> tuple[EventView, ...]:
@@ -199,11 +211,34 @@ class EventRequests:
         asked = shorten(request.event)
         return query, find_streams(self._plans, wanted, strategy, since, asked)
 
-    def _build(self, query: ContinuousQuery, matches: Sequence[Match], since: Since) -> _Running:
-        """Start what the matches ask for, inputs first, then the query unit."""
+    def _build(
+        self,
+        template: Template,
+        request: EventRequest,
+        query: ContinuousQuery,
+        matches: Sequence[Match],
+        strategy: str,
+        since: Since,
+    ) -> _Running:
+        """Start what the matches ask for, inputs first, then the query unit, or its part in the
+        query that others have as well."""
         supplies = [match.supply for match in matches if match.supply is not None]
-        built = self._plans.queries.start(query, supplies, since)
-        return _Running(built.unit, tuple(matches), built.annotation, built.rdf)
+        common = None
+        if since is Since.NOW:
+            common = self._sharing.common(template, request, query, matches, strategy)
+        if common is not None and self._sharing.is_worth_it(common):
+            unit = self._configuration.share(common.key, partial(self._start_template, common))
+            assert isinstance(unit, TemplateUnit)
+            built: BuiltQuery[Any] = self._plans.queries.start_instance(
+                unit, query, supplies, request.source.strip()
+            )
+            common = None
+        else:
+            built = self._plans.queries.start(query, supplies, since)
+        return _Running(built.unit, tuple(matches), built.annotation, built.rdf, common)
+
+    def _start_template(self, common: Common) -> TemplateUnit:
+        return self._plans.queries.start_template(common.query, common.supplies)
 
     def _is_sound(self, running: _Running) -> bool:
         """It works, and the streams it reads mean what they meant when it started."""

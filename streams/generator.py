@@ -11,7 +11,7 @@ Contract of a watermark ``w``: every sample that comes later has available time 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -88,6 +88,8 @@ class StreamGenerator:
         """Whether another stream takes its place and says all of it anew."""
         self._greatest: int | None = None
         self._pending: SampleBatch | None = None
+        self.on_followed: Callable[[bool], None] | None = None
+        """Told before the first subscription (True), and when the last has ended (False)."""
         self._receivers: list[Receiver] = []
 
     @property
@@ -119,6 +121,8 @@ class StreamGenerator:
 
     def subscribe(self, receiver: Receiver) -> None:
         """Serve ``receiver`` from now on; it is told the watermark that holds already."""
+        if self.on_followed is not None and not self._receivers:
+            self.on_followed(True)
         self._receivers.append(receiver)
         if self.watermark is not None:
             receiver.advance(self, self.watermark)
@@ -126,6 +130,8 @@ class StreamGenerator:
     def unsubscribe(self, receiver: Receiver) -> None:
         """Serve ``receiver`` no longer."""
         self._receivers.remove(receiver)
+        if self.on_followed is not None and not self._receivers:
+            self.on_followed(False)
 
     def offer(self, batch: SampleBatch, now: int | None = None) -> int:
         """Take a process's samples; returns how many were accepted (all of them).

@@ -1,0 +1,196 @@
+"""Which requests of a template one query can serve (DESIGN §3 "Sharing").
+
+Requests share what is computed when their arguments differ and the streams they read are the same;
+or differ only in that each selects its own objects from these. It is worth while from some requests
+on: a few objects are cheaper selected than all of them computed.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass
+
+from pyoxigraph import NamedNode, Variable
+
+from ..languages.csparql.ast import ContinuousQuery, EventRequest, Template
+from ..matching.match import Match
+from ..matching.plan import (
+    Compute,
+    Node,
+    SelectObject,
+    Supply,
+    Synchronize,
+    contents_of,
+    nodes_of_supply,
+)
+from ..ontology.ontology import Ontology
+from ..rdf.dictionary import Term
+from ..templates.instantiate import ArgumentError, instantiate
+from ..templates.library import TemplateLibrary
+from ..templates.needs import NeedsError
+from .plans import Plans
+from .views import Since
+
+SAME_STREAMS = 4
+"""So many requests that read the same streams are evaluated as one query."""
+OWN_OBJECTS = 32
+"""So many requests that select objects of their own from the same streams are."""
+_REMEMBERED = 1_000
+"""Of so many kinds of requests it is kept whether they can share."""
+
+
+@dataclass(frozen=True, slots=True)
+class Common:
+    """What requests have in common that can be evaluated as one query.
+
+    ``supplies`` give what all of them read; ``least`` are worth it. Equal ``key``, equal query.
+    """
+
+    key: Hashable
+    query: ContinuousQuery
+    supplies: tuple[Supply, ...]
+    least: int
+
+
+class Sharing:
+    """Says of a request with whom it could share, and counts those who do not yet."""
+
+    def __init__(self, ontology: Ontology, templates: TemplateLibrary, plans: Plans) -> None:
+        self._ontology = ontology
+        self._templates = templates
+        self._plans = plans
+        self._served: dict[Hashable, bool] = {}
+        self._alone: Counter[Hashable] = Counter()
+
+    def common(
+        self,
+        template: Template,
+        request: EventRequest,
+        query: ContinuousQuery,
+        matches: Sequence[Match],
+        strategy: str,
+    ) -> Common | None:
+        """With whom ``request``, whose query and matches these are, can share; None: nobody.
+
+        Cost: another match where the request selects objects; the first request of a kind plans
+        the template's query.
+        """
+        if not query.bindings:
+            return None
+        supplies: tuple[Supply, ...] | None = tuple(m.supply for m in matches if m.supply)
+        selected = _selected(supplies or (), query.bindings)
+        if selected:
+            supplies = self._unselected(template, request, supplies or (), selected, strategy)
+        if not supplies:
+            return None
+        if not self._is_served(template, query, supplies, selected):
+            return None
+        given = frozenset(variable.value for variable in query.bindings)
+        kind = (template.source, given, selected, supplies)
+        least = OWN_OBJECTS if selected else SAME_STREAMS
+        return Common(kind, template.query, supplies, least)
+
+    def is_worth_it(self, common: Common) -> bool:
+        """Whether one request more makes enough of them."""
+        return self._alone[common.key] + 1 >= common.least
+
+    def began_alone(self, common: Common) -> None:
+        """A request has a query of its own."""
+        self._alone[common.key] += 1
+
+    def ended_alone(self, common: Common) -> None:
+        """A request that had a query of its own has ended."""
+        self._alone[common.key] -= 1
+        if not self._alone[common.key]:
+            del self._alone[common.key]
+
+    def _is_served(
+        self,
+        template: Template,
+        query: ContinuousQuery,
+        supplies: Sequence[Supply],
+        selected: frozenset[str],
+    ) -> bool:
+        """Whether the template's query can serve such requests, found once."""
+        streamed = frozenset(supply.want.feature for supply in supplies)
+        given = frozenset(variable.value for variable in query.bindings)
+        key = (template.source, given, selected, streamed)
+        found = self._served.get(key)
+        if found is None:
+            if len(self._served) >= _REMEMBERED:
+                self._served.clear()
+            found = self._served[key] = self._plans.queries.serves(
+                template.query, query.bindings, streamed, selected
+            )
+        return found
+
+    def _unselected(
+        self,
+        template: Template,
+        request: EventRequest,
+        supplies: tuple[Supply, ...],
+        selected: frozenset[str],
+        strategy: str,
+    ) -> tuple[Supply, ...] | None:
+        """What the request would read of all objects, if it is that from which it selects."""
+        arguments = [
+            parameter if parameter.value in selected else argument
+            for parameter, argument in zip(template.parameters, request.arguments, strict=True)
+        ]
+        try:
+            free = instantiate(template, arguments, self._ontology.vocabulary)
+            wants = self._templates.needs(free).wants
+        except (ArgumentError, NeedsError):
+            # Nothing else finds these objects.
+            return None
+        found = self._plans.match(wants, strategy, self._plans.unusable(Since.NOW))
+        every = tuple(match.supply for match in found if match.supply is not None)
+        if len(every) != len(supplies) or _elements(every) != _elements(supplies):
+            return None
+        same = all(
+            [_outline(one.node) for one in mine.sources]
+            == [_outline(one.node) for one in other.sources]
+            for mine, other in zip(supplies, every, strict=True)
+        )
+        return every if same else None
+
+
+def _selected(supplies: Sequence[Supply], bindings: Mapping[Variable, Term]) -> frozenset[str]:
+    """The parameters whose objects are selected from streams of several."""
+    objects = {
+        node.object
+        for supply in supplies
+        for node in nodes_of_supply(supply)
+        if isinstance(node, SelectObject)
+    }
+    return frozenset(
+        variable.value
+        for variable, term in bindings.items()
+        if isinstance(term, NamedNode) and term.value in objects
+    )
+
+
+def _elements(supplies: Sequence[Supply]) -> int:
+    """How many streams are read, counting what each is read for: two patterns that want the same of
+    one stream read it once, of two objects twice."""
+    return len(
+        {
+            (source.node, contents_of(source.node), supply.want.feature, source.port.target)
+            for supply in supplies
+            for source in supply.sources
+        }
+    )
+
+
+def _outline(node: Node) -> Hashable:
+    """How a stream is made, whether of all objects or of some that are selected."""
+    match node:
+        case SelectObject(source):
+            return _outline(source)
+        case Compute(transformation, inputs, _, _, _, parameters):
+            return transformation, parameters, tuple(_outline(edge.node) for edge in inputs)
+        case Synchronize(inputs):
+            return tuple(_outline(edge.node) for edge in inputs)
+        case _:
+            return node

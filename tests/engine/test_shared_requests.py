@@ -1,0 +1,172 @@
+"""Requests of one template that are evaluated as one query (engine/sharing.py)."""
+
+import pytest
+from feeding import feed, samples
+
+from dyknow.engine import sharing
+from dyknow.engine.views import Since
+
+SPEEDS = "stream speeds contains speed(UAV) = v for every UAV = id"
+
+
+@pytest.fixture
+def shared(engine, high_speed, monkeypatch):
+    """An engine in which requests for the same streams share from the second one on, and those for
+    objects of their own from the third one on."""
+    monkeypatch.setattr(sharing, "SAME_STREAMS", 2)
+    monkeypatch.setattr(sharing, "OWN_OBJECTS", 3)
+    engine.annotate(SPEEDS)
+    engine.register_template(high_speed)
+    return engine
+
+
+def ask(engine, object, threshold, **options):
+    text = f"dyknow:HighSpeedEvent({object}, dyknow:UAV, {threshold})"
+    return engine.request_event(engine.parse_request(text), **options)
+
+
+def fly(engine, seconds, since=0, **speeds):
+    """A sample a second of each, the first after ``since``."""
+    rows = [
+        (since + i + 0.1 * j, {"id": name, "v": float(speed)})
+        for i in range(1, seconds + 1)
+        for j, (name, speed) in enumerate(speeds.items(), -len(speeds))
+    ]
+    feed(engine, "speeds", rows)
+
+
+def made_by(view):
+    return [unit.transformation for unit in view.plan.units]
+
+
+def test_from_some_requests_on_they_are_one_query(shared):
+    first, second, third = (ask(shared, "?o", limit) for limit in (100, 110, 120))
+    assert made_by(first) == ["cSparql"]
+    assert made_by(second) == made_by(third) == ["cSparql", "selectInstance"]
+    assert second.plan.units[0].name == third.plan.units[0].name
+    assert third.plan.units[0].users == 2
+    assert second.plan.streams == ("speeds",)
+    assert "?avgSpeed > 110" in second.plan.query
+    assert second.waits_for == ("speeds",)
+    assert "selectInstance(request=dyknow:HighSpeedEvent(?o, dyknow:UAV, 120))" in third.plan.text
+
+
+def test_each_is_told_what_it_asked_for(shared):
+    views = [ask(shared, "?o", limit) for limit in (100, 110, 120)]
+    fly(shared, 7, uav1=105, uav2=130)
+    told = [{values["id"] for _, values in samples(shared, view.stream)} for view in views]
+    assert told == [{"uav1", "uav2"}, {"uav2"}, {"uav2"}]
+    fields = [shared.stream(view.stream).fields for view in views]
+    assert fields[1] == fields[0]
+    meanings = [shared.stream(view.stream).annotation for view in views]
+    assert "HighSpeedEvent(UAV) = speed" in meanings[2]
+
+
+def test_own_objects_are_selected_by_the_template(shared):
+    views = [ask(shared, f"dyknow:uav{i}", 100) for i in (1, 2, 3, 4)]
+    assert made_by(views[1]) == ["selectObject", "cSparql"]
+    assert made_by(views[2]) == made_by(views[3]) == ["cSparql", "selectInstance"]
+    fly(shared, 7, uav1=130, uav2=130, uav3=130, uav4=50)
+    told = [{values["id"] for _, values in samples(shared, view.stream)} for view in views]
+    assert told == [{"uav1"}, {"uav2"}, {"uav3"}, set()]
+
+
+def test_the_past_is_each_ones_own(shared):
+    fly(shared, 7, uav1=130)
+    views = [ask(shared, "?o", limit, since=Since.START) for limit in (100, 110, 120)]
+    assert [made_by(view) for view in views] == [["cSparql"]] * 3
+    assert all(samples(shared, view.stream) for view in views)
+
+
+def test_the_template_runs_as_long_as_somebody_needs_it(shared):
+    first, second, third = (ask(shared, "?o", limit) for limit in (100, 110, 120))
+    template = second.plan.units[0].output
+    shared.cancel_event(first.id)
+    shared.cancel_event(second.id)
+    assert template in shared._configuration.units
+    fly(shared, 7, uav1=130)
+    assert samples(shared, third.stream)
+    shared.cancel_event(third.id)
+    assert not shared._configuration.units
+    # Nobody shares with those that are gone.
+    assert made_by(ask(shared, "?o", 130)) == ["cSparql"]
+
+
+def test_the_template_tells_how_many_were_answered(shared):
+    views = [ask(shared, "?o", limit) for limit in (100, 110, 120)]
+    fly(shared, 3, uav1=115)
+    assert samples(shared, views[1].plan.units[0].output) == [
+        (1, {"instances": 2, "answered": 1}),
+        (2, {"instances": 2, "answered": 1}),
+    ]
+
+
+def test_who_follows_an_answer_hears_of_time(shared):
+    ask(shared, "?o", 100)
+    view = ask(shared, "?o", 110)
+    heard = []
+
+    class Reader:
+        def receive(self, source, batch):
+            heard.append(("samples", len(batch)))
+
+        def advance(self, source, watermark):
+            heard.append(("time", watermark))
+
+        def ended(self, source):
+            heard.append(("ended", source.name))
+
+        def resumed(self, source):
+            heard.append(("resumed", source.name))
+
+    fly(shared, 3, uav1=50)
+    generator, reader = shared.generator(view.stream), Reader()
+    generator.subscribe(reader)
+    assert heard == [("time", 2_900_000_001)]
+    fly(shared, 1, since=3, uav1=50)
+    assert heard[1:] == [("time", 3_900_000_001)]
+    shared.generator("speeds").end()
+    assert heard[-1] == ("ended", view.stream)
+    fly(shared, 1, since=5, uav1=50)
+    assert ("resumed", view.stream) in heard
+    generator.unsubscribe(reader)
+    before = len(heard)
+    fly(shared, 1, since=6, uav1=50)
+    assert len(heard) == before
+
+
+def test_what_fails_in_one_fails_in_no_other(shared):
+    _, second, third = (ask(shared, "?o", limit) for limit in (100, 110, 120))
+    unit = shared._configuration.units[second.stream]
+
+    def fail(result, available):
+        raise RuntimeError("no more")
+
+    unit._results.convert = fail
+    fly(shared, 7, uav1=130)
+    assert unit.failure == "RuntimeError: no more"
+    assert samples(shared, third.stream)
+    # Who asks for the same gets another unit, which works.
+    again = ask(shared, "?o", 110)
+    assert again.stream != second.stream
+    for view in (second, third, again):
+        shared.cancel_event(view.id)
+
+
+def test_what_fails_in_the_template_fails_in_all(shared):
+    views = [ask(shared, "?o", limit) for limit in (100, 110, 120)]
+    template = shared._configuration.units[views[1].plan.units[0].output]
+
+    def fail(*args):
+        raise RuntimeError("no more")
+
+    template.evaluator.push = fail
+    fly(shared, 2, uav1=130)
+    assert template.failure == "RuntimeError: no more"
+    again = ask(shared, "?o", 110)
+    assert again.plan.units[0].name != template.name
+    fly(shared, 7, since=2, uav1=130)
+    assert samples(shared, again.stream)
+    for view in (*views, again):
+        shared.cancel_event(view.id)
+    assert not shared._configuration.units
