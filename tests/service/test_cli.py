@@ -25,18 +25,6 @@ REQUEST = "dyknow:HighSpeedEvent(?o, dyknow:UAV, 100)"
 
 
 @pytest.fixture
-def dyknow(url: str) -> Any:
-    """Runs a command against the live service; asserts its status."""
-
-    def run(*arguments: str, status: int = 0) -> Result:
-        result = CliRunner().invoke(app, list(arguments), env={"DYKNOW_URL": url})
-        assert result.exit_code == status, (result.output, result.exception)
-        return result
-
-    return run
-
-
-@pytest.fixture
 def table(tmp_path: Path) -> Path:
     """Twenty seconds of two aircraft: uav1 at 50, uav2 at 150 km/h."""
     path = tmp_path / "speeds.csv"

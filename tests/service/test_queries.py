@@ -8,7 +8,7 @@ from typing import Any
 
 import httpx
 import pytest
-from typer.testing import CliRunner, Result
+from typer.testing import CliRunner
 
 from dyknow.engine.engine import Engine
 from dyknow.service.cli import app
@@ -33,18 +33,6 @@ def flying(http: httpx.Client) -> httpx.Client:
     """A service with an annotated stream s5."""
     assert http.post("/annotations", content=SSL, headers=TEXT).status_code == 201
     return http
-
-
-@pytest.fixture
-def dyknow(url: str) -> Any:
-    """Runs a command against the live service; asserts its status."""
-
-    def run(*arguments: str, status: int = 0) -> Result:
-        result = CliRunner().invoke(app, list(arguments), env={"DYKNOW_URL": url})
-        assert result.exit_code == status, (result.output, result.exception)
-        return result
-
-    return run
 
 
 def register(http: httpx.Client, text: str, **parameters: str) -> httpx.Response:
