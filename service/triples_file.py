@@ -33,12 +33,11 @@ from ..languages.errors import LanguageError
 from ..rdf.dictionary import Term, TermDictionary
 from ..rdf.namespaces import PREFIXES
 from ..rdf.timed import TimedTriples
-from ..streams.time import parse_time
+from ..streams.time import parse_time, read_time
 
 TimedTriple = tuple[int, Term, NamedNode, Term]
 _COLUMNS = ("time", "s", "p", "o")
 _IRI = re.compile(r"(?:https?|urn|tag|file):[^\s<>\"{}|^`\\]*\Z")
-_INTEGER = re.compile(r"-?\d+\Z")
 
 
 _GRAPHS = {".nq": RdfFormat.N_QUADS, ".trig": RdfFormat.TRIG}
@@ -122,7 +121,7 @@ def _csv_rows(file: IO[str]) -> Iterator[tuple[int, list[object]]]:
 def _triple(values: list[object]) -> TimedTriple:
     time, subject, predicate, object = values
     if isinstance(time, str):
-        moment = parse_time(int(time) if _INTEGER.match(time) else time)
+        moment = read_time(time)
     elif isinstance(time, int):
         moment = parse_time(time)
     else:
