@@ -90,6 +90,13 @@ def test_replay_at_a_pace(dyknow: Any, table: Path) -> None:
     assert lines(played)[0]["seconds"] >= 19.5 / 200
 
 
+def test_replay_from_a_time_in_nanoseconds(dyknow: Any, table: Path, client: Client) -> None:
+    """As the error for any other text says it may be written."""
+    command = ("replay", str(table), "--stream", "s5", "--speed", "max", "--rebase", "5000000000")
+    assert "used 40" in dyknow(*command).stdout
+    assert client.history("s5", start=0, limit=1)[0]["valid"] == "1970-01-01T00:00:05Z"
+
+
 def test_replay_of_what_is_no_recording(dyknow: Any, tmp_path: Path) -> None:
     bad = tmp_path / "bad.csv"
     bad.write_text("timestamp,id,spd\n1,uav1,2.5\nyesterday,uav1,3\n")
