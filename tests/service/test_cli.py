@@ -267,6 +267,38 @@ def test_run_with_files_that_are_none(
     assert part in result.stderr
 
 
+TIMED = b"time,s,p,o\n1000000000,dyknow:uav1,dyknow:speed,5\n"
+XSD = "http://www.w3.org/2001/XMLSchema#"
+GRAPHS = f"""<urn:uav1> <urn:speed> "5"^^<{XSD}integer> <urn:g> .
+<urn:g> <http://www.w3.org/ns/prov#generatedAtTime> "1000000000"^^<{XSD}integer> .
+""".encode()
+
+
+@pytest.mark.parametrize("mark", [b"", b"\xef\xbb\xbf"])
+@pytest.mark.parametrize(
+    ("name", "data"), [("A.CSV.GZ", TIMED), ("a.nq.gz", GRAPHS), ("A.NQ.GZ", GRAPHS)]
+)
+def test_run_over_packed_files(tmp_path: Path, name: str, data: bytes, mark: bytes) -> None:
+    query, path = tmp_path / "q.rq", tmp_path / name
+    query.write_text(f"SELECT ?v FROM STREAM <{STREAM}> [RANGE 1s STEP 1s] WHERE {{ ?o ?p ?v }}")
+    arguments = ["run", str(query), "--stream", f"{STREAM}={path}", "--json"]
+    path.write_bytes(gzip.compress(mark + data))
+    (window,) = lines(CliRunner().invoke(app, arguments))
+    assert window["end"] == "1970-01-01T00:00:01Z"
+    path.write_bytes(path.read_bytes()[:-20])
+    cut = CliRunner().invoke(app, arguments)
+    assert (cut.exit_code, f"{name} cannot be unpacked" in cut.stderr) == (1, True)
+    path.write_bytes(data)
+    assert "gzip" in CliRunner().invoke(app, arguments).stderr
+
+
+def test_run_with_timed_triples_that_are_no_text(tmp_path: Path, query: str) -> None:
+    path = tmp_path / "a.csv"
+    path.write_bytes(TIMED + b"\xff")
+    result = CliRunner().invoke(app, ["run", query, "--stream", f"{STREAM}={path}"])
+    assert (result.exit_code, "line 3: no UTF-8" in result.stderr) == (1, True)
+
+
 def test_run_with_a_text_that_is_none(tmp_path: Path, table: Path) -> None:
     path = tmp_path / "bad.rq"
     path.write_text("REGISTER STREAM")
