@@ -380,4 +380,6 @@ def test_how_the_command_run_reads_a_text(tmp_path: Path) -> None:
     assert ends("--static", f"http://x.org/other={graph}", status=1) == []
     assert ends(*named, "--static", str(graph), status=2) == []
     assert ends(*named, "--origin", "noon", status=2) == []
+    assert ends(*named, *named, status=2) == []
+    assert ends("--stream", f"{iri}={data}", status=2) == []
     assert ends("--static", "http://x.org/sorts=nowhere.ttl", status=1) == []
