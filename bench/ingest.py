@@ -23,6 +23,7 @@ from pyoxigraph import NamedNode, Quad, Store
 from dyknow.continuous.background import Background
 from dyknow.continuous.evaluator import ContinuousEvaluator
 from dyknow.converters import SampleConverter
+from dyknow.converters.arrow import decode_arrow
 from dyknow.converters.ndjson import decode_ndjson
 from dyknow.converters.ntriples import GENERATED, TripleReader
 from dyknow.converters.wire import Incoming
@@ -37,6 +38,7 @@ from dyknow.rdf.namespaces import DYKNOW, RDF_TYPE
 from dyknow.rdf.timed import Kind, TimedTriples, number_text
 from dyknow.streams.sample import Field, FieldType, Schema
 from dyknow.streams.strings import StringPool
+from dyknow.streams.time import format_time
 
 ROOT = Path(__file__).parent.parent
 SECOND = 10**9
@@ -185,11 +187,6 @@ def _schema(id_type: FieldType) -> Schema:
     )
 
 
-def _iso(time: int) -> str:
-    seconds, fraction = divmod(int(time), SECOND)
-    return f"{np.datetime64(seconds, 's')}.{fraction:09d}Z"
-
-
 def ndjson(time: Callable[[int], str]) -> Callable[[Samples], bytes]:
     """``time`` writes the valid time as a JSON value."""
 
@@ -209,8 +206,6 @@ def _decode_ndjson(data: bytes, way: Way) -> Incoming:
 
 
 def _decode_arrow(data: bytes, way: Way) -> Incoming:
-    from dyknow.converters.arrow import decode_arrow
-
     return decode_arrow(data, way.schema, way.pools)
 
 
@@ -261,7 +256,7 @@ def ntriples(part: Samples) -> bytes:
 
 def nquads(part: Samples) -> bytes:
     """The same as a graph with its time."""
-    graph, at = f"<urn:g{part.time[-1]}>", _iso(int(part.time[-1]))
+    graph, at = f"<urn:g{part.time[-1]}>", format_time(int(part.time[-1]))
     told = f'{graph} {GENERATED} "{at}"^^<http://www.w3.org/2001/XMLSchema#dateTime> .\n'
     return told.encode() + _speeds(part, f"{graph} ")
 
@@ -278,7 +273,7 @@ def _speeds(part: Samples, graph: str = "") -> bytes:
 
 CASES = (
     Case("NDJSON, time in ns", 2, ndjson(str), _decode_ndjson, 20_000),
-    Case("NDJSON, ISO time", 2, ndjson(lambda t: f'"{_iso(t)}"'), _decode_ndjson, 20_000),
+    Case("NDJSON, ISO time", 2, ndjson(lambda t: f'"{format_time(t)}"'), _decode_ndjson, 20_000),
     Case("NDJSON, numbers of 17 digits", 2, ndjson(str), _decode_ndjson, 20_000, digits=None),
 )
 TRIPLES = (

@@ -16,7 +16,6 @@ import statistics
 import sys
 import time
 from collections.abc import Callable
-from typing import Literal as Literal_
 
 import numpy as np
 from pyoxigraph import Literal, NamedNode, Quad, Store
@@ -24,7 +23,7 @@ from pyoxigraph import Literal, NamedNode, Quad, Store
 from dyknow.continuous import kernels
 from dyknow.continuous.background import Background
 from dyknow.continuous.evaluator import ContinuousEvaluator
-from dyknow.continuous.options import Options
+from dyknow.continuous.options import Options, Semantics
 from dyknow.languages.csparql import body_sparql, parse_query
 from dyknow.rdf.dictionary import TermDictionary
 from dyknow.rdf.namespaces import DYKNOW, RDF_TYPE
@@ -74,7 +73,7 @@ class Dyknow:
     The first pass also does what is done once: the query is planned, the static side encoded.
     """
 
-    def __init__(self, data: Input, semantics: Literal_["bag", "set"] = "bag") -> None:
+    def __init__(self, data: Input, semantics: Semantics = "bag") -> None:
         self.data = data
         self.evaluator = ContinuousEvaluator(
             parse_query(QUERY),

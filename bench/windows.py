@@ -21,7 +21,7 @@ from pyoxigraph import NamedNode, Store
 from dyknow.continuous import incremental
 from dyknow.continuous.background import Background
 from dyknow.continuous.evaluator import ContinuousEvaluator
-from dyknow.continuous.options import Options
+from dyknow.continuous.options import Options, Semantics
 from dyknow.languages.csparql import parse_query
 from dyknow.rdf.dictionary import TermDictionary
 from dyknow.rdf.timed import Kind, ObjectColumn, TimedTriples, TripleRows
@@ -41,8 +41,7 @@ class Query:
         range: int,
         objects: int,
         having: str = "",
-        semantics: str = "bag",
-        seed: int = 5,
+        semantics: Semantics = "bag",
     ) -> None:
         text = (
             f"REGISTER QUERY q AS SELECT ?o ({function}(?v) AS ?a) "
@@ -55,7 +54,7 @@ class Query:
             self.dictionary.id(NamedNode(f"{PLACE}o{i}"))
         self.speed = self.dictionary.id(SPEED)
         self.objects = objects
-        self.random = np.random.default_rng(seed)
+        self.random = np.random.default_rng(5)
         self.second = 0
         self.evaluator = ContinuousEvaluator(
             parse_query(text),
@@ -111,7 +110,7 @@ def lengths(objects: int, rows: int) -> None:
     print()
 
 
-def touched(objects: int = 100_000) -> None:
+def touched(objects: int) -> None:
     """All objects are in the window; some have a new sample, as many others lose one."""
     print(f"{objects:,} objects, some touched a step, as many expire; median ms a step")
     print(f"{'touched':<10}{'HAVING':<24}{'touched only':>14}{'all groups':>12}{'ratio':>8}")
@@ -162,7 +161,7 @@ def main() -> int:
         pass
     lengths(1_000, 20_000)
     lengths(5_000, 20_000)
-    touched()
+    touched(100_000)
     memory()
     return 0
 

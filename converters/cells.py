@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 
 from ..streams.compiled import Kernel
 
+LEAST = 4_096
+"""Bytes from which on the loops are worth their calls; they are not even compiled before."""
 Bytes = NDArray[np.uint8]
 Positions = NDArray[np.int32]
 

@@ -40,8 +40,6 @@ from .triple_lines import DATATYPES, LOOK, numbers, statements
 
 GENERATED = NamedNode("http://www.w3.org/ns/prov#generatedAtTime")
 """Tells a graph's time."""
-LEAST = 4_096
-"""Bytes from which on the loops are worth their calls."""
 _TIME_HINT = f"a graph has one {GENERATED}, in the default graph"
 
 
@@ -75,7 +73,7 @@ class TripleReader:
     a triple. Memory: every distinct spelling once, beside the dictionary.
     """
 
-    def __init__(self, dictionary: TermDictionary, least: int = LEAST) -> None:
+    def __init__(self, dictionary: TermDictionary, least: int = cells.LEAST) -> None:
         self.dictionary = dictionary
         self._least = least
         self._known: dict[bytes, tuple[int, int]] = {}

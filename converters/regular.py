@@ -22,8 +22,6 @@ from . import cells
 from .decimals import floats
 from .wire import Incoming, pool_of
 
-LEAST = 4_096
-"""Bytes from which on the loops are worth their calls; they are not even compiled before."""
 _MOST = 2**31 - 1
 
 
@@ -143,7 +141,7 @@ _tokens_kernel = Kernel(_tokens, _signature)
 
 
 def decode_regular(
-    raw: bytes, schema: Schema, pools: dict[str, StringPool], least: int = LEAST
+    raw: bytes, schema: Schema, pools: dict[str, StringPool], least: int = cells.LEAST
 ) -> Incoming | None:
     """The batch, or None when the lines are not regular, or fewer bytes than ``least``: then
     nothing has been touched.

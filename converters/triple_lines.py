@@ -211,7 +211,7 @@ def _numbers(
     return count
 
 
-def _cells_signature() -> Any:
+def _statements_signature() -> Any:
     from numba import types
 
     data = types.Array(types.uint8, 1, "C", readonly=True)
@@ -227,7 +227,7 @@ def _numbers_signature() -> Any:
     return types.int64(data, places, places, data, data, types.int64[::1], flags, places, flags)
 
 
-_statements_kernel = Kernel(_statements, _cells_signature)
+_statements_kernel = Kernel(_statements, _statements_signature)
 _numbers_kernel = Kernel(_numbers, _numbers_signature)
 _NAMES = np.frombuffer(b"".join(name for name, _ in DATATYPES), np.uint8)
 _OFFSETS = np.cumsum([0, *(len(name) for name, _ in DATATYPES)], dtype=np.int64)

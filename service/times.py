@@ -6,7 +6,7 @@ from typing import Annotated
 
 from fastapi import Query
 
-from ..streams.time import parse_time
+from ..streams.time import read_time
 from .problems import Problem
 
 Time = Annotated[str | None, Query(description="ISO-8601 or integer nanoseconds")]
@@ -16,10 +16,7 @@ def time_of(text: str | None, key: str) -> int | None:
     """The time (ns) that parameter ``key`` gives; raises a 400 `Problem` for what is none."""
     if text is None:
         return None
-    # A plus of a UTC offset that was not escaped arrives as a blank.
-    number = text.strip()
     try:
-        whole = number.lstrip("-").isascii() and number.lstrip("-").isdigit()
-        return parse_time(int(number) if whole else number)
+        return read_time(text)
     except ValueError as error:
         raise Problem(400, "bad time", f"{key}: {error}") from error

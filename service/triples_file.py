@@ -17,7 +17,9 @@ from __future__ import annotations
 
 import csv
 import gzip
+import io
 import re
+import zlib
 from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
@@ -28,25 +30,23 @@ from pyoxigraph import BlankNode, NamedNode, RdfFormat, Variable
 
 from ..converters.errors import WireError
 from ..converters.ntriples import TripleReader
+from ..converters.wire import BOM
 from ..languages.csparql import parse_argument
 from ..languages.errors import LanguageError
 from ..rdf.dictionary import Term, TermDictionary
 from ..rdf.namespaces import PREFIXES
 from ..rdf.timed import TimedTriples
-from ..streams.time import parse_time
+from ..streams.time import parse_time, read_time
 
 TimedTriple = tuple[int, Term, NamedNode, Term]
 _COLUMNS = ("time", "s", "p", "o")
 _IRI = re.compile(r"(?:https?|urn|tag|file):[^\s<>\"{}|^`\\]*\Z")
-_INTEGER = re.compile(r"-?\d+\Z")
-
-
 _GRAPHS = {".nq": RdfFormat.N_QUADS, ".trig": RdfFormat.TRIG}
 
 
 def holds_graphs(path: Path) -> bool:
     """Whether `read_timed_graphs` reads the file, and not `read_timed_triples`."""
-    return Path(path.name.lower().removesuffix(".gz")).suffix in _GRAPHS
+    return _kind(path) in _GRAPHS
 
 
 def read_timed_graphs(path: Path, dictionary: TermDictionary) -> TimedTriples:
@@ -54,11 +54,7 @@ def read_timed_graphs(path: Path, dictionary: TermDictionary) -> TimedTriples:
 
     Raises `WireError` with the line, `OSError` when the file cannot be read.
     """
-    data = path.read_bytes()
-    if path.suffix.lower() == ".gz":
-        data = gzip.decompress(data)
-    suffix = Path(path.name.lower().removesuffix(".gz")).suffix
-    return TripleReader(dictionary).graphs(data, _GRAPHS[suffix])
+    return TripleReader(dictionary).graphs(_unpacked(path), _GRAPHS[_kind(path)])
 
 
 def read_timed_triples(path: Path) -> Iterator[TimedTriple]:
@@ -66,9 +62,9 @@ def read_timed_triples(path: Path) -> Iterator[TimedTriple]:
 
     Raises `WireError` with the line, `OSError` when the file cannot be read.
     """
-    name = path.name.lower().removesuffix(".gz")
-    if not name.endswith((".ndjson", ".jsonl", ".csv")):
-        if name.endswith((".nt", ".ttl")):
+    kind = _kind(path)
+    if kind not in (".ndjson", ".jsonl", ".csv"):
+        if kind in (".nt", ".ttl"):
             raise WireError(
                 None,
                 f"{path.name} says no times",
@@ -79,15 +75,36 @@ def read_timed_triples(path: Path) -> Iterator[TimedTriple]:
             f"{path.name}: unknown kind of triples",
             "timed triples end in .ndjson, .csv, .nq or .trig; for a table of samples give --ssl",
         )
-    opened = gzip.open if path.suffix == ".gz" else open
-    with opened(path, "rt", encoding="utf-8-sig", newline="") as file:
-        rows = _csv_rows(file) if name.endswith(".csv") else _json_rows(file)
-        for line, values in rows:
-            try:
-                yield _triple(values)
-            except (ValueError, LanguageError) as error:
-                cause = error.message if isinstance(error, LanguageError) else str(error)
-                raise WireError(line, cause) from error
+    file = io.StringIO(_text(_unpacked(path)), newline="")
+    for line, values in _csv_rows(file) if kind == ".csv" else _json_rows(file):
+        try:
+            yield _triple(values)
+        except (ValueError, LanguageError) as error:
+            cause = error.message if isinstance(error, LanguageError) else str(error)
+            raise WireError(line, cause) from error
+
+
+def _kind(path: Path) -> str:
+    """The ending of the file's name, without ``.gz``."""
+    return Path(path.name.lower().removesuffix(".gz")).suffix
+
+
+def _unpacked(path: Path) -> bytes:
+    data = path.read_bytes()
+    if path.suffix.lower() == ".gz":
+        try:
+            data = gzip.decompress(data)
+        except (EOFError, zlib.error) as error:
+            raise WireError(None, f"{path.name} cannot be unpacked: {error}") from error
+    return data.removeprefix(BOM)
+
+
+def _text(data: bytes) -> str:
+    try:
+        return data.decode()
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        raise WireError(line, f"no UTF-8: {error.reason}") from error
 
 
 def _json_rows(file: IO[str]) -> Iterator[tuple[int, list[object]]]:
@@ -122,7 +139,7 @@ def _csv_rows(file: IO[str]) -> Iterator[tuple[int, list[object]]]:
 def _triple(values: list[object]) -> TimedTriple:
     time, subject, predicate, object = values
     if isinstance(time, str):
-        moment = parse_time(int(time) if _INTEGER.match(time) else time)
+        moment = read_time(time)
     elif isinstance(time, int):
         moment = parse_time(time)
     else:

@@ -42,6 +42,7 @@ _ISO_TIME = re.compile(
     r"\s*(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d(?::\d\d)?)(?:[.,](\d{1,9})\d*)?"
     r"\s*(Z|z|[+-]\d\d:?\d\d)?\s*\Z"
 )
+_INTEGER = re.compile(r"\s*[+-]?\d+\s*\Z", re.ASCII)
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
@@ -66,6 +67,11 @@ def parse_time(value: str | int) -> int:
     since = moment - _EPOCH
     seconds = since.days * 86_400 + since.seconds
     return _within(seconds * SECOND + int((fraction or "0").ljust(9, "0")))
+
+
+def read_time(text: str) -> int:
+    """`parse_time` of a text that people write, where an integer (ns) is a text too."""
+    return parse_time(int(text) if _INTEGER.match(text) else text)
 
 
 def format_time(time: int) -> str:

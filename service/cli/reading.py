@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from ...streams.time import parse_time
+from ...streams.time import read_time
 
 
 class SemanticsWord(StrEnum):
@@ -50,6 +50,6 @@ Report = Annotated[
 def origin_of(text: str) -> int:
     """The time (ns) of ``--origin``."""
     try:
-        return parse_time(int(text) if text.strip().lstrip("+-").isdigit() else text)
+        return read_time(text)
     except ValueError as error:
         raise typer.BadParameter(f"--origin: {error}") from error

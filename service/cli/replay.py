@@ -25,7 +25,7 @@ from ...converters.recording import Recording, open_recording
 from ...converters.recordings import Recordings, has_many_streams, open_recordings
 from ...languages.ssl import parse_ssl
 from ...streams.sample import FieldType
-from ...streams.time import SECOND, format_time, parse_time
+from ...streams.time import SECOND, format_time, read_time
 from ..client import Client, ServiceError
 from ..replay import Span, play_all, span
 from .output import DEFAULT_URL, Json, Url, connect, err, show_json, show_text
@@ -50,7 +50,7 @@ def _begin(text: str | None) -> int | None:
     if text is None or text == "now":
         return None if text is None else time.time_ns()
     try:
-        return parse_time(text)
+        return read_time(text)
     except ValueError as error:
         raise typer.BadParameter(str(error)) from error
 

@@ -22,7 +22,7 @@ from ...ontology.reading import TextFormat
 from ...ontology.units import Unit
 from ...ontology.vocabulary import Vocabulary
 from ...rdf.dictionary import TermDictionary
-from ...rdf.namespaces import shorten
+from ...rdf.namespaces import local_name, shorten
 from ...rdf.timed import TimedTriples
 from ...streams.time import format_time, parse_duration
 from ..negotiation import ONTOLOGY_FORMATS, TURTLE
@@ -123,9 +123,7 @@ def _files(pairs: Sequence[str]) -> dict[str, Path]:
         iri, equals, name = pair.rpartition("=")
         if not equals or not iri:
             raise typer.BadParameter(f"{pair!r}: write --stream IRI=FILE")
-        files[iri.strip("<>")] = Path(name)
-        if not Path(name).is_file():
-            raise fail(f"there is no file {name}")
+        _name(files, "--stream", iri, Path(name))
     return files
 
 
@@ -136,16 +134,27 @@ def _static(given: Sequence[str]) -> list[Path] | dict[str, Path]:
     named: dict[str, Path] = {}
     for text in given:
         iri, equals, name = text.rpartition("=")
-        path = Path(text)
-        if equals and iri and not path.is_file():
-            named[iri.strip("<>")] = path = Path(name)
+        if equals and iri and not Path(text).is_file():
+            _name(named, "--static", iri, Path(name))
         else:
-            files.append(path)
-        if not path.is_file():
-            raise fail(f"there is no file {path}")
+            files.append(_existing(Path(text)))
     if files and named:
         raise typer.BadParameter("--static: give every file its IRI=, or none")
     return named or files
+
+
+def _name(files: dict[str, Path], option: str, iri: str, path: Path) -> None:
+    """Give a file its IRI, which no other file has."""
+    iri = iri.strip("<>")
+    if iri in files:
+        raise typer.BadParameter(f"{option}: <{iri}> is {files[iri]} already")
+    files[iri] = _existing(path)
+
+
+def _existing(path: Path) -> Path:
+    if not path.is_file():
+        raise fail(f"there is no file {path}")
+    return path
 
 
 def _triples(files: Mapping[str, Path]) -> dict[str, Any]:
@@ -199,7 +208,7 @@ def _format(path: Path) -> TextFormat:
 
 
 def _annotation(iri: str, annotations: Sequence[StreamAnnotation]) -> StreamAnnotation:
-    name = iri.replace("#", "/").rpartition("/")[2].removesuffix(".trdf")
+    name = local_name(iri).removesuffix(".trdf")
     for annotation in annotations:
         if annotation.stream == name:
             return annotation

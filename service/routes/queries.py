@@ -42,7 +42,7 @@ CONTENT: dict[int | str, dict[str, Any]] = {
         "content": {kind: {"schema": {}} for kind in (*RESULTS, *GRAPHS)},
     }
 }
-WINDOW_END = "Dyknow-Window-End"
+END_HEADER = "Dyknow-Window-End"
 """The header that says of which window a result is."""
 Name = Annotated[str, Path(description="the query's name")]
 
@@ -159,7 +159,7 @@ async def read_results(
     if start is None and end is None and limit is None:
         latest = queries.latest(name)
         response = await anyio.to_thread.run_sync(one_window, request, latest)
-        response.headers[WINDOW_END] = format_time(latest.end)
+        response.headers[END_HEADER] = format_time(latest.end)
         return response
     view = queries.view(name)
     variables = tuple(field.name for field in view.fields)

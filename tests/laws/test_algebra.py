@@ -15,10 +15,11 @@ import pytest
 import query_ast as q
 import query_drawing as drawing
 import query_windows as w
+from continuous_definition import Element
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pyoxigraph import BlankNode, Literal, NamedNode, Quad, Store
-from query_definition import Data, Element, answer, graph
+from query_definition import Data, answer, graph
 from query_values import (
     FUNCTIONS,
     AnyOrder,
@@ -347,11 +348,11 @@ def plain(row) -> str:
     return " ".join(map(str, row)) if isinstance(row, tuple) else str(row)
 
 
-def area(draw_query, values: list = VALUES, times=TIMES):
+def area(draw_query, values: list = VALUES):
     """A law: queries of one area over one window of time, under both semantics."""
 
     @law
-    @given(st.data(), drawing.elements(values, times, 8), CUTS, OPTIONS, SIZES)
+    @given(st.data(), drawing.elements(values, TIMES, 8), CUTS, OPTIONS, SIZES)
     def holds(data, elements, cuts, options, size) -> None:
         query = draw_query(data.draw)
         check(query, [w.Clause(INPUTS[0], size)], {INPUTS[0]: elements}, cuts, options)
@@ -390,8 +391,8 @@ WIDE = st.integers(-5, 25)
 
 
 @st.composite
-def feeds(draw, values: list = VALUES, most: int = 10) -> dict:
-    return {iri: apart(draw(drawing.elements(values, WIDE, most))) for iri in INPUTS}
+def feeds(draw, values: list = VALUES) -> dict:
+    return {iri: apart(draw(drawing.elements(values, WIDE, 10))) for iri in INPUTS}
 
 
 @law

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
 from collections import Counter
 from itertools import pairwise
-from pathlib import Path
 
+import continuous_definition as definition
 import pytest
+from continuous_definition import Element, Spec
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pyoxigraph import Literal, NamedNode, Quad, Store, Variable
@@ -21,16 +20,6 @@ from dyknow.continuous.options import Options
 from dyknow.languages.csparql import bind, parse_query, parse_template
 from dyknow.rdf.dictionary import TermDictionary
 from dyknow.rdf.timed import TimedTriples, TripleRows, from_terms
-
-_place = importlib.util.spec_from_file_location(
-    "continuous_definition", Path(__file__).with_name("definition.py")
-)
-assert _place is not None
-assert _place.loader is not None
-definition = importlib.util.module_from_spec(_place)
-sys.modules[_place.name] = definition
-_place.loader.exec_module(definition)
-Element, Spec = definition.Element, definition.Spec
 
 D = "http://d.example/"
 INPUT = D + "s"

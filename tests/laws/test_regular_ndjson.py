@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from dyknow.converters import WireError, cells
 from dyknow.converters.decimals import floats
 from dyknow.converters.ndjson import decode_exactly, decode_ndjson, encode_ndjson
-from dyknow.converters.regular import LEAST, decode_regular
+from dyknow.converters.regular import decode_regular
 from dyknow.streams.compiled import JIT
 from dyknow.streams.sample import Field, FieldType, Schema, batch_from_rows
 from dyknow.streams.time import parse_time
@@ -250,7 +250,7 @@ def test_distinct_cells_are_numbered_as_they_are_met(texts):
 def test_a_large_body_takes_the_short_way():
     schema = Schema((Field("id", FieldType.STRING), Field("x", FieldType.FLOAT)))
     line = b'{"valid": "2021-10-07T19:12:53Z", "id": "uav%d", "x": 1.25}\n'
-    body = b"".join(line % (i % 7) for i in range(2 * LEAST // len(line)))
+    body = b"".join(line % (i % 7) for i in range(2 * cells.LEAST // len(line)))
     assert decode_regular(body, schema, {}) is not None
     pools = {}
     with pytest.raises(WireError, match="'x' is a float") as caught:

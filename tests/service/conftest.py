@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import httpx
 import pytest
+from typer.testing import CliRunner, Result
 
 from dyknow.engine.engine import Engine
 from dyknow.service.app import create_app
+from dyknow.service.cli import app
 from dyknow.service.client import Client
 from dyknow.service.server import running
 from dyknow.service.settings import Settings
@@ -61,3 +64,16 @@ def http(url: str) -> Iterator[httpx.Client]:
 def client(url: str) -> Iterator[Client]:
     with Client(url, timeout=20) as client:
         yield client
+
+
+@pytest.fixture
+def dyknow(url: str) -> Any:
+    """Runs a command against the live service; asserts its status."""
+
+    def run(*arguments: str, status: int = 0, **environment: str) -> Result:
+        variables = {"DYKNOW_URL": url, **environment}
+        result = CliRunner().invoke(app, list(arguments), env=variables)
+        assert result.exit_code == status, (result.output, result.exception)
+        return result
+
+    return run

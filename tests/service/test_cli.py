@@ -25,18 +25,6 @@ REQUEST = "dyknow:HighSpeedEvent(?o, dyknow:UAV, 100)"
 
 
 @pytest.fixture
-def dyknow(url: str) -> Any:
-    """Runs a command against the live service; asserts its status."""
-
-    def run(*arguments: str, status: int = 0) -> Result:
-        result = CliRunner().invoke(app, list(arguments), env={"DYKNOW_URL": url})
-        assert result.exit_code == status, (result.output, result.exception)
-        return result
-
-    return run
-
-
-@pytest.fixture
 def table(tmp_path: Path) -> Path:
     """Twenty seconds of two aircraft: uav1 at 50, uav2 at 150 km/h."""
     path = tmp_path / "speeds.csv"
@@ -100,6 +88,13 @@ def test_replay_at_a_pace(dyknow: Any, table: Path) -> None:
     played = dyknow("replay", str(table), "--stream", "s5", "--speed", "200", "--json")
     assert lines(played)[0]["used"] == 40
     assert lines(played)[0]["seconds"] >= 19.5 / 200
+
+
+def test_replay_from_a_time_in_nanoseconds(dyknow: Any, table: Path, client: Client) -> None:
+    """As the error for any other text says it may be written."""
+    command = ("replay", str(table), "--stream", "s5", "--speed", "max", "--rebase", "5000000000")
+    assert "used 40" in dyknow(*command).stdout
+    assert client.history("s5", start=0, limit=1)[0]["valid"] == "1970-01-01T00:00:05Z"
 
 
 def test_replay_of_what_is_no_recording(dyknow: Any, tmp_path: Path) -> None:
@@ -270,6 +265,38 @@ def test_run_with_files_that_are_none(
     result = CliRunner().invoke(app, ["run", query, "--stream", f"{STREAM}={tmp_path / name}"])
     assert result.exit_code == 1, result.output
     assert part in result.stderr
+
+
+TIMED = b"time,s,p,o\n1000000000,dyknow:uav1,dyknow:speed,5\n"
+XSD = "http://www.w3.org/2001/XMLSchema#"
+GRAPHS = f"""<urn:uav1> <urn:speed> "5"^^<{XSD}integer> <urn:g> .
+<urn:g> <http://www.w3.org/ns/prov#generatedAtTime> "1000000000"^^<{XSD}integer> .
+""".encode()
+
+
+@pytest.mark.parametrize("mark", [b"", b"\xef\xbb\xbf"])
+@pytest.mark.parametrize(
+    ("name", "data"), [("A.CSV.GZ", TIMED), ("a.nq.gz", GRAPHS), ("A.NQ.GZ", GRAPHS)]
+)
+def test_run_over_packed_files(tmp_path: Path, name: str, data: bytes, mark: bytes) -> None:
+    query, path = tmp_path / "q.rq", tmp_path / name
+    query.write_text(f"SELECT ?v FROM STREAM <{STREAM}> [RANGE 1s STEP 1s] WHERE {{ ?o ?p ?v }}")
+    arguments = ["run", str(query), "--stream", f"{STREAM}={path}", "--json"]
+    path.write_bytes(gzip.compress(mark + data))
+    (window,) = lines(CliRunner().invoke(app, arguments))
+    assert window["end"] == "1970-01-01T00:00:01Z"
+    path.write_bytes(path.read_bytes()[:-20])
+    cut = CliRunner().invoke(app, arguments)
+    assert (cut.exit_code, f"{name} cannot be unpacked" in cut.stderr) == (1, True)
+    path.write_bytes(data)
+    assert "gzip" in CliRunner().invoke(app, arguments).stderr
+
+
+def test_run_with_timed_triples_that_are_no_text(tmp_path: Path, query: str) -> None:
+    path = tmp_path / "a.csv"
+    path.write_bytes(TIMED + b"\xff")
+    result = CliRunner().invoke(app, ["run", query, "--stream", f"{STREAM}={path}"])
+    assert (result.exit_code, "line 3: no UTF-8" in result.stderr) == (1, True)
 
 
 def test_run_with_a_text_that_is_none(tmp_path: Path, table: Path) -> None:

@@ -6,11 +6,10 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
 from typing import Any
 
 import pytest
-from typer.testing import CliRunner, Result
+from typer.testing import CliRunner
 
 from dyknow.service.cli import app
 from dyknow.service.client import Client
@@ -24,18 +23,6 @@ WINDOW [RANGE 5s STEP 1s]
 """
 SSL = "stream s5 contains speed(UAV) = spd [km.h-1] for every UAV = id"
 REQUEST = "dyknow:HighSpeedEvent(?o, dyknow:UAV, 100)"
-Run = Callable[..., Result]
-
-
-@pytest.fixture
-def dyknow(url: str) -> Run:
-    def run(*arguments: str, status: int = 0, **environment: str) -> Result:
-        variables = {"DYKNOW_URL": url, **environment}
-        result = CliRunner().invoke(app, list(arguments), env=variables)
-        assert result.exit_code == status, (result.output, result.exception)
-        return result
-
-    return run
 
 
 @pytest.fixture
@@ -51,7 +38,7 @@ def publish(client: Client, seconds: range) -> None:
     client.publish("s5", [{"valid": t, "available": t, "id": "uav2", "spd": 150.0} for t in times])
 
 
-def test_joining_a_request_does_not_show_its_past(dyknow: Run, speeds: Client) -> None:
+def test_joining_a_request_does_not_show_its_past(dyknow: Any, speeds: Client) -> None:
     first = speeds.request_event(REQUEST)
     assert first["position"] == "e1-0"
     publish(speeds, range(1, 11))
@@ -70,7 +57,7 @@ def test_joining_a_request_does_not_show_its_past(dyknow: Run, speeds: Client) -
     assert "uav2" in dyknow("events", REQUEST, "--since", "start").stdout
 
 
-def test_a_request_is_given_up_by_its_id(dyknow: Run, speeds: Client) -> None:
+def test_a_request_is_given_up_by_its_id(dyknow: Any, speeds: Client) -> None:
     dyknow("events", REQUEST, "--no-follow")
     assert dyknow("events", "--cancel", "event1").stdout.strip() == "gave up event1"
     assert speeds.requests() == []
@@ -98,13 +85,13 @@ def test_a_signal_gives_up_what_is_followed(url: str, speeds: Client, name: str)
     assert speeds.requests() == []
 
 
-def test_signals_are_as_before_afterwards(dyknow: Run) -> None:
+def test_signals_are_as_before_afterwards(dyknow: Any) -> None:
     before = signal.getsignal(signal.SIGTERM)
     dyknow("events")
     assert signal.getsignal(signal.SIGTERM) is before
 
 
-def test_requests_are_listed_as_people_write_them(dyknow: Run, speeds: Client) -> None:
+def test_requests_are_listed_as_people_write_them(dyknow: Any, speeds: Client) -> None:
     for threshold in ("100", "1.5", "1.5e2"):
         speeds.request_event("dyknow:HighSpeedEvent", ["?o", "dyknow:UAV", threshold])
     listed = dyknow("events", COLUMNS="80").stdout.splitlines()
@@ -114,13 +101,13 @@ def test_requests_are_listed_as_people_write_them(dyknow: Run, speeds: Client) -
     assert len(listed) == 4
 
 
-def test_names_are_whole_even_where_they_do_not_fit(dyknow: Run, client: Client) -> None:
+def test_names_are_whole_even_where_they_do_not_fit(dyknow: Any, client: Client) -> None:
     name = "coordinates_" * 10
     client.put_stream(name, {"a": "float"})
     assert name in dyknow("streams", COLUMNS="80").stdout
 
 
-def test_streams_in_a_narrow_terminal(dyknow: Run, client: Client) -> None:
+def test_streams_in_a_narrow_terminal(dyknow: Any, client: Client) -> None:
     name = "coordinates_of_all_the_aircraft"
     client.put_stream(name, {f"field{i}": "float" for i in range(20)})
     row: dict[str, Any] = {f"field{i}": 1.0 for i in range(20)}

@@ -95,12 +95,7 @@ def test_what_is_refused(http: httpx.Client) -> None:
     assert "context" in far.json()["hint"]
 
 
-def test_commands(url: str, tmp_path: Path) -> None:
-    def dyknow(*arguments: str, status: int = 0) -> Any:
-        result = CliRunner().invoke(app, list(arguments), env={"DYKNOW_URL": url})
-        assert result.exit_code == status, (result.output, result.exception)
-        return result
-
+def test_commands(dyknow: Any, tmp_path: Path) -> None:
     path = tmp_path / "harbour.ttl"
     path.write_text(TURTLE)
     assert dyknow("ontology", "add", str(path)).stdout.strip() == f"loaded {HARBOUR}"

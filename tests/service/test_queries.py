@@ -8,7 +8,7 @@ from typing import Any
 
 import httpx
 import pytest
-from typer.testing import CliRunner, Result
+from typer.testing import CliRunner
 
 from dyknow.engine.engine import Engine
 from dyknow.service.cli import app
@@ -33,18 +33,6 @@ def flying(http: httpx.Client) -> httpx.Client:
     """A service with an annotated stream s5."""
     assert http.post("/annotations", content=SSL, headers=TEXT).status_code == 201
     return http
-
-
-@pytest.fixture
-def dyknow(url: str) -> Any:
-    """Runs a command against the live service; asserts its status."""
-
-    def run(*arguments: str, status: int = 0) -> Result:
-        result = CliRunner().invoke(app, list(arguments), env={"DYKNOW_URL": url})
-        assert result.exit_code == status, (result.output, result.exception)
-        return result
-
-    return run
 
 
 def register(http: httpx.Client, text: str, **parameters: str) -> httpx.Response:
@@ -392,4 +380,6 @@ def test_how_the_command_run_reads_a_text(tmp_path: Path) -> None:
     assert ends("--static", f"http://x.org/other={graph}", status=1) == []
     assert ends(*named, "--static", str(graph), status=2) == []
     assert ends(*named, "--origin", "noon", status=2) == []
+    assert ends(*named, *named, status=2) == []
+    assert ends("--stream", f"{iri}={data}", status=2) == []
     assert ends("--static", "http://x.org/sorts=nowhere.ttl", status=1) == []

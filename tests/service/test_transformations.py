@@ -8,11 +8,9 @@ from typing import Any
 
 import httpx
 import pytest
-from typer.testing import CliRunner, Result
 
 from dyknow.engine.engine import Engine
 from dyknow.engine.processes import Processes
-from dyknow.service.cli import app as commands
 from dyknow.service.client import Client
 
 TURTLE = {"Content-Type": "text/turtle"}
@@ -377,16 +375,6 @@ def test_the_client_has_a_method_for_each(client: Client) -> None:
     client.set_quality("s1", 0.5)
     found = client.match("speed", sort="UAV", strategy="quality")
     assert found["quality"] == 0.5
-
-
-@pytest.fixture
-def dyknow(url: str) -> Any:
-    def run(*arguments: str, status: int = 0) -> Result:
-        result = CliRunner().invoke(commands, list(arguments), env={"DYKNOW_URL": url})
-        assert result.exit_code == status, (result.output, result.exception)
-        return result
-
-    return run
 
 
 def test_transformations_on_the_command_line(dyknow: Any, tmp_path: Path) -> None:

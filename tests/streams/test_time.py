@@ -13,6 +13,7 @@ from dyknow.streams.time import (
     format_time,
     parse_duration,
     parse_time,
+    read_time,
 )
 
 LIMITS = settings(deadline=None, max_examples=200)
@@ -23,6 +24,7 @@ LIMITS = settings(deadline=None, max_examples=200)
 def test_times_come_back(time):
     assert parse_time(format_time(time)) == time
     assert parse_time(time) == time
+    assert read_time(format_time(time)) == read_time(f" {time}") == time
 
 
 @given(st.integers(TIME_MIN // SECOND + 1, TIME_MAX // SECOND - 1), st.sampled_from([10**3, 10**6]))

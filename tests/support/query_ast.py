@@ -11,7 +11,6 @@ from typing import Any
 
 from pyoxigraph import BlankNode, Literal, NamedNode
 
-RDF_TYPE = NamedNode("http://www.w3.org/1999/02/22-rdf-syntax-ns#type")
 ACCESSORS = {
     "timestamp": "<http://larkc.eu/csparql/sparql/jena/ext#timestamp>",
     "validTime": "<http://www.dyknow.eu/ontology#validTime>",

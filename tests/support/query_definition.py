@@ -12,10 +12,10 @@ from functools import cmp_to_key
 from typing import Any
 
 import query_ast as q
+from continuous_definition import RDF_TYPE, Element, closure
 from pyoxigraph import BlankNode, Literal, NamedNode
 from query_values import (
     FUNCTIONS,
-    TRUE,
     Failed,
     OneOf,
     Undetermined,
@@ -26,25 +26,6 @@ from query_values import (
     literal,
     precedes,
 )
-
-RDF_TYPE = q.RDF_TYPE
-SUB_CLASS = NamedNode("http://www.w3.org/2000/01/rdf-schema#subClassOf")
-
-
-@dataclass(frozen=True)
-class Element:
-    """A timed triple; ``sort`` is what the annotation of its row says of the subject."""
-
-    time: int
-    subject: Any
-    predicate: NamedNode
-    object: Any
-    sort: NamedNode | None = None
-    valid: int = 0
-
-    def __str__(self) -> str:
-        told = f" (a {self.sort})" if self.sort else ""
-        return f"{self.time}: {self.subject} {self.predicate} {self.object}{told}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,16 +58,6 @@ class Solution:
 
 
 # --- data (docs/semantics.md, "Bag and set")
-
-
-def closure(sort: NamedNode, static: Sequence[tuple]) -> set[NamedNode]:
-    """The sort and all its super-sorts by the static side."""
-    reached = {sort}
-    while True:
-        more = {o for s, p, o in static if p == SUB_CLASS and s in reached} - reached
-        if not more:
-            return reached
-        reached |= more
 
 
 def graph(content: Iterable[Element], static: Sequence[tuple], told: Sequence[tuple], bag: bool):
@@ -204,11 +175,12 @@ def removes(other: Solution, solution: Solution) -> bool:
     return bool(other.terms.keys() & solution.terms.keys()) and compatible(other, solution)
 
 
-def bound(solution: Solution, variable: str, expression: Any, scope: Scope) -> Solution:
+def bound(
+    solution: Solution, variable: str, expression: Any, scope: Scope, group: Any = None
+) -> Solution:
     """Extend: unbound where the expression fails."""
-    try:
-        value = evaluate(expression, solution, scope)
-    except Failed:
+    value = try_(expression, solution, scope, group)
+    if value is None:
         return solution
     return Solution({**solution.terms, variable: value}, solution.matched)
 
@@ -278,9 +250,9 @@ def repeated(inner: Any, sign: str, facts: list[Fact], constants: list) -> set[t
 # --- expressions (§17)
 
 
-def holds(condition: Any, solution: Solution, scope: Scope) -> bool:
+def holds(condition: Any, solution: Solution, scope: Scope, group: Any = None) -> bool:
     try:
-        return effective(evaluate(condition, solution, scope))
+        return effective(evaluate(condition, solution, scope, group))
     except Failed:
         return False
 
@@ -394,11 +366,11 @@ def select(query: q.Select, scope: Scope) -> list[dict[str, Any]]:
         found, members = grouped(query.keys or (), found, scope)
     whole = []
     for solution, group in zip(found, members, strict=True):
-        if not all(passes(c, solution, scope, group) for c in query.having):
+        if not all(holds(c, solution, scope, group) for c in query.having):
             continue
         for variable, expression in query.head:
             if expression is not None:
-                solution = named(variable, expression, solution, scope, group)
+                solution = bound(solution, variable, expression, scope, group)
         keys = [try_(expression, solution, scope, group) for expression, _ in query.order]
         whole.append((solution.terms, keys))
     rows = [({v: terms[v] for v, _ in query.head if v in terms}, keys) for terms, keys in whole]
@@ -410,17 +382,10 @@ def select(query: q.Select, scope: Scope) -> list[dict[str, Any]]:
         if any(isinstance(term, OneOf) for row, _ in rows for term in row.values()):
             raise Undetermined
         end = None if query.limit is None else query.offset + query.limit
-        if not total(rows, query.order):
+        if not total(rows):
             raise Undetermined
         rows = rows[query.offset : end]
     return [row for row, _ in rows]
-
-
-def named(variable: str, expression: Any, solution: Solution, scope: Scope, group: Any) -> Solution:
-    value = try_(expression, solution, scope, group)
-    if value is None:
-        return solution
-    return Solution({**solution.terms, variable: value}, solution.matched)
 
 
 def try_(expression: Any, solution: Solution, scope: Scope, group: Any = None) -> Any:
@@ -428,14 +393,6 @@ def try_(expression: Any, solution: Solution, scope: Scope, group: Any = None) -
         return evaluate(expression, solution, scope, group)
     except Failed:
         return None
-
-
-def passes(condition: Any, solution: Solution, scope: Scope, group: Any) -> bool:
-    value = try_(condition, solution, scope, group)
-    try:
-        return value is not None and effective(value)
-    except Failed:
-        return False
 
 
 def grouped(keys: tuple, found: list[Solution], scope: Scope) -> tuple[list, list]:
@@ -487,17 +444,17 @@ def in_order(rows: list, downs: list[bool]) -> list:
     return sorted(rows, key=cmp_to_key(compare))
 
 
-def total(rows: list, order: tuple) -> bool:
+def total(rows: list) -> bool:
     """Whether any two different rows have their places by the keys."""
     for i, (row, keys) in enumerate(rows):
         for other, others in rows[i + 1 :]:
-            if row != other and not decided(keys, others, order):
+            if row != other and not decided(keys, others):
                 return False
     return True
 
 
-def decided(keys: list, others: list, order: tuple) -> bool:
-    for a, b, _ in zip(keys, others, order, strict=True):
+def decided(keys: list, others: list) -> bool:
+    for a, b in zip(keys, others, strict=True):
         if a != b:
             return precedes(a, b) is not None and (precedes(a, b) or precedes(b, a)) is True
     return False
@@ -531,6 +488,3 @@ def answer(query: Any, data: Data) -> Iterator | list | set | bool:
         case q.Ask(where):
             return bool(solutions(where, scope))
     raise TypeError(query)
-
-
-__all__ = ["TRUE", "Data", "Element", "Fact", "answer", "graph"]

@@ -9,9 +9,9 @@ from __future__ import annotations
 from typing import Any
 
 import query_ast as q
+from continuous_definition import RDF_TYPE, SUB_CLASS, Element
 from hypothesis import strategies as st
 from pyoxigraph import BlankNode, Literal, NamedNode
-from query_definition import RDF_TYPE, SUB_CLASS, Element
 from query_values import XSD
 
 D = "http://d.example/"
@@ -63,7 +63,7 @@ OTHERS = [
 TERMS = [*NUMBERS, *OTHERS]
 
 
-def elements(values: list, times: st.SearchStrategy, most: int = 14, least: int = 0):
+def elements(values: list, times: st.SearchStrategy, most: int = 14):
     """Timed triples in order; equal ones are likely."""
     sorts = st.sampled_from([None, None, None, RMAX, TINY, ROAD])
     said = st.builds(
@@ -85,7 +85,7 @@ def elements(values: list, times: st.SearchStrategy, most: int = 14, least: int 
         ),
     )
     one = st.one_of(said, said, related)
-    return st.lists(one, min_size=least, max_size=most).map(in_time)
+    return st.lists(one, max_size=most).map(in_time)
 
 
 def in_time(found: list[Element]) -> list[Element]:

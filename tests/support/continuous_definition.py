@@ -25,6 +25,11 @@ class Element:
     predicate: NamedNode
     object: object
     sort: NamedNode | None = None
+    valid: int = 0
+
+    def __str__(self) -> str:
+        told = f" (a {self.sort})" if self.sort else ""
+        return f"{self.time}: {self.subject} {self.predicate} {self.object}{told}"
 
 
 @dataclass(frozen=True)
@@ -110,6 +115,7 @@ def answer(spec: Spec, content: Iterable[Element], static: Sequence[tuple], sema
 
 
 def closure(sort: NamedNode, static: Sequence[tuple]) -> set[NamedNode]:
+    """The sort and all its super-sorts by the static side."""
     reached = {sort}
     while True:
         more = {o for s, p, o in static if p == SUB_CLASS and s in reached} - reached
