@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 from rdflib import BNode, URIRef
@@ -29,7 +30,7 @@ from ..rdf.namespaces import RDFS, XSD, local_name, shorten
 from ..rdf.timed import DATATYPES, Kind
 from ..streams.sample import TIME_FIELDS, Schema
 from ..streams.strings import StringPool
-from ..templates.patterns import patterns
+from ..templates.patterns import Body, patterns
 
 _AGGREGATE_KINDS = {
     "Aggregate_Avg": Kind.DOUBLE,
@@ -93,20 +94,26 @@ class ResultForm:
 
 
 def result_form(query: ContinuousQuery, vocabulary: Vocabulary) -> ResultForm:
-    """The form of ``query``'s results: types by features' ranges and by aggregates."""
-    tree = algebra(query).algebra
-    if query.form is Form.ASK:
+    """The form of ``query``'s results: types by features' ranges and by aggregates. Cost: found
+    once for all instances of a template."""
+    return _form(Body(algebra(query).algebra), query.form, query.sparql, vocabulary)
+
+
+@lru_cache(maxsize=128)
+def _form(body: Body, form: Form, sparql: str, vocabulary: Vocabulary) -> ResultForm:
+    tree = body.root
+    if form is Form.ASK:
         return ResultForm(result_schema(ask=True), (), {})
     kinds_of = _kinds(tree, vocabulary)
-    if query.form is not Form.CONSTRUCT:
+    if form is not Form.CONSTRUCT:
         variables = [str(variable) for variable in tree.PV]
         schema = result_schema(variables=variables, kinds=kinds_of)
-        shape = query_shape(query.sparql)
+        shape = query_shape(sparql)
         return ResultForm(
             schema, (), {}, ordered=shape is not None and bool(shape.modifier("ORDER"))
         )
     predicates: dict[str, Kind | None] = {}
-    for _, predicate, object in template_of(query):
+    for _, predicate, object in tree.template or ():
         if isinstance(predicate, URIRef):
             kind = kinds_of.get(str(object)) if isinstance(object, RdflibVariable) else None
             predicates.setdefault(str(predicate), kind)
@@ -120,7 +127,7 @@ def result_form(query: ContinuousQuery, vocabulary: Vocabulary) -> ResultForm:
         kinds={name: kind for name, kind in predicates.items() if kind is not None},
         vocabulary=vocabulary,
     )
-    return ResultForm(schema, tuple(predicates), units, _naming(query, vocabulary))
+    return ResultForm(schema, tuple(predicates), units, _naming(tree, vocabulary))
 
 
 def template_of(query: ContinuousQuery) -> Sequence[tuple[Any, Any, Any]]:
@@ -207,12 +214,12 @@ def head_role(query: ContinuousQuery, vocabulary: Vocabulary, read: Iterable[Con
     return Role(sorts.pop() if len(sorts) == 1 else THING, None, ID)
 
 
-def _naming(query: ContinuousQuery, vocabulary: Vocabulary) -> frozenset[str]:
+def _naming(tree: CompValue, vocabulary: Vocabulary) -> frozenset[str]:
     """The predicates of a head whose objects are always IRIs: written so, or stand in the body
     where nothing else can."""
-    names = _names(algebra(query).algebra, vocabulary)
+    names = _names(tree, vocabulary)
     objects: dict[str, set[Any]] = defaultdict(set)
-    for _, predicate, object in template_of(query):
+    for _, predicate, object in tree.template or ():
         objects[str(predicate)].add(object)
     return frozenset(
         predicate

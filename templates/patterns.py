@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import reduce
+from functools import lru_cache, reduce
 from typing import Any, TypeAlias
 
 from rdflib import URIRef
@@ -37,9 +37,30 @@ def patterns(root: CompValue) -> tuple[Pattern, ...]:
 
     A property path is a pattern for each of its steps. What is in GRAPH is not of the streams
     and left out. ``classes`` are those of ``?o a S`` patterns that must hold along with the
-    pattern: not those in another branch of a UNION or in an OPTIONAL.
+    pattern: not those in another branch of a UNION or in an OPTIONAL. Cost: found once a root.
     """
-    return tuple(_patterns(root, {}, top=True))
+    return _found(Body(root))
+
+
+class Body:
+    """An algebra by its identity: all instances of a template have one, which nobody changes. What
+    is read off it can be remembered."""
+
+    __slots__ = ("root",)
+
+    def __init__(self, root: CompValue) -> None:
+        self.root = root
+
+    def __hash__(self) -> int:
+        return id(self.root)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Body) and self.root is other.root
+
+
+@lru_cache(maxsize=512)
+def _found(body: Body) -> tuple[Pattern, ...]:
+    return tuple(_patterns(body.root, {}, top=True))
 
 
 def _patterns(node: CompValue, inherited: Typing, *, top: bool) -> Iterator[Pattern]:

@@ -8,7 +8,7 @@ one of the head stays a variable and gets a VALUES row.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import assert_never
 
 from ...rdf.namespaces import XSD
@@ -32,6 +32,11 @@ from .syntax import check_syntax
 from .terms import short_text
 from .tokens import Kind, compact, tokenize
 
+_DIGITS = re.compile("[0-9]+")
+_FITTING: dict[tuple[object, ...], bool] = {}
+_REMEMBERED = 1_000
+"""Of so many ways to fill in a text it is remembered whether it can be read."""
+
 
 def format_query(query: ContinuousQuery) -> str:
     """Valid C-SPARQL or RSP-QL text of the query with its bindings and streams."""
@@ -46,11 +51,32 @@ def format_query(query: ContinuousQuery) -> str:
     replaced = {name: text for name, text in terms.items() if name not in kept}
     rows = {name: text for name, text in terms.items() if name in kept}
     edits = _binding_edits(query.sparql, shape, rows, replaced)
-    if replaced and not _is_sparql(apply_edits(query.sparql, edits), query):
+    if replaced and not _fits(query, edits, replaced):
         # A term cannot stand in every place of a variable (a projection, f:timestamp).
         edits = _binding_edits(query.sparql, shape, terms, {})
     body = apply_edits(query.sparql, [*edits, *_window_edits(query, shape)])
     return _assembled(query, body, replaced)
+
+
+def _fits(query: ContinuousQuery, edits: Sequence[Edit], terms: Mapping[str, str]) -> bool:
+    """Whether the terms can stand where the edits put them. Terms that are written alike fit
+    alike: of the many instances of a template few have to be read."""
+    kinds = tuple((name, _DIGITS.sub("0", _kind(text))) for name, text in sorted(terms.items()))
+    key = (query.sparql, tuple(sorted(query.prefixes.items())), kinds)
+    if key not in _FITTING:
+        if len(_FITTING) >= _REMEMBERED:
+            _FITTING.clear()
+        _FITTING[key] = _is_sparql(apply_edits(query.sparql, edits), query)
+    return _FITTING[key]
+
+
+def _kind(text: str) -> str:
+    """A term with what may be anything taken out: the name in an IRI, the text of a string."""
+    if text.startswith("<"):
+        return "<>"
+    if text.startswith(("'", '"')):
+        return text[0] + text[text.rindex(text[0]) :]
+    return text.partition(":")[0] + ":" if ":" in text else text
 
 
 def _is_sparql(text: str, query: ContinuousQuery) -> bool:
