@@ -104,21 +104,27 @@ def _select(
 def _chain(starts: Any, subjects: Any, tags: Any, bits: Any, by_subject: bool) -> tuple[Any, Any]:
     """Links each row to the next one of its slot with an equal subject (or object), in order.
 
-    Returns the heads, by bucket, and the links; -1 ends a chain.
+    Returns the heads, by bucket, and the links; -1 ends a chain. Subjects are ids, and neighbours
+    often come together: they get neighbouring buckets, in a range a slot. Objects are scattered.
     """
     rows = subjects.shape[0]
     size = 16
     while size < 2 * rows:
         size *= 2
+    spread = size // max(1, starts.shape[0] - 1)
     heads = np.full(size, -1, np.int32)
     links = np.empty(rows, np.int32)
     for slot in range(starts.shape[0] - 2, -1, -1):
         for i in range(starts[slot + 1] - 1, starts[slot] - 1, -1):
-            key = np.int64(subjects[i]) if by_subject else bits[i]
-            # No product leaves 63 bits, so that plain Python agrees; doubles differ above.
-            mixed = (key ^ (key >> 32) ^ (key >> 45)) & 0x7FFFFFFF
-            mixed = mixed * 40503 + slot * 9973
-            bucket = (mixed ^ (mixed >> 16)) & (size - 1)
+            if by_subject:
+                key = np.int64(subjects[i])
+                bucket = (key + (key >> 8) + slot * spread) & (size - 1)
+            else:
+                key = bits[i]
+                # No product leaves 63 bits, so that plain Python agrees; doubles differ above.
+                mixed = (key ^ (key >> 32) ^ (key >> 45)) & 0x7FFFFFFF
+                mixed = mixed * 40503 + slot * 9973
+                bucket = (mixed ^ (mixed >> 16)) & (size - 1)
             links[i] = heads[bucket]
             heads[bucket] = i
     return heads, links
@@ -163,6 +169,8 @@ def _match(
     while size < 2 * rows:
         size *= 2
     mask = size - 1
+    spread = size // max(1, slot_count)
+    static_spread = static_subject_heads.shape[0] // max(1, slot_count)
     static_subject_mask = static_subject_heads.shape[0] - 1
     static_object_mask = static_object_heads.shape[0] - 1
     # Which slots are asked of by subject, which by object: by subject where that is bound.
@@ -191,6 +199,11 @@ def _match(
                     cost = 2.0 + 0.01 * number
             else:
                 cost, way = 3.0 + number, 0
+            for f in range(filter_starts.shape[0] - 1):
+                # Among equals first what a filter looks at: fewer go on from there.
+                if (s >= 0 and filter_needs[f, s]) or (o >= 0 and filter_needs[f, o]):
+                    cost -= 0.25
+                    break
             if not (s >= 0 and bound[s]) and not (o >= 0 and bound[o]) and depth > 0:
                 # It shares nothing with what is bound: a product.
                 cost = cost * 4.0 + 4.0
@@ -222,10 +235,8 @@ def _match(
             # chains are used for finding equal ones first, and are linked anew afterwards.
             for i in range(starts[slot], starts[slot + 1]):
                 key = np.int64(subjects[i])
-                mixed = (key ^ (key >> 32) ^ (key >> 45)) & 0x7FFFFFFF
-                mixed = mixed * 40503 + slot * 9973
-                mixed = mixed ^ (mixed >> 16)
-                j = static_subject_heads[mixed & static_subject_mask]
+                key += key >> 8
+                j = static_subject_heads[(key + slot * static_spread) & static_subject_mask]
                 while j >= 0:
                     if (
                         static_subjects[j] == subjects[i]
@@ -238,7 +249,7 @@ def _match(
                     j = static_subject_links[j]
                 if dropped[i]:
                     continue
-                bucket = mixed & mask
+                bucket = (key + slot * spread) & mask
                 j = subject_heads[bucket]
                 while j >= 0:
                     if (
@@ -261,14 +272,16 @@ def _match(
             for i in range(starts[slot + 1] - 1, starts[slot] - 1, -1):
                 if dropped[i]:
                     continue
-                key = np.int64(subjects[i]) if way == 1 else bits[i]
-                mixed = (key ^ (key >> 32) ^ (key >> 45)) & 0x7FFFFFFF
-                mixed = mixed * 40503 + slot * 9973
-                bucket = (mixed ^ (mixed >> 16)) & mask
                 if way == 1:
+                    key = np.int64(subjects[i])
+                    bucket = (key + (key >> 8) + slot * spread) & mask
                     subject_links[i] = subject_heads[bucket]
                     subject_heads[bucket] = i
                 else:
+                    key = bits[i]
+                    mixed = (key ^ (key >> 32) ^ (key >> 45)) & 0x7FFFFFFF
+                    mixed = mixed * 40503 + slot * 9973
+                    bucket = (mixed ^ (mixed >> 16)) & mask
                     object_links[i] = object_heads[bucket]
                     object_heads[bucket] = i
     # The depth at which all variables of a filter are bound.
@@ -340,26 +353,30 @@ def _match(
         elif owner[o] >= 0:
             object_known = True
             object_tag, object_bits = np.int64(value_tags[o]), value_bits[o]
-        # The next row.
+        # The next row. Where a slot has none in the windows, or no static one, nobody looks.
         at = cursor[depth]
+        if at == -2 and starts[slot] == starts[slot + 1]:
+            on_static[depth] = True
         matched = False
         while True:
             static_side = on_static[depth]
             if at == -2:
                 if way == 0:
                     at = static_starts[slot] if static_side else starts[slot]
+                elif way == 1:
+                    key = subject_bits + (subject_bits >> 8)
+                    if static_side:
+                        bucket = (key + slot * static_spread) & static_subject_mask
+                        at = np.int64(static_subject_heads[bucket])
+                    else:
+                        at = np.int64(subject_heads[(key + slot * spread) & mask])
                 else:
-                    key = subject_bits if way == 1 else object_bits
+                    key = object_bits
                     mixed = (key ^ (key >> 32) ^ (key >> 45)) & 0x7FFFFFFF
                     mixed = mixed * 40503 + slot * 9973
                     mixed = mixed ^ (mixed >> 16)
                     if static_side:
-                        if way == 1:
-                            at = np.int64(static_subject_heads[mixed & static_subject_mask])
-                        else:
-                            at = np.int64(static_object_heads[mixed & static_object_mask])
-                    elif way == 1:
-                        at = np.int64(subject_heads[mixed & mask])
+                        at = np.int64(static_object_heads[mixed & static_object_mask])
                     else:
                         at = np.int64(object_heads[mixed & mask])
             elif way == 0:
@@ -373,7 +390,7 @@ def _match(
                 if at >= end:
                     at = np.int64(-1)
             if at < 0:
-                if static_side:
+                if static_side or static_starts[slot] == static_starts[slot + 1]:
                     break
                 on_static[depth] = True
                 at = np.int64(-2)

@@ -40,12 +40,13 @@ from .routes import (
 from .settings import Settings
 from .sse import Feeds
 
+# Looked through in this order for each request: batches of samples are the most frequent ones.
 RESOURCES = (
+    samples,
     templates,
     events,
     queries,
     streams,
-    samples,
     subscriptions,
     annotations,
     transformations,
