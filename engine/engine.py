@@ -604,7 +604,8 @@ class Engine:
         self._converters.pop(change.stream, None)
 
     def _contents(self, stream: str) -> tuple[Content, ...]:
-        annotation = self._manager.annotations.get(stream)
+        source = self._configuration.late.source_of(stream)
+        annotation = self._manager.annotations.get(stream if source is None else source)
         return () if annotation is None else annotation.contents
 
     def _subscribers(self, name: str) -> int:
