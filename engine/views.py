@@ -105,7 +105,8 @@ class EventView:
     ``since`` is `Since`'s text: what of the streams' past the answer began with;
     ``position`` the number of the last sample of ``stream`` before the request. ``waits_for``
     names streams that have no sample yet and are not idle: a query of several streams decides
-    nothing before.
+    nothing before. The next window waits for ``held_back_by``, the streams that are least far;
+    ``late`` counts samples that came too late for theirs.
     """
 
     id: str
@@ -116,6 +117,8 @@ class EventView:
     position: int
     stream: str
     waits_for: tuple[str, ...]
+    held_back_by: tuple[str, ...]
+    late: int
     plan: PlanView
     created: int
 

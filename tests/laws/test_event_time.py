@@ -41,16 +41,9 @@ def query(names, range, step):
     return f"REGISTER QUERY q AS SELECT ?v {clauses}WHERE {{ ?o dyknow:speed ?v }}"
 
 
-def run(declarations, steps, range, step, *, cut):
-    """Windows and late samples, as the engine gives them."""
-    engine, names, now, number = Engine(epoch="law"), NAMES[: len(declarations)], 0, 0
-    for name, (lateness, idle) in zip(names, declarations, strict=True):
-        engine.declare(StreamDeclaration(name, FIELDS, lateness, idle=idle))
-        engine.annotate(f"stream {name} contains speed(UAV) = v [km.h-1] for every UAV = id")
-    engine.queries.register(query(names, range, step))
-    for name in names:
-        engine.stream(f"{name}_late")
-        engine.stream(f"q_late_{name}")
+def play(engine, declarations, steps, *, cut):
+    """Let the streams say what the steps say, to their end."""
+    names, now, number = NAMES[: len(declarations)], 0, 0
     for each in steps:
         match each:
             case int():
@@ -70,20 +63,50 @@ def run(declarations, steps, range, step, *, cut):
                 engine.end(each)
     for name in names:
         engine.end(name)
+
+
+def declare(declarations):
+    engine, names = Engine(epoch="law"), NAMES[: len(declarations)]
+    for name, (lateness, idle) in zip(names, declarations, strict=True):
+        engine.declare(StreamDeclaration(name, FIELDS, lateness, idle=idle))
+        engine.stream(f"{name}_late")
+    return engine, names
+
+
+def run(declarations, steps, range, step, *, cut):
+    """Windows and late samples, as the engine gives them."""
+    engine, names = declare(declarations)
+    for name in names:
+        engine.annotate(f"stream {name} contains speed(UAV) = v [km.h-1] for every UAV = id")
+    engine.queries.register(query(names, range, step))
+    for name in names:
+        engine.stream(f"q_late_{name}")
+    play(engine, declarations, steps, cut=cut)
     windows = [
         (result.end, sorted(float(row["v"].value) for row in result.solutions.rows()))
         for result in engine.queries.results("q")
     ]
-    view = engine.queries.view("q")
-    counted = {name: engine.stream(name).counters for name in names}
     late = {name: late_of(engine, f"{name}_late") for name in names}
     behind = {name: late_of(engine, f"q_late_{name}") for name in names}
-    assert view.late == sum(map(len, behind.values()))
+    assert engine.queries.view("q").late == sum(map(len, behind.values()))
     for name in names:
-        counters = counted[name]
+        counters = engine.stream(name).counters
         assert counters.late == len(late[name])
         assert counters.accepted == counters.used + counters.late + counters.duplicate
     return windows, late, behind
+
+
+def run_join(declarations, steps, *, cut):
+    """When there are tuples, and what came too late for them."""
+    engine, names = declare(declarations)
+    sources = "".join(f"source s {name}\nstrmgen of_{name} = {name}\n" for name in names)
+    joined = ", ".join(f"of_{name}" for name in names)
+    engine.add_kpl(f"sort s = (id string, v float)\n{sources}strmgen j = join({joined})")
+    for name in names:
+        engine.stream(f"j_late_{name}")
+    play(engine, declarations, steps, cut=cut)
+    behind = {name: late_of(engine, f"j_late_{name}") for name in names}
+    return engine.generator("j").stream.availtimes().tolist(), behind
 
 
 def late_of(engine, name):
@@ -128,7 +151,7 @@ def defined(declarations, steps, range, step):
         reader.settle()
     late = {name: stream.late for name, stream in streams.items()}
     behind = {name: reader.late.get(stream, []) for name, stream in streams.items()}
-    return reader.results, late, behind
+    return reader, late, behind
 
 
 @given(worlds)
@@ -136,6 +159,21 @@ def defined(declarations, steps, range, step):
 @settings(deadline=None, max_examples=60)
 def test_windows_and_late_samples_equal_the_definition_however_input_is_cut(world) -> None:
     declarations, steps, range, step = world
-    wanted = defined(declarations, steps, range, step)
+    reader, late, behind = defined(declarations, steps, range, step)
+    wanted = reader.results, late, behind
     assert run(declarations, steps, range, step, cut=False) == wanted
     assert run(declarations, steps, range, step, cut=True) == wanted
+
+
+@given(worlds)
+@example(([(0, 2), (0, None)], [("b", [5], []), 2, ("b", [20], []), ("a", [3, 25], [1])], 5, 5))
+@settings(deadline=None, max_examples=40)
+def test_joins_wait_for_no_idle_stream_either(world) -> None:
+    declarations, steps, range, step = world
+    if len(declarations) < 2:
+        return
+    steps = [each for each in steps if not isinstance(each, str)]  # ends are another law's
+    reader, _, behind = defined(declarations, steps, range, step)
+    wanted = sorted({available for available, _ in reader.elements}), behind
+    assert run_join(declarations, steps, cut=False) == wanted
+    assert run_join(declarations, steps, cut=True) == wanted
