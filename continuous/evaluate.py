@@ -52,17 +52,19 @@ def evaluate(
     lateness: int | None = None,
     report: Report = "non-empty",
     explained: Explained | None = None,
+    late: Callable[[TimedTerm], object] | None = None,
 ) -> Iterator[Window]:
     """The windows of a continuous query over recorded streams, one by one, as they close.
 
     ``streams`` gives the triples by stream IRI. A collection with a length is sorted by time
     first; an iterator is read lazily, only as far as the next window needs, and an element more
-    than ``lateness`` ns (0 unless given) behind the greatest time seen is dropped and counted.
-    Streams are merged by time. ``static`` are RDF files: a list of what is read whatever the
-    query's FROM clauses are, or a mapping from the names of graphs to files, of which it reads
-    those of FROM (all if it has none) and FROM NAMED. ``semantics`` is "bag" for C-SPARQL and "set"
-    for RSP-QL unless given; ``origin`` is 0; for ``report`` see `options`; ``explained`` takes how
-    the query was computed. Raises `LanguageError`
+    than ``lateness`` ns (0 unless given) behind the greatest time seen is dropped and counted, and
+    ``late`` is called with it as it came. Streams are merged by time; there is no clock here, so
+    none is idle: one that says no more has ended. ``static`` are RDF files: a list of what is read
+    whatever the query's FROM clauses are, or a mapping from the names of graphs to files, of which
+    it reads those of FROM (all if it has none) and FROM NAMED. ``semantics`` is "bag" for C-SPARQL
+    and "set" for RSP-QL unless given; ``origin`` is 0; for ``report`` see `options`; ``explained``
+    takes how the query was computed. Raises `LanguageError`
     for the text, ``ValueError`` for streams without a window, and when ``streams`` are not those
     that the query's FROM STREAM clauses name (a query without them reads what it is given) or a
     graph is not given, ``TypeError`` for what is no tuple ``(time in ns, subject, predicate,
@@ -88,7 +90,7 @@ def evaluate(
     if explained is not None:
         explained.attach(evaluator)
     counts = any(window.counted for window in evaluator.schedule.windows)
-    feeds = [_Feed(name, given, lateness, counts) for name, given in streams.items()]
+    feeds = [_Feed(name, given, lateness, counts, late) for name, given in streams.items()]
     return _run(evaluator, feeds, dictionary)
 
 
@@ -180,12 +182,14 @@ class _Feed:
         given: Iterable[TimedTerm] | TimedTriples,
         lateness: int | None,
         counts: bool,
+        hear_late: Callable[[TimedTerm], object] | None,
     ) -> None:
         self.name = name
         self.greatest: int | None = None
         self.late = 0
         self.lateness = lateness or 0
         self._counts = counts
+        self._hear_late = hear_late
         self._columns = given if isinstance(given, TimedTriples) else None
         self._sorted = isinstance(given, Sized)
         if self._columns is None and self._sorted:
@@ -219,6 +223,8 @@ class _Feed:
             time = _checked(item)[0]
             if self.watermark is not None and time < self.watermark:
                 self.late += 1
+                if self._hear_late is not None:
+                    self._hear_late(item)
                 continue
             taken.append(item)
             self.greatest = time if self.greatest is None else max(self.greatest, time)

@@ -128,7 +128,7 @@ class ContinuousEvaluator:
         if triples.dictionary is not self._terms.dictionary:
             raise ValueError("the triples are of another dictionary")
         self._ended.discard(input)
-        limit = self._limit(input)
+        limit = self.limit(input)
         if self._contents.push_plain(input, triples.tables, limit):
             return
         for table in triples.tables:
@@ -166,6 +166,10 @@ class ContinuousEvaluator:
                 self._closed if self.schedule.ends is None else self.schedule.after(self._closed)
             )
         return max(min(candidates), least) - self.schedule.shift
+
+    def resume(self, input: str) -> None:
+        """``input`` had come to its end and goes on: windows wait for it again."""
+        self._ended.discard(input)
 
     def explain(self) -> str:
         """The query, its windows, its logical plan and how that is executed, for people."""
@@ -263,8 +267,8 @@ class ContinuousEvaluator:
             return None
         return table.take(~empty) if empty.any() else table
 
-    def _limit(self, input: str) -> int | None:
-        """Rows of ``input`` up to here come too late."""
+    def limit(self, input: str) -> int | None:
+        """Rows of ``input`` with τ up to here come too late; None: none does."""
         limits = []
         if input in self._watermarks:
             limits.append(self._watermarks[input] - 1)

@@ -38,8 +38,9 @@ class _Family:
 
 
 class TemplateEvaluator:
-    """The instances of a template over named inputs; `push`, `advance`, `end`, `next_end`, `late`
-    and the arguments as of `ContinuousEvaluator`, ``query`` with its parameters free.
+    """The instances of a template over named inputs; `push`, `advance`, `end`, `resume`,
+    `next_end`, `late`, `limit` and the arguments as of `ContinuousEvaluator`, ``query`` with its
+    parameters free.
 
     Law (tests/laws): ``of(i)`` of a window is what a `ContinuousEvaluator` of
     ``bind(query, arguments)`` gives for it, from the first window on that closes after `add` and
@@ -76,6 +77,14 @@ class TemplateEvaluator:
     def late(self) -> int:
         """Rows that came too late and were dropped."""
         return self._windows.late
+
+    def resume(self, input: str) -> None:
+        """``input`` had come to its end and goes on: windows wait for it again."""
+        self._windows.resume(input)
+
+    def limit(self, input: str) -> int | None:
+        """Rows of ``input`` with τ up to here come too late; None: none does."""
+        return self._windows.limit(input)
 
     def __len__(self) -> int:
         """How many instances there are."""

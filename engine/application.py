@@ -125,7 +125,8 @@ class Application:
         maker: ComputationalUnit | SampledSource | None = self._configuration.units.get(stream)
         maker = maker or self.sampled.get(stream)
         if maker is None and stream in self._configuration.system:
-            maker = self._configuration.units.get(stream.removesuffix(SUFFIX))
+            maker = self._configuration.late.maker_of(stream)
+            maker = maker or self._configuration.units.get(stream.removesuffix(SUFFIX))
         return None if maker is None else maker.name
 
     def uses_stream(self, name: str) -> bool:

@@ -21,6 +21,7 @@ from ..streams.sample import FieldType, Schema
 from ..streams.strings import StringPool
 from .changes import Change, ChangeKind
 from .errors import AlreadyExists, UnknownStream
+from .late_streams import LateStreams
 from .reports import Report
 from .status import STATUS
 from .stream_units import AdaptationUnit, PolicyUnit
@@ -84,6 +85,8 @@ class Configuration:
         self.reports: list[tuple[str, Report]] = []
         """What processes have said of their streams, and nobody has read yet."""
         self.named: set[str] = set()
+        self.late = LateStreams(self._there, self.units, self._add_late)
+        """The streams of late samples that somebody asked for."""
         self._on_change = on_change
         self._next_reserved = first_reserved
         self._next_unit = 1
@@ -93,7 +96,7 @@ class Configuration:
 
     def stream(self, name: str) -> StreamGenerator:
         """The generator of ``name``, a stream or an alias of one; raises `UnknownStream`."""
-        found = self.streams.get(self.aliases.get(name, name)) or self._violations_of(name)
+        found = self.find(name)
         if found is None:
             names = sorted(self.streams)
             known = ", ".join(names[:_NAMED]) + (", …" if len(names) > _NAMED else "")
@@ -103,6 +106,24 @@ class Configuration:
                 f"declare it with PUT /streams/{name} or annotate it; there are: {known}",
             )
         return found
+
+    def find(self, name: str) -> StreamGenerator | None:
+        """The same; None if there is no such stream. One of violations or of late samples comes
+        into being by being asked for."""
+        return self._there(name) or self._violations_of(name) or self.late.open(name)
+
+    def _there(self, name: str) -> StreamGenerator | None:
+        return self.streams.get(self.aliases.get(name, name))
+
+    def _add_late(self, name: str, source: StreamGenerator) -> StreamGenerator:
+        self.system.add(name)
+        return self.add_stream(
+            name,
+            source.schema,
+            retention=source.stream.retention,
+            namespace=self.namespaces[source.name],
+            pools=source.stream.pools,
+        )
 
     def _violations_of(self, name: str) -> StreamGenerator | None:
         """Somebody asks for the violations of a policy that has none yet."""
@@ -126,6 +147,7 @@ class Configuration:
         schema: Schema,
         *,
         lateness: int = 0,
+        idle: int | None = None,
         retention: Retention | None = None,
         namespace: str = DYKNOW,
         pools: dict[str, StringPool] | None = None,
@@ -140,7 +162,7 @@ class Configuration:
             if field.type is FieldType.STRING:
                 pools.setdefault(field.name, StringPool())
         generator = StreamGenerator(
-            name, schema, lateness=lateness, retention=retention, pools=pools
+            name, schema, lateness=lateness, idle=idle, retention=retention, pools=pools
         )
         self.streams[name] = generator
         self.namespaces[name] = namespace
@@ -148,7 +170,12 @@ class Configuration:
         return generator
 
     def remove_stream(self, name: str) -> None:
-        """Forget a stream that no unit makes and none reads."""
+        """Forget a stream that no unit makes and none reads, and what came too late for it."""
+        for late in self.late.belonging_to(name):
+            self.remove_stream(late)
+        if name in self.late:
+            self.late.forget(name)
+            self.system.discard(name)
         generator = self.streams.pop(name)
         self.named.discard(name)
         del self.namespaces[name]
@@ -166,10 +193,11 @@ class Configuration:
         return name in self.units or name in self.system or name == STATUS
 
     def readers_of(self, name: str) -> tuple[str, ...]:
-        """The names of the units and readers that read stream ``name``."""
-        stream = self.streams[name]
+        """The names of the units and readers that read stream ``name``, or what came too late for
+        it."""
+        streams = {self.streams[each] for each in (name, *self.late.belonging_to(name))}
         everybody = (*self.units.values(), *self.readers.values())
-        return tuple(one.name for one in everybody if stream in one.inputs)
+        return tuple(one.name for one in everybody if not streams.isdisjoint(one.inputs))
 
     def readers_outside(
         self, streams: AbstractSet[str], are_ours: Callable[[ComputationalUnit], bool]
@@ -333,7 +361,9 @@ class Configuration:
         return False if False in known else (True if True in known else None)
 
     def _is_stamped(self, generator: StreamGenerator) -> bool | None:
-        return True if generator.name in self.system else generator.stamped
+        if generator.name in self.system and generator.name not in self.late:
+            return True
+        return generator.stamped
 
     def is_broken(self, unit: ComputationalUnit) -> bool:
         """``unit``, or one whose samples reach it, has failed: nothing more comes of it."""

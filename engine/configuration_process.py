@@ -172,6 +172,9 @@ class ConfigurationProcess:
         last = source.stream.last_available
         self.known = NOTHING_KNOWN if last is None else last
 
+    def idleness_changed(self, source: StreamGenerator) -> None:
+        """It reads nothing else that could go on meanwhile."""
+
     @property
     def promised(self) -> int:
         """What it is still to make says nothing that is available by then (ns)."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 
 from pyoxigraph import NamedNode
 
@@ -34,6 +35,7 @@ from .configuration import (
     Configuration,
 )
 from .errors import BadArguments, Conflict, Refused
+from .late_streams import LATE
 from .semantics_manager import term
 from .status import STATUS
 from .transformations import IMPLEMENTATIONS
@@ -67,7 +69,8 @@ class DeclaredStreams:
 
         The same declaration again changes nothing. Raises `Conflict` when a stream that has
         samples or subscribers would change, `Refused` for a name that is not the user's to give,
-        `BadArguments` for a namespace that is no IRI.
+        `BadArguments` for a namespace that is no IRI and for an ``idle`` of nothing. How long a
+        stream may be silent can be changed while it is in use.
         """
         self.check_stream_name(declaration.name)
         schema = Schema(declaration.fields)
@@ -83,10 +86,24 @@ class DeclaredStreams:
                 f"the namespace {declaration.namespace!r} is no IRI: {error}",
                 f"objects of an id field are named in it, for example {DYKNOW}",
             ) from error
-        if declaration.name in self._configuration.units:
+        if declaration.idle is not None and declaration.idle <= 0:
+            raise BadArguments(
+                "a stream is idle after longer than nothing",
+                'give "idle" a time such as "10s", or leave it out: then it is always waited for',
+            )
+        if declaration.name in self._configuration.units or (
+            declaration.name in self._configuration.late
+        ):
             raise Refused(f"stream {declaration.name!r} is made by the system")
         existing = self._configuration.streams.get(declaration.name)
         if existing is not None and self._declaration(existing) == declaration:
+            return existing
+        if existing is not None and replace(self._declaration(existing), idle=None) == replace(
+            declaration, idle=None
+        ):
+            existing.idle = declaration.idle
+            existing.wake()  # whether it is idle now is judged anew
+            self._ontology.set_stream(declaration.name, _declaration_json(declaration))
             return existing
         if existing is not None:
             self._refuse_if_in_use(existing)
@@ -188,6 +205,7 @@ class DeclaredStreams:
             lateness=declaration.lateness,
             retention=declaration.retention,
             namespace=declaration.namespace,
+            idle=declaration.idle,
         )
 
     def check_stream_name(self, name: str) -> None:
@@ -204,6 +222,7 @@ class DeclaredStreams:
             name in _SYSTEM
             or name.startswith(SYSTEMS_OWN)
             or name.endswith(SUFFIX)
+            or (name.endswith(LATE) and name not in self._ontology.streams())
             or name in IMPLEMENTATIONS
             or self._is_term(name)
         ):
@@ -220,10 +239,13 @@ class DeclaredStreams:
         return next(said, None) is not None
 
     def _refuse_if_in_use(self, generator: StreamGenerator) -> None:
-        if generator.counters.accepted or generator.subscribers:
+        late = self._configuration.late.belonging_to(generator.name)
+        served = [generator, *(self._configuration.streams[name] for name in late)]
+        subscribers = sum(each.subscribers for each in served)
+        if generator.counters.accepted or subscribers:
             raise Conflict(
                 f"stream {generator.name!r} is declared otherwise and in use "
-                f"({generator.counters.accepted} samples, {generator.subscribers} subscribers)",
+                f"({generator.counters.accepted} samples, {subscribers} subscribers)",
                 "declare it as before, or choose another name",
             )
 
@@ -234,6 +256,7 @@ class DeclaredStreams:
             generator.lateness,
             generator.stream.retention,
             self._configuration.namespaces[generator.name],
+            generator.idle,
         )
 
     def check_annotation(self, annotation: StreamAnnotation) -> None:
@@ -312,6 +335,7 @@ def _declaration_json(declaration: StreamDeclaration) -> str:
             "lateness": declaration.lateness,
             "retention": [declaration.retention.samples, declaration.retention.age],
             "namespace": declaration.namespace,
+            "idle": declaration.idle,
         }
     )
 
@@ -319,6 +343,7 @@ def _declaration_json(declaration: StreamDeclaration) -> str:
 def _declaration_of(name: str, text: str) -> StreamDeclaration:
     stored: Mapping[str, object] = json.loads(text)
     fields, retention = stored["fields"], stored["retention"]
+    idle = stored.get("idle")  # not in what was kept before there was any
     assert isinstance(fields, list)
     assert isinstance(retention, list)
     return StreamDeclaration(
@@ -327,4 +352,5 @@ def _declaration_of(name: str, text: str) -> StreamDeclaration:
         int(str(stored["lateness"])),
         Retention(*retention),
         str(stored["namespace"]),
+        None if idle is None else int(str(idle)),
     )

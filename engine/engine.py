@@ -47,6 +47,7 @@ from .errors import (
     UnknownEvent,
     UnknownTemplate,
 )
+from .idleness import Idleness
 from .intake import Intake
 from .knowing import checked_strategy, checked_want, did_you_mean, iri_of
 from .kpl import KplDeclarations
@@ -109,6 +110,7 @@ class Engine:
         self._configuration = Configuration(self._changed, first_reserved)
         self._manager = SemanticsManager(self.ontology, self._subscribers)
         self._intake = Intake(self._configuration)
+        self._idleness = Idleness()
         self._converters: dict[str, SampleConverter] = {}
         status.listen(self._manager.changed)
         status.listen(self._heard)
@@ -199,6 +201,8 @@ class Engine:
         self.transformations.restore()
         self._tell_templates()
         self._declared.restore_streams()
+        for generator in self._configuration.streams.values():
+            self._idleness.came(generator, now)
         with self._manager.together():
             self._kpl.restore()
         # Queries read streams that are declared, annotated, specified, and each other's; what is
@@ -216,7 +220,9 @@ class Engine:
         """Make a stream, or change one that nobody has used yet; see `DeclaredStreams`."""
         if self._configuration.streams.get(declaration.name) is not None:
             self._refuse_if_source(declaration.name, declaration)
-        return self._view(self._declared.declare(declaration))
+        generator = self._declared.declare(declaration)
+        self._idleness.came(generator, self._now)
+        return self._view(generator)
 
     def annotate(self, ssl: str) -> tuple[CheckedAnnotation, ...]:
         """Annotate streams and transformations by an SSL text; see `Annotations`."""
@@ -262,9 +268,11 @@ class Engine:
         return self._intake.accepting(name)
 
     def remove_stream(self, name: str) -> None:
-        """Forget a declared stream and its annotation; raises `UnknownStream`, `Refused` for a
-        stream that the system makes, and `Conflict` while a unit or KPL needs it."""
-        name = self.accepting(name).name
+        """Forget a declared stream and its annotation, or one of late samples, which are then only
+        counted again; raises `UnknownStream`, `Refused` for another that the system makes, and
+        `Conflict` while a unit or KPL needs it."""
+        if name not in self._configuration.late:
+            name = self.accepting(name).name
         self._refuse_if_source(name)
         self._rematching.withdraw(name)
         self._declared.remove(name)
@@ -287,7 +295,9 @@ class Engine:
         """
         self._now = max(self._now, now)
         accepted = self._intake.publish(name, incoming, now, idempotency_key, digest)
-        self._rematching.came(self._configuration.stream(name).name, self._now)
+        generator = self._configuration.stream(name)
+        self._idleness.came(generator, self._now)
+        self._rematching.came(generator.name, self._now)
         self._settle()
         return accepted
 
@@ -299,7 +309,8 @@ class Engine:
         self._settle()
 
     def tick(self, now: int) -> None:
-        """The time is ``now``: streams that are stamped on arrival have nothing before it."""
+        """The time is ``now``: streams that are stamped on arrival have nothing before it, others
+        may have fallen idle."""
         self._now = max(self._now, now)
         self._application.tick(now)
         self._plans.tick(now)
@@ -307,6 +318,7 @@ class Engine:
         for generator in list(self._configuration.streams.values()):
             if generator.stamped and generator.name not in units and not generator.is_ended:
                 generator.advance(now)
+        self._idleness.tick(tuple(self._configuration.streams.values()), self._now)
         for unit in list(units.values()):
             waiting = unit.waits_for
             if not waiting:
@@ -592,7 +604,8 @@ class Engine:
         self._converters.pop(change.stream, None)
 
     def _contents(self, stream: str) -> tuple[Content, ...]:
-        annotation = self._manager.annotations.get(stream)
+        source = self._configuration.late.source_of(stream)
+        annotation = self._manager.annotations.get(stream if source is None else source)
         return () if annotation is None else annotation.contents
 
     def _subscribers(self, name: str) -> int:
@@ -610,6 +623,9 @@ class Engine:
 
     def _converter(self, name: str) -> SampleConverter | None:
         """Converts the samples of a stream to RDF, by its annotation; None without one."""
+        source = self._configuration.late.source_of(name)
+        if source is not None:  # a late sample says what it would have said in time
+            return self._converter(source)
         found = self._converters.get(name)
         if found is None:
             found = self.queries.converter(name)

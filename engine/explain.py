@@ -33,7 +33,7 @@ from ..matching.want import Want
 from ..ontology.ontology import Ontology
 from ..rdf.dictionary import TermDictionary
 from ..rdf.namespaces import shorten
-from ..streams.time import format_duration, format_time
+from ..streams.time import TIME_MIN, format_duration, format_time
 from ..templates.needs import Needs
 from .configuration import Configuration
 from .unit import ComputationalUnit
@@ -218,10 +218,20 @@ def plan_view(configuration: Configuration, unit: ComputationalUnit) -> PlanView
 
 
 def waits_for(configuration: Configuration, unit: ComputationalUnit) -> tuple[str, ...]:
-    """Streams behind ``unit`` that are no unit's and have not begun."""
+    """Streams behind ``unit`` that are no unit's, have not begun and are not idle."""
     waiting = (s for part in configuration.units_behind(unit) for s in part.waits_for)
     names = dict.fromkeys(source.name for source in waiting)
     return tuple(name for name in names if name not in configuration.units)
+
+
+def held_back_by(configuration: Configuration, unit: ComputationalUnit) -> tuple[str, ...]:
+    """Streams behind ``unit`` that are no unit's and are least far, of those that it waits for: its
+    next window closes when they go on, end or fall idle."""
+    sources = dict.fromkeys(s for part in configuration.units_behind(unit) for s in part.inputs)
+    going_on = [s for s in sources if not s.is_ended and not s.is_idle]
+    waiting = [s for s in going_on if s.name not in configuration.units]
+    least = min((TIME_MIN if s.watermark is None else s.watermark for s in waiting), default=None)
+    return tuple(s.name for s in waiting if s.watermark in (None, least))
 
 
 def _inputs(
@@ -240,7 +250,8 @@ def _inputs(
 def _stream_line(configuration: Configuration, name: str) -> str:
     unit = configuration.units.get(name)
     if unit is None:
-        return f"{name}  (stream)"
+        stream = configuration.streams.get(name)
+        return f"{name}  (stream, idle)" if stream and stream.is_idle else f"{name}  (stream)"
     details = ", ".join(
         f"{key}={value}" for key, value in unit.parameters.items() if "\n" not in value
     )

@@ -79,7 +79,7 @@ class FunctionProcess(ComputationalUnit):
 
     def process(self, source: StreamGenerator, batch: SampleBatch) -> None:
         input = self._index[source]
-        batch = self.in_time(batch, self._join.decided(input))
+        batch = self.in_time(source, batch, self._join.decided(input))
         if len(batch):
             self._apply(self._join.push(input, batch))
 

@@ -73,7 +73,9 @@ def used_by_name(
     configuration: Configuration, unit: ComputationalUnit, users: Users
 ) -> tuple[str, ...]:
     """Who uses the stream of a unit without being counted: subscriptions to it as it is, readers
-    of what its policy refused."""
-    told = unit.output.name + SUFFIX
-    readers = configuration.readers_of(told) if told in configuration.streams else ()
-    return (*users("", unit.output.name), *users("", told), *readers)
+    of what its policy refused and of what came too late."""
+    told = (unit.output.name + SUFFIX, *configuration.late.belonging_to(unit.output.name))
+    there = (name for name in told if name in configuration.streams)
+    readers = (reader for name in there for reader in configuration.readers_of(name))
+    using = (user for name in told for user in users("", name))
+    return (*users("", unit.output.name), *using, *readers)

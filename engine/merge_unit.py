@@ -18,7 +18,7 @@ from ..ontology.units import Conversion
 from ..rdf.dictionary import TermDictionary
 from ..rdf.namespaces import DYKNOW
 from ..streams.generator import StreamGenerator
-from ..streams.sample import Column, FieldType, Mask, SampleBatch, Times, column_from_values
+from ..streams.sample import Column, FieldType, Mask, SampleBatch, column_from_values
 from ..streams.strings import StringPool
 from ..streams.time import TIME_MIN
 from .arrivals import Arrivals
@@ -65,6 +65,8 @@ class MergeUnit(ComputationalUnit):
     whatever the switches, none is passed on twice. Cost: numpy per batch, a look-up per sample and
     Python per distinct object. Memory: an entry for each object.
     """
+
+    waits_for_all = False
 
     def __init__(
         self,
@@ -182,19 +184,7 @@ class MergeUnit(ComputationalUnit):
         for feed in self._feeds[source]:
             made = feed.made(batch)
             if len(made):
-                self.output.offer(made.with_available(self._stamps(made.available)))
-
-    def _stamps(self, available: Times) -> Times:
-        """The times, none of them before what was passed on or promised already."""
-        last = self.output.stream.last_available
-        least = TIME_MIN if last is None else last + 1
-        if self.output.watermark is not None:
-            least = max(least, self.output.watermark)
-        if available[0] >= least:
-            return available
-        # Each at its own time, or right after the one before.
-        steps = np.arange(len(available), dtype=np.int64)
-        return np.maximum.accumulate(np.maximum(available, least) - steps) + steps
+                self.output.offer(made.with_available(self.output.stamps_at(made.available)))
 
     def progress(self, source: StreamGenerator, watermark: int) -> None:
         # The fastest input is how far the stream is: what comes behind it is stamped later.

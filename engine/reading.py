@@ -67,8 +67,9 @@ def read_streams(
 def _stream_called(configuration: Configuration, iri: str) -> StreamGenerator:
     names = tuple(_names(iri))
     for name in names:
-        if name in configuration.streams or name in configuration.aliases:
-            return configuration.stream(name)
+        found = configuration.find(name)
+        if found is not None:
+            return found
     known = sorted({*configuration.streams, *configuration.aliases})
     near = difflib.get_close_matches(names[-1], known, n=3)
     hint = f"did you mean {' or '.join(f'<{stream_iri(name)}>' for name in near)}?"

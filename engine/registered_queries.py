@@ -199,9 +199,11 @@ class RegisteredQueries:
             reads=tuple(source.name for source in unit.inputs),
             position=output.stream.last_number,
             waits_for=explanations.waits_for(self._configuration, unit),
+            watermark=unit.least_watermark,
+            held_back_by=explanations.held_back_by(self._configuration, unit),
             windows=len(running.started.kept),
             last_window=None if latest is None else latest.end,
-            late=unit.evaluator.late,
+            late=unit.late,
             plan=explanations.plan_view(self._configuration, unit),
         )
 

@@ -170,6 +170,8 @@ class EventRequests:
             position=request.position,
             stream=running.unit.output.name,
             waits_for=explanations.waits_for(self._configuration, running.unit),
+            held_back_by=explanations.held_back_by(self._configuration, running.unit),
+            late=running.unit.late,
             plan=explanations.plan_view(self._configuration, running.unit),
             created=request.number,
         )

@@ -82,6 +82,9 @@ class Sink:
     def resumed(self, source: StreamGenerator) -> None:
         """It is taken up again."""
 
+    def idleness_changed(self, source: StreamGenerator) -> None:
+        """A sink waits for nothing."""
+
     def _stop_by_rule(self, reason: str) -> None:
         self.failure = reason
         self.stop()

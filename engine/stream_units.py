@@ -126,7 +126,7 @@ class TupleUnit(PolicyUnit):
                     f"stream {source.name!r} has got its fields after it had ended without any, "
                     f"and {self.output.name} had gone on without them: declare them in its sort"
                 )
-            timely = self.in_time(batch, self._kernel.decided(place))
+            timely = self.in_time(source, batch, self._kernel.decided(place))
             if len(timely):
                 self._offer(self._kernel.push(place, timely))
 

@@ -30,6 +30,8 @@ def stream_view(
         fields=generator.schema.fields,
         namespace=namespace,
         lateness=generator.lateness,
+        idle=generator.idle,
+        is_idle=generator.is_idle,
         retention=stream.retention,
         stamped=generator.stamped,
         ended=generator.is_ended,

@@ -92,7 +92,7 @@ class SynchronizationUnit(ComputationalUnit):
     def process(self, source: StreamGenerator, batch: SampleBatch) -> None:
         places = self._places(source)
         # Equal for all places of one stream, which are told the same.
-        batch = self.in_time(batch, self._join.decided(places[0]))
+        batch = self.in_time(source, batch, self._join.decided(places[0]))
         if not len(batch):
             return
         for place in places:

@@ -21,7 +21,7 @@ from ..rdf.dictionary import Term
 from ..streams.generator import StreamGenerator
 from ..streams.sample import Column, Field, FieldType, SampleBatch, Schema
 from ..streams.time import TIME_MIN
-from .unit import ComputationalUnit
+from .unit import ComputationalUnit, WindowUnit
 
 TALLY = Schema(
     (Field("instances", FieldType.INTEGER), Field("answered", FieldType.INTEGER)),
@@ -30,7 +30,7 @@ TALLY = Schema(
 many of them had a result."""
 
 
-class TemplateUnit(ComputationalUnit):
+class TemplateUnit(WindowUnit):
     """The instances of one template over the same streams, as one query (`TemplateEvaluator`).
 
     Law (tests/laws/test_shared_requests.py): the stream of a request says what it would say had the
@@ -47,9 +47,8 @@ class TemplateUnit(ComputationalUnit):
         evaluator: TemplateEvaluator,
         converters: Mapping[str, Sequence[SampleConverter]],
     ) -> None:
-        super().__init__(*args)
-        self.evaluator = evaluator
-        self._converters = converters
+        super().__init__(*args, evaluator=evaluator, converters=converters)
+        self.evaluator: TemplateEvaluator = evaluator
         self._instances: dict[int, InstanceUnit] = {}
         self._followed: set[InstanceUnit] = set()
         self._sent = TIME_MIN
@@ -74,9 +73,13 @@ class TemplateUnit(ComputationalUnit):
         if self.output.watermark is not None:
             instance.output.advance(self.output.watermark)
 
-    def process(self, source: StreamGenerator, batch: SampleBatch) -> None:
-        for converter in self._converters[source.name]:
-            self.evaluator.push(source.name, converter.convert(batch))
+    def in_time(self, source: StreamGenerator, batch: SampleBatch, decided: int) -> SampleBatch:
+        late = self.late
+        kept = super().in_time(source, batch, decided)
+        if self.late > late:
+            for instance in self._instances.values():
+                instance.late += self.late - late
+        return kept
 
     def progress(self, source: StreamGenerator, watermark: int) -> None:
         self._emit(self.evaluator.advance(source.name, watermark))
@@ -94,6 +97,13 @@ class TemplateUnit(ComputationalUnit):
                 if self.output.watermark is not None:
                     instance.output.advance(self.output.watermark)
                 instance.output.end()
+
+    def _leave_idle_behind(self) -> None:
+        was_idle = self.output.is_idle
+        super()._leave_idle_behind()
+        if self.output.is_idle != was_idle:
+            for instance in tuple(self._instances.values()):
+                instance.idleness_changed(self.output)
 
     def resume(self, source: StreamGenerator) -> None:
         super().resume(source)
@@ -121,7 +131,13 @@ class TemplateUnit(ComputationalUnit):
 
 
 class InstanceUnit(ComputationalUnit):
-    """The part of a request in the results of its template, as samples; times as of `QueryUnit`."""
+    """The part of a request in the results of its template, as samples; times as of `QueryUnit`.
+
+    Its template tells it what it has to know: it does not subscribe to that one's stream, which
+    says other things.
+    """
+
+    waits_for_all = False
 
     def __init__(
         self,
@@ -142,6 +158,8 @@ class InstanceUnit(ComputationalUnit):
         self.output.on_followed = lambda followed: self._template.follow(self, followed)
         if source.is_ended:
             self.output.end()
+        elif source.is_idle:
+            self.output.fall_idle()
 
     def tell(self, result: WindowResult) -> None:
         """Its result of a window."""

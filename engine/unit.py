@@ -10,11 +10,12 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from ..continuous.evaluator import ContinuousEvaluator
+from ..continuous.instances import TemplateEvaluator
 from ..continuous.results import WindowResult
 from ..converters.objects import ObjectTable
 from ..converters.to_samples import ResultConverter
@@ -22,7 +23,7 @@ from ..converters.to_triples import SampleConverter
 from ..ontology.units import Conversion
 from ..streams.generator import StreamGenerator
 from ..streams.sample import Column, FieldType, Mask, SampleBatch, Times
-from ..streams.time import TIME_MIN
+from ..streams.time import TIME_MAX, TIME_MIN
 from .changes import Role
 from .supervision import ErrorCounters
 from .views import Since
@@ -43,6 +44,8 @@ class ComputationalUnit(ABC):
     """
 
     role = Role.UNIT
+    waits_for_all: ClassVar[bool] = True
+    """Whether what it makes waits for all inputs, so that a sample may come after that."""
 
     def __init__(
         self,
@@ -67,11 +70,17 @@ class ComputationalUnit(ABC):
         """The available time (ns) of the latest sample that it has processed."""
         self.late = 0
         """Samples that came after what they belong to was decided, and were left out."""
+        self.late_streams: dict[StreamGenerator, StreamGenerator] = {}
+        """Those that take the late samples of inputs, as far as somebody asked for them."""
         self._after: int | None = None
         self._until: int | None = None
         self._on_failure = on_failure
         self._watermarks: dict[StreamGenerator, int] = {}
         self._ended: set[StreamGenerator] = set()
+        self._idle: list[StreamGenerator] = []
+        """Inputs that have fallen idle, and hold no other back."""
+        self._before = TIME_MIN
+        """As `seen`, before the samples that are being processed."""
         self._subscribed: list[StreamGenerator] = []
 
     def start(
@@ -127,6 +136,13 @@ class ComputationalUnit(ABC):
         if not len(batch):
             return
         self._ended.discard(source)
+        self._before = self.seen
+        known = self._watermarks.get(source)
+        if known is not None and batch.available[0] < known and self.waits_for_all:
+            # It was not waited for, and what it says now was due before.
+            batch = self.in_time(source, batch, known - 1)
+            if not len(batch):
+                return
         self.seen = max(self.seen, int(batch.available[-1]))
         self._guarded(lambda: self.process(source, batch))
 
@@ -136,7 +152,43 @@ class ComputationalUnit(ABC):
             if source not in self._ended:
                 self._end_here(source, self._until)
             return
+        self._reach(source, watermark)
+        if self._idle:
+            self._leave_idle_behind()
+
+    def idleness_changed(self, source: StreamGenerator) -> None:
+        """An input has fallen idle, or speaks again. The output is idle with all that go on."""
+        self._leave_idle_behind()
+
+    def _leave_idle_behind(self) -> None:
+        """Inputs that are idle do not hold the others back: each is taken to be as far as the least
+        of those is, and as far as the furthest of all where none of them goes on."""
+        running = [source for source in self.sources if source not in self._ended]
+        self._idle = [source for source in running if source.is_idle]
+        others = [source for source in running if not source.is_idle]
+        if self._idle and self.waits_for_all:
+            reached = [self._watermarks.get(source) for source in others]
+            known = [watermark for watermark in reached if watermark is not None]
+            if not others:
+                known = list(self._watermarks.values())
+            if known and len(known) >= len(others):
+                place = min(known) if others else max(known)
+                for source in self._idle:
+                    self._reach(source, place if self._until is None else min(place, self._until))
+        if self._idle and not others:
+            self.output.fall_idle()
+        else:
+            self.output.wake()
+
+    def _reach(self, source: StreamGenerator, watermark: int) -> None:
+        """An input is known up to ``watermark``, if that is news."""
+        known = self._watermarks.get(source)
+        if known is not None and watermark <= known:
+            return
         self._watermarks[source] = watermark
+        late = self.late_streams.get(source)
+        if late is not None:
+            late.advance(watermark)
         self._guarded(lambda: self.progress(source, watermark))
 
     def _end_here(self, source: StreamGenerator, until: int) -> None:
@@ -150,14 +202,24 @@ class ComputationalUnit(ABC):
         """An input has come to its end; with the last one so does the output."""
         self._ended.add(source)
         self._guarded(lambda: self.finish(source))
+        late = self.late_streams.get(source)
+        if late is not None:
+            late.end()
+        if self._idle:
+            self._leave_idle_behind()
 
     def resumed(self, source: StreamGenerator) -> None:
         """An input goes on after its end, and so does the output: whoever reads it waits again."""
         if self._until is not None:
             return
         self._guarded(lambda: self.resume(source))
+        late = self.late_streams.get(source)
+        if late is not None:
+            late.resume()
         if self.failure is None:
             self.output.resume()
+        if self._idle:
+            self._leave_idle_behind()
 
     def resume(self, source: StreamGenerator) -> None:
         """Wait for an input again that had ended."""
@@ -174,9 +236,10 @@ class ComputationalUnit(ABC):
 
     @property
     def waits_for(self) -> tuple[StreamGenerator, ...]:
-        """Inputs that have neither begun nor ended: what others say is not decided before."""
+        """Inputs that have neither begun nor ended, and are not idle: what others say is not
+        decided before."""
         decided = self._watermarks.keys() | self._ended
-        return tuple(source for source in self.sources if source not in decided)
+        return tuple(one for one in self.sources if one not in decided and not one.is_idle)
 
     @property
     def all_ended(self) -> bool:
@@ -211,12 +274,32 @@ class ComputationalUnit(ABC):
             self._leave_inputs()
             self._on_failure(self)
 
-    def in_time(self, batch: SampleBatch, decided: int) -> SampleBatch:
-        """The samples available after ``decided``; the others are late, and counted."""
+    def pass_late_to(self, source: StreamGenerator, side: StreamGenerator) -> None:
+        """From now on ``side``, which has the fields of ``source``, gets its late samples."""
+        self.late_streams[source] = side
+        known = self._watermarks.get(source)
+        if known is not None:
+            side.advance(known)
+        if source in self._ended:
+            side.end()
+
+    def in_time(self, source: StreamGenerator, batch: SampleBatch, decided: int) -> SampleBatch:
+        """The samples available after ``decided``; the others are late, and counted.
+
+        Who asked for the late samples of ``source`` gets them, each available when it came, in the
+        time of the unit: that is what was available last of all it had processed before, or right
+        after ``decided`` where that is further.
+        """
         if batch.available[0] > decided:
             return batch
         kept = batch.available > decided
-        self.late += len(batch) - int(kept.sum())
+        late = batch.take(~kept)
+        self.late += len(late)
+        side = self.late_streams.get(source)
+        if side is not None:
+            came = max(self._before, min(decided, TIME_MAX - 1) + 1)
+            moments = np.full(len(late), came, np.int64)
+            side.offer(late.with_available(side.stamps_at(moments)))
         return batch.take(kept)
 
     def cut_off(self, reason: str) -> None:
@@ -313,7 +396,35 @@ class FunctionUnit(ComputationalUnit):
         return np.array([self._keys.setdefault(key, len(self._keys)) for key in tuples], np.int64)
 
 
-class QueryUnit(ComputationalUnit):
+class WindowUnit(ComputationalUnit):
+    """A unit that evaluates windows: the samples of its inputs, converted to timed triples, go to
+    ``evaluator``; those that are too late for every window are left out before."""
+
+    def __init__(
+        self,
+        *args: Any,
+        evaluator: ContinuousEvaluator | TemplateEvaluator,
+        converters: Mapping[str, Sequence[SampleConverter]],
+    ) -> None:
+        super().__init__(*args)
+        self.evaluator = evaluator
+        self._converters = converters
+
+    def process(self, source: StreamGenerator, batch: SampleBatch) -> None:
+        limit = self.evaluator.limit(source.name)
+        if limit is not None:
+            batch = self.in_time(source, batch, limit)
+        if not len(batch):
+            return
+        for converter in self._converters[source.name]:
+            self.evaluator.push(source.name, converter.convert(batch))
+
+    def resume(self, source: StreamGenerator) -> None:
+        super().resume(source)
+        self.evaluator.resume(source.name)
+
+
+class QueryUnit(WindowUnit):
     """The C-SPARQL computational unit ([Events14 §V.B, Fig. 2]): samples in, converted to timed
     triples, evaluated in windows, results converted back to samples.
 
@@ -330,17 +441,12 @@ class QueryUnit(ComputationalUnit):
         results: ResultConverter,
         hear: Callable[[WindowResult], None] | None = None,
     ) -> None:
-        super().__init__(*args)
-        self.evaluator = evaluator
-        self._converters = converters
+        super().__init__(*args, evaluator=evaluator, converters=converters)
+        self.evaluator: ContinuousEvaluator = evaluator
         self._results = results
         self._hear = hear
         self._sent = TIME_MIN
         """The available time (ns) of the last sample of a result."""
-
-    def process(self, source: StreamGenerator, batch: SampleBatch) -> None:
-        for converter in self._converters[source.name]:
-            self.evaluator.push(source.name, converter.convert(batch))
 
     def progress(self, source: StreamGenerator, watermark: int) -> None:
         self._emit(self.evaluator.advance(source.name, watermark))

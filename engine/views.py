@@ -22,25 +22,30 @@ class Since(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class StreamDeclaration:
-    """What a stream is to be: its fields, how late samples may be (ns), how much is kept, and
-    the namespace of the objects that its id fields name."""
+    """What a stream is to be: its fields, how late samples may be (ns), how much is kept, the
+    namespace of the objects that its id fields name, and after how long (ns) without samples nobody
+    waits for it (None: everybody always does)."""
 
     name: str
     fields: tuple[Field, ...]
     lateness: int = 0
     retention: Retention = field(default_factory=Retention)
     namespace: str = DYKNOW
+    idle: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class StreamView:
     """A stream as it is now. Times in ns; ``rate`` in samples a second of available time (over at
-    least a second). ``first_available`` is how far the kept history reaches."""
+    least a second). ``first_available`` is how far the kept history reaches. ``is_idle``: it has
+    brought nothing for ``idle``, and nobody waits for it."""
 
     name: str
     fields: tuple[Field, ...]
     namespace: str
     lateness: int
+    idle: int | None
+    is_idle: bool
     retention: Retention
     stamped: bool | None
     ended: bool
@@ -99,7 +104,9 @@ class EventView:
 
     ``since`` is `Since`'s text: what of the streams' past the answer began with;
     ``position`` the number of the last sample of ``stream`` before the request. ``waits_for``
-    names streams that have no sample yet: a query of several streams decides nothing before.
+    names streams that have no sample yet and are not idle: a query of several streams decides
+    nothing before. The next window waits for ``held_back_by``, the streams that are least far;
+    ``late`` counts samples that came too late for theirs.
     """
 
     id: str
@@ -110,6 +117,8 @@ class EventView:
     position: int
     stream: str
     waits_for: tuple[str, ...]
+    held_back_by: tuple[str, ...]
+    late: int
     plan: PlanView
     created: int
 
@@ -123,7 +132,8 @@ class QueryView:
     it. ``origin`` in ns; ``reads`` are the streams that its unit reads, which units may make that
     the plan tells; ``position`` is the number of the stream's last sample,
     ``windows`` how many results are kept, ``last_window`` the end (ns) of the last that closed,
-    ``late`` the triples that came too late for theirs.
+    ``late`` the samples that came too late for theirs. Windows that end before ``watermark`` (ns)
+    have closed; the others wait for ``held_back_by``, the streams that are least far.
     """
 
     name: str
@@ -146,6 +156,8 @@ class QueryView:
     reads: tuple[str, ...] = ()
     position: int = 0
     waits_for: tuple[str, ...] = ()
+    watermark: int | None = None
+    held_back_by: tuple[str, ...] = ()
     windows: int = 0
     last_window: int | None = None
     late: int = 0

@@ -17,7 +17,6 @@ from ..streams.generator import StreamGenerator
 from ..streams.sample import Column, FieldType, SampleBatch, Times
 from ..streams.strings import StringPool
 from ..streams.synchronization import Late
-from ..streams.time import TIME_MAX
 
 SUFFIX: Final = "_violations"
 """Names of these streams end so."""
@@ -90,12 +89,7 @@ class Violations:
 
     def _offer(self, at: Times, valid: Times, columns: dict[str, Column]) -> None:
         stream = self.stream
-        last = stream.stream.last_available
-        steps = np.arange(len(at), dtype=np.int64)
-        # Unique and increasing: each at its moment, or right after the one before.
-        first = at if last is None else np.maximum(at, min(last, TIME_MAX - 1) + 1)
-        available = np.maximum.accumulate(np.minimum(first, TIME_MAX - len(at)) - steps) + steps
-        stream.offer(SampleBatch(available, valid, columns))
+        stream.offer(SampleBatch(stream.stamps_at(at), valid, columns))
 
     @staticmethod
     def _text(codes: np.ndarray, pool: StringPool) -> Column:

@@ -47,11 +47,15 @@ class Client(Connection):
         fields: Mapping[str, str] | Sequence[Mapping[str, str]],
         *,
         lateness: str | int = 0,
+        idle: str | int | None = None,
         retention: Mapping[str, Any] | None = None,
         namespace: str | None = None,
     ) -> dict[str, Any]:
-        """Declare a stream: field names and types, how late samples may be, what is kept."""
+        """Declare a stream: field names and types, how late samples may be, after how long without
+        any nobody waits for it, what is kept."""
         body: dict[str, Any] = {"fields": fields, "lateness": lateness}
+        if idle is not None:
+            body["idle"] = idle
         if retention is not None:
             body["retention"] = retention
         if namespace is not None:
@@ -67,7 +71,7 @@ class Client(Connection):
         return self._object("GET", f"/streams/{_part(name)}")
 
     def remove_stream(self, name: str) -> None:
-        """Remove a declared stream, unless it is read."""
+        """Remove a declared stream, or one of late samples, unless it is read."""
         self._send("DELETE", f"/streams/{_part(name)}")
 
     def publish(

@@ -124,6 +124,9 @@ class Feed:
     def resumed(self, source: StreamGenerator) -> None:
         """Clients were told of the end and have left."""
 
+    def idleness_changed(self, source: StreamGenerator) -> None:
+        """Nobody waits here for one stream with another."""
+
     def wake(self) -> None:
         """Let every waiting cursor look again. Several wakes before they run are one."""
         self.changed.set()

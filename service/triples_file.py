@@ -36,7 +36,7 @@ from ..languages.errors import LanguageError
 from ..rdf.dictionary import Term, TermDictionary
 from ..rdf.namespaces import PREFIXES
 from ..rdf.timed import TimedTriples
-from ..streams.time import parse_time, read_time
+from ..streams.time import format_time, parse_time, read_time
 
 TimedTriple = tuple[int, Term, NamedNode, Term]
 _COLUMNS = ("time", "s", "p", "o")
@@ -105,6 +105,31 @@ def _text(data: bytes) -> str:
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
         raise WireError(line, f"no UTF-8: {error.reason}") from error
+
+
+class TripleWriter:
+    """Writes timed triples as NDJSON that `read_timed_triples` reads, one by one.
+
+    Refuses a name that would not be read again with `WireError`; ``OSError`` as of files.
+    """
+
+    def __init__(self, path: Path) -> None:
+        if not path.name.lower().endswith((".ndjson", ".jsonl")):
+            raise WireError(
+                None, f"{path.name}: timed triples are written as .ndjson", "name the file so"
+            )
+        self._file = path.open("wb")
+        self._encoder = msgspec.json.Encoder()
+
+    def close(self) -> None:
+        """All has been written."""
+        self._file.close()
+
+    def write(self, triple: TimedTriple) -> None:
+        """Append one."""
+        time, *terms = triple
+        row = dict(zip(_COLUMNS, (format_time(time), *map(str, terms)), strict=True))
+        self._file.write(self._encoder.encode(row) + b"\n")
 
 
 def _json_rows(file: IO[str]) -> Iterator[tuple[int, list[object]]]:

@@ -38,6 +38,9 @@ class Receiver(Protocol):
     def resumed(self, source: StreamGenerator) -> None:
         """``source`` had ended and goes on; told to everybody before its samples are."""
 
+    def idleness_changed(self, source: StreamGenerator) -> None:
+        """``source`` has fallen idle, or speaks again (told before its samples): its `is_idle`."""
+
 
 @dataclass(slots=True)
 class Counters:
@@ -55,7 +58,8 @@ class StreamGenerator:
     """The one owner of a stream: order, counters, history, subscriptions.
 
     ``lateness`` (ns): how far behind the greatest available time a sample may still arrive.
-    Samples stamped on arrival are never late.
+    Samples stamped on arrival are never late. ``idle`` (ns): after how long without samples the
+    stream is not waited for, by the clock of whoever calls `fall_idle`; None: it always is.
 
     Law (tests/laws): the stream, its counters and its watermark do not depend on how the offered
     samples were cut into batches; they equal the sample-by-sample definition.
@@ -70,18 +74,24 @@ class StreamGenerator:
         schema: Schema,
         *,
         lateness: int = 0,
+        idle: int | None = None,
         retention: Retention | None = None,
         pools: dict[str, StringPool] | None = None,
     ) -> None:
         self.name = name
         self.stream = FluentStream(schema, retention, pools)
         self.lateness = lateness
+        self.idle = idle
         self.counters = Counters()
         self.stamped: bool | None = None
         """Whether the samples are stamped on arrival; None before the first one."""
         self.watermark: int | None = None
         """None until the stream has begun: a stream that never spoke holds nobody back."""
         self.is_ended = False
+        self.is_idle = False
+        """Whether others wait for it no longer, until it speaks again."""
+        self.late_stream: StreamGenerator | None = None
+        """Takes the late samples, if somebody asked for them."""
         self.ends_at: int | None = None
         """What is available later (ns) is not for those who follow the object that it is of."""
         self.is_void = False
@@ -109,6 +119,8 @@ class StreamGenerator:
         if self.is_open:
             self.stream.schema = schema
             self.stream.pools.update(pools)
+            if self.late_stream is not None:
+                self.late_stream.adopt(schema, pools)
         elif schema != self.schema:
             raise SampleError(
                 f"stream {self.name!r} has the fields {_fields(self.schema)}, not {_fields(schema)}"
@@ -120,12 +132,15 @@ class StreamGenerator:
         return len(self._receivers)
 
     def subscribe(self, receiver: Receiver) -> None:
-        """Serve ``receiver`` from now on; it is told the watermark that holds already."""
+        """Serve ``receiver`` from now on; it is told the watermark that holds already, and whether
+        the stream is idle."""
         if self.on_followed is not None and not self._receivers:
             self.on_followed(True)
         self._receivers.append(receiver)
         if self.watermark is not None:
             receiver.advance(self, self.watermark)
+        if self.is_idle:
+            receiver.idleness_changed(self)
 
     def unsubscribe(self, receiver: Receiver) -> None:
         """Serve ``receiver`` no longer."""
@@ -138,8 +153,8 @@ class StreamGenerator:
 
         With ``now`` (ns) the samples are stamped with it on arrival; otherwise they bring their
         own available times, in any order within the lateness; what comes later than that, or
-        before a watermark, is counted as late and not used. Raises `SampleError`, taking nothing,
-        when stamping would pass the end of 64-bit time.
+        before a watermark, is counted as late and not used; `late_stream` gets it. Raises
+        `SampleError`, taking nothing, when stamping would pass the end of 64-bit time.
         """
         if not len(batch):
             return 0
@@ -148,6 +163,7 @@ class StreamGenerator:
             self._adopt_from(batch)
         self.stamped = stamps is not None
         self.resume()
+        self.wake()
         self.counters.accepted += len(batch)
         if stamps is not None:
             self._release(batch.with_available(stamps))
@@ -176,9 +192,11 @@ class StreamGenerator:
     def end(self) -> None:
         """The stream has come to its end: what is pending is released, subscribers are told."""
         self._flush_until(TIME_MAX)
-        self.is_ended = True
+        self.is_ended, self.is_idle = True, False
         for receiver in tuple(self._receivers):
             receiver.ended(self)
+        if self.late_stream is not None:
+            self.late_stream.end()
 
     def resume(self) -> None:
         """The stream goes on after its end: whoever reads it waits for it again."""
@@ -186,12 +204,57 @@ class StreamGenerator:
             self.is_ended = False
             for receiver in tuple(self._receivers):
                 receiver.resumed(self)
+            if self.late_stream is not None:
+                self.late_stream.resume()
+
+    def fall_idle(self) -> None:
+        """The stream says nothing: whoever reads others too does not wait for it any more.
+
+        What is pending is released first, so that it still comes in time; what is available before
+        that is late from now on.
+        """
+        if self._greatest is not None:
+            self._flush_until(self._greatest)
+        self._set_idle(True)
+
+    def wake(self) -> None:
+        """The stream speaks again, and is waited for."""
+        self._set_idle(False)
+
+    def stamps_at(self, moments: Times) -> Times:
+        """Available times for samples that come to be at ``moments`` (ns, in order): each its own,
+        or right after the one before it, since they are unique; none before the watermark."""
+        last = self.stream.last_available
+        least = TIME_MIN if last is None else min(last, TIME_MAX - 1) + 1
+        if self.watermark is not None:
+            least = max(least, self.watermark)
+        if moments[0] >= least and _increases(moments):
+            return moments
+        count = len(moments)
+        steps = np.arange(count, dtype=np.int64)
+        # As far from the ends of 64-bit time as the steps may lead.
+        room = np.clip(np.maximum(moments, least), TIME_MIN + count, TIME_MAX - count)
+        return np.maximum.accumulate(room - steps) + steps
 
     def close(self) -> None:
         """The stream is removed: what is still pending is counted as expired."""
         self.counters.expired += self.counters.pending
         self.counters.pending = 0
         self._pending = None
+
+    def pass_late_to(self, side: StreamGenerator) -> None:
+        """From now on ``side``, which has the same fields, gets the samples that are late."""
+        self.late_stream = side
+        if self.watermark is not None:
+            side.advance(self.watermark)
+        if self.is_ended:
+            side.end()
+
+    def _set_idle(self, is_idle: bool) -> None:
+        if self.is_idle != is_idle:
+            self.is_idle = is_idle
+            for receiver in tuple(self._receivers):
+                receiver.idleness_changed(self)
 
     def _adopt_from(self, batch: SampleBatch) -> None:
         fields = tuple(Field(name, column.type) for name, column in batch.columns.items())
@@ -247,8 +310,18 @@ class StreamGenerator:
             first_of_its_time &= ~np.isin(available, np.concatenate(known))
         kept = first_of_its_time & ~late
         self.counters.late += int(late.sum())
+        if self.late_stream is not None and bool(late.any()):
+            self._pass_late(self.late_stream, batch.take(late), greatest[:-1][late])
         self.counters.duplicate += int((~late & ~first_of_its_time).sum())
         return batch if bool(kept.all()) else batch.take(kept)
+
+    def _pass_late(self, side: StreamGenerator, batch: SampleBatch, reached: Times) -> None:
+        """Late samples go on with their valid times and values. Each is available when it came, in
+        the time of the stream: that is the greatest available time ``reached`` before it, or the
+        watermark where that is further (`stamps_at`)."""
+        if self.watermark is not None:
+            reached = np.maximum(reached, self.watermark)
+        side.offer(batch.with_available(side.stamps_at(reached)))
 
     def _flush_until(self, due: int) -> None:
         """Release the pending samples with available time ≤ ``due``, then say so."""
@@ -284,6 +357,9 @@ class StreamGenerator:
             self.watermark = watermark
             for receiver in tuple(self._receivers):
                 receiver.advance(self, watermark)
+            if self.late_stream is not None:
+                # What is late from now on comes when the stream has got so far.
+                self.late_stream.advance(watermark)
 
 
 def _fields(schema: Schema) -> str:

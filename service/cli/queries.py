@@ -194,10 +194,12 @@ def _how(found: dict[str, Any]) -> str:
     words = [found["state"] + (f": {found['failure']}" if found["failure"] else "")]
     if found["waits_for"]:
         words.append(f"waits for {', '.join(found['waits_for'])}")
+    elif len(found["reads"]) > 1 and found["held_back_by"]:
+        words.append(f"held back by {', '.join(found['held_back_by'])}")
     if found["last_window"] is not None:
         words.append(f"last window ended {found['last_window']}, {found['windows']} kept")
     if found["late"]:
-        words.append(f"{found['late']} triples came too late")
+        words.append(f"{found['late']} samples came too late")
     how = f"{options['semantics']} semantics, windows {options['bounds']}"
     if options["origin"] != format_time(0):
         how += f" at {options['origin']} and so on"

@@ -85,6 +85,10 @@ def replay(
     lateness: Annotated[
         str, typer.Option(help="How far behind the newest a sample may be, such as 5s.")
     ] = "0s",
+    idle: Annotated[
+        str | None,
+        typer.Option(help="After how long without samples nobody waits for a stream, such as 10s."),
+    ] = None,
     time_column: Annotated[
         str | None, typer.Option(help="The column of valid times; else by its name.")
     ] = None,
@@ -119,7 +123,7 @@ def replay(
         before = {name: dict.fromkeys(_FATES, 0) for name in tracks}
         try:
             for name, track in tracks.items():
-                _declare(client, name, track, lateness)
+                _declare(client, name, track, lateness, idle)
             if meaning is not None:
                 client.annotate(meaning)
             before = {name: client.stream(name)["counters"] for name in tracks}
@@ -221,12 +225,12 @@ def _chosen(wanted: list[str], found: Recordings) -> dict[str, str]:
     return names
 
 
-def _declare(client: Client, name: str, track: _Track, lateness: str) -> None:
+def _declare(client: Client, name: str, track: _Track, lateness: str, idle: str | None) -> None:
     """Make the stream's fields the recording's, unless they are."""
     schema = track.recording.schema
     if track.there is None or set(track.there) != set(schema.names):
         fields = [{"name": f.name, "type": f.type.value} for f in schema.fields]
-        client.put_stream(name, fields, lateness=lateness)
+        client.put_stream(name, fields, lateness=lateness, idle=idle)
 
 
 @dataclass(slots=True)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 from pyoxigraph import Literal, NamedNode
 
-from ...continuous.evaluate import Explained, evaluate
+from ...continuous.evaluate import Explained, TimedTerm, Window, evaluate
 from ...converters.recording import open_recording
 from ...converters.to_triples import SampleConverter
 from ...languages.errors import LanguageError
@@ -26,7 +26,7 @@ from ...rdf.namespaces import local_name, shorten
 from ...rdf.timed import TimedTriples
 from ...streams.time import format_time, parse_duration
 from ..negotiation import ONTOLOGY_FORMATS, TURTLE
-from ..triples_file import TimedTriple, holds_graphs, read_timed_graphs, read_timed_triples
+from ..triples_file import TripleWriter, holds_graphs, read_timed_graphs, read_timed_triples
 from .ontologies import MEDIA_TYPES
 from .output import Json, err, fail, show_json, show_table, show_text
 from .reading import Bounds, BoundsWord, Origin, Report, ReportWord, Semantics, origin_of
@@ -60,7 +60,19 @@ def run(
     origin: Origin = "0",
     report: Report = ReportWord.NON_EMPTY,
     lateness: Annotated[
-        str | None, typer.Option(help="How far out of order the files are, such as 5s.")
+        str | None,
+        typer.Option(
+            help="Take timed triples in the order of their files: one may be so far behind, such "
+            "as 5s, else it is dropped and counted. Without it files are sorted."
+        ),
+    ] = None,
+    late: Annotated[
+        Path | None,
+        typer.Option(
+            help="With --lateness: write what is dropped as late to this file, as .ndjson of "
+            "time,s,p,o.",
+            dir_okay=False,
+        ),
     ] = None,
     explain: Annotated[
         bool, typer.Option("--explain", help="Tell afterwards how it was computed, and its cost.")
@@ -77,7 +89,14 @@ def run(
     files = _files(stream)
     known = _static(static or ())
     paths = list(known.values()) if isinstance(known, dict) else known
-    inputs = _triples(files) if ssl is None else _samples(files, text_or_file(ssl), paths)
+    if late is not None:
+        _check_late(behind, files, ssl)
+    inputs: dict[str, Any]
+    if ssl is not None:
+        inputs = _samples(files, text_or_file(ssl), paths)
+    else:
+        inputs = _triples(files, in_order=behind is not None)
+    told = _Late(None if late is None else TripleWriter(late))
     explained = Explained(time.perf_counter_ns)
     try:
         windows = evaluate(
@@ -90,11 +109,23 @@ def run(
             lateness=behind,
             explained=explained if explain else None,
             report=report.value,
+            late=told.hear,
         )
     except (LanguageError, OntologyError):
         raise  # told with their place
     except ValueError as error:
         raise fail(str(error)) from error
+    with told:
+        count = _print(windows, as_json=as_json)
+    if explain:
+        err().print(str(explained), markup=False, highlight=False)
+    if not as_json:
+        behind_by = f", {told.count} late" if told.count else ""
+        show_text(f"({count} {'window' if count == 1 else 'windows'} with a result{behind_by})")
+
+
+def _print(windows: Iterator[Window], *, as_json: bool) -> int:
+    """Show the windows that have a result; how many these are."""
     count = 0
     for window in windows:
         if isinstance(window.solutions, list) and not window.solutions:
@@ -104,10 +135,39 @@ def run(
             show_json({"end": format_time(window.end), "solutions": _plain(window.solutions)})
         else:
             _show(window.end, window.solutions)
-    if explain:
-        err().print(str(explained), markup=False, highlight=False)
-    if not as_json:
-        show_text(f"({count} {'window' if count == 1 else 'windows'} with a result)")
+    return count
+
+
+class _Late:
+    """Counts what comes too late, and writes it down if somebody wants it."""
+
+    def __init__(self, writer: TripleWriter | None) -> None:
+        self.count = 0
+        self._writer = writer
+
+    def __enter__(self) -> _Late:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._writer is not None:
+            self._writer.close()
+
+    def hear(self, triple: TimedTerm) -> None:
+        """One that came too late."""
+        self.count += 1
+        if self._writer is not None:
+            self._writer.write(triple)
+
+
+def _check_late(lateness: int | None, files: Mapping[str, Path], ssl: str | None) -> None:
+    """Whether anything can be late: only what is taken in the order of its file."""
+    if lateness is None:
+        raise typer.BadParameter("--late goes with --lateness: of sorted files nothing is late")
+    if ssl is not None or any(map(holds_graphs, files.values())):
+        raise typer.BadParameter(
+            "--late goes with timed triples (.ndjson, .csv): tables of samples and graphs are "
+            "sorted, and nothing of them is late"
+        )
 
 
 def _lateness(text: str | None) -> int | None:
@@ -157,15 +217,15 @@ def _existing(path: Path) -> Path:
     return path
 
 
-def _triples(files: Mapping[str, Path]) -> dict[str, Any]:
+def _triples(files: Mapping[str, Path], *, in_order: bool) -> dict[str, Any]:
     found: dict[str, Any] = {}
     dictionary = TermDictionary()
     for iri, path in files.items():
         if holds_graphs(path):
             found[iri] = read_timed_graphs(path, dictionary)
             continue
-        triples: list[TimedTriple] = list(read_timed_triples(path))
-        found[iri] = triples
+        triples = read_timed_triples(path)
+        found[iri] = triples if in_order else list(triples)
     return found
 
 

@@ -90,7 +90,14 @@ class EventModel(BaseModel):
     position: str = Field(
         description="id of the stream's last sample before the request: follow with since=position"
     )
-    waits_for: list[str]
+    waits_for: list[str] = Field(
+        description="streams that have not begun and are not idle: nothing closes before"
+    )
+    held_back_by: list[str] = Field(
+        description="the streams that are least far: the next window closes when they go on, end, "
+        "or are idle"
+    )
+    late: int = Field(description="samples that came too late for their windows")
     events: str
     plan: PlanModel
 
@@ -105,6 +112,8 @@ class EventModel(BaseModel):
             stream=view.stream,
             position=f"{epoch}-{view.position}",
             waits_for=list(view.waits_for),
+            held_back_by=list(view.held_back_by),
+            late=view.late,
             events=f"/streams/{view.stream}/events",
             plan=PlanModel.of(view.plan),
         )

@@ -42,8 +42,18 @@ class QueryModel(BaseModel):
     explain: str
     windows: int = Field(description="how many windows' results are kept")
     last_window: str | None = Field(description="the end of the last window that closed")
-    late: int = Field(description="triples that came too late for their windows")
-    waits_for: list[str] = Field(description="streams that have not begun: nothing closes before")
+    late: int = Field(
+        description="samples that came too late for their windows; the stream `NAME_late_STREAM` "
+        "has those of a stream, from when it is first asked for"
+    )
+    waits_for: list[str] = Field(
+        description="streams that have not begun and are not idle: nothing closes before"
+    )
+    watermark: str | None = Field(description="windows that end before have closed")
+    held_back_by: list[str] = Field(
+        description="the streams that are least far: the next window closes when they go on, end, "
+        "or are idle"
+    )
     options: OptionsModel
     plan: PlanModel | None
     source: str
@@ -72,6 +82,8 @@ class QueryModel(BaseModel):
             last_window=iso(view.last_window),
             late=view.late,
             waits_for=list(view.waits_for),
+            watermark=iso(view.watermark),
+            held_back_by=list(view.held_back_by),
             options=OptionsModel(
                 semantics=view.semantics,
                 bounds=view.bounds,

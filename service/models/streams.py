@@ -75,6 +75,12 @@ class StreamIn(Body):
         examples=[[{"name": "id", "type": "string"}, {"name": "speed", "type": "float"}]],
     )
     lateness: Duration = Field(0, description="how far behind the newest a sample may be")
+    idle: Annotated[Duration, Field(gt=0)] | None = Field(
+        None,
+        description="after how long without samples, by the service's clock, queries of several "
+        "streams do not wait for this one any more, until it speaks again; null: they always wait",
+        examples=["10s"],
+    )
     retention: Annotated[RetentionModel, BeforeValidator(_retention)] = RetentionModel()
     namespace: str = Field(
         DYKNOW, min_length=1, description="where the objects of id fields have their names"
@@ -84,11 +90,12 @@ class StreamIn(Body):
         """For the engine; ``samples`` is the history kept when the request does not say."""
         fields = tuple(sample.Field(f.name, sample.FieldType(f.type)) for f in self.fields)
         kept = fluent.Retention(self.retention.samples or samples, self.retention.age)
-        return views.StreamDeclaration(name, fields, self.lateness, kept, self.namespace)
+        return views.StreamDeclaration(name, fields, self.lateness, kept, self.namespace, self.idle)
 
 
 class CountersModel(BaseModel):
-    """Where the samples went: accepted = used + late + duplicate + expired + pending."""
+    """Where the samples went: accepted = used + late + duplicate + expired + pending. Who wants the
+    late ones reads the stream `NAME_late`."""
 
     accepted: int
     used: int
@@ -105,6 +112,8 @@ class StreamModel(BaseModel):
     fields: list[FieldModel]
     namespace: str
     lateness: str
+    idle: str | None = Field(description="after how long without samples it is idle; null: never")
+    is_idle: bool = Field(description="it has brought nothing for so long: nobody waits for it")
     retention: dict[str, int | str | None]
     stamped: bool | None = Field(description="samples are stamped on arrival; null: none came yet")
     ended: bool
@@ -112,7 +121,7 @@ class StreamModel(BaseModel):
     kept: int = Field(description="samples in history")
     first: int = Field(description="number of the oldest sample kept")
     last: int = Field(description="number of the newest sample; 0 before the first")
-    watermark: str | None
+    watermark: str | None = Field(description="nothing available before comes any more")
     first_available: str | None = Field(description="how far the kept history reaches")
     last_available: str | None
     last_valid: str | None
@@ -132,6 +141,8 @@ class StreamModel(BaseModel):
             fields=[FieldModel(name=f.name, type=f.type.value) for f in view.fields],
             namespace=view.namespace,
             lateness=format_duration(view.lateness),
+            idle=None if view.idle is None else format_duration(view.idle),
+            is_idle=view.is_idle,
             retention={
                 "samples": view.retention.samples,
                 "age": None if age is None else format_duration(age),

@@ -47,7 +47,13 @@ async def list_streams(service: Context) -> list[StreamModel]:
 
 @router.get("/streams/{name}", responses=responses(404))
 async def read_stream(name: str, service: Context) -> StreamModel:
-    """One stream."""
+    """One stream.
+
+    `NAME_late` is the stream of the samples that came too late for stream NAME, `NAME_late_INPUT`
+    that of the samples of INPUT that came too late for the unit or query that makes NAME. It comes
+    into being when it is first asked for, here or wherever a stream is named, and takes what is
+    late from then on.
+    """
     return StreamModel.of(service.engine.stream(name))
 
 
@@ -61,7 +67,8 @@ async def declare_stream(
 ) -> StreamModel:
     """Declare a stream. Saying the same again changes nothing.
 
-    Other fields are taken while the stream has no samples and no subscribers, else 409.
+    Other fields are taken while the stream has no samples and no subscribers, else 409; another
+    `idle` at any time.
     """
     known = _known(service, name)
     samples = service.settings.retention_samples
@@ -76,7 +83,8 @@ async def declare_stream(
 async def remove_stream(name: str, service: Context) -> Response:
     """Remove a declared stream with its samples and its annotation; its clients are told.
 
-    403 for streams of the system; 409 while units or requests read it.
+    Also a stream of late samples, which are only counted from then on. 403 for other streams of the
+    system; 409 while units or requests read it.
     """
     service.engine.remove_stream(name)
     service.feeds.review()

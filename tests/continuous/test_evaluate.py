@@ -54,6 +54,16 @@ def test_late_elements_of_an_iterator_are_dropped_and_counted() -> None:
     assert lenient[-1].late == 1
 
 
+def test_late_elements_are_told_as_they_came() -> None:
+    data = [(t, WHO, P, Literal(t)) for t in (5, 30, 26, 24, 40, 1)]
+    late: list[object] = []
+    windows = list(evaluate(counting(D + "p", X), {X: iter(data)}, lateness=5, late=late.append))
+    assert late == [data[3], data[5]]
+    assert windows[-1].late == 2
+    list(evaluate(counting(D + "p", X), {X: data}, late=late.append))  # sorted: nothing is late
+    assert len(late) == 2
+
+
 def test_streams_are_merged_by_time() -> None:
     a = [(t, WHO, P, Literal(t)) for t in (1, 2, 25)]
     b = [(t, WHO, P, Literal(t)) for t in (9, 11)]

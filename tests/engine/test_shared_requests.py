@@ -4,7 +4,9 @@ import pytest
 from feeding import feed, samples
 
 from dyknow.engine import sharing
-from dyknow.engine.views import Since
+from dyknow.engine.views import Since, StreamDeclaration
+from dyknow.streams.sample import Field, FieldType
+from dyknow.streams.time import SECOND
 
 SPEEDS = "stream speeds contains speed(UAV) = v for every UAV = id"
 
@@ -170,3 +172,62 @@ def test_what_fails_in_the_template_fails_in_all(shared):
     for view in (*views, again):
         shared.cancel_event(view.id)
     assert not shared._configuration.units
+
+
+@pytest.fixture
+def two_streams(engine, high_speed, monkeypatch):
+    """Requests over two streams, one of which may fall idle."""
+    monkeypatch.setattr(sharing, "SAME_STREAMS", 1)
+    fields = (Field("id", FieldType.STRING), Field("v", FieldType.FLOAT))
+    for name, sort, idle in (("rmaxes", "RMAX", 5 * SECOND), ("cars", "Car", None)):
+        engine.declare(StreamDeclaration(name, fields, idle=idle))
+        engine.annotate(f"stream {name} contains speed({sort}) = v for every {sort} = id")
+    engine.register_template(high_speed)
+    return engine
+
+
+def say(engine, stream, *seconds, clock=0):
+    engine.tick(clock * SECOND)
+    feed(engine, stream, [(second, {"id": "uav1", "v": 130.0}) for second in seconds])
+
+
+def test_idle_streams_hold_no_request_back_and_what_is_late_is_told(two_streams):
+    request = two_streams.parse_request("dyknow:HighSpeedEvent(?o, dyknow:Vehicle, 100)")
+    view = two_streams.request_event(request)
+    assert made_by(view) == ["cSparql", "selectInstance"]
+    assert view.plan.streams == ("rmaxes", "cars")
+    template = view.plan.units[0].output
+    say(two_streams, "rmaxes", 1)
+    say(two_streams, "cars", 1, 2, 3, clock=1)
+    assert two_streams.event(view.id).held_back_by == ("rmaxes",)
+    before = len(samples(two_streams, view.stream))
+    late = two_streams.generator(f"{template}_late_rmaxes")
+    two_streams.tick(7 * SECOND)
+    assert two_streams.stream("rmaxes").is_idle
+    assert len(samples(two_streams, view.stream)) > before
+    say(two_streams, "rmaxes", 2, clock=8)
+    assert two_streams.event(view.id).late == 1
+    assert len(late.stream.all()) == 1
+
+
+def test_an_answer_is_idle_with_all_that_it_is_made_of(shared):
+    fields = (Field("id", FieldType.STRING), Field("v", FieldType.FLOAT))
+    shared.declare(StreamDeclaration("slow", fields, idle=5 * SECOND))
+    shared.annotate("stream slow contains heading(UAV) = v for every UAV = id")
+    shared.register_template(
+        """REGISTER TEMPLATE dyknow:TurnedEvent(?o, ?limit) COMPUTE EVERY 1s AS
+        PREFIX dyknow: <http://www.ida.liu.se/dyknow/>
+        SELECT ?o ?h WHERE { ?o dyknow:heading ?h . FILTER (?h > ?limit) }
+        WINDOW [RANGE 1s STEP 1s]"""
+    )
+    views = [
+        shared.request_event(shared.parse_request(f"dyknow:TurnedEvent(?o, {limit})"))
+        for limit in (1, 2, 3)
+    ]
+    say(shared, "slow", 1)
+    shared.tick(6 * SECOND)
+    assert [shared.stream(view.stream).is_idle for view in views] == [True] * 3
+    late_comer = shared.request_event(shared.parse_request("dyknow:TurnedEvent(?o, 4)"))
+    assert shared.stream(late_comer.stream).is_idle
+    say(shared, "slow", 2, clock=7)
+    assert not any(shared.stream(view.stream).is_idle for view in (*views, late_comer))

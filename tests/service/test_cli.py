@@ -14,6 +14,7 @@ from typer.testing import CliRunner, Result
 from dyknow.service.cli import app
 from dyknow.service.cli.serve import warm
 from dyknow.service.client import Client
+from dyknow.service.triples_file import read_timed_triples
 
 TEMPLATE = """REGISTER TEMPLATE dyknow:HighSpeedEvent(?o, ?type, ?threshold) COMPUTE EVERY 1s AS
 PREFIX dyknow: <http://www.ida.liu.se/dyknow/>
@@ -335,6 +336,32 @@ def test_run_over_a_stream_that_the_query_does_not_read(table: Path, query: str)
     result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 1, (result.output, result.exception)
     assert "s6" in result.stderr
+
+
+def test_run_writes_what_came_too_late(tmp_path: Path) -> None:
+    path, late, query = tmp_path / "s.ndjson", tmp_path / "late.ndjson", tmp_path / "n.rq"
+    rows = [(3, "dyknow:a"), (12, '"x y"@en'), (9, 2.5), (4, "_:b"), (22, True)]
+    texts = [json.dumps({"time": t, "s": "dyknow:o", "p": "dyknow:p", "o": o}) for t, o in rows]
+    path.write_text("\n".join(texts))
+    query.write_text(
+        "REGISTER QUERY q AS SELECT (COUNT(?v) AS ?n) "
+        f"FROM STREAM <{STREAM}> [RANGE 10ns STEP 10ns] WHERE {{ ?o ?p ?v }}"
+    )
+    arguments = ["run", str(query), "--stream", f"{STREAM}={path}"]
+    result = CliRunner().invoke(app, [*arguments, "--lateness", "3ns", "--late", str(late)])
+    assert result.exit_code == 0, (result.output, result.exception)
+    assert result.stdout.splitlines()[-1] == "(3 windows with a result, 1 late)"
+    (dropped,) = read_timed_triples(late)
+    (_, _, _, given, _) = read_timed_triples(path)
+    assert dropped == given
+    # Sorted, all of it is in time.
+    whole = CliRunner().invoke(app, arguments)
+    assert whole.stdout.splitlines()[-1] == "(3 windows with a result)"
+    for wrong in (["--late", str(late)], ["--lateness", "3ns", "--late", str(late), "--ssl", SSL]):
+        assert CliRunner().invoke(app, [*arguments, *wrong]).exit_code == 2
+    named = CliRunner().invoke(app, [*arguments, "--lateness", "3ns", "--late", "late.csv"])
+    assert named.exit_code == 1
+    assert "written as .ndjson" in named.stderr
 
 
 def test_run_with_a_lateness_that_is_none(table: Path, query: str) -> None:
