@@ -210,5 +210,5 @@ class StaticRows:
             subject, tag, bit = (np.concatenate(column) for column in zip(*parts, strict=True))
         else:
             subject, tag, bit = (np.zeros(0, kind) for kind in (np.int32, np.int8, np.int64))
-        triples = (starts, subject.astype(np.int32), tag.astype(np.int8), bit)
-        return (*triples, *chain(*triples, True), *chain(*triples, False))
+        ends = (starts, subject, bit)
+        return (starts, subject, tag, bit, *chain(*ends, True), *chain(*ends, False))

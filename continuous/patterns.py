@@ -158,16 +158,14 @@ class PatternSolver:
     ) -> None:
         """``parts``: each with the variables that are looked at outside it."""
         self.static = static
-        self._parts = tuple(parts)
         named = (slot_of(leaf) for part, _ in parts for leaf in leaves(part))
         slots = list(dict.fromkeys(named))
         self.rows = PatternRows(slots, windows, static.terms)
-        self.slots = slots
         self._static_rows = StaticRows(slots, frozenset(w for w in windows if w), static)
-        numbers = self.rows.slots
         # Parts are told apart by identity, which hashing a deep plan would cost more than.
         self._joins = {
-            id(part): PatternJoin(part, shown, numbers, static.terms) for part, shown in parts
+            id(part): PatternJoin(part, shown, self.rows.slots, static.terms)
+            for part, shown in parts
         }
         self._once = np.array([distinct or s.predicate == RDF_TYPE for s in slots], np.bool_)
         self._starts = np.zeros(len(slots) + 1, np.int64)
