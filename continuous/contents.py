@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import gcd
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,13 +42,12 @@ class Contents:
         self._counting: dict[int, CountingIntake] = {}
         self._numbers: dict[int, int] = {}
         self._panes: dict[int, Panes] = {}
-        pane = _pane(schedule)
         for i, one in enumerate(schedule.windows):
             if isinstance(one.window, CountWindow):
                 self._counting[i] = CountingIntake(one.window)
                 self._numbers[i] = 0
             elif one.grid is not None:
-                self._panes[i] = Panes(Grid(pane, one.grid.origin), one.low)
+                self._panes[i] = Panes(Grid(schedule.pane, one.grid.origin), one.low)
         self._patterns: PatternSolver | None = None
         self._keeps = True
         self._known_next: tuple[int | None, Due | None] | None = None
@@ -83,7 +81,7 @@ class Contents:
                 self._patterns.rows.push(i, [rows])
             keeps = self._keeps
         if keeps:
-            self.intakes[input].push(rows, None)
+            self.intakes[input].push(rows)
         return late
 
     def push_plain(self, input: str, tables: Sequence[TripleRows], after: int | None) -> bool:
@@ -166,14 +164,14 @@ class Contents:
         return None
 
     def _next_count(self, i: int, one: InputWindow) -> int | None:
-        move = next(self._counting[i].next_moves(self._numbers[i]), None)
+        move = self._counting[i].next_move(self._numbers[i])
         return None if move is None else self.schedule.first_end(one, move[0])
 
     def _next_move(self) -> Due | None:
         """Windows that count move on in order of τ, then of the windows."""
         moves = []
         for i, counting in self._counting.items():
-            move = next(counting.next_moves(self._numbers[i]), None)
+            move = counting.next_move(self._numbers[i])
             if move is not None:
                 moves.append((move[0], i, move[1]))
         if not moves:
@@ -264,12 +262,3 @@ class Contents:
                     self.intakes[input].drop(min(low, high) if raw else high, high)
                 else:
                     self.intakes[input].settle(high)
-
-
-def _pane(schedule: Schedule) -> int:
-    """A length that divides all that lies between two bounds of windows."""
-    pane = 0 if schedule.ends is None else schedule.ends.step
-    for one in schedule.windows:
-        if not one.counted:
-            pane = gcd(pane, one.window.step, getattr(one.window, "range", 0))
-    return pane

@@ -50,13 +50,13 @@ class CountingIntake:
         self._settled = _Triples.joined([self._settled, waiting.take(ready)])
         self.counted += len(ready)
 
-    def next_moves(self, after: int) -> Iterator[tuple[int, int]]:
-        """τ and number of the triples with which the window moves on, from number ``after`` on."""
-        step = self.window.step
-        number = (after // step + 1) * step
-        while number <= self.counted:
-            yield int(self._settled.time[number - 1 - self._first]), number
-            number += step
+    def next_move(self, after: int) -> tuple[int, int] | None:
+        """τ and number of the first triple behind number ``after`` with which the window moves on;
+        None while it has not come."""
+        number = after - after % self.window.step + self.window.step
+        if number > self.counted:
+            return None
+        return int(self._settled.time[number - 1 - self._first]), number
 
     def number_at(self, end: int) -> int:
         """How many settled triples have τ ≤ ``end``, in whole steps."""
@@ -75,9 +75,6 @@ class CountingIntake:
         if first - self._first > 2 * (self.window.size + self.window.step):
             self._settled = self._settled.take(slice(first - self._first, None))
             self._first = first
-
-    def has_waiting(self) -> bool:
-        return any(len(part) for part in self._waiting)
 
 
 class _Triples:

@@ -24,7 +24,6 @@ from .contents import Contents, Due
 from .explain import Stages
 from .heads import finish, head_variables
 from .incremental import Incremental
-from .intake import Rows
 from .logical import DEFAULT, AnyScan, Closure, Plan, Query, Scan, TypeScan, outputs, walk
 from .options import Options
 from .oxigraph import OxigraphWindows
@@ -430,8 +429,5 @@ class _Source(WindowSource):
 
     def ready(self, plan: Plan) -> Relation | None:
         if self.incremental is not None:
-            # Brought together only if the aggregate has to be joined with rows.
-            shape = self.incremental.shape
-            rows = Rows(lambda: list(self.tables(shape.scan.graph)) if shape.retains else [])
-            return self.incremental.ready(plan, rows)
+            return self.incremental.ready(plan, self)
         return None if self.patterns is None else self.patterns.solve(plan)

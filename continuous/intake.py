@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import overload
 
 import numpy as np
 
@@ -41,27 +40,18 @@ class Intake:
 
     def __init__(self) -> None:
         self._chunks: dict[Shape, list[_Chunk]] = {}
-        self._dropped: int | None = None
 
-    def push(self, rows: TripleRows, after: int | None) -> int:
-        """Keep ``rows`` with τ > ``after`` (None: all); returns how many were too late."""
-        if not len(rows):
-            return 0
+    def push(self, rows: TripleRows) -> None:
+        """Keep these rows, of which there are some."""
         if not ascending(rows.time):
             rows = rows.take(np.argsort(rows.time, kind="stable"))
-        late = 0
-        if after is not None and int(rows.time[0]) <= after:
-            late = int(np.searchsorted(rows.time, after, "right"))
-            rows = rows.take(slice(late, None))
-        if len(rows):
-            shape = (
-                -1 if rows.sort is None else rows.sort,
-                tuple(sorted((p, int(column.kind)) for p, column in rows.objects.items())),
-            )
-            self._chunks.setdefault(shape, []).append(
-                _Chunk(rows, int(rows.time[0]), int(rows.time[-1]), len(rows) < _SMALL)
-            )
-        return late
+        shape = (
+            -1 if rows.sort is None else rows.sort,
+            tuple(sorted((p, int(column.kind)) for p, column in rows.objects.items())),
+        )
+        self._chunks.setdefault(shape, []).append(
+            _Chunk(rows, int(rows.time[0]), int(rows.time[-1]), len(rows) < _SMALL)
+        )
 
     def earliest(self, after: int) -> int | None:
         """The least τ > ``after``, or None."""
@@ -87,28 +77,12 @@ class Intake:
             parts = [part for part in parts if len(part)]
             yield from _in_order(parts)
 
-    def latest(self, until: int) -> int | None:
-        """The greatest τ ≤ ``until`` ever pushed (dropped rows included), or None."""
-        found = self._dropped
-        for chunks in self._chunks.values():
-            # A window may have hundreds of chunks, and this is asked several times a step.
-            times = [chunk.last for chunk in chunks if chunk.last <= until]
-            times += [
-                int(chunk.rows.time[_after(chunk.rows.time, until) - 1])
-                for chunk in chunks
-                if chunk.first <= until < chunk.last
-            ]
-            if times:
-                found = max(times) if found is None else max(found, max(times))
-        return found
-
     def drop(self, until: int, settled: int) -> None:
         """Forget the rows with τ ≤ ``until``, whole chunks at a time.
 
         No more rows come with τ ≤ ``settled``: small chunks up to there are put together, so that
         a stream of single rows does not cost a chunk a row in every window.
         """
-        self._dropped = self.latest(until)
         for shape, chunks in list(self._chunks.items()):
             kept = [chunk for chunk in chunks if chunk.last > until]
             if kept:
@@ -121,29 +95,6 @@ class Intake:
         """Put small chunks up to τ = ``settled`` together, where no more rows come."""
         for shape, chunks in self._chunks.items():
             self._chunks[shape] = _settle(chunks, settled)
-
-
-class Rows(Sequence[TripleRows]):
-    """Rows that are put together when they are asked for: few windows need them."""
-
-    def __init__(self, find: Callable[[], list[TripleRows]]) -> None:
-        self._find = find
-        self._found: list[TripleRows] | None = None
-
-    @overload
-    def __getitem__(self, index: int) -> TripleRows: ...
-    @overload
-    def __getitem__(self, index: slice) -> list[TripleRows]: ...
-    def __getitem__(self, index: int | slice) -> TripleRows | list[TripleRows]:
-        return self._tables()[index]
-
-    def __len__(self) -> int:
-        return len(self._tables())
-
-    def _tables(self) -> list[TripleRows]:
-        if self._found is None:
-            self._found = self._find()
-        return self._found
 
 
 def _settle(chunks: list[_Chunk], settled: int) -> list[_Chunk]:
