@@ -266,9 +266,9 @@ def as_terms(column: ObjectColumn, dictionary: TermDictionary) -> ObjectColumn:
     if column.kind is Kind.TERM:
         return column
     distinct, inverse = np.unique(bits(column.values), return_inverse=True)
-    values = distinct.view(column.values.dtype) if column.kind is not Kind.BOOLEAN else distinct
-    ids = [dictionary.id(make_term(column.kind, value, dictionary)) for value in values.tolist()]
-    return ObjectColumn(Kind.TERM, np.array(ids, np.int32)[inverse.reshape(-1)], column.null)
+    values = decoded(column.kind, distinct).values.tolist()
+    ids = dictionary.ids(make_term(column.kind, value, dictionary) for value in values)
+    return ObjectColumn(Kind.TERM, ids[inverse.reshape(-1)], column.null)
 
 
 def bits(values: NDArray[Any]) -> NDArray[np.int64]:
@@ -276,6 +276,25 @@ def bits(values: NDArray[Any]) -> NDArray[np.int64]:
     if values.dtype == np.float64:
         return np.ascontiguousarray(values).view(np.int64)
     return values.astype(np.int64)
+
+
+def decoded(kind: Kind, bits: NDArray[np.int64]) -> ObjectColumn:
+    """A column of this kind from its `bits`."""
+    if kind.dtype == np.float64:
+        return ObjectColumn(kind, bits.view(np.float64))
+    return ObjectColumn(kind, bits.astype(kind.dtype, copy=False))
+
+
+def decoded_terms(
+    tags: NDArray[np.int8], bits: NDArray[np.int64], dictionary: TermDictionary
+) -> ObjectColumn:
+    """Objects of several kinds (`TermValues.encoded`), as terms. Cost: Python once a distinct
+    number."""
+    ids = np.full(len(tags), NO_TERM, np.int32)
+    for tag in np.unique(tags).tolist():
+        at = np.flatnonzero(tags == tag)
+        ids[at] = as_terms(decoded(Kind(tag), bits[at]), dictionary).values
+    return ObjectColumn(Kind.TERM, ids)
 
 
 def coalesce(first: ObjectColumn, second: ObjectColumn, dictionary: TermDictionary) -> ObjectColumn:

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..languages.csparql.ast import CountWindow
-from ..rdf.timed import Kind, ObjectColumn, TripleRows
-from .columns import bits
+from ..rdf.timed import Kind, TripleRows
+from .columns import bits, decoded
 
 _NO_SORT = -1
 
@@ -146,12 +146,6 @@ class _Triples:
                 self.time[at],
                 self.valid[at],
                 self.subject[at].astype(np.int32),
-                {predicate: ObjectColumn(Kind(kind), _values(Kind(kind), self.object[at]))},
+                {predicate: decoded(Kind(kind), self.object[at])},
                 None if sort == _NO_SORT else sort,
             )
-
-
-def _values(kind: Kind, object: NDArray[np.int64]) -> NDArray[Any]:
-    if kind.dtype == np.float64:
-        return object.view(np.float64)
-    return object.astype(kind.dtype)

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..rdf.namespaces import RDF_TYPE
-from ..rdf.timed import Kind, ObjectColumn, TripleRows
-from .columns import TermValues, bits
+from ..rdf.timed import Kind, TripleRows
+from .columns import TermValues, bits, decoded
 from .expressions import Var
 from .kernels import ascending
 from .logical import Scan, TypeScan
@@ -163,13 +163,6 @@ class PatternRows:
 def _empty(capacity: int) -> tuple[NDArray[Any], ...]:
     kinds = (np.int8, np.int32, np.int32, np.int8, np.int64, np.int64)
     return tuple(np.zeros(capacity, kind) for kind in kinds)
-
-
-def decoded(kind: Kind, bits: NDArray[np.int64]) -> ObjectColumn:
-    """A column of objects of one tag."""
-    if kind.dtype == np.float64:
-        return ObjectColumn(kind, bits.view(np.float64))
-    return ObjectColumn(kind, bits.astype(kind.dtype))
 
 
 class StaticRows:
