@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from enum import IntEnum
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,14 +40,17 @@ class Relation:
         found = self.columns.get(name)
         if found is not None:
             return found
-        nothing = np.full(self.rows, NO_TERM, np.int32)
-        return ObjectColumn(Kind.TERM, nothing, np.ones(self.rows, np.bool_))
+        return unbound(self.rows)
 
     def take(self, rows: NDArray[Any]) -> Relation:
         """The rows at ``rows`` (a mask or indices without repetition)."""
         count = int(np.count_nonzero(rows)) if rows.dtype == np.bool_ else len(rows)
         columns = {name: column.take(rows) for name, column in self.columns.items()}
         return Relation(columns, count, self.key)
+
+
+Pairs: TypeAlias = tuple[ObjectColumn, ObjectColumn]
+"""Subjects and objects of triples of one predicate: two columns of one length, without nulls."""
 
 
 class Sort(IntEnum):
@@ -295,6 +298,33 @@ def decoded_terms(
         at = np.flatnonzero(tags == tag)
         ids[at] = as_terms(decoded(Kind(tag), bits[at]), dictionary).values
     return ObjectColumn(Kind.TERM, ids)
+
+
+def unbound(rows: int, kind: Kind = Kind.TERM) -> ObjectColumn:
+    """A column of nothing."""
+    values = np.full(rows, NO_TERM if kind is Kind.TERM else 0, kind.dtype)
+    return ObjectColumn(kind, values, np.ones(rows, np.bool_))
+
+
+def take_or_null(column: ObjectColumn, rows: NDArray[np.int64]) -> ObjectColumn:
+    """The column at ``rows``, null where that is -1."""
+    absent = rows < 0
+    if not absent.any():
+        return column.take(rows)
+    if not len(column):
+        return unbound(len(rows), column.kind)
+    taken = column.take(np.where(absent, 0, rows))
+    return ObjectColumn(taken.kind, taken.values, absent | ~taken.present)
+
+
+def scattered(
+    places: Sequence[NDArray[np.int64]], parts: Sequence[ObjectColumn], dictionary: TermDictionary
+) -> ObjectColumn:
+    """One column of the parts, each at its places, which are all rows together."""
+    at = np.concatenate(places)
+    back = np.empty(len(at), np.int64)
+    back[at] = np.arange(len(at))
+    return concatenate(parts, dictionary).take(back)
 
 
 def coalesce(first: ObjectColumn, second: ObjectColumn, dictionary: TermDictionary) -> ObjectColumn:

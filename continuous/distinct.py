@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..rdf.timed import Kind, ObjectColumn
-from .columns import Sort, TermValues, bits, decoded, make_number
-from .relational import Pairs
+from .columns import Pairs, Sort, TermValues, bits, decoded, make_number
 from .seen import SeenPairs
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..rdf.timed import Kind, ObjectColumn, TripleRows
-from .columns import NeedsOxigraph, Relation, TermValues
+from .columns import NeedsOxigraph, Pairs, Relation, TermValues
 from .distinct import DistinctRows
 from .evaluation import evaluate, holds
 from .expressions import Const, Var
@@ -26,7 +26,7 @@ from .joins import join_all
 from .kernels import Groups, grown
 from .logical import Plan
 from .partials import Partial
-from .relational import Pairs, Source, execute, select_pairs
+from .relational import Source, execute, select_pairs
 from .shapes import Shape
 from .sliding import Rows, SlidingPartial, Touched
 from .sources import StaticSide, distinct_pairs

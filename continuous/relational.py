@@ -17,17 +17,19 @@ from ..rdf.timed import Kind, ObjectColumn, TripleRows, split_term
 from .closure import closure
 from .columns import (
     NeedsOxigraph,
+    Pairs,
     Relation,
     TermValues,
     concatenate,
     first_rows,
     key_codes,
     term_column,
+    unbound,
 )
 from .evaluation import evaluate, holds
 from .expressions import Const, Var, variables
 from .grouping import aggregate, ordered
-from .joins import has_match, join_all, left_join, minus, unbound
+from .joins import has_match, join_all, left_join, minus
 from .logical import (
     Aggregate,
     AnyScan,
@@ -56,9 +58,6 @@ from .logical import (
     with_inputs,
 )
 from .profile import Profile
-
-Pairs = tuple[ObjectColumn, ObjectColumn]
-"""Subjects and objects of triples of one predicate: two columns of one length, without nulls."""
 
 
 class Source(Protocol):
@@ -108,7 +107,8 @@ def _execute(plan: Plan, source: Source, terms: TermValues) -> Relation:
             return select_pairs(source.pairs(plan), subject, object, terms)
         case Closure():
             step = execute(plan.step, source, terms)
-            return closure(plan, step, source.nodes(plan.graph), terms)
+            pairs = closure(plan, step, source.nodes(plan.graph), terms)
+            return select_pairs(pairs, plan.subject, plan.object, terms)
         case Values(variables, rows):
             columns = {
                 name: term_column([row[i] for row in rows], terms.dictionary)

@@ -12,11 +12,20 @@ from ..rdf.dictionary import NO_TERM
 from ..rdf.namespaces import RDF_TYPE
 from ..rdf.timed import Kind, ObjectColumn, TripleRows, split_term
 from .background import Background
-from .columns import Relation, TermValues, as_terms, concatenate, first_rows, key_codes, term_column
+from .columns import (
+    Pairs,
+    Relation,
+    TermValues,
+    as_terms,
+    concatenate,
+    first_rows,
+    key_codes,
+    term_column,
+)
 from .expressions import Const, Var
 from .logical import AnyScan, Plan, Scan, TypeScan
 from .profile import Profile
-from .relational import OBJECT, PREDICATE, SUBJECT, Pairs, pairs_of
+from .relational import OBJECT, PREDICATE, SUBJECT, pairs_of
 
 
 class StaticSide:
