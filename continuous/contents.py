@@ -49,14 +49,15 @@ class Contents:
             elif one.grid is not None:
                 self._panes[i] = Panes(Grid(schedule.pane, one.grid.origin), one.low)
         self._patterns: PatternSolver | None = None
-        self._keeps = True
+        self.keeps = True
+        """Whether rows are kept here, or ``patterns`` alone have them."""
         self._known_next: tuple[int | None, Due | None] | None = None
         """The answer of `next`, until something comes or is counted."""
 
     def read_by(self, patterns: PatternSolver, *, alone: bool) -> None:
         """Have ``patterns`` read the rows too; ``alone``: nobody else does."""
         self._patterns = patterns
-        self._keeps = not alone
+        self.keeps = not alone
 
     def push(self, input: str, rows: TripleRows, after: int | None) -> int:
         """Keep the rows of ``input`` with τ > ``after`` (None: all); returns how many were late."""
@@ -69,7 +70,7 @@ class Contents:
         if not len(rows):
             return late
         self._known_next = None
-        keeps = False
+        wanted = False
         for i, one in enumerate(self.schedule.windows):
             if one.input != input:
                 continue
@@ -79,15 +80,15 @@ class Contents:
             self._panes[i].push(rows.time, int(rows.time.min()), int(rows.time.max()))
             if self._patterns is not None:
                 self._patterns.rows.push(i, [rows])
-            keeps = self._keeps
-        if keeps:
+            wanted = self.keeps
+        if wanted:
             self.intakes[input].push(rows)
         return late
 
     def push_plain(self, input: str, tables: Sequence[TripleRows], after: int | None) -> bool:
         """The same as `push` of each table, at once, where nothing is late, no triple is missing
         and ``patterns`` alone keep the rows; False, and nothing done, where it is not so plain."""
-        if self._keeps or self._patterns is None:
+        if self.keeps or self._patterns is None:
             return False
         for table in tables:
             for column in table.objects.values():
@@ -221,7 +222,7 @@ class Contents:
 
     def tables(self, end: int) -> Mapping[str, list[TripleRows]]:
         """The rows in the windows at ``end``, by graph, input by input."""
-        if not self._keeps and self._patterns is not None:
+        if not self.keeps and self._patterns is not None:
             return self._patterns.rows.tables(*self._bounds(end))
         found: dict[str, list[TripleRows]] = {}
         for i, one in enumerate(self.schedule.windows):
@@ -240,7 +241,7 @@ class Contents:
     def drop(self, end: int, *, raw: bool) -> None:
         """Forget what no evaluation after ``end`` needs; ``raw``: windows are read again, else what
         was in one has been folded already."""
-        if not self._keeps and not self._counting and not self._is_full():
+        if not self.keeps and not self._counting and not self._is_full():
             return
         following = self.schedule.after(end)
         lows: dict[str, int] = {}
@@ -255,7 +256,7 @@ class Contents:
             highs[one.input] = min(high, highs.get(one.input, high))
         if self._patterns is not None:
             self._patterns.rows.drop(self._bounds(following)[0])
-        if self._keeps:
+        if self.keeps:
             for input, low in lows.items():
                 high = highs[input]
                 if low > -TIME_MAX:

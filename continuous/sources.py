@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,7 +94,7 @@ class StaticSide:
         return sort is not None and wanted in self.supersorts(sort)
 
 
-class WindowSource:
+class WindowSource(ABC):
     """The leaves of a plan over the content of windows, by graph, and the static side.
 
     ``windows`` are the graphs that are windows: nothing static is in them. Under set semantics
@@ -101,25 +102,20 @@ class WindowSource:
     """
 
     def __init__(
-        self,
-        contents: Mapping[str, Sequence[TripleRows]],
-        static: StaticSide,
-        *,
-        windows: Sequence[str],
-        distinct: bool,
+        self, static: StaticSide, windows: Sequence[str], distinct: bool, profile: Profile | None
     ) -> None:
-        self.contents = contents
         self.static = static
         self.windows = frozenset(windows)
         self.distinct = distinct
-        self.profile: Profile | None = None
+        self.profile = profile
 
+    @abstractmethod
     def tables(self, graph: str) -> Sequence[TripleRows]:
         """The rows of a graph's windows."""
-        return self.contents.get(graph, ())
 
+    @abstractmethod
     def ready(self, plan: Plan) -> Relation | None:
-        return None
+        """The solutions of ``plan`` if they are at hand already."""
 
     def pairs(self, scan: Scan | TypeScan) -> Pairs:
         terms = self.static.terms

@@ -237,7 +237,7 @@ def test_subjects_that_left_the_window_are_forgotten() -> None:
         results = run.evaluator.advance(X, second * S + 1)
         count = 1 + 100 * min(second + 1, 5)
         assert [len(r.solutions) for r in results] == [count]
-    incremental = run.evaluator._incremental
+    incremental = run.evaluator._solver.execution.incremental
     assert incremental is not None
     assert incremental.groups.used < 1200
     assert len(incremental.groups.members) < 5000
