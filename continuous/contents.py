@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..languages.csparql.ast import CountWindow
+from ..rdf.dictionary import TermDictionary
 from ..rdf.timed import TripleRows
 from ..streams.time import TIME_MAX
 from .counting_intake import CountingIntake
@@ -36,15 +37,15 @@ class Contents:
     Law: as theirs.
     """
 
-    def __init__(self, schedule: Schedule) -> None:
+    def __init__(self, schedule: Schedule, dictionary: TermDictionary) -> None:
         self.schedule = schedule
-        self.intakes = {one.input: Intake() for one in schedule.windows}
+        self.intakes = {one.input: Intake(dictionary) for one in schedule.windows}
         self._counting: dict[int, CountingIntake] = {}
         self._numbers: dict[int, int] = {}
         self._panes: dict[int, Panes] = {}
         for i, one in enumerate(schedule.windows):
             if isinstance(one.window, CountWindow):
-                self._counting[i] = CountingIntake(one.window)
+                self._counting[i] = CountingIntake(one.window, dictionary)
                 self._numbers[i] = 0
             elif one.grid is not None:
                 self._panes[i] = Panes(Grid(schedule.pane, one.grid.origin), one.low)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..languages.csparql.ast import CountWindow
+from ..rdf.dictionary import TermDictionary
 from ..rdf.timed import Kind, TripleRows
 from .columns import bits, decoded
 
@@ -25,8 +26,9 @@ class CountingIntake:
     Cost: a sort of what is settled. Memory: the last ``size + step`` triples, and what waits.
     """
 
-    def __init__(self, window: CountWindow) -> None:
+    def __init__(self, window: CountWindow, dictionary: TermDictionary) -> None:
         self.window = window
+        self._dictionary = dictionary
         self.counted = 0
         """How many triples have been settled."""
         self._waiting: list[_Triples] = []
@@ -67,7 +69,7 @@ class CountingIntake:
         """The last ``size`` triples up to ``number``, as narrow tables by predicate and kind."""
         stop = number - self._first
         start = max(0, number - self.window.size) - self._first
-        return list(self._settled.take(slice(max(0, start), stop)).tables())
+        return list(self._settled.take(slice(max(0, start), stop)).tables(self._dictionary))
 
     def forget(self, number: int) -> None:
         """No window ends before triple ``number`` any more."""
@@ -137,10 +139,17 @@ class _Triples:
     def take(self, rows: NDArray[Any] | slice) -> _Triples:
         return _Triples(tuple(column[rows] for column in self._columns()))
 
-    def tables(self) -> Iterator[TripleRows]:
+    def tables(self, dictionary: TermDictionary) -> Iterator[TripleRows]:
         """Narrow tables, one a sort, predicate and kind, each in order."""
         shapes = np.stack([self.sort, self.predicate, self.kind], axis=1)
-        for sort, predicate, kind in np.unique(shapes, axis=0).tolist():
+
+        def named(shape: list[int]) -> tuple[str, str, int]:
+            # By names, not by ids, as `Intake.between`.
+            sort, predicate, kind = shape
+            term = dictionary.term
+            return "" if sort == _NO_SORT else str(term(sort)), str(term(predicate)), kind
+
+        for sort, predicate, kind in sorted(np.unique(shapes, axis=0).tolist(), key=named):
             at = np.flatnonzero((shapes == (sort, predicate, kind)).all(axis=1))
             yield TripleRows(
                 self.time[at],

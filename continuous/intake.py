@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from ..rdf.dictionary import TermDictionary
 from ..rdf.timed import TripleRows
 from ..streams.sample import Times
 from .columns import concatenate_rows
@@ -38,8 +39,10 @@ class Intake:
     under 4,096 rows and out-of-order ones are copied. Memory: rows not yet dropped, by chunk.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, dictionary: TermDictionary) -> None:
+        self._dictionary = dictionary
         self._chunks: dict[Shape, list[_Chunk]] = {}
+        self._names: dict[Shape, tuple[object, ...]] = {}
 
     def push(self, rows: TripleRows) -> None:
         """Keep these rows, of which there are some."""
@@ -68,7 +71,7 @@ class Intake:
 
     def between(self, low: int, high: int) -> Iterator[TripleRows]:
         """The rows with ``low < τ <= high``: shape by shape, in each by τ, then by arrival."""
-        for shape in sorted(self._chunks):
+        for shape in sorted(self._chunks, key=self._named):
             parts = [
                 _cut(chunk, low, high)
                 for chunk in self._chunks[shape]
@@ -76,6 +79,16 @@ class Intake:
             ]
             parts = [part for part in parts if len(part)]
             yield from _in_order(parts)
+
+    def _named(self, shape: Shape) -> tuple[object, ...]:
+        """The shape by names: which of two terms has the lesser id depends on how the input was
+        cut, since windows that closed in between have given ids too."""
+        found = self._names.get(shape)
+        if found is None:
+            term, (sort, columns) = self._dictionary.term, shape
+            named = sorted((str(term(predicate)), kind) for predicate, kind in columns)
+            found = self._names[shape] = "" if sort < 0 else str(term(sort)), tuple(named)
+        return found
 
     def drop(self, until: int, settled: int) -> None:
         """Forget the rows with τ ≤ ``until``, whole chunks at a time.

@@ -214,7 +214,8 @@ class WindowSource(ABC):
         for table in tables:
             if table.sort is not None:
                 by_sort.setdefault(table.sort, []).append(table.subject)
-        for sort, parts in sorted(by_sort.items()):
+        # By name: ids depend on how the input was cut.
+        for sort, parts in sorted(by_sort.items(), key=lambda item: str(dictionary.term(item[0]))):
             subjects = distinct_ids(parts, len(dictionary))
             for name in sorted(self.static.supersorts(sort)):
                 term = NamedNode(name)

@@ -42,7 +42,7 @@ class Windowing:
         self.late = 0
         """Rows that came behind a watermark, or for a window that had closed, and were dropped."""
         self.schedule = schedule(query, self.inputs, options)
-        self.contents = Contents(self.schedule)
+        self.contents = Contents(self.schedule, terms.dictionary)
         self.differs = query.operator is not StreamOperator.RSTREAM
         """Whether results are compared with those before, so that each one has to be known."""
         self._tell = closed
