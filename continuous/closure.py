@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..rdf.dictionary import Ids
 from ..rdf.timed import Kind, ObjectColumn
-from .columns import Relation, TermValues, as_terms
-from .expressions import Const, Var
+from .columns import Pairs, Relation, TermValues, as_terms
+from .expressions import Const
 from .joins import match_keys
-from .logical import START, STOP, Closure, Position
+from .logical import START, STOP, Closure
 
 
-def closure(plan: Closure, step: Relation, nodes: ObjectColumn, terms: TermValues) -> Relation:
-    """The pairs of ends of the repetition of ``step``, in the order of their ids.
+def closure(plan: Closure, step: Relation, nodes: ObjectColumn, terms: TermValues) -> Pairs:
+    """The pairs of ends of the repetition of ``step``, in the order of their ids; of those that the
+    constants of ``plan`` select no one is missing.
 
     ``nodes`` are those of the graph: each reaches itself where ``plan.zero``. From an end that is a
     constant only what it reaches is followed; between two variables every pair is found: O(pairs)
@@ -23,19 +23,19 @@ def closure(plan: Closure, step: Relation, nodes: ObjectColumn, terms: TermValue
     dictionary = terms.dictionary
     starts = as_terms(step.column(START), dictionary).values.astype(np.int64)
     stops = as_terms(step.column(STOP), dictionary).values.astype(np.int64)
-    size = len(dictionary)
     if isinstance(plan.subject, Const):
         first = np.array([dictionary.id(plan.subject.term)], np.int64)
-        found = _reached(first, starts, stops, plan, size + 1)
+        found = _reached(first, starts, stops, plan, len(dictionary))
     elif isinstance(plan.object, Const):
         first = np.array([dictionary.id(plan.object.term)], np.int64)
-        stop, start = _reached(first, stops, starts, plan, size + 1)
-        found = (start, stop)
+        stop, start = _reached(first, stops, starts, plan, len(dictionary))
+        found = start, stop
     else:
         every = as_terms(nodes, dictionary).values.astype(np.int64)
         seeds = np.unique(np.concatenate([every, starts]) if plan.zero else starts)
-        found = _reached(seeds, starts, stops, plan, size + 1)
-    return _selected(plan.subject, plan.object, *found, terms)
+        found = _reached(seeds, starts, stops, plan, len(dictionary))
+    first_ids, last_ids = (ObjectColumn(Kind.TERM, ids.astype(np.int32)) for ids in found)
+    return first_ids, last_ids
 
 
 def _reached(
@@ -56,28 +56,3 @@ def _reached(
         if not plan.more:
             break
     return known // size, known % size
-
-
-def _selected(
-    subject: Position,
-    object: Position,
-    starts: NDArray[np.int64],
-    stops: NDArray[np.int64],
-    terms: TermValues,
-) -> Relation:
-    keep = np.ones(len(starts), np.bool_)
-    for position, ids in ((subject, starts), (object, stops)):
-        if isinstance(position, Const):
-            keep &= ids == terms.dictionary.find(position.term)
-    if isinstance(subject, Var) and subject == object:
-        keep &= starts == stops
-    columns = {
-        position.name: ObjectColumn(Kind.TERM, _ids(ids[keep]))
-        for position, ids in ((subject, starts), (object, stops))
-        if isinstance(position, Var)
-    }
-    return Relation(columns, int(np.count_nonzero(keep)))
-
-
-def _ids(values: NDArray[np.int64]) -> Ids:
-    return values.astype(np.int32)

@@ -1,75 +1,55 @@
 """Cohorts: instances of a template that one computation serves, over windows that all share.
 
-Each is a `ContinuousEvaluator` that reads the contents of the template's windows instead of its
-own, so that a cohort costs its plan, its partial aggregates and its table, but no rows.
+They all read the contents of the template's windows, so that a cohort costs its plan, its partial
+aggregates and its table, but no rows.
 """
 
 from __future__ import annotations
 
 from array import array
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from pyoxigraph import Variable
 
-from ..languages.csparql import algebra, bind
+from ..languages.csparql import bind
 from ..languages.csparql.ast import ContinuousQuery, StreamOperator
-from ..languages.csparql.shape import query_shape
 from ..rdf.dictionary import Term
 from .columns import NeedsOxigraph, Relation
 from .evaluation import evaluate, holds
-from .evaluator import ContinuousEvaluator, _Source, _Windows, _with_rows_only
-from .incremental import Incremental
+from .execution import Execution, WindowRows
 from .instance_results import Common, Joined
 from .instance_table import INSTANCE, InstanceTable
-from .logical import Distinct, Extend, Filter, Plan, Project, Query, Select
+from .logical import Distinct, Extend, Filter, Project, Query, Select
 from .parameters import Joint, Step, Unfit, joint
 from .printing import describe, describe_query
 from .relational import distinct, execute
-from .results import WindowResult
 from .rules import optimize
-from .translate import Graphs, translate
+from .solving import Reading, Solver
+from .sources import StaticSide
 from .unsupported import Unsupported
+from .windowing import Windowing
 
 
-class Reader(ContinuousEvaluator):
-    """An evaluator over the windows of another one, which tells it when they close."""
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where a cohort is found: by what its instances agree on, and by number."""
 
-    def __init__(self, owner: ContinuousEvaluator, query: ContinuousQuery) -> None:
-        self._owner = owner
-        self.key: tuple[object, ...] = ()
-        """What its instances agree on."""
-        self.serial = 0
-        dictionary, background = owner._terms.dictionary, owner._static.background
-        super().__init__(query, dictionary, background, owner.inputs, owner.options)
-
-    def _prepare(self, query: ContinuousQuery) -> None:
-        owner = self._owner
-        self._terms, self._static = owner._terms, owner._static
-        self._contents = owner._contents
-        self._plan_for(query)
-
-    def _plan_for(self, query: ContinuousQuery) -> None:
-        super()._prepare(query)
-
-    def _join_patterns(self, plan: Plan) -> None:
-        # The compiled loop keeps the rows in a form of its own; here they are everybody's.
-        return
-
-    def fold(self, end: int) -> None:
-        """The rows up to ``end`` are there. The first time, the whole window is folded."""
-        if self._incremental is not None:
-            self._fold(self._incremental, end)
-        self._closed = end
+    key: tuple[object, ...]
+    serial: int
 
 
-class Alone(Reader):
+class Alone:
     """Instances with the same arguments, evaluated as their own query is."""
 
-    def __init__(self, owner: ContinuousEvaluator, query: ContinuousQuery) -> None:
+    def __init__(
+        self, query: ContinuousQuery, windows: Windowing, static: StaticSide, place: Place
+    ) -> None:
+        self.place = place
+        self._solver = Solver(query, windows, static)
         self._members = array("q")
-        super().__init__(owner, query)
 
     @property
     def live(self) -> int:
@@ -81,21 +61,21 @@ class Alone(Reader):
     def remove(self, number: int) -> None:
         self._members.remove(number)
 
-    def result(self, end: int, *, reports: bool) -> Common | None:
-        found: WindowResult = self._solve(end)
-        if self._difference is not None:
-            found = self._difference.of(found)
-            if not reports and not found.size:
-                return None
-        return Common(np.array(self._members, np.int64), found)
+    def explain(self) -> str:
+        return self._solver.explain()
 
-    def without_increment(self) -> Alone:
-        """The same, computed from the rows of each window."""
-        self._incremental = None
-        return self
+    def fold(self, end: int) -> None:
+        """The rows up to ``end`` are there."""
+        self._solver.fold(end)
+
+    def results(self, end: int, *, reports: bool) -> tuple[Common, ...]:
+        found = self._solver.result(end, reports=reports)
+        if found is None:
+            return ()
+        return (Common(np.array(self._members, np.int64), found),)
 
 
-class Together(Reader):
+class Together:
     """Instances that agree on the fixed parameters: the plan is computed once, then joined with
     the table of their other arguments.
 
@@ -105,25 +85,30 @@ class Together(Reader):
 
     def __init__(
         self,
-        owner: ContinuousEvaluator,
         query: ContinuousQuery,
+        windows: Windowing,
+        static: StaticSide,
+        place: Place,
         joint: Joint,
         fixed: Mapping[str, Term],
     ) -> None:
+        self.query = query
+        self.windows = windows
+        self.static = static
+        self.terms = static.terms
+        self.place = place
         self.joint = joint
         self.fixed = fixed
-        self._alone: dict[int, Alone] = {}
-        super().__init__(owner, query)
-        self.table = InstanceTable(joint, self._terms)
-
-    def _plan_for(self, query: ContinuousQuery) -> None:
-        self._choose(self.joint.plan)
+        self.table = InstanceTable(joint, self.terms)
+        self._execution = Execution(joint.plan, windows, static)
+        self._alone: dict[int, Solver] = {}
 
     def explain(self) -> str:
         """The shared plan, how it is computed, and what is done to what the join gives."""
         lines = describe_query(Query(self.joint.head, self.joint.plan))
-        if self._incremental is None:
-            lines.append(f"in columns, each window anew: {self._no_increment}")
+        shape = self._execution.shape
+        if isinstance(shape, str):
+            lines.append(f"in columns, each window anew: {shape}")
         else:
             lines.append("in columns, incrementally")
         lines += [f"then {describe(step)[0]}" for step in self.joint.rest]
@@ -139,22 +124,23 @@ class Together(Reader):
     def remove(self, number: int) -> None:
         self.table.remove(number)
 
-    def result(self, end: int, *, reports: bool) -> Joined | tuple[Common, ...]:
+    def fold(self, end: int) -> None:
+        """The rows up to ``end`` are there."""
+        self._execution.fold(end)
+
+    def results(self, end: int, *, reports: bool) -> tuple[Joined | Common, ...]:
         numbers, alive = self.table.members()
-        start, shown = self._span(end)
-        contents = _Windows(self._contents, end)
-        attempts: dict[Incremental | None, None] = dict.fromkeys((self._incremental, None))
-        for incremental in attempts:
-            source = _Source(
-                contents, self._static, self.options, self.schedule.named, incremental, None
-            )
+        start, shown = self.windows.span(end)
+        rows = WindowRows(self.windows.contents, end)
+        for source in self._execution.sources(rows):
             try:
-                relation = self._solutions(execute(self.joint.plan, source, self._terms))
+                relation = self._solutions(execute(self.joint.plan, source, self.terms))
             except NeedsOxigraph:
                 continue
             self._alone = {}
-            return Joined(start, shown, self.joint.head, relation, numbers, alive, self._terms)
-        return self._each(end)
+            head = self.joint.head
+            return (Joined(start, shown, head, relation, numbers, alive, self.terms),)
+        return self._each(rows)
 
     def _solutions(self, relation: Relation) -> Relation:
         relation, decided = self.table.join(relation)
@@ -164,7 +150,7 @@ class Together(Reader):
         return relation
 
     def _step(self, step: Step, relation: Relation) -> Relation:
-        columns, terms = relation.columns, self._terms
+        columns, terms = relation.columns, self.terms
         match step:
             case Filter(condition):
                 return relation.take(holds(condition, columns, relation.rows, terms))
@@ -184,7 +170,7 @@ class Together(Reader):
             case Distinct():
                 return relation if relation.key is not None else distinct(relation, terms)
 
-    def _each(self, end: int) -> tuple[Common, ...]:
+    def _each(self, rows: WindowRows) -> tuple[Common, ...]:
         """Every instance alone. Cost: a plan each, and an evaluation each."""
         numbers, alive = self.table.members()
         found = []
@@ -195,17 +181,15 @@ class Together(Reader):
                 for name, column in self.table.columns.items():
                     arguments[name] = column.term(row)
                 bound = {Variable(name): term for name, term in arguments.items()}
-                alone = Alone(self._owner, bind(self.query, bound)).without_increment()
-                alone.add(number, arguments)
-                self._alone[number] = alone
-            result = self._alone[number].result(end, reports=True)
-            assert result is not None
-            found.append(result)
+                query = bind(self.query, bound)
+                self._alone[number] = Solver(query, self.windows, self.static, folds=False)
+            result = self._alone[number].solve(rows)
+            found.append(Common(np.array([number], np.int64), result))
         return tuple(found)
 
 
 def joint_of(
-    owner: ContinuousEvaluator,
+    windows: Windowing,
     query: ContinuousQuery,
     arguments: Mapping[str, Term],
     fixed: tuple[str, ...] = (),
@@ -216,22 +200,18 @@ def joint_of(
     if query.operator is not StreamOperator.RSTREAM:
         why = f"{query.operator} compares the results of an instance"
         return None, dict.fromkeys(arguments, why)
-    bound = _with_rows_only(bind(query, {Variable(n): term for n, term in arguments.items()}))
-    tree = algebra(bound).algebra
+    bound = bind(query, {Variable(name): term for name, term in arguments.items()})
+    reading = Reading.of(bound, windows)
     before = {variable.value: term for variable, term in query.bindings.items()}
-    shape = query_shape(query.sparql)
-    every = shape is not None and shape.selects_all
-    graphs = Graphs(owner.schedule.named, query.static_named, query.window_variables)
-    for name in arguments.keys() & _graph_names(tree):
+    for name in arguments.keys() & _graph_names(reading.tree):
         reasons[name] = f"?{name} is a graph"
     try:
-        head = translate(tree, {**before, **arguments}, graphs, selects_all=every).head
+        head = reading.translated({**before, **arguments}).head
         while True:
             names = [name for name in arguments if name not in reasons]
             if not names:
                 return None, reasons
-            given = before | {name: arguments[name] for name in reasons}
-            found = translate(tree, given, graphs, selects_all=every)
+            found = reading.translated(before | {name: arguments[name] for name in reasons})
             shown = head if isinstance(head, Select) else found.head
             plan, _ = optimize(found.plan)
             try:

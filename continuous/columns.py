@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from enum import IntEnum
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,14 +40,17 @@ class Relation:
         found = self.columns.get(name)
         if found is not None:
             return found
-        nothing = np.full(self.rows, NO_TERM, np.int32)
-        return ObjectColumn(Kind.TERM, nothing, np.ones(self.rows, np.bool_))
+        return unbound(self.rows)
 
     def take(self, rows: NDArray[Any]) -> Relation:
         """The rows at ``rows`` (a mask or indices without repetition)."""
         count = int(np.count_nonzero(rows)) if rows.dtype == np.bool_ else len(rows)
         columns = {name: column.take(rows) for name, column in self.columns.items()}
         return Relation(columns, count, self.key)
+
+
+Pairs: TypeAlias = tuple[ObjectColumn, ObjectColumn]
+"""Subjects and objects of triples of one predicate: two columns of one length, without nulls."""
 
 
 class Sort(IntEnum):
@@ -266,9 +269,9 @@ def as_terms(column: ObjectColumn, dictionary: TermDictionary) -> ObjectColumn:
     if column.kind is Kind.TERM:
         return column
     distinct, inverse = np.unique(bits(column.values), return_inverse=True)
-    values = distinct.view(column.values.dtype) if column.kind is not Kind.BOOLEAN else distinct
-    ids = [dictionary.id(make_term(column.kind, value, dictionary)) for value in values.tolist()]
-    return ObjectColumn(Kind.TERM, np.array(ids, np.int32)[inverse.reshape(-1)], column.null)
+    values = decoded(column.kind, distinct).values.tolist()
+    ids = dictionary.ids(make_term(column.kind, value, dictionary) for value in values)
+    return ObjectColumn(Kind.TERM, ids[inverse.reshape(-1)], column.null)
 
 
 def bits(values: NDArray[Any]) -> NDArray[np.int64]:
@@ -276,6 +279,52 @@ def bits(values: NDArray[Any]) -> NDArray[np.int64]:
     if values.dtype == np.float64:
         return np.ascontiguousarray(values).view(np.int64)
     return values.astype(np.int64)
+
+
+def decoded(kind: Kind, bits: NDArray[np.int64]) -> ObjectColumn:
+    """A column of this kind from its `bits`."""
+    if kind.dtype == np.float64:
+        return ObjectColumn(kind, bits.view(np.float64))
+    return ObjectColumn(kind, bits.astype(kind.dtype, copy=False))
+
+
+def decoded_terms(
+    tags: NDArray[np.int8], bits: NDArray[np.int64], dictionary: TermDictionary
+) -> ObjectColumn:
+    """Objects of several kinds (`TermValues.encoded`), as terms. Cost: Python once a distinct
+    number."""
+    ids = np.full(len(tags), NO_TERM, np.int32)
+    for tag in np.unique(tags).tolist():
+        at = np.flatnonzero(tags == tag)
+        ids[at] = as_terms(decoded(Kind(tag), bits[at]), dictionary).values
+    return ObjectColumn(Kind.TERM, ids)
+
+
+def unbound(rows: int, kind: Kind = Kind.TERM) -> ObjectColumn:
+    """A column of nothing."""
+    values = np.full(rows, NO_TERM if kind is Kind.TERM else 0, kind.dtype)
+    return ObjectColumn(kind, values, np.ones(rows, np.bool_))
+
+
+def take_or_null(column: ObjectColumn, rows: NDArray[np.int64]) -> ObjectColumn:
+    """The column at ``rows``, null where that is -1."""
+    absent = rows < 0
+    if not absent.any():
+        return column.take(rows)
+    if not len(column):
+        return unbound(len(rows), column.kind)
+    taken = column.take(np.where(absent, 0, rows))
+    return ObjectColumn(taken.kind, taken.values, absent | ~taken.present)
+
+
+def scattered(
+    places: Sequence[NDArray[np.int64]], parts: Sequence[ObjectColumn], dictionary: TermDictionary
+) -> ObjectColumn:
+    """One column of the parts, each at its places, which are all rows together."""
+    at = np.concatenate(places)
+    back = np.empty(len(at), np.int64)
+    back[at] = np.arange(len(at))
+    return concatenate(parts, dictionary).take(back)
 
 
 def coalesce(first: ObjectColumn, second: ObjectColumn, dictionary: TermDictionary) -> ObjectColumn:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import gcd
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..languages.csparql.ast import CountWindow
+from ..rdf.dictionary import TermDictionary
 from ..rdf.timed import TripleRows
 from ..streams.time import TIME_MAX
 from .counting_intake import CountingIntake
@@ -37,28 +37,28 @@ class Contents:
     Law: as theirs.
     """
 
-    def __init__(self, schedule: Schedule) -> None:
+    def __init__(self, schedule: Schedule, dictionary: TermDictionary) -> None:
         self.schedule = schedule
-        self.intakes = {one.input: Intake() for one in schedule.windows}
+        self.intakes = {one.input: Intake(dictionary) for one in schedule.windows}
         self._counting: dict[int, CountingIntake] = {}
         self._numbers: dict[int, int] = {}
         self._panes: dict[int, Panes] = {}
-        pane = _pane(schedule)
         for i, one in enumerate(schedule.windows):
             if isinstance(one.window, CountWindow):
-                self._counting[i] = CountingIntake(one.window)
+                self._counting[i] = CountingIntake(one.window, dictionary)
                 self._numbers[i] = 0
             elif one.grid is not None:
-                self._panes[i] = Panes(Grid(pane, one.grid.origin), one.low)
+                self._panes[i] = Panes(Grid(schedule.pane, one.grid.origin), one.low)
         self._patterns: PatternSolver | None = None
-        self._keeps = True
+        self.keeps = True
+        """Whether rows are kept here, or ``patterns`` alone have them."""
         self._known_next: tuple[int | None, Due | None] | None = None
         """The answer of `next`, until something comes or is counted."""
 
     def read_by(self, patterns: PatternSolver, *, alone: bool) -> None:
         """Have ``patterns`` read the rows too; ``alone``: nobody else does."""
         self._patterns = patterns
-        self._keeps = not alone
+        self.keeps = not alone
 
     def push(self, input: str, rows: TripleRows, after: int | None) -> int:
         """Keep the rows of ``input`` with τ > ``after`` (None: all); returns how many were late."""
@@ -71,7 +71,7 @@ class Contents:
         if not len(rows):
             return late
         self._known_next = None
-        keeps = False
+        wanted = False
         for i, one in enumerate(self.schedule.windows):
             if one.input != input:
                 continue
@@ -81,15 +81,15 @@ class Contents:
             self._panes[i].push(rows.time, int(rows.time.min()), int(rows.time.max()))
             if self._patterns is not None:
                 self._patterns.rows.push(i, [rows])
-            keeps = self._keeps
-        if keeps:
-            self.intakes[input].push(rows, None)
+            wanted = self.keeps
+        if wanted:
+            self.intakes[input].push(rows)
         return late
 
     def push_plain(self, input: str, tables: Sequence[TripleRows], after: int | None) -> bool:
         """The same as `push` of each table, at once, where nothing is late, no triple is missing
         and ``patterns`` alone keep the rows; False, and nothing done, where it is not so plain."""
-        if self._keeps or self._patterns is None:
+        if self.keeps or self._patterns is None:
             return False
         for table in tables:
             for column in table.objects.values():
@@ -166,14 +166,14 @@ class Contents:
         return None
 
     def _next_count(self, i: int, one: InputWindow) -> int | None:
-        move = next(self._counting[i].next_moves(self._numbers[i]), None)
+        move = self._counting[i].next_move(self._numbers[i])
         return None if move is None else self.schedule.first_end(one, move[0])
 
     def _next_move(self) -> Due | None:
         """Windows that count move on in order of τ, then of the windows."""
         moves = []
         for i, counting in self._counting.items():
-            move = next(counting.next_moves(self._numbers[i]), None)
+            move = counting.next_move(self._numbers[i])
             if move is not None:
                 moves.append((move[0], i, move[1]))
         if not moves:
@@ -223,7 +223,7 @@ class Contents:
 
     def tables(self, end: int) -> Mapping[str, list[TripleRows]]:
         """The rows in the windows at ``end``, by graph, input by input."""
-        if not self._keeps and self._patterns is not None:
+        if not self.keeps and self._patterns is not None:
             return self._patterns.rows.tables(*self._bounds(end))
         found: dict[str, list[TripleRows]] = {}
         for i, one in enumerate(self.schedule.windows):
@@ -242,7 +242,7 @@ class Contents:
     def drop(self, end: int, *, raw: bool) -> None:
         """Forget what no evaluation after ``end`` needs; ``raw``: windows are read again, else what
         was in one has been folded already."""
-        if not self._keeps and not self._counting and not self._is_full():
+        if not self.keeps and not self._counting and not self._is_full():
             return
         following = self.schedule.after(end)
         lows: dict[str, int] = {}
@@ -257,19 +257,10 @@ class Contents:
             highs[one.input] = min(high, highs.get(one.input, high))
         if self._patterns is not None:
             self._patterns.rows.drop(self._bounds(following)[0])
-        if self._keeps:
+        if self.keeps:
             for input, low in lows.items():
                 high = highs[input]
                 if low > -TIME_MAX:
                     self.intakes[input].drop(min(low, high) if raw else high, high)
                 else:
                     self.intakes[input].settle(high)
-
-
-def _pane(schedule: Schedule) -> int:
-    """A length that divides all that lies between two bounds of windows."""
-    pane = 0 if schedule.ends is None else schedule.ends.step
-    for one in schedule.windows:
-        if not one.counted:
-            pane = gcd(pane, one.window.step, getattr(one.window, "range", 0))
-    return pane

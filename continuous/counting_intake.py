@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..languages.csparql.ast import CountWindow
-from ..rdf.timed import Kind, ObjectColumn, TripleRows
-from .columns import bits
+from ..rdf.dictionary import TermDictionary
+from ..rdf.timed import Kind, TripleRows
+from .columns import bits, decoded
 
 _NO_SORT = -1
 
@@ -25,8 +26,9 @@ class CountingIntake:
     Cost: a sort of what is settled. Memory: the last ``size + step`` triples, and what waits.
     """
 
-    def __init__(self, window: CountWindow) -> None:
+    def __init__(self, window: CountWindow, dictionary: TermDictionary) -> None:
         self.window = window
+        self._dictionary = dictionary
         self.counted = 0
         """How many triples have been settled."""
         self._waiting: list[_Triples] = []
@@ -50,13 +52,13 @@ class CountingIntake:
         self._settled = _Triples.joined([self._settled, waiting.take(ready)])
         self.counted += len(ready)
 
-    def next_moves(self, after: int) -> Iterator[tuple[int, int]]:
-        """τ and number of the triples with which the window moves on, from number ``after`` on."""
-        step = self.window.step
-        number = (after // step + 1) * step
-        while number <= self.counted:
-            yield int(self._settled.time[number - 1 - self._first]), number
-            number += step
+    def next_move(self, after: int) -> tuple[int, int] | None:
+        """τ and number of the first triple behind number ``after`` with which the window moves on;
+        None while it has not come."""
+        number = after - after % self.window.step + self.window.step
+        if number > self.counted:
+            return None
+        return int(self._settled.time[number - 1 - self._first]), number
 
     def number_at(self, end: int) -> int:
         """How many settled triples have τ ≤ ``end``, in whole steps."""
@@ -67,7 +69,7 @@ class CountingIntake:
         """The last ``size`` triples up to ``number``, as narrow tables by predicate and kind."""
         stop = number - self._first
         start = max(0, number - self.window.size) - self._first
-        return list(self._settled.take(slice(max(0, start), stop)).tables())
+        return list(self._settled.take(slice(max(0, start), stop)).tables(self._dictionary))
 
     def forget(self, number: int) -> None:
         """No window ends before triple ``number`` any more."""
@@ -75,9 +77,6 @@ class CountingIntake:
         if first - self._first > 2 * (self.window.size + self.window.step):
             self._settled = self._settled.take(slice(first - self._first, None))
             self._first = first
-
-    def has_waiting(self) -> bool:
-        return any(len(part) for part in self._waiting)
 
 
 class _Triples:
@@ -140,21 +139,22 @@ class _Triples:
     def take(self, rows: NDArray[Any] | slice) -> _Triples:
         return _Triples(tuple(column[rows] for column in self._columns()))
 
-    def tables(self) -> Iterator[TripleRows]:
+    def tables(self, dictionary: TermDictionary) -> Iterator[TripleRows]:
         """Narrow tables, one a sort, predicate and kind, each in order."""
         shapes = np.stack([self.sort, self.predicate, self.kind], axis=1)
-        for sort, predicate, kind in np.unique(shapes, axis=0).tolist():
+
+        def named(shape: list[int]) -> tuple[str, str, int]:
+            # By names, not by ids, as `Intake.between`.
+            sort, predicate, kind = shape
+            term = dictionary.term
+            return "" if sort == _NO_SORT else str(term(sort)), str(term(predicate)), kind
+
+        for sort, predicate, kind in sorted(np.unique(shapes, axis=0).tolist(), key=named):
             at = np.flatnonzero((shapes == (sort, predicate, kind)).all(axis=1))
             yield TripleRows(
                 self.time[at],
                 self.valid[at],
                 self.subject[at].astype(np.int32),
-                {predicate: ObjectColumn(Kind(kind), _values(Kind(kind), self.object[at]))},
+                {predicate: decoded(Kind(kind), self.object[at])},
                 None if sort == _NO_SORT else sort,
             )
-
-
-def _values(kind: Kind, object: NDArray[np.int64]) -> NDArray[Any]:
-    if kind.dtype == np.float64:
-        return object.view(np.float64)
-    return object.astype(kind.dtype)

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..rdf.timed import Kind, ObjectColumn
-from .columns import Sort, TermValues, bits, make_number
-from .relational import Pairs
+from .columns import Pairs, Sort, TermValues, bits, decoded, make_number
 from .seen import SeenPairs
 
 
@@ -47,12 +46,7 @@ class DistinctRows:
             gone = seen.leave(until)
             if gone is not None:
                 subjects, keys = gone
-                values: NDArray[Any] = keys
-                if kind.dtype == np.float64:
-                    values = keys.view(np.float64)
-                elif kind is not Kind.INTEGER:
-                    values = keys.astype(kind.dtype)
-                yield ObjectColumn(Kind.TERM, subjects), ObjectColumn(kind, values)
+                yield ObjectColumn(Kind.TERM, subjects), decoded(kind, keys)
 
     def holds(self, pairs: Pairs) -> NDArray[np.bool_]:
         """Which of the pairs are in the window."""

@@ -18,7 +18,7 @@ from pyoxigraph import NamedNode
 from ..rdf.dictionary import Term
 from ..rdf.timed import Kind, ObjectColumn, split_term
 from ..streams.sample import Mask
-from .columns import NeedsOxigraph, Sort, TermValues, coalesce, concatenate, either
+from .columns import NeedsOxigraph, Sort, TermValues, coalesce, either, scattered
 from .decimals import rounded
 from .expressions import INFIX, Call, Const, Expression, Var, variables
 from .foreign import ask
@@ -144,10 +144,7 @@ def _native(
                 part[name] = terms.typed(part[name], Kind(sort))
         places.append(at)
         parts.append(_Rows(part, len(at), terms).value(expression))
-    whole = concatenate(parts, terms.dictionary)
-    back = np.empty(rows, np.int64)
-    back[np.concatenate(places)] = np.arange(rows)
-    return whole.take(back)
+    return scattered(places, parts, terms.dictionary)
 
 
 def holds(
@@ -368,8 +365,9 @@ class _Rows:
             return np.asarray(sorts != Sort.NODE)
         if name == "ISNUMERIC":
             return np.zeros(self.rows, np.bool_)
-        wanted = [isinstance(self.terms.dictionary.term(i), NamedNode) for i in np.unique(a.values)]
-        nodes = np.array(wanted, np.bool_)[np.unique(a.values, return_inverse=True)[1].reshape(-1)]
+        ids, inverse = np.unique(a.values, return_inverse=True)
+        wanted = [isinstance(self.terms.dictionary.term(id), NamedNode) for id in ids.tolist()]
+        nodes = np.array(wanted, np.bool_)[inverse.reshape(-1)]
         return np.asarray((sorts == Sort.NODE) & (nodes == (name == "ISIRI")))
 
 

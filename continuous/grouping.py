@@ -12,7 +12,7 @@ from pyoxigraph import Literal
 
 from ..rdf.dictionary import NO_TERM
 from ..rdf.timed import Kind, ObjectColumn
-from .columns import Relation, Sort, TermValues, first_rows, key_codes
+from .columns import Relation, Sort, TermValues, first_rows, key_codes, take_or_null
 from .evaluation import evaluate
 from .expressions import Expression
 from .kernels import Groups
@@ -94,16 +94,16 @@ def _aggregated(
         value = ObjectColumn(Kind.INTEGER, np.zeros(len(group), np.int64))
     match one.function:
         case "SAMPLE":
-            return _picked(value, _firsts(group, value.present, count))
+            present = np.flatnonzero(value.present)
+            return take_or_null(value, _first_of(present, group, count))
         case "GROUP_CONCAT":
             return _concatenated(value, group, count, one.separator, terms)
         case "MIN" | "MAX" if not _all_numbers(value, terms):
             return _extreme(one.function == "MIN", value, group, count, terms)
         case _:
-            partial = Partial()
-            groups = _dense(count)
             extremes = one.function in ("MIN", "MAX")
-            partial.add(group.astype(np.int32), value, None, groups, terms, extremes)
+            subjects = group.astype(np.int32)
+            partial = Partial.of(subjects, value, _dense(count), terms, extremes)
             return partial.finish(one.function, np.arange(count), terms)
 
 
@@ -123,22 +123,11 @@ def _all_numbers(value: ObjectColumn, terms: TermValues) -> bool:
     return bool(np.all((sorts >= Sort.INTEGER) & (sorts <= Sort.DOUBLE)))
 
 
-def _firsts(group: Rows, wanted: NDArray[np.bool_], count: int) -> Rows:
-    """The first wanted row of each group, -1 where there is none."""
-    rows = np.flatnonzero(wanted)
+def _first_of(rows: Rows, group: Rows, count: int) -> Rows:
+    """Of each group the one that comes first in ``rows``, -1 where none does."""
     found = np.full(count, -1, np.int64)
     found[group[rows[::-1]]] = rows[::-1]
     return found
-
-
-def _picked(value: ObjectColumn, rows: Rows) -> ObjectColumn:
-    absent = rows < 0
-    if not len(value):
-        fill = NO_TERM if value.kind is Kind.TERM else 0
-        return ObjectColumn(value.kind, np.full(len(rows), fill, value.kind.dtype), absent)
-    taken = value.take(np.where(absent, 0, rows))
-    null = absent | ~taken.present
-    return ObjectColumn(taken.kind, taken.values, null if null.any() else None)
 
 
 def _extreme(
@@ -147,18 +136,11 @@ def _extreme(
     """MIN or MAX by the order of ORDER BY; an error among the values of a group makes it one."""
     keys = sort_keys(value, terms)
     order = np.lexsort([*(key if least else -key for key in keys[::-1]), group])
-    best = _picked(value, _of_sorted(order, group, count))
+    best = take_or_null(value, _first_of(order, group, count))
     failed = np.zeros(count, np.bool_)
     failed[group[~value.present]] = True
     null = failed | ~best.present
     return ObjectColumn(best.kind, best.values, null if null.any() else None)
-
-
-def _of_sorted(order: Rows, group: Rows, count: int) -> Rows:
-    """The row that comes first in ``order`` of each group, -1 for a group without rows."""
-    found = np.full(count, -1, np.int64)
-    found[group[order[::-1]]] = order[::-1]
-    return found
 
 
 def _concatenated(

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..rdf.timed import Kind, ObjectColumn, TripleRows
-from .columns import NeedsOxigraph, Relation, TermValues
+from .columns import NeedsOxigraph, Pairs, Relation, TermValues
 from .distinct import DistinctRows
 from .evaluation import evaluate, holds
 from .expressions import Const, Var
@@ -24,12 +24,12 @@ from .facts import SortFacts
 from .grouping import group_keys, grouping
 from .joins import join_all
 from .kernels import Groups, grown
-from .logical import DEFAULT, Plan
+from .logical import Plan
 from .partials import Partial
-from .relational import Pairs, execute, select_pairs
+from .relational import Source, execute, select_pairs
 from .shapes import Shape
 from .sliding import Rows, SlidingPartial, Touched
-from .sources import StaticSide, WindowSource, distinct_pairs
+from .sources import StaticSide, distinct_pairs
 
 _ROW = "\0row"
 _SUBJECT = "\0s"
@@ -113,10 +113,10 @@ class Incremental:
         if self.groups.used >= self._compact_at:
             self._compact()
 
-    def ready(self, plan: Plan, tables: Sequence[TripleRows]) -> Relation | None:
+    def ready(self, plan: Plan, source: Source) -> Relation | None:
         """The solutions of ``plan`` if it is the aggregate, or the HAVING on it.
 
-        ``tables`` are the window's rows, empty where nothing is retained.
+        ``source`` is asked for what the aggregate has to be joined with.
         """
         shape = self.shape
         having = bool(shape.having) and plan is shape.having[0] and shape.direct
@@ -126,7 +126,7 @@ class Incremental:
         if having:
             return self._having()
         rows = self._alive(slice(self.groups.used))
-        return self._direct(rows) if shape.direct else self._joined(rows, tables)
+        return self._direct(rows) if shape.direct else self._joined(rows, source)
 
     def _alive(self, rows: Rows) -> NDArray[np.int64]:
         """Those of ``rows`` that have rows in the window and are of the sorts."""
@@ -164,7 +164,7 @@ class Incremental:
         partials = [partial.partial(rows) for partial in self._partials]
         return self._finished(columns, partials, len(rows))
 
-    def _joined(self, rows: NDArray[np.int64], tables: Sequence[TripleRows]) -> Relation:
+    def _joined(self, rows: NDArray[np.int64], source: Source) -> Relation:
         """The aggregates by the plan's keys, after the join with the rest."""
         shape, plan = self.shape, self.shape.aggregate
         partials = [partial.partial(rows) for partial in self._partials]
@@ -173,13 +173,6 @@ class Incremental:
             members = self.groups.members[rows]
             columns[shape.scan.subject.name] = ObjectColumn(Kind.TERM, members)
         base = Relation(columns, len(rows))
-        graph = shape.scan.graph
-        source = WindowSource(
-            {graph: tables},
-            self.static,
-            windows=() if graph == DEFAULT else (graph,),
-            distinct=self._distinct is not None,
-        )
         rest = [execute(part, source, self.terms) for part in shape.rest]
         joined = join_all([base, *rest], self.terms)
         for condition in shape.later:
@@ -204,11 +197,9 @@ class Incremental:
     def _fold(self, end: int, subjects: NDArray[np.int32], objects: ObjectColumn) -> None:
         """Rows of the folded predicate."""
         skip = objects.null
-        if self._distinct is not None or not self.shape.plain:
-            if skip is not None:
-                present = np.flatnonzero(~skip)
-                subjects, objects, skip = subjects[present], objects.take(present), None
-            objects = ObjectColumn(objects.kind, objects.values)
+        if skip is not None and (self._distinct is not None or not self.shape.plain):
+            present = np.flatnonzero(~skip)
+            subjects, objects, skip = subjects[present], objects.take(present), None
         pairs = ObjectColumn(Kind.TERM, subjects), ObjectColumn(objects.kind, objects.values)
         if not self.shape.plain:
             pairs = self._selected(pairs)
@@ -275,7 +266,6 @@ class Incremental:
             if self._static_pairs is not None:
                 self._count(_those(self._static_pairs, self._static_counted), -1)
                 self._static_pairs = None
-            self.groups.reach(len(self.terms.dictionary))
             found = self.static.pairs(self.shape.scan)
             if self._distinct is not None:
                 found = distinct_pairs(found, self.terms)

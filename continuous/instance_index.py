@@ -10,12 +10,11 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ..rdf.timed import Kind, ObjectColumn, make_term
-from .columns import Relation, bits
+from ..rdf.timed import Kind, ObjectColumn
+from .columns import Relation, as_terms, bits, decoded
 from .instance_kernel import fired, least_of
 from .instance_terms import Terms
 from .parameters import Joint
-from .pattern_rows import decoded
 
 Rows: TypeAlias = NDArray[np.int64]
 
@@ -129,13 +128,8 @@ class _Key:
         if self._of_id is None:
             table = np.full(0, -1)
             for tag, distinct, first in self._first:
-                if tag == Kind.TERM:
-                    ids = distinct
-                else:
-                    # A column of mixed objects has its numbers as terms.
-                    values = decoded(Kind(tag), distinct).values
-                    made = (make_term(Kind(tag), v, dictionary) for v in values)
-                    ids = dictionary.ids(made).astype(np.int64)
+                # A column of mixed objects has its numbers as terms.
+                ids = as_terms(decoded(Kind(tag), distinct), dictionary).values
                 if len(ids) and ids.max() >= len(table):
                     table = np.concatenate([table, np.full(ids.max() + 1 - len(table), -1)])
                 table[ids] = np.arange(first, first + len(ids))

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..streams.compiled import JIT, Kernel
+from .kernels import read_only
 
 Rows = NDArray[np.int64]
 
@@ -64,16 +65,13 @@ def _fire(
 def _signature() -> Any:
     from numba import types
 
-    def read(kind: Any) -> Any:
-        return types.Array(kind, 1, "A", readonly=True)
-
     written = types.int64[::1]
     return types.int64(
-        read(types.int64),
-        read(types.float64),
-        read(types.int64),
-        read(types.float64),
-        read(types.float64),
+        read_only(types.int64),
+        read_only(types.float64),
+        read_only(types.int64),
+        read_only(types.float64),
+        read_only(types.float64),
         types.boolean,
         written,
         written,

@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pyoxigraph import Literal, NamedNode
 
-from ..rdf.dictionary import NO_TERM, Term, TermDictionary
-from ..rdf.timed import DATATYPES, Kind, ObjectColumn, make_term, split_term
-from .columns import bits, canonical
-from .pattern_rows import decoded
+from ..rdf.dictionary import Term, TermDictionary
+from ..rdf.timed import DATATYPES, Kind, ObjectColumn, split_term
+from .columns import bits, canonical, decoded, decoded_terms
 
 _BLOCK = 4096
 """As many terms wait to be encoded: long lists of them keep the garbage collector busy."""
@@ -98,18 +97,7 @@ class Terms:
             return ObjectColumn(Kind.TERM, np.zeros(0, np.int32))
         if (tags == tags[0]).all():
             return decoded(Kind(int(tags[0])), values)
-        ids = np.full(len(tags), NO_TERM, np.int32)
-        for tag in np.unique(tags).tolist():
-            at = np.flatnonzero(tags == tag)
-            part = decoded(Kind(tag), values[at]).values
-            if tag == Kind.TERM:
-                ids[at] = part
-                continue
-            distinct, inverse = np.unique(values[at], return_inverse=True)
-            numbers = decoded(Kind(tag), distinct).values
-            made = self.dictionary.ids(make_term(Kind(tag), n, self.dictionary) for n in numbers)
-            ids[at] = made[inverse.reshape(-1)]
-        return ObjectColumn(Kind.TERM, ids)
+        return decoded_terms(tags, values, self.dictionary)
 
     def term(self, row: int) -> Term:
         return self.column(np.array([row])).term_at(0, self.dictionary)

@@ -8,7 +8,7 @@ which computes the plan once and joins it with the table of its instances (`coho
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 from pyoxigraph import BlankNode, Variable
@@ -18,14 +18,14 @@ from ..languages.csparql.ast import ContinuousQuery
 from ..rdf.dictionary import Term, TermDictionary
 from ..rdf.timed import TimedTriples
 from .background import Background
-from .cohorts import Alone, Together, joint_of
-from .contents import Due
-from .evaluator import ContinuousEvaluator
+from .cohorts import Alone, Place, Together, joint_of
+from .columns import TermValues
 from .instance_results import Common, InstanceResults, Joined
 from .logical import Ask
 from .options import Options
 from .parameters import confined, described
-from .results import WindowResult
+from .sources import StaticSide
+from .windowing import Windowing
 
 
 @dataclass(slots=True, eq=False)
@@ -63,9 +63,9 @@ class TemplateEvaluator:
     ) -> None:
         self.query = query
         self._results: list[InstanceResults] = []
-        self._windows = _TemplateWindows(
-            query, dictionary, background, inputs, options, self._closed
-        )
+        terms = TermValues(dictionary)
+        self._windows = Windowing(query, terms, inputs, options or Options(), self._closed)
+        self._static = StaticSide(background, terms)
         self._families: dict[tuple[Variable, ...], _Family] = {}
         self._cohorts: dict[tuple[object, ...], Alone | Together] = {}
         self._serials: dict[int, Alone | Together] = {}
@@ -112,7 +112,7 @@ class TemplateEvaluator:
             cohort = self._cohort(family, key, given)
         number = len(self._cohort_of)
         cohort.add(number, given)
-        self._cohort_of.append(cohort.serial)
+        self._cohort_of.append(cohort.place.serial)
         self._live += 1
         return number
 
@@ -143,7 +143,7 @@ class TemplateEvaluator:
         self._live -= 1
         cohort.remove(instance)
         if not cohort.live:
-            del self._serials[cohort.serial], self._cohorts[cohort.key]
+            del self._serials[cohort.place.serial], self._cohorts[cohort.place.key]
 
     def push(self, input: str, triples: TimedTriples) -> None:
         self._windows.push(input, triples)
@@ -194,70 +194,41 @@ class TemplateEvaluator:
         self, family: _Family, key: tuple[object, ...], given: Mapping[str, Term]
     ) -> Alone | Together:
         fixed = tuple(family.fixed)
-        made: Alone | Together | None = None
+        joint = None
         if len(fixed) < len(family.names):
             joint, reasons = joint_of(self._windows, self.query, given, fixed)
-            if joint is not None and len(reasons) == len(fixed):
-                bound = {name: given[name] for name in fixed}
-                made = Together(self._windows, self.query, joint, bound)
-            else:
+            if len(reasons) > len(fixed):
+                joint = None
+            if joint is None:
                 # With these terms more has to be fixed than with those that came first.
                 key = (family.names, *given.items())
                 found = self._cohorts.get(key)
                 if found is not None:
                     return found
-        if made is None:
-            arguments = {Variable(name): given[name] for name in family.names}
-            made = Alone(self._windows, bind(self.query, arguments))
-        made.key, made.serial = key, self._next
+        place = Place(key, self._next)
         self._next += 1
-        self._cohorts[key] = self._serials[made.serial] = made
+        made: Alone | Together
+        if joint is not None:
+            bound = {name: given[name] for name in fixed}
+            made = Together(self.query, self._windows, self._static, place, joint, bound)
+        else:
+            arguments = {Variable(name): given[name] for name in family.names}
+            made = Alone(bind(self.query, arguments), self._windows, self._static, place)
+        self._cohorts[key] = self._serials[place.serial] = made
         return made
 
     def _taken(self) -> list[InstanceResults]:
         taken, self._results = self._results, []
         return taken
 
-    def _closed(self, end: int, reports: bool) -> None:
+    def _closed(self, end: int, reports: bool) -> bool:
         """The window that ends at ``end`` has closed: the result of every cohort."""
         parts: list[Common | Joined] = []
-        for cohort in self._cohorts.values():
-            cohort.fold(end)
-            found = cohort.result(end, reports=reports)
-            if found is not None:
-                parts += found if isinstance(found, tuple) else (found,)
+        if reports or self._windows.differs:
+            for cohort in self._cohorts.values():
+                cohort.fold(end)
+                parts += cohort.results(end, reports=reports)
         if parts:
             self._results.append(InstanceResults(*self._windows.span(end), tuple(parts)))
-
-
-class _TemplateWindows(ContinuousEvaluator):
-    """The windows of the template, which compute nothing themselves."""
-
-    def __init__(
-        self,
-        query: ContinuousQuery,
-        dictionary: TermDictionary,
-        background: Background,
-        inputs: Sequence[str],
-        options: Options | None,
-        closed: Callable[[int, bool], None],
-    ) -> None:
-        self._tell = closed
-        super().__init__(query, dictionary, background, inputs, options)
-
-    def _prepare(self, query: ContinuousQuery) -> None:
-        return
-
-    def span(self, end: int) -> tuple[int, int]:
-        return self._span(end)
-
-    def _evaluate(self, due: Due) -> WindowResult | None:
-        end = due.end
-        content, changed = self._contents.changed(due, self._closed)
-        self._closed, self._had_content = end, content
-        reports = {"non-empty": content, "change": changed, "close": True}[self.options.report]
-        self._contents.turn(due)
-        if reports or self._difference is not None:
-            self._tell(end, reports)
-        self._contents.drop(end, raw=True)
-        return None
+        # A cohort that comes later folds the whole window.
+        return True

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import overload
 
 import numpy as np
 
+from ..rdf.dictionary import TermDictionary
 from ..rdf.timed import TripleRows
 from ..streams.sample import Times
 from .columns import concatenate_rows
@@ -39,29 +39,22 @@ class Intake:
     under 4,096 rows and out-of-order ones are copied. Memory: rows not yet dropped, by chunk.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, dictionary: TermDictionary) -> None:
+        self._dictionary = dictionary
         self._chunks: dict[Shape, list[_Chunk]] = {}
-        self._dropped: int | None = None
+        self._names: dict[Shape, tuple[object, ...]] = {}
 
-    def push(self, rows: TripleRows, after: int | None) -> int:
-        """Keep ``rows`` with τ > ``after`` (None: all); returns how many were too late."""
-        if not len(rows):
-            return 0
+    def push(self, rows: TripleRows) -> None:
+        """Keep these rows, of which there are some."""
         if not ascending(rows.time):
             rows = rows.take(np.argsort(rows.time, kind="stable"))
-        late = 0
-        if after is not None and int(rows.time[0]) <= after:
-            late = int(np.searchsorted(rows.time, after, "right"))
-            rows = rows.take(slice(late, None))
-        if len(rows):
-            shape = (
-                -1 if rows.sort is None else rows.sort,
-                tuple(sorted((p, int(column.kind)) for p, column in rows.objects.items())),
-            )
-            self._chunks.setdefault(shape, []).append(
-                _Chunk(rows, int(rows.time[0]), int(rows.time[-1]), len(rows) < _SMALL)
-            )
-        return late
+        shape = (
+            -1 if rows.sort is None else rows.sort,
+            tuple(sorted((p, int(column.kind)) for p, column in rows.objects.items())),
+        )
+        self._chunks.setdefault(shape, []).append(
+            _Chunk(rows, int(rows.time[0]), int(rows.time[-1]), len(rows) < _SMALL)
+        )
 
     def earliest(self, after: int) -> int | None:
         """The least τ > ``after``, or None."""
@@ -78,7 +71,7 @@ class Intake:
 
     def between(self, low: int, high: int) -> Iterator[TripleRows]:
         """The rows with ``low < τ <= high``: shape by shape, in each by τ, then by arrival."""
-        for shape in sorted(self._chunks):
+        for shape in sorted(self._chunks, key=self._named):
             parts = [
                 _cut(chunk, low, high)
                 for chunk in self._chunks[shape]
@@ -87,19 +80,14 @@ class Intake:
             parts = [part for part in parts if len(part)]
             yield from _in_order(parts)
 
-    def latest(self, until: int) -> int | None:
-        """The greatest τ ≤ ``until`` ever pushed (dropped rows included), or None."""
-        found = self._dropped
-        for chunks in self._chunks.values():
-            # A window may have hundreds of chunks, and this is asked several times a step.
-            times = [chunk.last for chunk in chunks if chunk.last <= until]
-            times += [
-                int(chunk.rows.time[_after(chunk.rows.time, until) - 1])
-                for chunk in chunks
-                if chunk.first <= until < chunk.last
-            ]
-            if times:
-                found = max(times) if found is None else max(found, max(times))
+    def _named(self, shape: Shape) -> tuple[object, ...]:
+        """The shape by names: which of two terms has the lesser id depends on how the input was
+        cut, since windows that closed in between have given ids too."""
+        found = self._names.get(shape)
+        if found is None:
+            term, (sort, columns) = self._dictionary.term, shape
+            named = sorted((str(term(predicate)), kind) for predicate, kind in columns)
+            found = self._names[shape] = "" if sort < 0 else str(term(sort)), tuple(named)
         return found
 
     def drop(self, until: int, settled: int) -> None:
@@ -108,7 +96,6 @@ class Intake:
         No more rows come with τ ≤ ``settled``: small chunks up to there are put together, so that
         a stream of single rows does not cost a chunk a row in every window.
         """
-        self._dropped = self.latest(until)
         for shape, chunks in list(self._chunks.items()):
             kept = [chunk for chunk in chunks if chunk.last > until]
             if kept:
@@ -121,29 +108,6 @@ class Intake:
         """Put small chunks up to τ = ``settled`` together, where no more rows come."""
         for shape, chunks in self._chunks.items():
             self._chunks[shape] = _settle(chunks, settled)
-
-
-class Rows(Sequence[TripleRows]):
-    """Rows that are put together when they are asked for: few windows need them."""
-
-    def __init__(self, find: Callable[[], list[TripleRows]]) -> None:
-        self._find = find
-        self._found: list[TripleRows] | None = None
-
-    @overload
-    def __getitem__(self, index: int) -> TripleRows: ...
-    @overload
-    def __getitem__(self, index: slice) -> list[TripleRows]: ...
-    def __getitem__(self, index: int | slice) -> TripleRows | list[TripleRows]:
-        return self._tables()[index]
-
-    def __len__(self) -> int:
-        return len(self._tables())
-
-    def _tables(self) -> list[TripleRows]:
-        if self._found is None:
-            self._found = self._find()
-        return self._found
 
 
 def _settle(chunks: list[_Chunk], settled: int) -> list[_Chunk]:

@@ -12,9 +12,8 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ..rdf.dictionary import NO_TERM
-from ..rdf.timed import Kind, ObjectColumn
-from .columns import Relation, TermValues, coalesce, key_codes
+from ..rdf.timed import ObjectColumn
+from .columns import Relation, TermValues, coalesce, key_codes, take_or_null
 from .evaluation import holds
 from .expressions import Expression
 
@@ -181,20 +180,3 @@ def _joined(
         if name not in columns:
             columns[name] = take_or_null(column, at_right)
     return Relation(columns, len(at_left))
-
-
-def take_or_null(column: ObjectColumn, rows: Rows) -> ObjectColumn:
-    """The column at ``rows``, null where that is -1."""
-    absent = rows < 0
-    if not absent.any():
-        return column.take(rows)
-    if not len(column):
-        return unbound(len(rows), column.kind)
-    taken = column.take(np.where(absent, 0, rows))
-    return ObjectColumn(taken.kind, taken.values, absent | ~taken.present)
-
-
-def unbound(rows: int, kind: Kind = Kind.TERM) -> ObjectColumn:
-    """A column of nothing."""
-    values = np.full(rows, NO_TERM if kind is Kind.TERM else 0, kind.dtype)
-    return ObjectColumn(kind, values, np.ones(rows, np.bool_))

@@ -95,11 +95,11 @@ def _fold(
     return rows, used, int(touches)
 
 
-def read_only(kind: Any, dimensions: int = 1) -> Any:
+def read_only(kind: Any) -> Any:
     """The type of an array argument of any stride, read-only ones (files, Arrow buffers) too."""
     from numba import types
 
-    return types.Array(kind, dimensions, "A", readonly=True)
+    return types.Array(kind, 1, "A", readonly=True)
 
 
 def _signature(value: str) -> Callable[[], Any]:

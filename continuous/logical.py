@@ -13,7 +13,7 @@ from typing import TypeAlias, assert_never
 from pyoxigraph import NamedNode
 
 from ..rdf.dictionary import Term
-from .expressions import Const, Expression, Var
+from .expressions import Const, Expression, Var, variables
 
 Position: TypeAlias = Var | Const
 
@@ -409,6 +409,16 @@ def certain(plan: Plan) -> frozenset[str]:
             return certain(child) & frozenset(keys)
         case _:
             assert_never(plan)
+
+
+def asked(node: Plan) -> frozenset[str]:
+    """The variables in the expressions of one node."""
+    return frozenset().union(*map(variables, expressions_of(node)))
+
+
+def mentioned(plan: Plan) -> frozenset[str]:
+    """The variables that a plan binds or asks about."""
+    return frozenset().union(*(outputs(node) | asked(node) for node in walk(plan)))
 
 
 def walk(plan: Plan) -> list[Plan]:

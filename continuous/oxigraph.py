@@ -6,11 +6,11 @@ triples: under bag semantics a window that holds some is asked by `bag.counting`
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Any, Final, TypeGuard
+from typing import Any, TypeGuard
 
 from pyoxigraph import (
     BlankNode,
@@ -28,7 +28,7 @@ from rdflib.term import URIRef
 
 from ..languages.csparql import term_text
 from ..languages.csparql.body import Edit, apply_edits
-from ..languages.csparql.functions import ACCESSORS
+from ..languages.csparql.functions import UNCALLED
 from ..languages.csparql.tokens import Kind as TokenKind
 from ..languages.csparql.tokens import closing, tokenize
 from ..rdf.dictionary import Term
@@ -74,6 +74,7 @@ class OxigraphWindows:
         self.predicates, self.classes = named(algebra)
         self._version: int | None = None
         self._quads: dict[Quad, None] = {}
+        self._named_quads: list[Quad] = []
 
     @cached_property
     def counting(self) -> str | None:
@@ -108,10 +109,7 @@ class OxigraphWindows:
             named = list(self._content(contents.get(name, ()), NamedNode(name)))
             again |= len(set(named)) < len(named)
             store.extend(named)
-        for name in self.graphs.static:
-            graph = NamedNode(name)
-            triples = self.static.background.triples(name)
-            store.extend(Quad(s, p, _value(o), graph) for s, p, o in triples if _is_node(s))
+        store.extend(self._named_quads)
         copies = [] if self.distinct else _copies(static, content)
         sparql = self.sparql
         if copies and self.counting is not None:
@@ -148,14 +146,21 @@ class OxigraphWindows:
         raise AssertionError("Oxigraph knows three kinds of results")
 
     def _static_quads(self) -> dict[Quad, None]:
-        """The static triples that the query can touch, each once."""
-        version = self.static.background.version
+        """The static triples that the query can touch, each once; those of named graphs aside."""
+        background = self.static.background
+        version = background.version
         if version != self._version:
             self._version = version
-            copied = self.static.background.copy(self.predicates, self.classes)
+            copied = background.copy(self.predicates, self.classes)
             self._quads = dict.fromkeys(
                 Quad(q.subject, q.predicate, _value(q.object), _DEFAULT) for q in copied
             )
+            self._named_quads = [
+                Quad(s, p, _value(o), NamedNode(name))
+                for name in self.graphs.static
+                for s, p, o in background.triples(name)
+                if _is_node(s)
+            ]
         return self._quads
 
     def _content(
@@ -204,16 +209,10 @@ def _is_node(term: Any) -> TypeGuard[NamedNode | BlankNode]:
     return isinstance(term, NamedNode | BlankNode)
 
 
-_ACCESSORS: Final[dict[NamedNode, Callable[..., Any]]] = {
-    NamedNode(iri): lambda *_: None for iri in ACCESSORS
-}
-"""Accessors of times are for columns alone; here they only have to be read."""
-
-
 def _parsed(sparql: str) -> None:
     """Raises ``ValueError`` for a text that Oxigraph does not take: now, not at some window."""
     try:
-        Store().query(sparql, custom_functions=_ACCESSORS)
+        Store().query(sparql, custom_functions=UNCALLED)
     except SyntaxError as error:
         raise ValueError(f"Oxigraph refuses the query: {error}") from error
 

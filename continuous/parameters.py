@@ -16,7 +16,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
-from .expressions import Call, Var, variables
+from .expressions import Call, Var
 from .logical import (
     Aggregate,
     AnyScan,
@@ -40,8 +40,9 @@ from .logical import (
     TypeScan,
     Union,
     Values,
-    expressions_of,
+    asked,
     inputs,
+    mentioned,
     outputs,
     walk,
     with_inputs,
@@ -91,7 +92,7 @@ class Joint:
     def asked(self) -> frozenset[str]:
         """The variables that ``rest`` (after the searched condition) or the head name."""
         steps = self.rest if self.search is None else self.rest[1:]
-        found = {name for step in steps for e in expressions_of(step) for name in variables(e)}
+        found = {name for step in steps for name in asked(step)}
         match self.head:
             case Select(names):
                 found |= set(names)
@@ -112,9 +113,9 @@ def joint(query: Query, names: Sequence[str]) -> Joint:
         if any(isinstance(step, Extend) and step.variable == name for step in steps):
             raise Unfit(name, f"an expression is bound to ?{name}")
     if isinstance(core, Aggregate):
-        inner = _mentioned(core.child).union(*map(variables, expressions_of(core)))
+        inner = mentioned(core.child) | asked(core)
         core = replace(core, keys=tuple(k for k in core.keys if k in inner or k not in names))
-    joined = tuple(name for name in names if name in _mentioned(core))
+    joined = tuple(name for name in names if name in mentioned(core))
     compared = tuple(name for name in names if name not in joined)
     for name in joined:
         core = _carrying(core, name)
@@ -125,7 +126,7 @@ def joint(query: Query, names: Sequence[str]) -> Joint:
             # The join gives the compared ones, and needs the joined ones.
             kept = dict.fromkeys((*step.variables, *joined))
             shared = Project(tuple(name for name in kept if name not in compared), shared)
-        elif any(not variables(e).isdisjoint(compared) for e in expressions_of(step)):
+        elif not asked(step).isdisjoint(compared):
             break
         else:
             shared = replace(step, child=shared)
@@ -170,13 +171,13 @@ def _carrying(plan: Plan, name: str) -> Plan:
         return Unfit(name, f"?{name} {reason}")
 
     def below(child: Plan) -> Plan:
-        if name not in _mentioned(child):
+        if name not in mentioned(child):
             raise unfit("stands where no pattern binds it")
         return _carrying(child, name)
 
     def also(part: Plan) -> Plan:
         # Bound on both sides, it is what the sides agree on.
-        return _carrying(part, name) if name in _mentioned(part) else part
+        return _carrying(part, name) if name in mentioned(part) else part
 
     match plan:
         case Scan():
@@ -206,7 +207,7 @@ def _carrying(plan: Plan, name: str) -> Plan:
         case LeftJoin(child, optional):
             return replace(plan, child=below(child), optional=also(optional))
         case Minus(child, removed):
-            if name in _mentioned(removed):
+            if name in mentioned(removed):
                 # MINUS takes nothing away where the two sides share no variable.
                 raise unfit("stands in MINUS")
             return replace(plan, child=below(child))
@@ -214,16 +215,6 @@ def _carrying(plan: Plan, name: str) -> Plan:
             return replace(plan, child=below(child), pattern=also(pattern))
         case _:
             raise unfit(f"stands in {type(plan).__name__}")
-
-
-def _mentioned(plan: Plan) -> frozenset[str]:
-    """The variables that a plan binds or asks about."""
-    found: set[str] = set()
-    for node in walk(plan):
-        found |= outputs(node)
-        for expression in expressions_of(node):
-            found |= variables(expression)
-    return frozenset(found)
 
 
 def confined(plan: Plan, names: Collection[str], streamed: Collection[str]) -> bool:

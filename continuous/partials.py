@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pyoxigraph import Literal
 
 from ..rdf.timed import DATATYPES, Kind, ObjectColumn
-from .columns import NeedsOxigraph, Sort, TermValues, concatenate
+from .columns import NeedsOxigraph, Sort, TermValues, either, scattered
 from .decimals import rounded
 from .exact import At
 from .kernels import Groups, RowFold, mirrored
@@ -57,7 +57,8 @@ def parts_of(
     skip: NDArray[np.bool_] | None,
     terms: TermValues,
 ) -> Iterator[Part]:
-    """The rows but those in ``skip``, kind by kind. A null that is not skipped is an error."""
+    """The rows but those in ``skip``, each kind of number once. A null that is not skipped is an
+    error."""
     if column.null is not None:
         failed = column.null if skip is None else column.null & ~skip
         if failed.any():
@@ -149,36 +150,33 @@ class Partial:
 
     numbers: dict[Kind, Numbers] = field(default_factory=dict)
     others: NDArray[np.int64] | None = None
-    _folds: dict[Kind, NumberFold] = field(default_factory=dict)
 
-    def add(
-        self,
+    @classmethod
+    def of(
+        cls,
         subjects: NDArray[np.int32],
         column: ObjectColumn,
-        skip: NDArray[np.bool_] | None,
         groups: Groups,
         terms: TermValues,
         extremes: bool,
-    ) -> None:
-        """Fold all rows in: values of ``column`` for the groups of ``subjects``, but ``skip``."""
-        for part in parts_of(subjects, column, skip, terms):
+    ) -> Partial:
+        """All rows of ``column`` for the groups of ``subjects``, which are there."""
+        made = cls()
+        for part in parts_of(subjects, column, None, terms):
             if part.kind is None:
-                found = groups.groups(part.subjects)
-                if self.others is None:
-                    self.others = np.zeros((groups.used, 2), np.int64)
-                np.add.at(self.others[:, part.column], found, 1)
-            else:
-                fold = self._folds.get(part.kind)
-                if fold is None:
-                    fold = self._folds[part.kind] = NumberFold(part.kind, extremes)
-                fold.add(part.subjects, part.values, part.skip, groups)
-        for kind, fold in self._folds.items():
+                if made.others is None:
+                    made.others = np.zeros((groups.used, 2), np.int64)
+                np.add.at(made.others[:, part.column], groups.groups(part.subjects), 1)
+                continue
+            fold = NumberFold(part.kind, extremes)
+            fold.add(part.subjects, part.values, part.skip, groups)
             rows, high = fold.take_all(groups.used)
             sums = rows[:, 0]
             if high is not None:
                 sums = high.astype(object) * 2**32 + sums.astype(object)
             counts = rows[:, 1].astype(np.int64)
-            self.numbers[kind] = Numbers(sums, counts, rows[:, 2:] if extremes else None)
+            made.numbers[part.kind] = Numbers(sums, counts, rows[:, 2:] if extremes else None)
+        return made
 
     def merged(self, groups: NDArray[np.int64], rows: NDArray[np.int64], count: int) -> Partial:
         """The partial of ``count`` groups where group ``groups[i]`` takes in our ``rows[i]``."""
@@ -230,10 +228,7 @@ class Partial:
             column = self._extreme(function, kinds, len(groups), counts, terms)
         else:
             column = self._total(function == "AVG", kinds, counts, numbers, terms)
-        nulls = (
-            column.null if null is None else (null if column.null is None else null | column.null)
-        )
-        return ObjectColumn(column.kind, column.values, nulls)
+        return ObjectColumn(column.kind, column.values, either(null, column.null))
 
     def _total(
         self,
@@ -259,7 +254,7 @@ class Partial:
                     values = values + (part if code == Kind.INTEGER else part.astype(np.float64))
             places.append(at)
             parts.append(_sum_column(Kind(code), values, numbers[at], average, terms))
-        return _scattered(places, parts, len(numbers), terms)
+        return scattered(places, parts, terms.dictionary)
 
     def _extreme(
         self,
@@ -291,7 +286,7 @@ class Partial:
             kind = kinds[0] if code == 0 else Kind(code)
             parts.append(ObjectColumn(kind, ends[kind][at]))
             places.append(at)
-        return _scattered(places, parts, rows, terms)
+        return scattered(places, parts, terms.dictionary)
 
 
 def _sum_column(
@@ -315,18 +310,6 @@ def _sum_column(
         ids = [terms.dictionary.id(Literal(str(value), datatype=datatype)) for value in whole]
         return ObjectColumn(Kind.TERM, np.array(ids, np.int32))
     return ObjectColumn(kind, rounded(sums) if kind is Kind.DECIMAL else sums)
-
-
-def _scattered(
-    places: list[NDArray[np.int64]], parts: list[ObjectColumn], rows: int, terms: TermValues
-) -> ObjectColumn:
-    kept = [(at, part) for at, part in zip(places, parts, strict=True) if len(at)]
-    if not kept:
-        return parts[0]
-    whole = concatenate([part for _, part in kept], terms.dictionary)
-    back = np.empty(rows, np.int64)
-    back[np.concatenate([at for at, _ in kept])] = np.arange(rows)
-    return whole.take(back)
 
 
 def _nothing(kind: Kind) -> Any:

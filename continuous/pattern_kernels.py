@@ -101,7 +101,7 @@ def _select(
     return out_subjects, out_tags, out_bits, ordered
 
 
-def _chain(starts: Any, subjects: Any, tags: Any, bits: Any, by_subject: bool) -> tuple[Any, Any]:
+def _chain(starts: Any, subjects: Any, bits: Any, by_subject: bool) -> tuple[Any, Any]:
     """Links each row to the next one of its slot with an equal subject (or object), in order.
 
     Returns the heads, by bucket, and the links; -1 ends a chain. Subjects are ids, and neighbours
@@ -602,7 +602,7 @@ def _of_chain() -> Any:
     int32s, int64s = types.int32[::1], types.int64[::1]
     tuple_of: Any = types.Tuple
     result = tuple_of((int32s, int32s))
-    return result(int64s, int32s, types.int8[::1], int64s, types.boolean)
+    return result(int64s, int32s, int64s, types.boolean)
 
 
 def _of_match() -> Any:

@@ -23,7 +23,7 @@ from .logical import (
     Project,
     Scan,
     TypeScan,
-    expressions_of,
+    asked,
     inputs,
     outputs,
     walk,
@@ -151,8 +151,7 @@ def needed_outside(plan: Plan, part: Plan) -> frozenset[str]:
             continue
         if not inputs(node):
             names |= outputs(node)
-        for expression in expressions_of(node):
-            names |= variables(expression)
+        names |= asked(node)
         match node:
             case Project(shown):
                 names |= set(shown)

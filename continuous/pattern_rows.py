@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..rdf.namespaces import RDF_TYPE
-from ..rdf.timed import Kind, ObjectColumn, TripleRows
-from .columns import TermValues, bits
+from ..rdf.timed import Kind, TripleRows
+from .columns import TermValues, bits, decoded
 from .expressions import Var
 from .kernels import ascending
 from .logical import Scan, TypeScan
@@ -170,13 +170,6 @@ def _empty(capacity: int) -> tuple[NDArray[Any], ...]:
     return tuple(np.zeros(capacity, kind) for kind in kinds)
 
 
-def decoded(kind: Kind, bits: NDArray[np.int64]) -> ObjectColumn:
-    """A column of objects of one tag."""
-    if kind.dtype == np.float64:
-        return ObjectColumn(kind, bits.view(np.float64))
-    return ObjectColumn(kind, bits.astype(kind.dtype))
-
-
 class StaticRows:
     """The static triples of the slots, with their chains: made once a version of the background."""
 
@@ -215,5 +208,5 @@ class StaticRows:
             subject, tag, bit = (np.concatenate(column) for column in zip(*parts, strict=True))
         else:
             subject, tag, bit = (np.zeros(0, kind) for kind in (np.int32, np.int8, np.int64))
-        triples = (starts, subject.astype(np.int32), tag.astype(np.int8), bit)
-        return (*triples, *chain(*triples, True), *chain(*triples, False))
+        ends = (starts, subject, bit)
+        return (starts, subject, tag, bit, *chain(*ends, True), *chain(*ends, False))

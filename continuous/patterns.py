@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 from pyoxigraph import NamedNode
 
 from ..rdf.namespaces import RDF_TYPE
-from ..rdf.timed import Kind, ObjectColumn, make_term
-from .columns import Relation, TermValues
+from ..rdf.timed import Kind, ObjectColumn
+from .columns import Relation, TermValues, decoded, decoded_terms
 from .expressions import Call, Const, Expression, Var, variables
 from .logical import Plan, Position, TypeScan, outputs
 from .pattern_kernels import CONSTANT, DOUBTFUL, VARIABLE, match, select
 from .pattern_parts import OPERATIONS, Slot, conditions, leaves, slot_of
-from .pattern_rows import PatternRows, StaticRows, decoded
+from .pattern_rows import PatternRows, StaticRows
 from .sources import StaticSide
 
 _FIRST_CAPACITY = 256
@@ -105,24 +105,11 @@ class PatternJoin:
         for i, name in self._shown:
             tag = uniform[i]
             if tag < 0:
-                columns[name] = self._mixed(tags[i, :found], bits[i, :found])
+                found_tags, found_bits = tags[i, :found], bits[i, :found]
+                columns[name] = decoded_terms(found_tags, found_bits, self.terms.dictionary)
             else:
                 columns[name] = decoded(_KINDS[tag], bits[i, :found])
         return Relation(columns, found)
-
-    def _mixed(self, tags: NDArray[np.int8], bits: NDArray[np.int64]) -> ObjectColumn:
-        """Objects of several tags, as terms."""
-        ids = np.empty(len(tags), np.int32)
-        for tag in np.unique(tags).tolist():
-            at = np.flatnonzero(tags == tag)
-            if tag == Kind.TERM:
-                ids[at] = bits[at]
-                continue
-            values = decoded(Kind(tag), bits[at]).values
-            distinct, inverse = np.unique(values, return_inverse=True)
-            known = (make_term(Kind(tag), value, self.terms.dictionary) for value in distinct)
-            ids[at] = self.terms.dictionary.ids(known)[inverse.reshape(-1)]
-        return ObjectColumn(Kind.TERM, ids)
 
 
 def _single(const: Const, terms: TermValues) -> ObjectColumn:
@@ -158,16 +145,14 @@ class PatternSolver:
     ) -> None:
         """``parts``: each with the variables that are looked at outside it."""
         self.static = static
-        self._parts = tuple(parts)
         named = (slot_of(leaf) for part, _ in parts for leaf in leaves(part))
         slots = list(dict.fromkeys(named))
         self.rows = PatternRows(slots, windows, static.terms)
-        self.slots = slots
         self._static_rows = StaticRows(slots, frozenset(w for w in windows if w), static)
-        numbers = self.rows.slots
         # Parts are told apart by identity, which hashing a deep plan would cost more than.
         self._joins = {
-            id(part): PatternJoin(part, shown, numbers, static.terms) for part, shown in parts
+            id(part): PatternJoin(part, shown, self.rows.slots, static.terms)
+            for part, shown in parts
         }
         self._once = np.array([distinct or s.predicate == RDF_TYPE for s in slots], np.bool_)
         self._starts = np.zeros(len(slots) + 1, np.int64)

@@ -17,17 +17,19 @@ from ..rdf.timed import Kind, ObjectColumn, TripleRows, split_term
 from .closure import closure
 from .columns import (
     NeedsOxigraph,
+    Pairs,
     Relation,
     TermValues,
     concatenate,
     first_rows,
     key_codes,
     term_column,
+    unbound,
 )
 from .evaluation import evaluate, holds
-from .expressions import Const, Var, variables
+from .expressions import Const, Var
 from .grouping import aggregate, ordered
-from .joins import has_match, join_all, left_join, minus, unbound
+from .joins import has_match, join_all, left_join, minus
 from .logical import (
     Aggregate,
     AnyScan,
@@ -49,16 +51,13 @@ from .logical import (
     TypeScan,
     Union,
     Values,
+    asked,
     certain,
-    expressions_of,
-    outputs,
+    mentioned,
     walk,
     with_inputs,
 )
 from .profile import Profile
-
-Pairs = tuple[ObjectColumn, ObjectColumn]
-"""Subjects and objects of triples of one predicate: two columns of one length, without nulls."""
 
 
 class Source(Protocol):
@@ -108,7 +107,8 @@ def _execute(plan: Plan, source: Source, terms: TermValues) -> Relation:
             return select_pairs(source.pairs(plan), subject, object, terms)
         case Closure():
             step = execute(plan.step, source, terms)
-            return closure(plan, step, source.nodes(plan.graph), terms)
+            pairs = closure(plan, step, source.nodes(plan.graph), terms)
+            return select_pairs(pairs, plan.subject, plan.object, terms)
         case Values(variables, rows):
             columns = {
                 name: term_column([row[i] for row in rows], terms.dictionary)
@@ -194,7 +194,7 @@ def _marked(plan: Exists, source: Source, terms: TermValues) -> Relation:
     """
     child = execute(plan.child, source, terms)
     pattern = plan.pattern
-    names = _mentioned(pattern) & child.columns.keys()
+    names = mentioned(pattern) & child.columns.keys()
     if _looks_outside(pattern, names) or _depends(pattern, names):
         bound = distinct(_projected(child, tuple(sorted(names))), terms)
         row = ObjectColumn(Kind.INTEGER, np.arange(bound.rows))
@@ -241,19 +241,6 @@ class _With:
         return self.relation if plan is self.given else self.source.ready(plan)
 
 
-def _mentioned(plan: Plan) -> set[str]:
-    """The variables that a pattern binds or asks about."""
-    found: set[str] = set()
-    for node in walk(plan):
-        found |= outputs(node) | _asked(node)
-    return found
-
-
-def _asked(node: Plan) -> frozenset[str]:
-    """The variables in the expressions of one node."""
-    return frozenset().union(*map(variables, expressions_of(node)))
-
-
 def _looks_outside(plan: Plan, names: Set[str]) -> bool:
     """Whether an expression in it names one of ``names`` that not every row below it binds."""
     for node in walk(plan):
@@ -262,7 +249,7 @@ def _looks_outside(plan: Plan, names: Set[str]) -> bool:
             below = certain(node.child)
         elif isinstance(node, LeftJoin):
             below = certain(node.child) | certain(node.optional)
-        if _asked(node) & names - below:
+        if asked(node) & names - below:
             return True
     return False
 
@@ -274,9 +261,9 @@ def _depends(plan: Plan, names: Set[str]) -> bool:
     an EXISTS of which the rows of ``plan`` do not bind them all.
     """
     for node in walk(plan):
-        if isinstance(node, LeftJoin) and _mentioned(node.optional) & names - certain(node.child):
+        if isinstance(node, LeftJoin) and mentioned(node.optional) & names - certain(node.child):
             return True
-        if isinstance(node, Exists) and _mentioned(node.pattern) & names - certain(node.child):
+        if isinstance(node, Exists) and mentioned(node.pattern) & names - certain(node.child):
             return True
     return False
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from pyoxigraph import Literal, NamedNode
 
-from .expressions import Call, Const, Expression, Var, variables
+from .expressions import COMPARISONS, Call, Const, Expression, Var, variables
 from .logical import Aggregate, Extend, Filter, Join, Plan, Scan, TypeScan, Values, outputs, walk
 from .sources import StaticSide
 
@@ -188,7 +188,7 @@ def _certain(expression: Expression, numbers: set[str]) -> bool:
         case Const(Literal() as literal):
             return literal.datatype.value.endswith(("#integer", "#decimal", "#double", "#boolean"))
         case Call(name, arguments):
-            known = name in ("=", "!=", "<", "<=", ">", ">=", "&&", "||", "!")
+            known = name in (*COMPARISONS, "&&", "||", "!")
             return known and all(_certain(argument, numbers) for argument in arguments)
         case _:
             return False

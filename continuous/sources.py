@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,11 +13,20 @@ from ..rdf.dictionary import NO_TERM
 from ..rdf.namespaces import RDF_TYPE
 from ..rdf.timed import Kind, ObjectColumn, TripleRows, split_term
 from .background import Background
-from .columns import Relation, TermValues, as_terms, concatenate, first_rows, key_codes, term_column
+from .columns import (
+    Pairs,
+    Relation,
+    TermValues,
+    as_terms,
+    concatenate,
+    first_rows,
+    key_codes,
+    term_column,
+)
 from .expressions import Const, Var
 from .logical import AnyScan, Plan, Scan, TypeScan
 from .profile import Profile
-from .relational import OBJECT, PREDICATE, SUBJECT, Pairs, pairs_of
+from .relational import OBJECT, PREDICATE, SUBJECT, pairs_of
 
 
 class StaticSide:
@@ -84,7 +94,7 @@ class StaticSide:
         return sort is not None and wanted in self.supersorts(sort)
 
 
-class WindowSource:
+class WindowSource(ABC):
     """The leaves of a plan over the content of windows, by graph, and the static side.
 
     ``windows`` are the graphs that are windows: nothing static is in them. Under set semantics
@@ -92,25 +102,20 @@ class WindowSource:
     """
 
     def __init__(
-        self,
-        contents: Mapping[str, Sequence[TripleRows]],
-        static: StaticSide,
-        *,
-        windows: Sequence[str],
-        distinct: bool,
+        self, static: StaticSide, windows: Sequence[str], distinct: bool, profile: Profile | None
     ) -> None:
-        self.contents = contents
         self.static = static
         self.windows = frozenset(windows)
         self.distinct = distinct
-        self.profile: Profile | None = None
+        self.profile = profile
 
+    @abstractmethod
     def tables(self, graph: str) -> Sequence[TripleRows]:
         """The rows of a graph's windows."""
-        return self.contents.get(graph, ())
 
+    @abstractmethod
     def ready(self, plan: Plan) -> Relation | None:
-        return None
+        """The solutions of ``plan`` if they are at hand already."""
 
     def pairs(self, scan: Scan | TypeScan) -> Pairs:
         terms = self.static.terms
@@ -212,7 +217,8 @@ class WindowSource:
         for table in tables:
             if table.sort is not None:
                 by_sort.setdefault(table.sort, []).append(table.subject)
-        for sort, parts in sorted(by_sort.items()):
+        # By name: ids depend on how the input was cut.
+        for sort, parts in sorted(by_sort.items(), key=lambda item: str(dictionary.term(item[0]))):
             subjects = distinct_ids(parts, len(dictionary))
             for name in sorted(self.static.supersorts(sort)):
                 term = NamedNode(name)

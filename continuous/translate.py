@@ -6,10 +6,10 @@ Oxigraph, and `explain` says why.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any
 
 from pyoxigraph import Literal, NamedNode
 from rdflib.plugins.sparql.algebra import translateGroupGraphPattern
@@ -51,11 +51,10 @@ from .logical import (
     Values,
     outputs,
 )
+from .paths import path_plan
 from .timestamps import with_times
 from .translate_expressions import ExpressionTranslation
 from .unsupported import Unsupported
-
-Hidden: TypeAlias = Iterator[str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +89,7 @@ class _Translation:
         self.selects_all = selects_all
         self.graph = DEFAULT
         self.hidden = 0
-        self.expressions = ExpressionTranslation(self.term, self.exists)
+        self.expressions = ExpressionTranslation(self._term, self.exists)
         self.waiting: list[tuple[str, Plan]] = []
         """EXISTS of the expression that is being translated: its mark and its pattern."""
 
@@ -169,8 +168,6 @@ class _Translation:
         return Project(names, plan)
 
     def _basic(self, triples: Sequence[Any]) -> Plan:
-        from .paths import path_plan
-
         parts: list[Plan] = []
         for s, p, o in triples:
             subject, object = self._position(s), self._position(o)
@@ -200,11 +197,8 @@ class _Translation:
     def _position(self, term: Any) -> Position:
         return Var(f"_:{term}") if isinstance(term, BNode) else self._term(term)
 
-    def term(self, term: Any) -> Position:
-        """A variable (or the parameter given for it) or a constant of the text."""
-        return self._term(term)
-
     def _term(self, term: Any) -> Position:
+        """A variable (or the parameter given for it) or a constant of the text."""
         if isinstance(term, Variable):
             bound = self.bindings.get(str(term))
             return Var(str(term)) if bound is None else Const(bound)

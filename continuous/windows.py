@@ -67,7 +67,7 @@ class InputWindow:
         Of a window that counts: of what may be in it.
         """
         grid = self.grid
-        high = end if grid is None else end - (end - grid.origin) % grid.step
+        high = end if grid is None else grid.floor(end)
         return (self.low if self.range is None else high - self.range), high
 
 
@@ -77,7 +77,8 @@ class Schedule:
 
     ``ends``: the grid of evaluations (shifted by ``shift``); None: whenever a window that counts
     has moved on. ``windows``: by input, in order. ``pane``: the greatest length that divides every
-    range and step (0 without one).
+    range, step and period, so that each bound of a window of time is the end of a pane (0 without
+    one).
     """
 
     ends: Grid | None
@@ -134,15 +135,13 @@ def schedule(query: ContinuousQuery, inputs: Sequence[str], options: Options) ->
     steps = [window.step for _, _, window in chosen if not isinstance(window, CountWindow)]
     period = max(query.every or 0, min(steps, default=0))
     ends = Grid(period, origin) if period else None
-    pane = period
-    for _, _, window in chosen:
-        if isinstance(window, TimeWindow):
-            pane = gcd(pane, window.range, window.step)
-    windows = tuple(_window(*one, origin, shift) for one in chosen)
+    ranges = [window.range for _, _, window in chosen if isinstance(window, TimeWindow)]
+    pane = gcd(period, *steps, *ranges)
+    windows = tuple(_window(*one, origin) for one in chosen)
     return Schedule(ends, windows, shift, pane)
 
 
-def _window(input: str, graph: str, window: Window, origin: int, shift: int) -> InputWindow:
+def _window(input: str, graph: str, window: Window, origin: int) -> InputWindow:
     low, range = -TIME_MAX, None
     grid = Grid(window.step, origin)
     match window:

@@ -151,18 +151,18 @@ def _body(query: ContinuousQuery, rows: Mapping[str, str], parameters: Sequence[
     shape = _shape(query)
     edits: list[Edit] = []
     if shape.has_where:
-        edits += values_edits(shape, rows, parameters, always=True)
+        edits += values_edits(shape, rows, parameters)
         if query.aggregations:
             # The sub-select encloses the VALUES row, so its edit comes first at that place.
             edits = [*_aggregate_edits(query, shape, parameters), *edits]
         else:
-            edits += _grouping_edits(shape, parameters, always=True)
+            edits += _grouping_edits(shape, parameters)
         for group in groups(shape.tokens, shape.where_open):
             if group.select is not None:
                 edits += _alias_edits(group.select)
         edits += _alias_edits(shape)
         if shape.is_short_construct and rows:
-            edits.append(_template_edit(query.sparql, shape))
+            edits.append(template_edit(query.sparql, shape))
     return prefix_lines(query) + compact(apply_edits(query.sparql, edits)) + "\n"
 
 
@@ -183,10 +183,8 @@ def _declared(sparql: str) -> frozenset[str]:
     )
 
 
-def values_edits(
-    shape: Shape, rows: Mapping[str, str], parameters: Sequence[str], *, always: bool
-) -> list[Edit]:
-    """Insert a VALUES row into each group that uses a parameter; ``always``: all into the first."""
+def values_edits(shape: Shape, rows: Mapping[str, str], parameters: Sequence[str]) -> list[Edit]:
+    """Insert a VALUES row into each group that uses a parameter, all of them into the first."""
     edits: list[Edit] = []
     tokens = shape.tokens
     sub_select: Sequence[str] = ()
@@ -194,9 +192,9 @@ def values_edits(
         if group.select is not None:
             # The row goes into the sub-query's own WHERE, which is the next group.
             sub_select = [name for name in parameters if name in group.names]
-            edits += _grouping_edits(group.select, _uses(group.select, parameters), always=False)
+            edits += _grouping_edits(group.select, _uses(group.select, parameters))
             continue
-        if group.open == shape.where_open and always:
+        if group.open == shape.where_open:
             names = list(rows)
         else:
             # A filter directly in OPTIONAL sees what is around it; nowhere else it does.
@@ -216,7 +214,7 @@ def _uses(shape: Shape, parameters: Sequence[str]) -> list[str]:
     return [name for name in parameters if name in used]
 
 
-def _grouping_edits(shape: Shape, parameters: Sequence[str], *, always: bool) -> list[Edit]:
+def _grouping_edits(shape: Shape, parameters: Sequence[str]) -> list[Edit]:
     """Make the parameters group keys where the query groups at all."""
     if not parameters or not shape.is_aggregated:
         return []
@@ -295,7 +293,7 @@ def _keys(query: ContinuousQuery, shape: Shape, parameters: Sequence[str]) -> li
     return head + [name for name in parameters if name not in head]
 
 
-def _template_edit(sparql: str, shape: Shape) -> Edit:
+def template_edit(sparql: str, shape: Shape) -> Edit:
     """CONSTRUCT WHERE {P} becomes CONSTRUCT {P} WHERE {P}: the short form bars VALUES."""
     pattern = sparql[shape.tokens[shape.where_open].start : shape.tokens[shape.where_close].end]
     word = shape.tokens[shape.start]

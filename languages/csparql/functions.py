@@ -8,10 +8,10 @@ here.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Final
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, Final
 
-from pyoxigraph import Variable
+from pyoxigraph import NamedNode, Variable
 
 from ...rdf.namespaces import PREFIXES, STREAM_SPACE, XSD
 from ..errors import LanguageError, Span
@@ -22,6 +22,10 @@ from .tokens import Kind, Token, closing, tokenize
 TIMESTAMP: Final = "http://larkc.eu/csparql/sparql/jena/ext#timestamp"
 VALID_TIME: Final = STREAM_SPACE + "validTime"
 ACCESSORS: Final = (TIMESTAMP, VALID_TIME)
+UNCALLED: Final[dict[NamedNode, Callable[..., Any]]] = {
+    NamedNode(iri): lambda *_: None for iri in ACCESSORS
+}
+"""The accessors as functions for Oxigraph, which has to read their calls, but never makes one."""
 
 QUERY_PREFIXES: Final[Mapping[str, str]] = {
     **PREFIXES,

@@ -24,7 +24,7 @@ from .ast import (
     TimeWindow,
     Window,
 )
-from .body import Edit, apply_edits, prefix_lines, values_edits
+from .body import Edit, apply_edits, prefix_lines, template_edit, values_edits
 from .functions import check_functions
 from .groups import WINDOW
 from .shape import Shape, query_shape
@@ -97,13 +97,9 @@ def _binding_edits(
         if token.kind is Kind.VARIABLE and token.text[1:] in replaced
     ]
     if rows:
-        edits += values_edits(shape, rows, list(rows), always=True)
+        edits += values_edits(shape, rows, list(rows))
         if shape.is_short_construct:
-            pattern = sparql[
-                shape.tokens[shape.where_open].start : shape.tokens[shape.where_close].end
-            ]
-            end = shape.tokens[shape.start].end
-            edits.append(Edit(end, end, f" {pattern}"))
+            edits.append(template_edit(sparql, shape))
     return edits
 
 

@@ -11,17 +11,17 @@ from __future__ import annotations
 import re
 import threading
 from bisect import bisect_right
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
-from pyoxigraph import Literal, NamedNode, Store
+from pyoxigraph import Literal, Store
 from pyparsing import ParseBaseException
 
 from ...rdf.namespaces import PREFIXES
 from ..errors import LanguageError, Span
-from .functions import ACCESSORS
+from .functions import UNCALLED
 from .terms import iri_text, string_text, term_text
 from .tokens import Kind, Token, tokenize
 
@@ -196,7 +196,7 @@ def check_meaning(text: str, source: str, span: Span, prefixes: Mapping[str, str
     """
     try:
         # An empty store: nothing is computed. SERVICE was refused before.
-        Store().query(text, prefixes=dict(prefixes), custom_functions=_ACCESSORS)
+        Store().query(text, prefixes=dict(prefixes), custom_functions=UNCALLED)
     except (SyntaxError, ValueError, RuntimeError, OSError) as error:
         reason = _OXIGRAPH_PLACE.sub("", str(error))
         known = [r for r in _REASONS if r in reason]
@@ -210,10 +210,6 @@ def check_meaning(text: str, source: str, span: Span, prefixes: Mapping[str, str
         raise LanguageError(f"no SPARQL: {error}", source, span) from None
 
 
-# They have no SPARQL: who evaluates them does not hand them to Oxigraph as they stand.
-_ACCESSORS: Final[dict[NamedNode, Callable[..., Any]]] = {
-    NamedNode(iri): lambda *_: None for iri in ACCESSORS
-}
 _NOT_GROUPED: Final = "SELECT names a variable that is neither grouped nor aggregated"
 _REASONS: Final = {
     "The SELECT contains a variable that is unbound": _NOT_GROUPED,

@@ -134,9 +134,9 @@ def solved(
     """The solutions of every window to the last digit; ``oxigraph``: by nothing but Oxigraph."""
     dictionary = TermDictionary()
     evaluator = ContinuousEvaluator(parse_query(text), dictionary, background, tuple(streams))
-    assert evaluator._plan is not None, "a query of CityBench is evaluated in columns"
+    assert evaluator._solver.execution is not None, "a query of CityBench is evaluated in columns"
     if oxigraph:
-        evaluator._plan = evaluator._incremental = None
+        evaluator._solver.execution = None
     for name, triples in streams.items():
         evaluator.push(name, from_terms(triples, dictionary))
     results = [result for name in streams for result in evaluator.end(name)]

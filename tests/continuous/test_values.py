@@ -80,3 +80,13 @@ def test_a_static_side_that_needs_oxigraph_needs_it_in_every_window(tmp_path) ->
     )
     found = windows(body, (1, ONE, ALT, Literal(1)), (11, ONE, ALT, Literal(1)), static=[path])
     assert found == [[{"o": ONE.value, "n": "3"}]] * 2
+
+
+def test_negative_zero_among_other_kinds_keeps_its_sign() -> None:
+    """Objects of several kinds become terms, and 0 and -0 are two of them."""
+    values = [Literal(0.0), Literal(-0.0), Literal("x")]
+    subjects = [NamedNode(f"{DYKNOW}o{i}") for i in range(len(values))]
+    elements = [(1, subject, SPEED, value) for subject, value in zip(subjects, values, strict=True)]
+    elements += [(1, subject, ALT, Literal(1)) for subject in subjects]
+    (rows,) = windows("SELECT ?v WHERE { ?o d:speed ?v . ?o d:alt ?h }", *elements)
+    assert sorted(row["v"] for row in rows) == ["-0", "0", "x"]

@@ -109,7 +109,7 @@ def run(query, streams: dict, cuts: list[int], options: Options, oxigraph: bool 
     dictionary = TermDictionary()
     evaluator = ContinuousEvaluator(query, dictionary, background(), list(streams), options)
     if oxigraph:
-        evaluator._plan = evaluator._incremental = None
+        evaluator._solver.execution = None
     feed = sorted(
         ((e.time, iri, e) for iri, elements in streams.items() for e in elements),
         key=lambda item: item[0],

@@ -388,7 +388,7 @@ def test_columns_equal_oxigraph(spec, elements, opts, size) -> None:
     dictionary = TermDictionary()
     direct = ContinuousEvaluator(query, dictionary, background(), [INPUT], opts)
     oracle = ContinuousEvaluator(query, dictionary, background(), [INPUT], opts)
-    oracle._plan = oracle._incremental = None
+    oracle._solver.execution = None
     rows = triples(elements, dictionary)
     for evaluator in (direct, oracle):
         evaluator.push(INPUT, rows)

@@ -9,8 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pyoxigraph import BlankNode, Literal, NamedNode, Quad, Store
 
-from dyknow.continuous import evaluator as evaluation
-from dyknow.continuous import pattern_rows, patterns
+from dyknow.continuous import execution, pattern_rows, patterns
 from dyknow.continuous.background import Background
 from dyknow.continuous.evaluator import ContinuousEvaluator
 from dyknow.continuous.options import Options
@@ -148,7 +147,7 @@ def solutions(body: str, elements: list, static: list, options: Options) -> list
 def test_three_ways_to_join_patterns_agree(body, elements, static, options) -> None:
     found = solutions(body, elements, static, options)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(evaluation, "JIT", False)
+        patch.setattr(execution, "JIT", False)
         assert solutions(body, elements, static, options) == found
     with pytest.MonkeyPatch.context() as patch:
         for module, name in ((patterns, "select"), (pattern_rows, "chain"), (patterns, "match")):
@@ -170,9 +169,10 @@ def test_rows_that_have_left_are_forgotten() -> None:
         f"SELECT * FROM STREAM <{X}> [RANGE 4ns STEP 2ns] WHERE {{ ?a {node('p')} ?b }}"
     )
     evaluator = ContinuousEvaluator(query, dictionary, Background(), [X])
-    if evaluator._patterns is None:
+    patterns = evaluator._solver.execution.patterns
+    if patterns is None:
         pytest.skip("without compiled loops columns keep the rows")
     for time in range(1, 3000):
         evaluator.push(X, from_terms([(time, NODES[0], node("p"), NODES[1])], dictionary))
         evaluator.advance(X, time)
-    assert evaluator._patterns.rows.count < 200
+    assert patterns.rows.count < 200

@@ -192,13 +192,13 @@ def solve(case: Case, semantics: Semantics = "set") -> tuple[object, Outcome]:
     background = Background.from_files(graphs, default=query.static)
     evaluator = ContinuousEvaluator(query, dictionary, background, [STREAM], Options(semantics))
     asked: list[int] = []
-    original = evaluator._oxigraph.solve
+    original = evaluator._solver.oxigraph.solve
 
     def counted(*arguments):
         asked.append(1)
         return original(*arguments)
 
-    evaluator._oxigraph.solve = counted
+    evaluator._solver.oxigraph.solve = counted
     elements = [(1, *triple) for triple in triples(case) or [UNRELATED]]
     evaluator.push(STREAM, from_terms(elements, dictionary))
     (result,) = evaluator.end(STREAM)

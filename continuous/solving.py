@@ -1,0 +1,176 @@
+"""The result of one query for one window after the other: in columns, or by Oxigraph.
+
+Called by `evaluator` for the windows of one query, and by `cohorts` for windows that many share.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+from rdflib.plugins.sparql.parserutils import CompValue
+
+from ..languages.csparql import algebra, body_sparql, group_keys
+from ..languages.csparql.ast import ContinuousQuery
+from ..languages.csparql.shape import query_shape
+from ..languages.errors import Span
+from ..rdf.dictionary import Term
+from .columns import NeedsOxigraph
+from .execution import Execution, WindowRows
+from .explain import Stages
+from .heads import finish
+from .logical import Query
+from .oxigraph import OxigraphWindows
+from .profile import Profile
+from .relational import execute
+from .results import WindowResult
+from .rules import optimize
+from .sources import StaticSide
+from .stream_operators import Difference
+from .timestamps import asks_for_times, at_time
+from .translate import Graphs, translate
+from .unsupported import Unsupported
+from .windowing import Windowing
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """A query as SPARQL and as rdflib's algebra, with what the translation has to know of it."""
+
+    sparql: str
+    tree: CompValue
+    graphs: Graphs
+    selects_all: bool
+
+    @classmethod
+    def of(cls, query: ContinuousQuery, windows: Windowing) -> Reading:
+        """``query`` over these windows; raises ``ValueError`` where it makes no SPARQL."""
+        asked = _with_rows_only(query)
+        graphs = Graphs(windows.schedule.named, query.static_named, query.window_variables)
+        shape = query_shape(query.sparql)
+        selects_all = shape is not None and shape.selects_all
+        return cls(body_sparql(asked), algebra(asked).algebra, graphs, selects_all)
+
+    def translated(self, bindings: Mapping[str, Term]) -> Query:
+        """The logical plan with these terms put in; raises as `translate`."""
+        return translate(self.tree, bindings, self.graphs, selects_all=self.selects_all)
+
+
+def _with_rows_only(query: ContinuousQuery) -> ContinuousQuery:
+    """An AGGREGATE over nothing gives no row, as one with group keys does ([Events14 §III.A])."""
+    if not query.aggregations or group_keys(query):
+        return query
+    some = ("(COUNT(*) > 0)", Span(0, 0))
+    return replace(query, aggregate_filters=(*query.aggregate_filters, some))
+
+
+class Solver:
+    """One query over windows, whose rows others may read too.
+
+    ``alone``: nobody else reads them, so that they may be kept as the query needs them. ``folds``:
+    see `Execution`. Raises ``ValueError`` where the query makes no SPARQL.
+    """
+
+    def __init__(
+        self,
+        query: ContinuousQuery,
+        windows: Windowing,
+        static: StaticSide,
+        *,
+        alone: bool = False,
+        folds: bool = True,
+    ) -> None:
+        self.query = query
+        self.windows = windows
+        self.terms = static.terms
+        reading = Reading.of(query, windows)
+        self.oxigraph = OxigraphWindows(
+            reading.sparql,
+            reading.tree,
+            static,
+            self.terms,
+            reading.graphs,
+            distinct=windows.options.semantics == "set",
+        )
+        self._difference: Difference | None = None
+        if windows.differs:
+            self._difference = Difference(query.operator, self.terms)
+        self.profile: Profile | None = None
+        """Where it is set, it takes what the operators cost, and `explain` shows it."""
+        self.translated: Query | None = None
+        self.execution: Execution | None = None
+        """None: by Oxigraph, because of `reason`."""
+        self.rules: tuple[str, ...] = ()
+        self.reason = ""
+        try:
+            bindings = {variable.value: term for variable, term in query.bindings.items()}
+            self.translated = reading.translated(bindings)
+            plan, self.rules = optimize(self.translated.plan)
+            self.execution = Execution(plan, windows, static, folds=folds)
+            if alone:
+                self.execution.join_patterns(self.translated.head)
+        except Unsupported as unsupported:
+            self.reason = str(unsupported)
+            if asks_for_times(reading.tree):
+                raise ValueError(
+                    f"times of triples and {unsupported} do not go together in one query"
+                ) from unsupported
+
+    @property
+    def retains(self) -> bool:
+        """Whether the rows of a window are read again when it has closed."""
+        return self.execution is None or self.execution.retains
+
+    def fold(self, end: int) -> None:
+        """The rows up to ``end`` are there."""
+        if self.execution is not None:
+            self.execution.fold(end)
+
+    def result(self, end: int, *, reports: bool) -> WindowResult | None:
+        """What is given out at ``end``, after `fold`; where ``reports`` is not, only a difference
+        that there is."""
+        rows = WindowRows(self.windows.contents, end)
+        if self._difference is None:
+            return self.solve(rows) if reports else None
+        found = self._difference.of(self.solve(rows))
+        return found if reports or found.size else None
+
+    def solve(self, rows: WindowRows) -> WindowResult:
+        """The result of the query over these rows."""
+        start, shown = self.windows.span(rows.end)
+        execution = self.execution
+        if execution is not None and self.translated is not None:
+            head, plan = self.translated.head, execution.plan
+            if execution.names_now:
+                plan = at_time(plan, shown)
+            for source in execution.sources(rows, self.profile):
+                try:
+                    relation = execute(plan, source, self.terms)
+                    return finish(head, relation, start, shown, self.terms)
+                except NeedsOxigraph:
+                    # Not folded, columns may do; else Oxigraph is as exact, bags too; where it is
+                    # not, the result says so (`merged`).
+                    continue
+        return self.oxigraph.solve(rows.tables, start, shown)
+
+    def explain(self) -> str:
+        """The query, its windows, its logical plan and how that is executed, for people."""
+        oxigraph, execution = self.oxigraph, self.execution
+        plan = None
+        if execution is not None and self.translated is not None:
+            plan = Query(self.translated.head, execution.plan)
+        return str(
+            Stages(
+                self.query,
+                oxigraph.sparql,
+                self.windows.options,
+                self.windows.schedule,
+                self.translated,
+                plan,
+                self.rules,
+                self.reason,
+                "" if execution is None else execution.shape,
+                "" if oxigraph.counting is not None else oxigraph.merges,
+                self.profile,
+            )
+        )

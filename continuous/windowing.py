@@ -1,0 +1,178 @@
+"""Rows and watermarks in, windows that close out: when, and over what, a query is evaluated.
+
+What is computed when a window closes is the business of who is told so: `evaluator` for one query,
+`instances` for all instances of a template.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+from ..languages.csparql.ast import ContinuousQuery, StreamOperator
+from ..rdf.timed import TimedTriples, TripleRows
+from ..streams.time import TIME_MAX
+from .columns import TermValues
+from .contents import Contents, Due
+from .options import Options
+from .windows import schedule
+
+Closed = Callable[[int, bool], bool]
+"""Told the end of a window that has closed and whether its result is reported; answers whether the
+rows that were in it are read again."""
+
+
+class Windowing:
+    """The windows of a query over named inputs; ``closed`` is told of each, in order.
+
+    Arguments, errors and law as of `evaluator.ContinuousEvaluator`.
+    """
+
+    def __init__(
+        self,
+        query: ContinuousQuery,
+        terms: TermValues,
+        inputs: Sequence[str],
+        options: Options,
+        closed: Closed,
+    ) -> None:
+        self.options = options
+        self.inputs = tuple(inputs)
+        self.terms = terms
+        self.late = 0
+        """Rows that came behind a watermark, or for a window that had closed, and were dropped."""
+        self.schedule = schedule(query, self.inputs, options)
+        self.contents = Contents(self.schedule, terms.dictionary)
+        self.differs = query.operator is not StreamOperator.RSTREAM
+        """Whether results are compared with those before, so that each one has to be known."""
+        self._tell = closed
+        self._watermarks: dict[str, int] = {}
+        self._ended: set[str] = set()
+        self._closed: int | None = None
+        self._had_content = False
+
+    def push(self, input: str, triples: TimedTriples) -> None:
+        """Rows continue ``input``: none before its watermark. Their terms are of our dictionary."""
+        if triples.dictionary is not self.terms.dictionary:
+            raise ValueError("the triples are of another dictionary")
+        self._ended.discard(input)
+        limit = self.limit(input)
+        if self.contents.push_plain(input, triples.tables, limit):
+            return
+        for table in triples.tables:
+            rows = self._relevant(table)
+            if rows is not None:
+                self.late += self.contents.push(input, rows, limit)
+
+    def advance(self, input: str, watermark: int) -> None:
+        """Every later row of ``input`` has τ ≥ ``watermark``: some windows may close."""
+        known = self._watermarks.get(input)
+        if known is None or watermark > known:
+            self._watermarks[input] = watermark
+        self._close()
+
+    def end(self, input: str) -> None:
+        """``input`` has come to its end. After the last one every window with content closes."""
+        self._ended.add(input)
+        self._close()
+
+    def resume(self, input: str) -> None:
+        """``input`` had come to its end and goes on: windows wait for it again."""
+        self._ended.discard(input)
+
+    def next_end(self) -> int | None:
+        """No later window ends before this; None while that is unknown."""
+        candidates = []
+        pending = self._due()
+        if pending is not None:
+            candidates.append(pending.end)
+        for one in self.schedule.windows:
+            watermark = self._watermarks.get(one.input)
+            if one.input not in self._ended and watermark is not None:
+                candidates.append(self.schedule.first_end(one, watermark))
+        if not candidates:
+            return None
+        least = -TIME_MAX
+        if self._closed is not None:
+            least = (
+                self._closed if self.schedule.ends is None else self.schedule.after(self._closed)
+            )
+        return max(min(candidates), least) - self.schedule.shift
+
+    def span(self, end: int) -> tuple[int, int]:
+        """The start and end that the result at ``end`` is told with."""
+        shift = self.schedule.shift
+        lows = [one.bounds(end)[0] for one in self.schedule.windows if not one.lasts]
+        return min(lows, default=end) - shift, end - shift
+
+    def _relevant(self, table: TripleRows) -> TripleRows | None:
+        """The rows that stand for a triple, each object in its canonical spelling (`patterns` see
+        to that themselves)."""
+        if self.contents.keeps:
+            objects = {p: self.terms.canonical(column) for p, column in table.objects.items()}
+            if any(objects[p] is not column for p, column in table.objects.items()):
+                table = replace(table, objects=objects)
+        empty = None
+        for column in table.objects.values():
+            if column.null is None:
+                return table
+            empty = column.null if empty is None else empty & column.null
+        if empty is None:
+            return None
+        return table.take(~empty) if empty.any() else table
+
+    def limit(self, input: str) -> int | None:
+        """Rows of ``input`` with τ up to here come too late; None: none does."""
+        limits = []
+        if input in self._watermarks:
+            limits.append(self._watermarks[input] - 1)
+        if self._closed is not None:
+            closed = self.contents.limit(input, self._closed)
+            limits += [] if closed is None else [closed]
+        return max(limits, default=None)
+
+    def _watermark(self) -> int | None:
+        """The least watermark over all inputs; None while one has neither begun nor ended."""
+        least = TIME_MAX
+        for name in self.inputs:
+            if name in self._ended:
+                continue
+            if name not in self._watermarks:
+                return None
+            least = min(least, self._watermarks[name])
+        return least
+
+    def _close(self) -> None:
+        watermark = self._watermark()
+        if watermark is None:
+            return
+        self.contents.settle(watermark)
+        while True:
+            due = self._due()
+            if due is None or watermark <= due.end - self.schedule.shift:
+                return
+            self._evaluate(due)
+
+    def _due(self) -> Due | None:
+        """The next evaluation: one with content, or one that is asked for without."""
+        due = self.contents.next(self._closed)
+        if self._closed is None or self.schedule.ends is None:
+            return due
+        following = Due(self.schedule.after(self._closed))
+        if due is not None and due.end == following.end:
+            return due
+        ended = len(self._ended) == len(self.inputs)
+        if self.options.report == "close":
+            return None if due is None and ended else following
+        # What has left the result is to be told, though nothing is there any more.
+        leaves = self.differs or self.options.report == "change"
+        return following if leaves and self._had_content else due
+
+    def _evaluate(self, due: Due) -> None:
+        end = due.end
+        content, changed = self.contents.changed(due, self._closed)
+        self._closed, self._had_content = end, content
+        reports = {"non-empty": content, "change": changed, "close": True}[self.options.report]
+        self.contents.turn(due)
+        again = self._tell(end, reports)
+        self.contents.drop(end, raw=again)
