@@ -30,7 +30,7 @@ import msgspec
 import numpy as np
 
 from dyknow.rdf.namespaces import DYKNOW
-from dyknow.service.app import create_app  # noqa: F401 - all loops of a service are known
+from dyknow.service.cli import app  # noqa: F401 - all loops of a service are known
 from dyknow.service.client import Client
 from dyknow.service.negotiation import ARROW, NDJSON
 from dyknow.streams.compiled import compile_all
