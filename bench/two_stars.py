@@ -9,7 +9,8 @@ seconds. The stars meet in the region; 50,000 static triples tell of UAVs, stati
 adds pushing the triples of that second, as columns. Oxigraph is asked twice: *fresh* fills a store
 with the static triples and the window's, *lasting* keeps one, from which the expired triples are
 removed and to which the new ones are added. Their time is that, asking, and counting the solutions;
-making the terms is not in it. The solutions are compared, term by term.
+making the terms is not in it. The numbers of solutions are compared in every window, the solutions
+term by term in the last one.
 """
 
 from __future__ import annotations
