@@ -18,6 +18,7 @@ TABLES = (
     "citybench.py",
     "two_stars.py",
     "instances.py",
+    "requests.py",
     "service.py",
     "latency.py",
     "ingest.py",
