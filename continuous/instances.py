@@ -116,23 +116,24 @@ class TemplateEvaluator:
         self._live += 1
         return number
 
-    def serves(
+    def agreement(
         self,
         arguments: Mapping[Variable, Term],
         one_by_one: Collection[str],
         streamed: Collection[str],
-    ) -> bool:
-        """Whether instances with such arguments share more than their windows; and whether those
-        in ``one_by_one`` need no other triples than those about their term, of the predicates
-        (IRIs) that are ``streamed``, so that an instance has what it would have over these alone.
+    ) -> frozenset[str] | None:
+        """The parameters on which instances with such arguments have to agree to share more than
+        their windows; None if they share nothing more, or if those in ``one_by_one`` are among
+        these, or need other triples than those about their term, of the predicates (IRIs) that are
+        ``streamed``: else an instance has what it would have over these alone.
         """
         given = {variable.value: term for variable, term in arguments.items()}
         found, fixed = joint_of(self._windows, self.query, given)
         if found is None or not fixed.keys().isdisjoint(one_by_one):
-            return False
+            return None
         # ASK says no as well.
         alike = not isinstance(found.head, Ask) and confined(found.plan, one_by_one, streamed)
-        return alike or not one_by_one
+        return frozenset(fixed) if alike or not one_by_one else None
 
     def remove(self, instance: int) -> None:
         """Forget an instance; raises ``KeyError`` if it is not there."""

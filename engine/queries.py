@@ -127,18 +127,19 @@ class Queries:
         unit = self._configuration.start_query(form.schema, make)
         return _built(unit, query, form, supplies)
 
-    def serves(
+    def agreement(
         self,
         query: ContinuousQuery,
         arguments: Mapping[Variable, Term],
         streamed: Collection[str],
         selected: Collection[str],
-    ) -> bool:
-        """Whether requests of a template with such arguments can share a query over streams of the
-        features ``streamed``, where each selects the objects that ``selected`` parameters name."""
+    ) -> frozenset[str] | None:
+        """The parameters on which requests of a template with such arguments have to agree to share
+        a query over streams of the features ``streamed``, where each selects the objects that
+        ``selected`` parameters name; None if they cannot."""
         # Any name of a stream does: only what the query says decides.
         evaluator = self._evaluator(with_streams(query, ["any"]), ["any"])
-        return evaluator.serves(arguments, selected, streamed)
+        return evaluator.agreement(arguments, selected, streamed)
 
     def _evaluator(self, query: ContinuousQuery, inputs: Sequence[str]) -> TemplateEvaluator:
         background = explanations.closed_ontology(self._ontology, query.static_named)

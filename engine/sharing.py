@@ -60,7 +60,7 @@ class Sharing:
         self._ontology = ontology
         self._templates = templates
         self._plans = plans
-        self._served: dict[Hashable, bool] = {}
+        self._agreements: dict[Hashable, frozenset[str] | None] = {}
         self._alone: Counter[Hashable] = Counter()
 
     def common(
@@ -78,16 +78,19 @@ class Sharing:
         """
         if not query.bindings:
             return None
-        supplies: tuple[Supply, ...] | None = tuple(m.supply for m in matches if m.supply)
-        selected = _selected(supplies or (), query.bindings)
+        own = tuple(match.supply for match in matches if match.supply is not None)
+        selected = _selected(own, query.bindings)
+        fixed = self._agreement(template, query, own, selected)
+        if fixed is None:
+            return None
+        supplies = own
         if selected:
-            supplies = self._unselected(template, request, supplies or (), selected, strategy)
-        if not supplies:
-            return None
-        if not self._is_served(template, query, supplies, selected):
-            return None
-        given = frozenset(variable.value for variable in query.bindings)
-        kind = (template.source, given, selected, supplies)
+            every = self._unselected(template, request, own, selected, strategy)
+            if every is None:
+                return None
+            supplies = every
+        terms = tuple((v.value, t if v.value in fixed else None) for v, t in query.bindings.items())
+        kind = (template.source, terms, selected, supplies)
         least = OWN_OBJECTS if selected else SAME_STREAMS
         return Common(kind, template.query, supplies, least)
 
@@ -105,25 +108,25 @@ class Sharing:
         if not self._alone[common.key]:
             del self._alone[common.key]
 
-    def _is_served(
+    def _agreement(
         self,
         template: Template,
         query: ContinuousQuery,
         supplies: Sequence[Supply],
         selected: frozenset[str],
-    ) -> bool:
-        """Whether the template's query can serve such requests, found once."""
+    ) -> frozenset[str] | None:
+        """The parameters on which such requests have to agree to share the template's query, or
+        None; found once. (Others would have a plan each over what all of them read.)"""
         streamed = frozenset(supply.want.feature for supply in supplies)
         given = frozenset(variable.value for variable in query.bindings)
         key = (template.source, given, selected, streamed)
-        found = self._served.get(key)
-        if found is None:
-            if len(self._served) >= _REMEMBERED:
-                self._served.clear()
-            found = self._served[key] = self._plans.queries.serves(
+        if key not in self._agreements:
+            if len(self._agreements) >= _REMEMBERED:
+                self._agreements.clear()
+            self._agreements[key] = self._plans.queries.agreement(
                 template.query, query.bindings, streamed, selected
             )
-        return found
+        return self._agreements[key]
 
     def _unselected(
         self,

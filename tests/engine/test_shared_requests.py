@@ -73,6 +73,14 @@ def test_own_objects_are_selected_by_the_template(shared):
     assert told == [{"uav1"}, {"uav2"}, {"uav3"}, set()]
 
 
+def test_who_does_not_agree_on_what_the_plan_has_to_have_does_not_share(shared):
+    """A sort is put into the plan: one query would have a plan for each."""
+    sorts = ["dyknow:UAV", "dyknow:Aircraft", "dyknow:Vehicle", "dyknow:UAV"]
+    texts = [f"dyknow:HighSpeedEvent(?o, {sort}, {100 + i})" for i, sort in enumerate(sorts)]
+    views = [shared.request_event(shared.parse_request(text)) for text in texts]
+    assert [made_by(view)[-1] for view in views] == ["cSparql"] * 3 + ["selectInstance"]
+
+
 def test_the_past_is_each_ones_own(shared):
     fly(shared, 7, uav1=130)
     views = [ask(shared, "?o", limit, since=Since.START) for limit in (100, 110, 120)]
