@@ -20,6 +20,7 @@ from ..rdf.dictionary import Term
 from .columns import NeedsOxigraph, Relation
 from .evaluation import evaluate, holds
 from .evaluator import ContinuousEvaluator, _Source, _Windows, _with_rows_only
+from .flows import Flow
 from .incremental import Incremental
 from .instance_results import Common, Joined
 from .instance_table import INSTANCE, InstanceTable
@@ -119,7 +120,7 @@ class Together(Reader):
     def _plan_for(self, query: ContinuousQuery) -> None:
         self._choose(self.joint.plan)
 
-    def explain(self) -> str:
+    def explain(self, flows: Mapping[str, Flow] | None = None) -> str:
         """The shared plan, how it is computed, and what is done to what the join gives."""
         lines = describe_query(Query(self.joint.head, self.joint.plan))
         if self._incremental is None:

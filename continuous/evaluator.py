@@ -22,6 +22,7 @@ from .background import Background
 from .columns import NeedsOxigraph, Relation, TermValues
 from .contents import Contents, Due
 from .explain import Stages
+from .flows import Flow
 from .heads import finish, head_variables
 from .incremental import Incremental
 from .intake import Rows
@@ -29,6 +30,7 @@ from .logical import DEFAULT, AnyScan, Closure, Plan, Query, Scan, TypeScan, out
 from .options import Options
 from .oxigraph import OxigraphWindows
 from .pattern_parts import needed_outside, pattern_parts, served_parts
+from .pattern_sizes import Known
 from .patterns import PatternSolver
 from .profile import Profile
 from .relational import execute
@@ -90,6 +92,7 @@ class ContinuousEvaluator:
         self._reason = ""
         self._incremental: Incremental | None = None
         self._patterns: PatternSolver | None = None
+        self._served: tuple[Plan, ...] = ()
         self._no_increment = ""
         self._names_now = False
         self._spells = True
@@ -167,8 +170,9 @@ class ContinuousEvaluator:
             )
         return max(min(candidates), least) - self.schedule.shift
 
-    def explain(self) -> str:
-        """The query, its windows, its logical plan and how that is executed, for people."""
+    def explain(self, flows: Mapping[str, Flow] | None = None) -> str:
+        """The query, its windows, its logical plan, how that is executed and what it costs, for
+        people; ``flows`` is what is known of the inputs, by name."""
         oxigraph = self._oxigraph
         return str(
             Stages(
@@ -182,9 +186,16 @@ class ContinuousEvaluator:
                 self._reason,
                 self._no_increment if self._incremental is None else self._incremental.shape,
                 "" if oxigraph.counting is not None else oxigraph.merges,
+                self.known(flows or {}),
+                self._served,
                 self.profile,
             )
         )
+
+    def known(self, flows: Mapping[str, Flow]) -> Known:
+        """What costs are estimated from."""
+        distinct = self.options.semantics == "set"
+        return Known(self.schedule, self._static, flows, distinct)
 
     def _choose(self, plan: Plan) -> None:
         self._names_now = names_now(plan)
@@ -212,8 +223,9 @@ class ContinuousEvaluator:
         if self._names_now or any(one.counted for one in windows):
             return
         plan = pattern_parts(plan)
-        parts = list(served_parts(plan))
+        parts = tuple(served_parts(plan))
         if parts and self._plan is not None:
+            self._served = parts
             self._plan = Query(self._plan.head, plan)
             graphs = [one.graph for one in windows]
             distinct = self.options.semantics == "set"
@@ -322,7 +334,11 @@ class ContinuousEvaluator:
         self._closed, self._had_content = end, content
         reports = {"non-empty": content, "change": changed, "close": True}[self.options.report]
         result = None
+        begin = 0 if self.profile is None else self.profile.clock()
         self._contents.turn(due)
+        if self.profile is not None and self._served:
+            # All parts read what this selects: it is told with the first of them.
+            self.profile.beside(self._served[0], self.profile.clock() - begin)
         if reports or self._difference is not None:
             result = self._solve(end)
         if result is not None and self._difference is not None:
@@ -336,6 +352,9 @@ class ContinuousEvaluator:
         """The panes up to ``end`` that have content, oldest first; others are skipped."""
         window = self.schedule.windows[0]
         assert window.grid is not None
+        scan, rows = incremental.shape.scan, 0
+        predicate = self._terms.dictionary.find(scan.predicate)
+        begin = 0 if self.profile is None else self.profile.clock()
         intakes = self._contents.intakes.values()
         done = window.bounds(end)[0]
         if self._closed is not None:
@@ -352,8 +371,14 @@ class ContinuousEvaluator:
                 for table in intake.between(pane_end - self.schedule.pane, pane_end)
             ]
             incremental.fold(pane_end, tables)
+            if self.profile is not None:
+                columns = (t.objects.get(predicate) for t in tables)
+                rows += sum(int(c.present.sum()) for c in columns if c is not None)
             done = pane_end
         incremental.evict(window.bounds(end)[0])
+        if self.profile is not None:
+            self.profile.add(scan, rows, 0)
+            self.profile.beside(scan, self.profile.clock() - begin)
 
     def _span(self, end: int) -> tuple[int, int]:
         """The start and end that the result at ``end`` is told with."""
