@@ -57,17 +57,15 @@ class Flow:
 
     def __str__(self) -> str:
         said = self.any
-        unknown = (self.rate is None, self.subjects is None)
-        digits = ".3g" if said.rate < 100 else ",.0f"
-        rate = f"{said.rate:{digits}} samples a second"
-        subjects = f"{said.subjects:,.0f} subject"
-        subjects += "" if said.subjects == 1 else "s"
-        match unknown:
-            case (True, True):
+        shown = f"{said.rate:.3g}" if said.rate < 100 else f"{said.rate:,.0f}"
+        rate = f"{shown} {'sample' if shown == '1' else 'samples'} a second"
+        subjects = f"{said.subjects:,.0f} {'subject' if said.subjects == 1 else 'subjects'}"
+        match self.rate, self.subjects:
+            case None, None:
                 return f"{rate} of {subjects} (assumed)"
-            case (False, True):
+            case _, None:
                 return f"{rate} of {subjects} (the subjects are assumed)"
-            case (True, False):
+            case None, _:
                 return f"{rate} (assumed) of {subjects}"
             case _:
                 return f"{rate} of {subjects}"

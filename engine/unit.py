@@ -24,6 +24,7 @@ from ..streams.generator import StreamGenerator
 from ..streams.sample import Column, FieldType, Mask, SampleBatch, Times
 from ..streams.time import TIME_MIN
 from .changes import Role
+from .stream_view import flow_of
 from .supervision import ErrorCounters
 from .views import Since
 
@@ -337,6 +338,16 @@ class QueryUnit(ComputationalUnit):
         self._hear = hear
         self._sent = TIME_MIN
         """The available time (ns) of the last sample of a result."""
+
+    def explain(self) -> str:
+        """How the query is evaluated; its costs are estimated from the rates of its streams."""
+        flows = {}
+        for source in self.sources:
+            read = (converter.annotation for converter in self._converters[source.name])
+            flow = flow_of(source, read)
+            if flow is not None:
+                flows[source.name] = flow
+        return self.evaluator.explain(flows)
 
     def process(self, source: StreamGenerator, batch: SampleBatch) -> None:
         for converter in self._converters[source.name]:
