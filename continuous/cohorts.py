@@ -62,7 +62,7 @@ class Alone:
         self._members.remove(number)
 
     def explain(self) -> str:
-        return self._solver.explain()
+        return self._solver.explain({})
 
     def fold(self, end: int) -> None:
         """The rows up to ``end`` are there."""

@@ -17,6 +17,7 @@ from ..rdf.dictionary import Term, TermDictionary
 from ..rdf.timed import TimedTriples, TripleRows, from_terms
 from .background import Background
 from .evaluator import ContinuousEvaluator
+from .flows import Flow, Traffic
 from .options import Bounds, Options, Report, Semantics
 from .profile import Profile
 from .results import WindowResult
@@ -91,26 +92,40 @@ def evaluate(
         explained.attach(evaluator)
     counts = any(window.counted for window in evaluator.schedule.windows)
     feeds = [_Feed(name, given, lateness, counts, late) for name, given in streams.items()]
-    return _run(evaluator, feeds, dictionary)
+    return _run(evaluator, feeds, dictionary, explained)
 
 
 class Explained:
-    """How a query was computed, once `evaluate` has run it: each stage, and what operators cost.
+    """How a query is computed: each stage, and what operators cost; as far as `evaluate` has come.
 
-    ``clock`` tells ns (`time.perf_counter_ns`). Measuring costs about a microsecond an operator.
+    ``clock`` tells ns (`time.perf_counter_ns`). Costs are estimated from what the streams have
+    given; of one that has given nothing yet, from its ``rates`` (samples a second, by IRI), or as
+    `flows` assumes. Measuring costs about a microsecond an operator, and a sort of the ids of what
+    is read.
     """
 
-    def __init__(self, clock: Callable[[], int]) -> None:
+    def __init__(self, clock: Callable[[], int], rates: Mapping[str, float] | None = None) -> None:
         self._profile = Profile(clock)
-        self._explain: Callable[[], str] = str
+        self._told = {name: Flow(rate) for name, rate in (rates or {}).items()}
+        self._traffic: dict[str, Traffic] = {}
+        self._evaluator: ContinuousEvaluator | None = None
 
     def attach(self, evaluator: ContinuousEvaluator) -> None:
         """Measure ``evaluator``."""
         evaluator.profile = self._profile
-        self._explain = evaluator.explain
+        self._evaluator = evaluator
+        self._traffic = {name: Traffic() for name in evaluator.inputs}
+
+    def count(self, name: str, triples: TimedTriples) -> None:
+        """Triples came in the stream ``name``."""
+        self._traffic[name].add(triples)
 
     def __str__(self) -> str:
-        return self._explain()
+        if self._evaluator is None:
+            return ""
+        measured = {name: traffic.flow() for name, traffic in self._traffic.items()}
+        known = {name: flow for name, flow in measured.items() if flow is not None}
+        return self._evaluator.explain(self._told | known)
 
 
 def _background(
@@ -133,7 +148,10 @@ def _background(
 
 
 def _run(
-    evaluator: ContinuousEvaluator, feeds: Sequence[_Feed], dictionary: TermDictionary
+    evaluator: ContinuousEvaluator,
+    feeds: Sequence[_Feed],
+    dictionary: TermDictionary,
+    explained: Explained | None,
 ) -> Iterator[Window]:
     """Always the feed that is furthest behind goes on."""
     open_feeds = list(feeds)
@@ -144,6 +162,8 @@ def _run(
             open_feeds.remove(feed)
             results = evaluator.end(feed.name)
         else:
+            if explained is not None:
+                explained.count(feed.name, batch)
             evaluator.push(feed.name, batch)
             waits = any(one.greatest is None for one in open_feeds)
             # Nothing closes before every stream has been looked at.

@@ -6,13 +6,14 @@ results however they were cut into batches. `windowing` says when, `solving` wha
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from ..languages.csparql.ast import ContinuousQuery
 from ..rdf.dictionary import TermDictionary
 from ..rdf.timed import TimedTriples
 from .background import Background
 from .columns import TermValues
+from .flows import Flow
 from .options import Options
 from .profile import Profile
 from .results import WindowResult
@@ -65,6 +66,7 @@ class ContinuousEvaluator:
     @profile.setter
     def profile(self, profile: Profile | None) -> None:
         self._solver.profile = profile
+        self._windows.clock = None if profile is None else profile.clock
 
     def push(self, input: str, triples: TimedTriples) -> None:
         """Rows continue ``input``: none before its watermark. Their terms are of our dictionary."""
@@ -92,9 +94,10 @@ class ContinuousEvaluator:
         """Rows of ``input`` with τ up to here come too late; None: none does."""
         return self._windows.limit(input)
 
-    def explain(self) -> str:
-        """The query, its windows, its logical plan and how that is executed, for people."""
-        return self._solver.explain()
+    def explain(self, flows: Mapping[str, Flow] | None = None) -> str:
+        """The query, its windows, its logical plan, how that is executed and what it costs, for
+        people; ``flows`` is what is known of the inputs, by name."""
+        return self._solver.explain(flows or {})
 
     def _taken(self) -> list[WindowResult]:
         taken, self._results = self._results, []

@@ -41,6 +41,8 @@ class Execution:
         self.distinct = windows.options.semantics == "set"
         self.incremental: Incremental | None = None
         self.patterns: PatternSolver | None = None
+        self.served: tuple[Plan, ...] = ()
+        """The parts that the compiled loop solves."""
         self.not_folded = self._not_folded() if folds else "it is not to be folded"
         """Why `incremental` is None, where it is."""
         self._folded: int | None = None
@@ -65,10 +67,10 @@ class Execution:
         if self.incremental is not None or not JIT or self.names_now or counted:
             return
         plan = pattern_parts(self.plan)
-        parts = list(served_parts(plan))
+        parts = tuple(served_parts(plan))
         if not parts:
             return
-        self.plan = plan
+        self.plan, self.served = plan, parts
         graphs = [one.graph for one in windows]
         shown = head_variables(head)
         wanted = [(part, needed_outside(plan, part) | (shown & outputs(part))) for part in parts]
@@ -77,11 +79,14 @@ class Execution:
         alone = all(id(node) in covered for node in walk(plan) if isinstance(node, _SCANS))
         self.windows.contents.read_by(self.patterns, alone=alone)
 
-    def fold(self, end: int) -> None:
+    def fold(self, end: int, profile: Profile | None = None) -> None:
         """The panes up to ``end`` that have content, oldest first; others are skipped. The first
-        time it is the whole window."""
+        time it is the whole window. ``profile`` takes what that costs."""
         if self.incremental is None:
             return
+        scan, rows = self.incremental.shape.scan, 0
+        predicate = self.static.terms.dictionary.find(scan.predicate)
+        begin = 0 if profile is None else profile.clock()
         window = self.windows.schedule.windows[0]
         assert window.grid is not None
         low, _ = window.bounds(end)
@@ -96,8 +101,14 @@ class Execution:
             done = time + (window.grid.origin - time) % pane
             tables = [t for intake in intakes for t in intake.between(done - pane, done)]
             self.incremental.fold(done, tables)
+            if profile is not None:
+                columns = (table.objects.get(predicate) for table in tables)
+                rows += sum(int(c.present.sum()) for c in columns if c is not None)
         self.incremental.evict(low)
         self._folded = end
+        if profile is not None:
+            profile.add(scan, rows, 0)
+            profile.beside(scan, profile.clock() - begin)
 
     def sources(self, rows: WindowRows, profile: Profile | None = None) -> Iterator[WindowSource]:
         """What the plan can be executed over: first with what is folded, then, for a window that

@@ -17,9 +17,12 @@ from ..languages.csparql.ast import (
 )
 from ..rdf.namespaces import shorten
 from ..streams.time import format_duration, format_time
+from .costs import cost_table
+from .estimates import estimate
 from .evaluation import foreign_calls
 from .logical import DEFAULT, Plan, Query, expressions_of, walk
 from .options import Options
+from .pattern_sizes import Known
 from .printing import describe, describe_query, show
 from .profile import Profile
 from .shapes import Shape
@@ -33,7 +36,8 @@ class Stages:
     ``translated`` and ``plan`` are None where the query runs on Oxigraph, ``reason`` says why;
     else ``shape`` is how it is computed incrementally, or why it is not. ``merges`` is why
     Oxigraph counts equal triples once although the bag is asked for, "" where it does not.
-    ``profile`` is what the operators have cost so far, where that is measured.
+    ``known`` is what costs are estimated from, ``served`` the parts of the plan that a compiled
+    loop solves. ``profile`` is what the operators have cost so far, where that is measured.
     """
 
     query: ContinuousQuery
@@ -46,6 +50,8 @@ class Stages:
     reason: str
     shape: Shape | str
     merges: str
+    known: Known
+    served: Sequence[Plan]
     profile: Profile | None = None
 
     def __str__(self) -> str:
@@ -66,8 +72,10 @@ class Stages:
         if self.rules:
             names = ", ".join(rule.replace("_", " ") for rule in self.rules)
             yield from _section(f"improved by: {names}", describe_query(self.plan))
-        if self.profile is not None:
-            yield from _section("measured", describe_query(self.plan, self.profile.note))
+        shape = None if isinstance(self.shape, str) else self.shape
+        costs = estimate(self.plan.plan, self.known, shape, self.served)
+        table = cost_table(self.plan.plan, costs, self.known, self.profile)
+        yield from _section("costs a window: rows out, own time (estimates are rough)", table)
         if isinstance(self.shape, str):
             yield f"in columns, each window anew: {self.shape}"
         else:

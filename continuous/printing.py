@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TypeAlias, assert_never
+from typing import assert_never
 
 from pyoxigraph import Literal, NamedNode
 
@@ -41,18 +40,16 @@ from .logical import (
     inputs,
 )
 
-Note: TypeAlias = Callable[[Plan], str]
 
-
-def describe_query(query: Query, note: Note | None = None) -> list[str]:
+def describe_query(query: Query) -> list[str]:
     """The head, and the plan under it."""
-    return [_head(query.head), *(f"  {line}" for line in describe(query.plan, note))]
+    return [_head(query.head), *(f"  {line}" for line in describe(query.plan))]
 
 
-def describe(plan: Plan, note: Note | None = None) -> list[str]:
-    """The plan as an indented tree, a line a node, with what ``note`` says of it."""
-    below = [f"  {line}" for child in inputs(plan) for line in describe(child, note)]
-    return [_line(plan) + ("" if note is None else note(plan)), *below]
+def describe(plan: Plan) -> list[str]:
+    """The plan as an indented tree, a line a node, in the order of `logical.walk`."""
+    below = [f"  {line}" for child in inputs(plan) for line in describe(child)]
+    return [_line(plan), *below]
 
 
 def _line(plan: Plan) -> str:

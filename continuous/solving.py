@@ -18,9 +18,11 @@ from ..rdf.dictionary import Term
 from .columns import NeedsOxigraph
 from .execution import Execution, WindowRows
 from .explain import Stages
+from .flows import Flow
 from .heads import finish
 from .logical import Query
 from .oxigraph import OxigraphWindows
+from .pattern_sizes import Known
 from .profile import Profile
 from .relational import execute
 from .results import WindowResult
@@ -82,6 +84,7 @@ class Solver:
     ) -> None:
         self.query = query
         self.windows = windows
+        self.static = static
         self.terms = static.terms
         reading = Reading.of(query, windows)
         self.oxigraph = OxigraphWindows(
@@ -124,7 +127,10 @@ class Solver:
     def fold(self, end: int) -> None:
         """The rows up to ``end`` are there."""
         if self.execution is not None:
-            self.execution.fold(end)
+            self.execution.fold(end, self.profile)
+            if self.profile is not None and self.execution.served:
+                # All parts read what the windows selected: it is told with the first of them.
+                self.profile.beside(self.execution.served[0], self.windows.turned)
 
     def result(self, end: int, *, reports: bool) -> WindowResult | None:
         """What is given out at ``end``, after `fold`; where ``reports`` is not, only a difference
@@ -153,8 +159,14 @@ class Solver:
                     continue
         return self.oxigraph.solve(rows.tables, start, shown)
 
-    def explain(self) -> str:
-        """The query, its windows, its logical plan and how that is executed, for people."""
+    def known(self, flows: Mapping[str, Flow]) -> Known:
+        """What costs are estimated from; ``flows`` is what is known of the inputs, by name."""
+        distinct = self.windows.options.semantics == "set"
+        return Known(self.windows.schedule, self.static, flows, distinct)
+
+    def explain(self, flows: Mapping[str, Flow]) -> str:
+        """The query, its windows, its logical plan, how that is executed and what it costs, for
+        people."""
         oxigraph, execution = self.oxigraph, self.execution
         plan = None
         if execution is not None and self.translated is not None:
@@ -171,6 +183,8 @@ class Solver:
                 self.reason,
                 "" if execution is None else execution.shape,
                 "" if oxigraph.counting is not None else oxigraph.merges,
+                self.known(flows),
+                () if execution is None else execution.served,
                 self.profile,
             )
         )

@@ -228,6 +228,16 @@ class WindowSource(ABC):
                 yield ObjectColumn(Kind.TERM, subjects), ObjectColumn(Kind.TERM, objects)
 
 
+class EmptyWindows(WindowSource):
+    """The leaves of a plan over windows that hold nothing: the static side alone."""
+
+    def tables(self, graph: str) -> Sequence[TripleRows]:
+        return ()
+
+    def ready(self, plan: Plan) -> None:
+        return None
+
+
 def distinct_ids(parts: Sequence[NDArray[np.int32]], size: int) -> NDArray[np.int32]:
     """The distinct ids below ``size`` in ``parts``, ascending: O(ids + size), no sort."""
     seen = np.zeros(size, np.bool_)

@@ -45,6 +45,10 @@ class Windowing:
         self.contents = Contents(self.schedule, terms.dictionary)
         self.differs = query.operator is not StreamOperator.RSTREAM
         """Whether results are compared with those before, so that each one has to be known."""
+        self.clock: Callable[[], int] | None = None
+        """Tells ns, where it is measured what selecting the rows of a window costs."""
+        self.turned = 0
+        """What that was for the last one."""
         self._tell = closed
         self._watermarks: dict[str, int] = {}
         self._ended: set[str] = set()
@@ -173,6 +177,8 @@ class Windowing:
         content, changed = self.contents.changed(due, self._closed)
         self._closed, self._had_content = end, content
         reports = {"non-empty": content, "change": changed, "close": True}[self.options.report]
+        begin = 0 if self.clock is None else self.clock()
         self.contents.turn(due)
+        self.turned = 0 if self.clock is None else self.clock() - begin
         again = self._tell(end, reports)
         self.contents.drop(end, raw=again)

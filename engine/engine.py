@@ -565,6 +565,12 @@ class Engine:
             want, found, strategy, self._manager.space, self._plans.is_running
         )
 
+    def explain_running(self, id: str) -> str:
+        """Each stage of a query or request that runs; raises `UnknownRequest`."""
+        if self.queries.has(id):
+            return self.queries.explain_running(id)
+        return self._requests.explain_running(id)
+
     def explain(
         self, *, event: str | None = None, template: str | None = None, query: str | None = None
     ) -> str:

@@ -5,13 +5,14 @@ The plan tree shows what runs; `request` shows how it came about, stage by stage
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import assert_never
 
 from pyoxigraph import NamedNode, Store
 
 from ..continuous.background import Background
 from ..continuous.evaluator import ContinuousEvaluator
+from ..continuous.flows import Flow
 from ..languages.csparql import format_query, with_streams
 from ..languages.csparql.ast import (
     ContinuousQuery,
@@ -128,12 +129,20 @@ def template(known: Template) -> str:
     return "\n".join([*lines, "", known.source.strip()])
 
 
-def query(parsed: ContinuousQuery, ontology: Ontology, dictionary: TermDictionary) -> str:
-    """A continuous query that names its streams: its text as understood, then its plans."""
+def query(
+    parsed: ContinuousQuery,
+    ontology: Ontology,
+    dictionary: TermDictionary,
+    flows: Mapping[str, Flow],
+) -> str:
+    """A continuous query that names its streams: its text as understood, then its plans.
+
+    ``flows`` is what is known of its streams, by the IRIs that it has for them.
+    """
     names = list(dict.fromkeys(clause.iri for clause in parsed.streams))
     background = closed_ontology(ontology, parsed.static_named)
     evaluator = ContinuousEvaluator(parsed, dictionary, background, names)
-    return f"{format_query(parsed)}\n\n{evaluator.explain()}"
+    return f"{format_query(parsed)}\n\n{evaluator.explain(flows)}"
 
 
 def inferred(

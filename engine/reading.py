@@ -52,7 +52,9 @@ def read_streams(
     found: dict[str, Reading] = {}
     clauses = []
     for clause in query.streams:
-        generator = _stream_called(configuration, clause.iri)
+        generator = stream_called(configuration, clause.iri)
+        if generator is None:
+            raise _no_stream(configuration, clause.iri)
         converter = converter_of(generator.name)
         if converter is None:
             raise NotAnnotated(
@@ -64,18 +66,20 @@ def read_streams(
     return replace(query, streams=tuple(clauses)), tuple(found.values())
 
 
-def _stream_called(configuration: Configuration, iri: str) -> StreamGenerator:
+def stream_called(configuration: Configuration, iri: str) -> StreamGenerator | None:
+    """The stream that an IRI in a query means; None if there is none."""
+    found = (configuration.find(name) for name in _names(iri))
+    return next((generator for generator in found if generator is not None), None)
+
+
+def _no_stream(configuration: Configuration, iri: str) -> UnknownStream:
     names = tuple(_names(iri))
-    for name in names:
-        found = configuration.find(name)
-        if found is not None:
-            return found
     known = sorted({*configuration.streams, *configuration.aliases})
     near = difflib.get_close_matches(names[-1], known, n=3)
     hint = f"did you mean {' or '.join(f'<{stream_iri(name)}>' for name in near)}?"
     if not near:
         hint = f"write <{DYKNOW}NAME{ENDING}> with the name of a stream; GET /streams lists them"
-    raise UnknownStream(f"<{iri}> names no stream", hint)
+    return UnknownStream(f"<{iri}> names no stream", hint)
 
 
 def _names(iri: str) -> Iterator[str]:

@@ -238,7 +238,7 @@ class RegisteredQueries:
             [each.annotation for each in running.started.reads],
             running.started.matches,
             explanations.plan_text(self._configuration, running.unit),
-            running.unit.evaluator.explain(),
+            running.unit.explain(),
         )
 
     def explain(self, text: str) -> str:
@@ -248,7 +248,7 @@ class RegisteredQueries:
         known = self._ontology, self._dictionary
         with told_as_arguments():
             if query.streams:
-                return explanations.query(query, *known)
+                return explanations.query(query, *known, self._starter.flows(query))
             wanted = self._starter.needs(query)
             matches = self._plans.match(wanted.wants, "fast", explained=True)
             return explanations.inferred(query, wanted, matches, *known)

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 
+from ..continuous.flows import Flow
 from ..converters.to_triples import SampleConverter
 from ..languages.csparql.ast import ContinuousQuery
 from ..languages.ssl.annotation import Content, StreamAnnotation
@@ -25,9 +26,10 @@ from .finding import check_graphs, find_streams, mean_the_same
 from .kept_windows import KeptWindows
 from .plans import Plans
 from .queries import Manner
-from .reading import Reading, read_streams
+from .reading import Reading, read_streams, stream_called
 from .registrations import Asked
 from .results import check_head, head_role, result_form
+from .stream_view import flow_of
 from .unit import QueryUnit
 
 
@@ -103,6 +105,19 @@ class Starter:
             return self._templates.needs(query)
         except NeedsError as error:
             raise NoPlan(error.message, (), error.hint) from error
+
+    def flows(self, query: ContinuousQuery) -> dict[str, Flow]:
+        """What may be expected of the streams that a query names, as far as they are there."""
+        found = {}
+        for clause in query.streams:
+            generator = stream_called(self._configuration, clause.iri)
+            if generator is None:
+                continue
+            converter = self._converter_of(generator.name)
+            flow = flow_of(generator, [] if converter is None else [converter.annotation])
+            if flow is not None:
+                found[clause.iri] = flow
+        return found
 
     def is_sound(self, started: Started) -> bool:
         """It works, and what it reads is there still and means what it did."""

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
+from ..continuous.flows import ASSUMED_SUBJECTS, Flow, Said
 from ..languages.ssl.annotation import StreamAnnotation
+from ..rdf.namespaces import RDF_TYPE
 from ..streams.generator import StreamGenerator
 from ..streams.time import SECOND
 from .views import StreamView
@@ -60,3 +64,23 @@ def rate_of(generator: StreamGenerator) -> float:
     number = sum(len(segment.batch) for segment in recent)
     span = int(recent[-1].batch.available[-1]) - int(recent[0].batch.available[0])
     return (number - 1) * SECOND / max(span, SECOND)
+
+
+def flow_of(generator: StreamGenerator, annotations: Iterable[StreamAnnotation]) -> Flow | None:
+    """What a query that reads the stream so may expect of it, for the estimates of its costs; None
+    where no rate is known.
+
+    Each sample is taken to say all that it could. How many objects a sort has is not known.
+    """
+    rate = rate_of(generator)
+    if not rate:
+        return None
+    said: dict[str, Said] = {}
+    for content in (content for one in annotations for content in one.contents):
+        subject = content.roles[0] if content.roles else None
+        of_sort = subject is not None and subject.sort is not None
+        said[content.feature] = Said(rate, ASSUMED_SUBJECTS if of_sort else 1.0)
+        if of_sort:
+            said[RDF_TYPE.value] = Said(rate, ASSUMED_SUBJECTS, 1.0)
+    subjects = None if RDF_TYPE.value in said or not said else 1.0
+    return Flow(rate, subjects, said or None)

@@ -25,6 +25,7 @@ from ..streams.generator import StreamGenerator
 from ..streams.sample import Column, FieldType, Mask, SampleBatch, Times
 from ..streams.time import TIME_MAX, TIME_MIN
 from .changes import Role
+from .stream_view import flow_of
 from .supervision import ErrorCounters
 from .views import Since
 
@@ -447,6 +448,16 @@ class QueryUnit(WindowUnit):
         self._hear = hear
         self._sent = TIME_MIN
         """The available time (ns) of the last sample of a result."""
+
+    def explain(self) -> str:
+        """How the query is evaluated; its costs are estimated from the rates of its streams."""
+        flows = {}
+        for source in self.sources:
+            read = (converter.annotation for converter in self._converters[source.name])
+            flow = flow_of(source, read)
+            if flow is not None:
+                flows[source.name] = flow
+        return self.evaluator.explain(flows)
 
     def progress(self, source: StreamGenerator, watermark: int) -> None:
         self._emit(self.evaluator.advance(source.name, watermark))

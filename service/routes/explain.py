@@ -6,7 +6,7 @@ from fastapi import APIRouter, Query, Request
 from fastapi.responses import JSONResponse, PlainTextResponse, Response
 
 from ...engine.views import MatchView
-from ..context import Context, Service
+from ..context import Context
 from ..models import ExplainModel, Strategy
 from ..negotiation import JSON, TEXT, accepted
 from ..problems import Problem, responses
@@ -48,20 +48,12 @@ async def explain(
             hint="give exactly one of event, template, query, id, feature",
         )
     if id is not None:
-        text = _request(service, id)
+        text = service.engine.explain_running(id) + "\n"
     elif feature is not None:
         text = _match(service.engine.match(feature, sort=sort, strategy=strategy))
     else:
         text = service.engine.explain(event=event, template=template, query=query)
     return JSONResponse({"text": text}) if kind == JSON else PlainTextResponse(text)
-
-
-def _request(service: Service, id: str) -> str:
-    queries = service.engine.queries
-    if queries.has(id):
-        return queries.explain_running(id) + "\n"
-    view = service.engine.event(id)
-    return f"{view.plan.text.rstrip()}\n\n{view.plan.query}".rstrip() + "\n"
 
 
 def _match(view: MatchView) -> str:

@@ -143,8 +143,22 @@ def test_what_operators_cost_is_told_when_it_is_asked_for() -> None:
     windows = evaluate(f"{body} ORDER BY ?v", {X: data}, explained=explained)
     assert [w.end for w in windows] == [10, 20]
     text = str(explained)
-    assert "Order by ASC ?v    [2 windows: 1.5 rows," in text
-    assert "\nmeasured:\n" in text
+    table = text.partition("\ncosts a window")[2].splitlines()
+    # Two triples from 1 ns to 12 ns, before the last: 1.8 of them in a window of 10 ns.
+    assert table[1].startswith(f"  {X}: 181,818,182 samples a second of 1 subject")
+    (order,) = (line.split() for line in table if "Order by" in line)
+    assert order[4:6] == ["1.8", "12"]
+    assert order[7:10] == ["1.5", "2", "µs"]
+
+
+def test_what_operators_may_cost_is_told_before_anything_has_come() -> None:
+    explained = Explained(lambda: 0, {X: 20})
+    text = f"SELECT ?v FROM STREAM <{X}> [RANGE 10s STEP 10s] WHERE {{ ?s <{D}p> ?v }}"
+    evaluate(text, {X: []}, explained=explained)
+    assert f"{X}: 20 samples a second of 100 subjects (the subjects are assumed)" in str(explained)
+    assert "measured" not in str(explained)
+    scan = [line.split() for line in str(explained).splitlines() if " Scan " in line][-1]
+    assert scan[4] == "200"
 
 
 def test_graphs_are_given_by_name(tmp_path) -> None:

@@ -467,6 +467,30 @@ def test_explanations(flying):
         assert words in found
 
 
+def test_costs_are_estimated_from_the_rate_of_the_stream(flying):
+    flying.queries.register(FAST)
+    assert "1,000 samples a second of 100 subjects (assumed)" in flying.explain(query=FAST)
+    play(flying)
+    rate = flying.stream("s5").rate
+    told = f"s5: {rate:.0f} sample a second of 100 subjects (the subjects are assumed)"
+    assert told in flying.explain_running("fast")
+    asked = flying.explain(query=FAST)
+    assert f"s5.trdf{told[2:]}" in asked
+    scan = next(line for line in reversed(asked.splitlines()) if "folded, each step" in line)
+    assert rate == 1
+    assert "  1 " in scan
+
+
+def test_a_stream_of_one_object_has_one_subject_and_says_what_its_annotation_tells(engine):
+    engine.annotate("stream s5 contains speed(uav1) = spd [km.h-1]")
+    play(engine, [(second, {"spd": 90.0}) for second in range(1, 11)])
+    both = f"SELECT * FROM STREAM {S5} {WINDOW} WHERE {{ ?o dyknow:speed ?v ; dyknow:altitude ?h }}"
+    asked = engine.explain(query=both)
+    assert "s5.trdf: 1 sample a second of 1 subject\n" in asked
+    rows = {line.split()[2]: line.split()[4] for line in asked.splitlines() if "within" in line}
+    assert rows == {"dyknow:speed": "5", "dyknow:altitude": "0"}
+
+
 def test_a_query_that_cannot_be_evaluated_is_told_so_beforehand(flying, monkeypatch):
     def refuses(*arguments):
         raise ValueError("these do not go together")

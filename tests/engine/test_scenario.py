@@ -57,6 +57,18 @@ def test_scenario_with_the_names_of_the_paper(scenario):
     assert "FROM STREAM <http://www.ida.liu.se/dyknow/dyknow_reserved35.trdf>" in view.plan.query
 
 
+def test_a_request_that_runs_is_explained_with_its_costs(scenario):
+    view = scenario.request_event(scenario.parse_request(REQUEST))
+    text = scenario.explain_running(view.id)
+    assert text.startswith(view.plan.text.rstrip())
+    assert "dyknow_reserved35: 1,000 samples a second of 100 subjects (assumed)" in text
+    feed(scenario, "coordinates", rows("uav1", flight(1, 20, 150.0)))
+    text = scenario.explain_running(view.id)
+    assert "dyknow_reserved35: 1 sample a second of 100 subjects (the subjects are" in text
+    with pytest.raises(UnknownRequest):
+        scenario.explain_running("nobody")
+
+
 def test_scenario_sends_an_event_for_uav1_alone(scenario):
     view = scenario.request_event(scenario.parse_request(REQUEST))
     fast, other = flight(1, 20, 150.0), flight(1, 20, 300.0, longitude=16.0)
