@@ -19,6 +19,8 @@ from .pattern_parts import Slot
 from .sources import StaticSide
 
 _SORT_SLOT = -1
+_WAITING = 256
+"""At most so many columns wait: they hold on to the batches that they are of."""
 
 
 class PatternRows:
@@ -39,6 +41,8 @@ class PatternRows:
         self.inside = 0
         """How many were in the windows when they were looked at last."""
         self._columns: tuple[NDArray[Any], ...] = _empty(64)
+        self._waiting: list[tuple[Any, ...]] = []
+        """Window, slot, kind, subjects, values and times of what has come and nobody has seen."""
         self._numbers: list[dict[int, int]] = [{} for _ in windows]
         """By window: the slot of a predicate's id."""
         self._known = 0
@@ -46,12 +50,14 @@ class PatternRows:
     @property
     def columns(self) -> tuple[NDArray[Any], ...]:
         """Window, slot, subject, tag, bits, time of each triple; the first `count` are valid."""
+        self._take_in()
         return self._columns
 
     def push(self, window: int, tables: Sequence[TripleRows]) -> None:
-        """Rows of a window. Cost: a copy of each column that a pattern names."""
+        """Rows of a window. Cost: a copy of each column that a pattern names, when somebody looks
+        at them: then all that have come since are taken in together."""
         numbers = self._slots_of(window)
-        parts: list[tuple[Any, ...]] = []
+        parts = self._waiting
         for rows in tables:
             for predicate, column in rows.objects.items():
                 slot = numbers.get(predicate)
@@ -61,17 +67,22 @@ class PatternRows:
                 if column.null is not None:
                     at = np.flatnonzero(~column.null)
                     subjects, values, times = subjects[at], values[at], times[at]
-                parts.append((slot, column.kind, subjects, values, times))
+                parts.append((window, slot, column.kind, subjects, values, times))
             if rows.sort is not None and len(rows):
                 number = self.sorts.setdefault(rows.sort, len(self.sorts))
                 numbered = np.full(len(rows), number, np.int64)
-                parts.append((_SORT_SLOT, Kind.INTEGER, rows.subject, numbered, rows.time))
-        if parts:
-            self._append(window, parts)
+                part = (window, _SORT_SLOT, Kind.INTEGER, rows.subject, numbered, rows.time)
+                parts.append(part)
+        if len(parts) >= _WAITING:
+            self._take_in()
 
-    def _append(self, window: int, parts: Sequence[tuple[Any, ...]]) -> None:
-        """Columns one after the other, in as few calls as there are kinds of arrays."""
-        slots, kinds, subjects, values, times = zip(*parts, strict=True)
+    def _take_in(self) -> None:
+        """What has come stands with the others: columns one after the other, in as few calls as
+        there are kinds of arrays."""
+        if not self._waiting:
+            return
+        windows, slots, kinds, subjects, values, times = zip(*self._waiting, strict=True)
+        self._waiting = []
         lengths = [len(part) for part in subjects]
         start = self.count
         stop = start + sum(lengths)
@@ -81,7 +92,7 @@ class PatternRows:
                 new[:start] = old[:start]
             self._columns = larger
         added = tuple(column[start:stop] for column in self._columns)
-        added[0][:] = window
+        added[0][:] = np.repeat(windows, lengths)
         added[1][:] = np.repeat(slots, lengths)
         np.concatenate(subjects, out=added[2])
         added[3][:] = np.repeat(kinds, lengths)
@@ -91,7 +102,7 @@ class PatternRows:
             self.terms.spell(added[3], added[4])
         if self._ordered:
             if not ascending(added[5]):
-                # Tables of the same time, one after the other: cheaper here than with all others.
+                # Tables of the same time, and inputs in turn: cheaper here than with all others.
                 by = np.argsort(added[5], kind="stable")
                 for column in added:
                     column[:] = column[by]
@@ -111,13 +122,14 @@ class PatternRows:
 
     @property
     def is_full(self) -> bool:
-        """Whether half of the triples may have left their windows."""
+        """Whether half of the triples that were taken in may have left their windows."""
         return self.count >= 64 and self.count >= 2 * self.inside
 
     def drop(self, lows: NDArray[np.int64]) -> None:
         """Forget what is not above ``lows``, by window, when that is half of all."""
         if not self.is_full:
             return
+        self._take_in()
         window, times = self._columns[0][: self.count], self._columns[5][: self.count]
         keep = np.flatnonzero(times > lows[window])
         if 2 * len(keep) <= self.count:
@@ -128,6 +140,7 @@ class PatternRows:
 
     def order(self) -> None:
         """Put the triples in order of time and tag, those of one in order of arrival."""
+        self._take_in()
         _, _, _, tags, _, times = (column[: self.count] for column in self._columns)
         by = np.lexsort((tags, times))
         for column in self._columns:
@@ -136,6 +149,7 @@ class PatternRows:
 
     def between(self, low: int, high: int) -> tuple[int, int]:
         """Where the triples with ``low < time <= high`` begin and end; others may be among them."""
+        self._take_in()
         if not self._ordered:
             self.order()
         times = self._columns[5][: self.count]
@@ -145,7 +159,7 @@ class PatternRows:
         self, lows: NDArray[np.int64], highs: NDArray[np.int64]
     ) -> dict[str, list[TripleRows]]:
         """The triples in the windows as narrow tables, by graph (their valid time is unknown)."""
-        window, slot, subject, tag, bits, time = (c[: self.count] for c in self._columns)
+        window, slot, subject, tag, bits, time = (c[: self.count] for c in self.columns)
         inside = (time > lows[window]) & (time <= highs[window])
         names = {number: one for one, number in self.slots.items()}
         sorts = {number: sort for sort, number in self.sorts.items()}
