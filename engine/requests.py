@@ -182,12 +182,11 @@ class EventRequests:
         return None if running is None else running.rdf
 
     def explain_running(self, id: str) -> str:
-        """What answers a running request, and how its query is evaluated (the query alone where it
-        is shared with other requests); raises `UnknownRequest`."""
+        """What answers a running request, and how its query is evaluated; raises
+        `UnknownRequest`."""
         unit = self._request(id).running.unit
         view = explanations.plan_view(self._configuration, unit)
-        query = unit.explain() if isinstance(unit, QueryUnit) else view.query.rstrip()
-        return f"{view.text.rstrip()}\n\n{query}"
+        return f"{view.text.rstrip()}\n\n{unit.explain()}"
 
     def explain(self, template: Template, request: EventRequest) -> str:
         """Each stage of answering ``request``, without starting anything."""

@@ -161,6 +161,10 @@ class InstanceUnit(ComputationalUnit):
         elif source.is_idle:
             self.output.fall_idle()
 
+    def explain(self) -> str:
+        """The query with its arguments, and how it is evaluated together with others."""
+        return f"{self.parameters['query'].rstrip()}\n\n{self._template.evaluator.explain()}"
+
     def tell(self, result: WindowResult) -> None:
         """Its result of a window."""
         self._guarded(lambda: self._offer(result))

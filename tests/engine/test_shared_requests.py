@@ -53,6 +53,14 @@ def test_from_some_requests_on_they_are_one_query(shared):
     assert "selectInstance(request=dyknow:HighSpeedEvent(?o, dyknow:UAV, 120))" in third.plan.text
 
 
+def test_what_is_shared_is_explained(shared):
+    view = [ask(shared, "?o", limit) for limit in (100, 110, 120)][-1]
+    told = shared.explain_running(view.id)
+    assert "?avgSpeed > 120" in told
+    assert "2 instances in 1 cohorts" in told
+    assert "?threshold: compared, found by order" in told
+
+
 def test_each_is_told_what_it_asked_for(shared):
     views = [ask(shared, "?o", limit) for limit in (100, 110, 120)]
     fly(shared, 7, uav1=105, uav2=130)
