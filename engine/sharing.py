@@ -22,6 +22,7 @@ from ..matching.plan import (
     Supply,
     Synchronize,
     contents_of,
+    expanded,
     nodes_of_supply,
 )
 from ..ontology.ontology import Ontology
@@ -78,7 +79,7 @@ class Sharing:
         """
         if not query.bindings:
             return None
-        own = tuple(match.supply for match in matches if match.supply is not None)
+        own = self._made_from(matches)
         selected = _selected(own, query.bindings)
         fixed = self._agreement(template, query, own, selected)
         if fixed is None:
@@ -148,7 +149,7 @@ class Sharing:
             # Nothing else finds these objects.
             return None
         found = self._plans.match(wants, strategy, self._plans.unusable(Since.NOW))
-        every = tuple(match.supply for match in found if match.supply is not None)
+        every = self._made_from(found)
         if len(every) != len(supplies) or _elements(every) != _elements(supplies):
             return None
         same = all(
@@ -157,6 +158,13 @@ class Sharing:
             for mine, other in zip(supplies, every, strict=True)
         )
         return every if same else None
+
+    def _made_from(self, matches: Sequence[Match]) -> tuple[Supply, ...]:
+        """What the matches found, with what makes a stream instead of the stream: whether it has
+        been made for somebody already is no difference between requests."""
+        made = self._plans.shared(Since.NOW)
+        found = (match.supply for match in matches if match.supply is not None)
+        return tuple(expanded(supply, made) for supply in found)
 
 
 def _selected(supplies: Sequence[Supply], bindings: Mapping[Variable, Term]) -> frozenset[str]:

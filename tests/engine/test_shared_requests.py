@@ -89,6 +89,26 @@ def test_who_does_not_agree_on_what_the_plan_has_to_have_does_not_share(shared):
     assert [made_by(view)[-1] for view in views] == ["cSparql"] * 3 + ["selectInstance"]
 
 
+def test_streams_that_are_made_for_somebody_are_the_same_streams(engine, high_speed, monkeypatch):
+    monkeypatch.setattr(sharing, "SAME_STREAMS", 2)
+    monkeypatch.setattr(sharing, "OWN_OBJECTS", 3)
+    engine.annotate(
+        "stream coordinates contains latitude(UAV) = lat [deg], longitude(UAV) = lon [deg] "
+        "for every UAV = id"
+    )
+    engine.register_template(high_speed)
+    views = [ask(engine, f"dyknow:uav{i}", 100) for i in range(6)]
+    assert made_by(views[1]) == ["selectObject", "coordinatesToSpeed", "cSparql"]
+    shared = [view.plan.units[-2].name for view in views[2:]]
+    assert made_by(views[5]) == ["coordinatesToSpeed", "cSparql", "selectInstance"]
+    assert len(set(shared)) == 1
+    views += [ask(engine, "?o", limit) for limit in (100, 110)]
+    assert [made_by(view)[-1] for view in views[6:]] == ["cSparql", "selectInstance"]
+    for view in views:
+        engine.cancel_event(view.id)
+    assert not engine._configuration.units
+
+
 def test_the_past_is_each_ones_own(shared):
     fly(shared, 7, uav1=130)
     views = [ask(shared, "?o", limit, since=Since.START) for limit in (100, 110, 120)]
