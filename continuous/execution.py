@@ -85,7 +85,6 @@ class Execution:
         if self.incremental is None:
             return
         scan, rows = self.incremental.shape.scan, 0
-        predicate = self.static.terms.dictionary.find(scan.predicate)
         begin = 0 if profile is None else profile.clock()
         window = self.windows.schedule.windows[0]
         assert window.grid is not None
@@ -102,6 +101,7 @@ class Execution:
             tables = [t for intake in intakes for t in intake.between(done - pane, done)]
             self.incremental.fold(done, tables)
             if profile is not None:
+                predicate = self.static.terms.dictionary.find(scan.predicate)
                 columns = (table.objects.get(predicate) for table in tables)
                 rows += sum(int(c.present.sum()) for c in columns if c is not None)
         self.incremental.evict(low)

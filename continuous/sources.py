@@ -158,14 +158,9 @@ class WindowSource(ABC):
         dictionary = self.static.terms.dictionary
         rdf_type = dictionary.find(RDF_TYPE)
         wanted = dictionary.find(scan.predicate) if isinstance(scan, Scan) else None
-        tables = self.tables(scan.graph)
-        there = {id for table in tables for id in table.objects} - {rdf_type}
-        found = there if wanted is None else there & {wanted}
-        # By their names: in which order columns come depends on how the input was cut.
-        for predicate in sorted(found, key=lambda id: str(dictionary.term(id))):
-            for table in tables:
-                column = table.objects.get(predicate)
-                if column is None:
+        for table in self.tables(scan.graph):
+            for predicate, column in table.objects.items():
+                if predicate == rdf_type or wanted not in (None, predicate):
                     continue
                 rows = np.flatnonzero(column.present)
                 columns = {
