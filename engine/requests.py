@@ -236,7 +236,8 @@ class EventRequests:
         if since is Since.NOW:
             common = self._sharing.common(template, request, query, matches, strategy)
         if common is not None and self._sharing.is_worth_it(common):
-            unit = self._configuration.share(common.key, partial(self._start_template, common))
+            start = partial(self._plans.queries.start_template, common.query, common.supplies)
+            unit = self._configuration.share(common.key, start)
             assert isinstance(unit, TemplateUnit)
             built: BuiltQuery[Any] = self._plans.queries.start_instance(
                 unit, query, supplies, request.source.strip()
@@ -245,9 +246,6 @@ class EventRequests:
         else:
             built = self._plans.queries.start(query, supplies, since)
         return _Running(built.unit, tuple(matches), built.annotation, built.rdf, common)
-
-    def _start_template(self, common: Common) -> TemplateUnit:
-        return self._plans.queries.start_template(common.query, common.supplies)
 
     def _is_sound(self, running: _Running) -> bool:
         """It works, and the streams it reads mean what they meant when it started."""

@@ -21,7 +21,6 @@ from ..matching.plan import (
     SelectObject,
     Supply,
     Synchronize,
-    contents_of,
     expanded,
     nodes_of_supply,
 )
@@ -187,7 +186,7 @@ def _elements(supplies: Sequence[Supply]) -> int:
     one stream read it once, of two objects twice."""
     return len(
         {
-            (source.node, contents_of(source.node), supply.want.feature, source.port.target)
+            (source.node, supply.want.feature, source.port.target)
             for supply in supplies
             for source in supply.sources
         }

@@ -21,7 +21,7 @@ from ..rdf.dictionary import Term
 from ..streams.generator import StreamGenerator
 from ..streams.sample import Column, Field, FieldType, SampleBatch, Schema
 from ..streams.time import TIME_MIN
-from .unit import ComputationalUnit, WindowUnit
+from .unit import Answer, ComputationalUnit, WindowUnit
 
 TALLY = Schema(
     (Field("instances", FieldType.INTEGER), Field("answered", FieldType.INTEGER)),
@@ -131,7 +131,7 @@ class TemplateUnit(WindowUnit):
 
 
 class InstanceUnit(ComputationalUnit):
-    """The part of a request in the results of its template, as samples; times as of `QueryUnit`.
+    """The part of a request in the results of its template, as samples.
 
     Its template tells it what it has to know: it does not subscribe to that one's stream, which
     says other things.
@@ -149,9 +149,8 @@ class InstanceUnit(ComputationalUnit):
         super().__init__(*args)
         self._template = template
         self._arguments = dict(arguments)
-        self._results = results
+        self._answer = Answer(self.output, results)
         self._number: int | None = None
-        self._sent = TIME_MIN
 
     def connect(self, source: StreamGenerator) -> None:
         self._number = self._template.add(self, self._arguments)
@@ -167,13 +166,7 @@ class InstanceUnit(ComputationalUnit):
 
     def tell(self, result: WindowResult) -> None:
         """Its result of a window."""
-        self._guarded(lambda: self._offer(result))
-
-    def _offer(self, result: WindowResult) -> None:
-        batch = self._results.convert(result, max(result.end, self._sent) + 1)
-        if len(batch):
-            self._sent = int(batch.available[-1])
-            self.output.offer(batch)
+        self._guarded(lambda: self._answer.give(result))
 
     def process(self, source: StreamGenerator, batch: SampleBatch) -> None:
         raise NotImplementedError("the template's unit tells it its results")

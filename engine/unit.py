@@ -425,13 +425,33 @@ class WindowUnit(ComputationalUnit):
         self.evaluator.resume(source.name)
 
 
-class QueryUnit(WindowUnit):
-    """The C-SPARQL computational unit ([Events14 §V.B, Fig. 2]): samples in, converted to timed
-    triples, evaluated in windows, results converted back to samples.
+class Answer:
+    """The results of a query as samples of ``output``.
 
     A result becomes available right after its window's end, which is its valid time; after the
     results before it, where windows end closer together than they have solutions: available times
-    are unique. ``hear`` is told the result of each window as the query gave it.
+    are unique.
+    """
+
+    def __init__(self, output: StreamGenerator, results: ResultConverter) -> None:
+        self.output = output
+        self.results = results
+        self._sent = TIME_MIN
+        """The available time (ns) of the last sample."""
+
+    def give(self, result: WindowResult) -> None:
+        """The result of a window; windows come in order."""
+        batch = self.results.convert(result, max(result.end, self._sent) + 1)
+        if len(batch):
+            self._sent = int(batch.available[-1])
+            self.output.offer(batch)
+
+
+class QueryUnit(WindowUnit):
+    """The C-SPARQL computational unit ([Events14 §V.B, Fig. 2]): samples in, converted to timed
+    triples, evaluated in windows, results converted back to samples (`Answer`).
+
+    ``hear`` is told the result of each window as the query gave it.
     """
 
     def __init__(
@@ -444,10 +464,8 @@ class QueryUnit(WindowUnit):
     ) -> None:
         super().__init__(*args, evaluator=evaluator, converters=converters)
         self.evaluator: ContinuousEvaluator = evaluator
-        self._results = results
+        self._answer = Answer(self.output, results)
         self._hear = hear
-        self._sent = TIME_MIN
-        """The available time (ns) of the last sample of a result."""
 
     def explain(self) -> str:
         """How the query is evaluated; its costs are estimated from the rates of its streams."""
@@ -474,7 +492,4 @@ class QueryUnit(WindowUnit):
         for window in windows:
             if self._hear is not None:
                 self._hear(window)
-            batch = self._results.convert(window, max(window.end, self._sent) + 1)
-            if len(batch):
-                self._sent = int(batch.available[-1])
-                self.output.offer(batch)
+            self._answer.give(window)
