@@ -256,7 +256,7 @@ class Contents:
             lows[one.input] = min(low, lows.get(one.input, low))
             highs[one.input] = min(high, highs.get(one.input, high))
         if self._patterns is not None:
-            self._patterns.rows.drop(self._bounds(following)[0])
+            self._patterns.drop()
         if self.keeps:
             for input, low in lows.items():
                 high = highs[input]
