@@ -135,7 +135,6 @@ def _turn(
         last_time[slot], last_place[slot] = time, place
     if marks[COUNT] + wanted > rows.shape[0]:
         return int(wanted)
-    spread = sizes[BY_SUBJECT] // slot_count
     for at in range(first, end):
         w, time = pending[at, 0], pending_times[at]
         if time > highs[w] or time <= lows[w]:
@@ -212,9 +211,9 @@ def _turn(
                 rows[n, LINKS + BY_SLOT] = heads[key + sizes[WAYS + BY_SLOT]]
                 heads[key + sizes[WAYS + BY_SLOT]] = n
             if needed[slot] & 2:
-                # Subjects are ids, and neighbours often come together: so are their buckets.
+                # The slots of a subject have neighbouring buckets, so have neighbouring ids.
                 key = np.int64(subject)
-                key = key + (key >> 8) + slot * spread
+                key = (key + (key >> 8)) * slot_count + slot
                 bucket = (key & (sizes[BY_SUBJECT] - 1)) + sizes[WAYS + BY_SUBJECT]
                 rows[n, LINKS + BY_SUBJECT] = heads[bucket]
                 heads[bucket] = n
@@ -281,7 +280,6 @@ def _pack(rows: Any, times: Any, details: Any, swept: Any, marks: Any, moved: An
 def _link(rows: Any, needed: Any, heads: Any, sizes: Any, count: int) -> None:
     """Links all visible rows anew, oldest first; ``heads`` becomes where the chains begin."""
     slot_count = needed.shape[0]
-    spread = sizes[BY_SUBJECT] // slot_count
     heads[:] = -1
     for n in range(count):
         if rows[n, PLACE] >> STATE_SHIFT == VISIBLE:
@@ -293,9 +291,9 @@ def _link(rows: Any, needed: Any, heads: Any, sizes: Any, count: int) -> None:
                 rows[n, LINKS + BY_SLOT] = heads[key + sizes[WAYS + BY_SLOT]]
                 heads[key + sizes[WAYS + BY_SLOT]] = n
             if needed[slot] & 2:
-                # Subjects are ids, and neighbours often come together: so are their buckets.
+                # The slots of a subject have neighbouring buckets, so have neighbouring ids.
                 key = np.int64(subject)
-                key = key + (key >> 8) + slot * spread
+                key = (key + (key >> 8)) * slot_count + slot
                 bucket = (key & (sizes[BY_SUBJECT] - 1)) + sizes[WAYS + BY_SUBJECT]
                 rows[n, LINKS + BY_SUBJECT] = heads[bucket]
                 heads[bucket] = n

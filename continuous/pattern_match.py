@@ -96,8 +96,6 @@ def _match(
     slot_count = visible.shape[0]
     capacity = out_tags.shape[1]
     keeps = solutions.shape[1] > 0
-    spread = sizes[BY_SUBJECT] // slot_count
-    static_spread = static_sizes[BY_SUBJECT] // slot_count
     floor = marks[FLOOR]
     # The solutions that stay. In one window without copies rows go in order.
     found = np.int64(0)
@@ -266,8 +264,7 @@ def _match(
                     if way == BY_SLOT:
                         key = slot
                     elif way == BY_SUBJECT:
-                        key = subject_bits + (subject_bits >> 8)
-                        key = key + slot * (static_spread if static_side else spread)
+                        key = (subject_bits + (subject_bits >> 8)) * slot_count + slot
                     else:
                         key = object_bits ^ (object_bits >> 32) ^ (object_bits >> 45)
                         if way == BY_OBJECT:

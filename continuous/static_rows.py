@@ -68,6 +68,8 @@ class StaticRows:
             rows[:, PLACE] += tags.astype(np.int32) << TAG_SHIFT
             rows[:, LOW] = words.astype(np.int32)
             rows[:, HIGH] = words >> 32
+        # A join asks for several slots of one subject.
+        rows = rows[np.argsort(rows[:, SUBJECT], kind="stable")]
         heads, sizes = chain_heads(total, counts, self.needed)
         link(rows, self.needed, heads, sizes, total)
         return rows, heads, sizes, counts
