@@ -51,6 +51,36 @@ DONE, UNORDERED = 0, -1
 """The answers of `turn`; else how many more rows there has to be room for."""
 
 
+def _wait(
+    # What has come, part by part, each a row: window, slot, kind, length; ``by`` puts it in order.
+    parts: Any,
+    subjects: Any,
+    words: Any,
+    times: Any,
+    by: Any,
+    pending: Any,
+    pending_bits: Any,
+    pending_times: Any,
+    start: int,
+) -> None:
+    """Writes what has come to the pending rows from ``start`` on."""
+    part_of = np.empty(times.shape[0], np.int32)
+    row = 0
+    for p in range(parts.shape[0]):
+        for _ in range(parts[p, 3]):
+            part_of[row] = p
+            row += 1
+    for n in range(by.shape[0]):
+        row = by[n]
+        p = part_of[row]
+        pending[start + n, 0] = parts[p, 0]
+        pending[start + n, 1] = parts[p, 1]
+        pending[start + n, 2] = subjects[row]
+        pending[start + n, 3] = parts[p, 2]
+        pending_bits[start + n] = words[row]
+        pending_times[start + n] = times[row]
+
+
 def _turn(
     # By window, its bounds; by sort that was met, the windows, slots and classes it stands for.
     lows: Any,
@@ -64,6 +94,9 @@ def _turn(
     pending: Any,
     pending_bits: Any,
     pending_times: Any,
+    # By term: its tag and bits (`columns.TermValues.encoded`).
+    term_tags: Any,
+    term_bits: Any,
     # By slot: whether equal triples count once, which chains are needed (a bit each).
     once: Any,
     needed: Any,
@@ -129,6 +162,10 @@ def _turn(
             sort = pending_bits[end - 1]
             wanted += sort_starts[sort + 1] - sort_starts[sort]
             continue
+        if pending[end - 1, 3] == 0:
+            id = pending_bits[end - 1]
+            pending[end - 1, 3] = term_tags[id]
+            pending_bits[end - 1] = term_bits[id]
         place = np.int64(w) * 256 + pending[end - 1, 3]
         if time < last_time[slot] or (time == last_time[slot] and place < last_place[slot]):
             return UNORDERED
@@ -323,6 +360,8 @@ def _of_turn() -> Any:
         int32_rows,
         int64s,
         int64s,
+        types.int8[::1],
+        int64s,
         types.boolean[::1],
         int64s,
         int32_rows,
@@ -332,6 +371,20 @@ def _of_turn() -> Any:
         int32_rows,
         *chains,
         *(int64s,) * 4,
+    )
+
+
+def _of_wait() -> Any:
+    from numba import types
+
+    int64s, int32_rows = types.int64[::1], types.int32[:, ::1]
+    return types.void(
+        types.int64[:, ::1],
+        types.int32[::1],
+        *(int64s,) * 3,
+        int32_rows,
+        *(int64s,) * 2,
+        types.int64,
     )
 
 
@@ -364,6 +417,7 @@ def chain_heads(
     return heads, np.array([*sizes, *starts[:-1]], np.int64)
 
 
+wait = Kernel(_wait, _of_wait)
 turn = Kernel(_turn, _of_turn)
 pack = Kernel(_pack, _of_pack)
 link = Kernel(_link, _of_link)

@@ -418,11 +418,11 @@ def _match(
                         if tag == 2 and value != 0.0:
                             # As `decimals.rounded`.
                             size_of = max(abs(a), abs(b)) if what <= SUBTRACT else abs(value)
-                            place = 44
-                            while place >= 0 and POWERS[place] > size_of:
-                                place -= 1
-                            digits = 14 - (place - 22)
-                            if 14 <= place <= 43:
+                            power = 44
+                            while power >= 0 and POWERS[power] > size_of:
+                                power -= 1
+                            digits = 14 - (power - 22)
+                            if 14 <= power <= 43:
                                 if digits >= 0:
                                     scale = POWERS[digits + 22]
                                     value = np.rint(value * scale) / scale

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from ..rdf.timed import Kind, TripleRows
 from .columns import TermValues, bits, decoded
-from .kernels import ascending
 from .pattern_kernels import (
     COUNT,
     DERIVED,
@@ -35,6 +34,7 @@ from .pattern_kernels import (
     link,
     pack,
     turn,
+    wait,
 )
 from .pattern_parts import Slot
 from .static_rows import StaticArrays
@@ -129,42 +129,38 @@ class PatternRows:
             return
         windows, slots, kinds, subjects, values, times = zip(*self._waiting, strict=True)
         self._waiting = []
-        lengths = [len(part) for part in subjects]
-        added = np.concatenate(times)
-        tags = np.repeat(np.array(kinds, np.int8), lengths)
-        words = np.concatenate([bits(part) for part in values])
-        if Kind.TERM in kinds:
-            self.terms.spell(tags, words)
-        places = np.repeat(np.array((windows, slots), np.int32), lengths, axis=1)
-        self._wait((places[0], places[1], np.concatenate(subjects), tags), words, added)
+        lengths = map(len, subjects)
+        self._wait(
+            np.array(list(zip(windows, slots, kinds, lengths, strict=True)), np.int64),
+            np.concatenate(subjects),
+            np.concatenate([bits(part) for part in values]),
+            np.concatenate(times),
+        )
 
     def _wait(
-        self, columns: Sequence[NDArray[Any]], words: NDArray[Any], times: NDArray[Any]
+        self,
+        parts: NDArray[np.int64],
+        subjects: NDArray[np.int32],
+        words: NDArray[Any],
+        times: NDArray[Any],
     ) -> None:
-        """These rows are pending, too."""
-        if not len(times):
-            return
-        if not ascending(times):
-            # Tables of the same time, and inputs in turn: cheaper here than with all others.
-            by = np.argsort(times, kind="stable")
-            columns, words, times = [column[by] for column in columns], words[by], times[by]
+        """These rows are pending, too; ``parts``: windows, slots, kinds, how many they are."""
         first, last = self.marks[FIRST_PENDING:].tolist()
         stop = last + len(times)
         if first == last:
             first, last, stop, self._ordered = 0, 0, len(times), True
         if stop > len(self._pending[0]):
-            before = [part[first:last] for part in self._pending]
+            places, all_words, all_times = (part[first:last] for part in self._pending)
             self._pending = _pending(2 * (stop - first))
             first, last, stop = 0, last - first, stop - first
-            self._pending[0][:last] = before[0]
-            self._pending[1][:last] = before[1]
-            self._pending[2][:last] = before[2]
-        places, all_words, all_times = self._pending
-        for number, column in enumerate(columns):
-            places[last:stop, number] = column
-        all_words[last:stop], all_times[last:stop] = words, times
-        if last > first:
-            self._ordered &= bool(all_times[last - 1] <= times[0])
+            self._pending[0][:last] = places
+            self._pending[1][:last], self._pending[2][:last] = all_words, all_times
+        # Tables of the same time, and inputs in turn: cheaper here than with all others.
+        by = times.argsort(kind="stable")
+        wait(parts, subjects, words, times, by, *self._pending, last)
+        if stop > last > first:
+            moments = self._pending[2]
+            self._ordered &= bool(moments[last - 1] <= moments[last])
         self.marks[FIRST_PENDING:] = first, stop
 
     def _slots_of(self, window: int) -> dict[int, int]:
@@ -199,6 +195,7 @@ class PatternRows:
                 highs,
                 *sorts,
                 *self._pending,
+                *self.terms.encodings,
                 self._once,
                 self.needed,
                 *static[:3],
@@ -251,9 +248,9 @@ class PatternRows:
             self._details[:kept] = details[:kept]
         # As many buckets as rows there may be until the next time, if slots stay as they are now.
         first, last = self.marks[FIRST_PENDING:].tolist()
-        coming = self._pending[0][first:last, 1]
-        coming = np.bincount(coming[coming != SORT_SLOT], minlength=len(self.visible))
-        self.heads, self.sizes = chain_heads(len(self.rows), self.visible + coming, self.needed)
+        slots = self._pending[0][first:last, 1]
+        counts = np.bincount(slots[slots != SORT_SLOT], minlength=len(self.visible))
+        self.heads, self.sizes = chain_heads(len(self.rows), self.visible + counts, self.needed)
         link(self.rows, self.needed, self.heads, self.sizes, self.count)
         return moved
 
@@ -266,9 +263,14 @@ class PatternRows:
         self._start()
         first, last = self.marks[FIRST_PENDING:].tolist()
         places, words, later = (part[first:last].copy() for part in self._pending)
+        slots, subjects, tags = _columns(rows)
         self.marks[FIRST_PENDING:] = 0
-        self._wait((windows, *_columns(rows)), _words(rows), times)
-        self._wait(list(places.T), words, later)
+        ones = np.ones(len(rows), np.int32)
+        parts = np.stack([windows, slots, tags, ones], axis=1).astype(np.int64)
+        self._wait(parts, np.ascontiguousarray(subjects), _words(rows), times)
+        window, slot, subject, tag = places.T
+        parts = np.stack([window, slot, tag, np.ones_like(window)], axis=1).astype(np.int64)
+        self._wait(parts, np.ascontiguousarray(subject), words, later)
 
     def _told(self) -> NDArray[np.int64]:
         """The rows that streams have said, and that have not gone."""
@@ -304,7 +306,7 @@ class PatternRows:
         return found
 
 
-def _columns(rows: NDArray[np.int32]) -> tuple[NDArray[np.int32], ...]:
+def _columns(rows: NDArray[np.int32]) -> tuple[NDArray[Any], ...]:
     """Slots, subjects and tags."""
     places = rows[:, PLACE]
     return places & SLOT_MASK, rows[:, SUBJECT], (places >> TAG_SHIFT) & TAG_MASK

@@ -161,7 +161,11 @@ class PatternJoin:
             if tag < 0:
                 columns[name] = decoded_terms(self._tags[i, :found], words, self.terms.dictionary)
             else:
-                columns[name] = decoded(_KINDS[tag], words.copy() if copied else words)
+                column = decoded(_KINDS[tag], words)
+                # What is not of 64 bits is another array already.
+                if copied and column.values.itemsize == words.itemsize:
+                    column = ObjectColumn(column.kind, column.values.copy())
+                columns[name] = column
         return columns
 
     def forget(self) -> None:

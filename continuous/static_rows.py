@@ -63,8 +63,8 @@ class StaticRows:
         rows = np.zeros((total, ROW), np.int32)
         rows[:, PLACE] = np.repeat(np.arange(len(self.slots)), counts)
         if parts:
-            subjects, tags, words = (np.concatenate(column) for column in zip(*parts, strict=True))
-            rows[:, SUBJECT] = subjects
+            ends, tags, words = (np.concatenate(column) for column in zip(*parts, strict=True))
+            rows[:, SUBJECT] = ends
             rows[:, PLACE] += tags.astype(np.int32) << TAG_SHIFT
             rows[:, LOW] = words.astype(np.int32)
             rows[:, HIGH] = words >> 32

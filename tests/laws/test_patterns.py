@@ -162,6 +162,7 @@ def solutions(
 
 
 _LOOPS = (
+    (pattern_rows, "wait"),
     (pattern_rows, "turn"),
     (pattern_rows, "pack"),
     (pattern_rows, "link"),
