@@ -24,6 +24,7 @@ from .pattern_kernels import (
     BY_SLOT,
     BY_SUBJECT,
     BY_TRIPLE,
+    COUNT,
     FLOOR,
     HIGH,
     LASTING,
@@ -47,6 +48,11 @@ AND, OR, NOT, NEGATE = 12, 13, 14, 15
 
 DOUBTFUL = -1
 """The answer of `match` where a filter meets what only `evaluation` can judge."""
+
+# What is known of a depth: its slot, subject, object and way, which ends have values before it, the
+# rows it looks at (from one, below one), and whether it goes on to static ones.
+AT_SLOT, AT_SUBJECT, AT_OBJECT, AT_WAY, KNOWS_SUBJECT, KNOWS_OBJECT, ABOVE, BELOW = range(8)
+GOES_ON, STEP = 8, 9
 
 STATIC = -1
 """In place of the row of a pattern in a solution: a static one."""
@@ -127,9 +133,13 @@ def _match(
     stack_tags = np.zeros(64, np.int64)
     stack_numbers = np.zeros(64, np.float64)
     stack_ids = np.zeros(64, np.int64)
-    value_tags = np.zeros(variable_count + 1, np.int64)
-    value_bits = np.zeros(variable_count + 1, np.int64)
-    owner = np.full(variable_count + 1, -1, np.int64)
+    # The values of variables, then those of constants.
+    value_tags = np.zeros(variable_count + constant_tags.shape[0] + 1, np.int64)
+    value_bits = np.zeros(variable_count + constant_tags.shape[0] + 1, np.int64)
+    for n in range(constant_tags.shape[0]):
+        value_tags[variable_count + n] = constant_tags[n]
+        value_bits[variable_count + n] = constant_bits[n]
+    step = np.empty((pattern_count, STEP), np.int64)
     cursor = np.full(pattern_count + 1, -2, np.int64)
     on_static = np.zeros(pattern_count + 1, np.bool_)
     # One turn a pattern that may have new rows; where nothing is known, one over all rows.
@@ -199,8 +209,26 @@ def _match(
                                 first = False
                         if first:
                             filter_depth[f] = depth
+        # What is known at each depth, and between which rows it looks.
+        bound[:] = False
+        for depth in range(pattern_count):
+            p = order[depth]
+            slot, s, o = patterns[p, 0], patterns[p, 1], patterns[p, 2]
+            step[depth, AT_SLOT] = slot
+            step[depth, AT_WAY] = ways[depth]
+            step[depth, AT_SUBJECT] = s if s >= 0 else variable_count - 1 - s
+            step[depth, AT_OBJECT] = o if o >= 0 else variable_count - 1 - o
+            step[depth, KNOWS_SUBJECT] = 1 if s < 0 or bound[s] else 0
+            step[depth, KNOWS_OBJECT] = 1 if o < 0 or bound[o] else 0
+            step[depth, ABOVE] = first_new if p == turn and not whole else floor
+            step[depth, BELOW] = first_new if p < turn and not whole else marks[COUNT]
+            goes_on = static_visible[slot] > 0 and (p != turn or whole)
+            step[depth, GOES_ON] = 1 if goes_on else 0
+            if s >= 0:
+                bound[s] = True
+            if o >= 0:
+                bound[o] = True
         # One pattern inside the other; a cursor a depth: the row, and on which side it is.
-        owner[:] = -1
         cursor[:] = -2
         on_static[:] = False
         depth = 0
@@ -223,96 +251,66 @@ def _match(
                 found += 1
                 depth -= 1
                 continue
-            p = order[depth]
-            slot, s, o, way = patterns[p, 0], patterns[p, 1], patterns[p, 2], ways[depth]
-            # What this depth had bound is free again.
-            if s >= 0 and owner[s] == depth:
-                owner[s] = -1
-            if o >= 0 and owner[o] == depth:
-                owner[o] = -1
-            subject_known, object_known = False, False
-            subject_bits, object_bits, object_tag = np.int64(0), np.int64(0), np.int64(0)
-            if s < 0:
-                subject_known, subject_bits = True, constant_bits[-1 - s]
-                if constant_tags[-1 - s] != 0:
-                    depth -= 1
-                    continue
-            elif owner[s] >= 0:
-                subject_known, subject_bits = True, value_bits[s]
-                if value_tags[s] != 0:
-                    # No number is the subject of a triple.
-                    cursor[depth] = -2
-                    on_static[depth] = False
-                    depth -= 1
-                    continue
-            if o < 0:
-                object_known = True
-                object_tag, object_bits = np.int64(constant_tags[-1 - o]), constant_bits[-1 - o]
-            elif owner[o] >= 0:
-                object_known = True
-                object_tag, object_bits = value_tags[o], value_bits[o]
-            # Which rows: the newest first.
-            only_new = not whole and p == turn
-            only_old = not whole and p < turn
-            at = cursor[depth]
-            if at == -2 and visible[slot] == 0:
-                on_static[depth] = True
+            slot, way = step[depth, AT_SLOT], step[depth, AT_WAY]
+            s, o = step[depth, AT_SUBJECT], step[depth, AT_OBJECT]
+            subject_known, object_known = step[depth, KNOWS_SUBJECT], step[depth, KNOWS_OBJECT]
+            above, below = step[depth, ABOVE], step[depth, BELOW]
+            at, static_side = cursor[depth], on_static[depth]
             matched = False
-            while True:
-                static_side = on_static[depth]
+            # No number is the subject of a triple.
+            while not subject_known or value_tags[s] == 0:
                 if at == -2:
+                    # Where the chain begins.
                     if way == BY_SLOT:
-                        key = slot
-                    elif way == BY_SUBJECT:
-                        key = (subject_bits + (subject_bits >> 8)) * slot_count + slot
+                        key, static_key = slot, slot
                     else:
-                        key = object_bits ^ (object_bits >> 32) ^ (object_bits >> 45)
-                        if way == BY_OBJECT:
-                            key = (key & 0x7FFFFFFF) * 40503 + slot * 9973
+                        if way == BY_SUBJECT:
+                            key = (value_bits[s] + (value_bits[s] >> 8)) * slot_count + slot
                         else:
-                            key = (key ^ subject_bits) & 0x7FFFFFFF
-                            key = key * 40503 + slot * 9973 + object_tag * 131
-                        key = key ^ (key >> 16)
+                            key = value_bits[o] ^ (value_bits[o] >> 32) ^ (value_bits[o] >> 45)
+                            if way == BY_OBJECT:
+                                key = (key & 0x7FFFFFFF) * 40503 + slot * 9973
+                            else:
+                                key = (key ^ value_bits[s]) & 0x7FFFFFFF
+                                key = key * 40503 + slot * 9973 + value_tags[o] * 131
+                            key = key ^ (key >> 16)
+                        static_key = key & (static_sizes[way] - 1)
+                        key = key & (sizes[way] - 1)
                     if static_side:
-                        if way != BY_SLOT:
-                            key = key & (static_sizes[way] - 1)
-                        at = np.int64(static_heads[key + static_sizes[WAYS + way]])
+                        at = np.int64(static_heads[static_key + static_sizes[WAYS + way]])
                     else:
-                        if way != BY_SLOT:
-                            key = key & (sizes[way] - 1)
                         at = np.int64(heads[key + sizes[WAYS + way]])
                 elif static_side:
                     at = np.int64(static_rows[at, LINKS + way])
                 else:
                     at = np.int64(rows[at, LINKS + way])
-                if not static_side and (at < floor or (only_new and at < first_new)):
-                    at = np.int64(-1)
-                if at < 0:
-                    if static_side or only_new or static_visible[slot] == 0:
-                        break
-                    on_static[depth] = True
-                    at = np.int64(-2)
-                    continue
                 if static_side:
+                    if at < 0:
+                        break
                     place = np.int64(static_rows[at, PLACE])
                     row_subject = np.int64(static_rows[at, SUBJECT])
-                    row_bits = np.int64(static_rows[at, HIGH]) << 32
-                    row_bits |= np.int64(static_rows[at, LOW]) & 0xFFFFFFFF
+                    low, high = np.int64(static_rows[at, LOW]), np.int64(static_rows[at, HIGH])
                 else:
+                    if at < above:
+                        if step[depth, GOES_ON] == 0:
+                            break
+                        at, static_side = np.int64(-2), True
+                        continue
+                    if at >= below:
+                        continue
                     place = np.int64(rows[at, PLACE])
                     row_subject = np.int64(rows[at, SUBJECT])
-                    row_bits = np.int64(rows[at, HIGH]) << 32
-                    row_bits |= np.int64(rows[at, LOW]) & 0xFFFFFFFF
-                    if only_old and at >= first_new:
-                        continue
+                    low, high = np.int64(rows[at, LOW]), np.int64(rows[at, HIGH])
                 if place & SEEN_MASK != slot:
                     continue
-                if subject_known and row_subject != subject_bits:
+                if subject_known and row_subject != value_bits[s]:
                     continue
                 row_tag = (place >> TAG_SHIFT) & TAG_MASK
-                if object_known and (row_bits != object_bits or row_tag != object_tag):
-                    continue
-                if s >= 0 and s == o and not (row_tag == 0 and row_bits == row_subject):
+                row_bits = (high << 32) | (low & 0xFFFFFFFF)
+                if object_known:
+                    if row_bits != value_bits[o] or row_tag != value_tags[o]:
+                        continue
+                elif s == o and (row_tag != 0 or row_bits != row_subject):
                     continue
                 matched = True
                 break
@@ -322,12 +320,11 @@ def _match(
                 depth -= 1
                 continue
             cursor[depth] = at
-            if s >= 0 and not subject_known:
-                owner[s] = depth
+            on_static[depth] = static_side
+            if not subject_known:
                 value_tags[s] = 0
                 value_bits[s] = row_subject
-            if o >= 0 and not object_known and o != s:
-                owner[o] = depth
+            if not object_known:
                 value_tags[o] = row_tag
                 value_bits[o] = row_bits
             # The filters that can be judged now: three-valued; only what is true goes on.
