@@ -41,6 +41,9 @@ class ProblemModel(BaseModel):
     column: int | None = None
     excerpt: str | None = Field(None, description="the source line with a caret under the place")
     field: str | None = Field(None, description="the field of a sample that is to blame")
+    accepted: int | None = Field(
+        None, description="how many of the live samples before the error were taken"
+    )
     missing: list[str] | None = Field(None, description="what semantic matching would need")
     errors: list[dict[str, Any]] | None = Field(None, description="each value that does not fit")
 
@@ -60,11 +63,13 @@ class Problem(HTTPException):
     ) -> None:
         super().__init__(status, detail, dict(headers) if headers else None)
         self.title = title
-        self.members = {"hint": hint or None, **extra}
+        self.members: dict[str, object] = {"hint": hint or None, **extra}
 
     def model(self) -> ProblemModel:
         kind = _NAMES + self.title.lower().replace(" ", "-")
-        known: dict[str, Any] = {key: value for key, value in self.members.items() if value}
+        known: dict[str, Any] = {
+            key: value for key, value in self.members.items() if value or value == 0
+        }
         return ProblemModel(
             type=kind, title=self.title, status=self.status_code, detail=str(self.detail), **known
         )

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import anyio.to_thread
 from fastapi import APIRouter, Header, Query, Request, Response
 
-from ...converters.arrow import decode_arrow, encode_arrow
+from ...converters.arrow import ArrowMissing, decode_arrow, encode_arrow
 from ...converters.csv_table import encode_csv
 from ...converters.ndjson import decode_ndjson, encode_ndjson
 from ...converters.wire import Incoming
@@ -122,7 +122,7 @@ def _decode(kind: str, body: bytes, generator: StreamGenerator) -> Incoming:
         return decode_ndjson(body, generator.schema, pools)
     try:
         return decode_arrow(body, generator.schema, pools)
-    except ImportError as error:
+    except ArrowMissing as error:
         raise _no_arrow() from error
 
 
@@ -134,7 +134,7 @@ def _encode(kind: str, batch: SampleBatch) -> bytes:
     if kind == ARROW:
         try:
             return encode_arrow(batch)
-        except ImportError as error:
+        except ArrowMissing as error:
             raise _no_arrow() from error
     # A JSON array is the lines with commas between.
     return b"[" + b",".join(encode_ndjson(batch).splitlines()) + b"]"
