@@ -17,6 +17,7 @@ from __future__ import annotations
 import http.client
 import os
 import re
+import socket
 import subprocess
 import sys
 import threading
@@ -179,16 +180,45 @@ class Publisher:
             if wait > 0:
                 time.sleep(wait / SECOND)
             sent = time.monotonic_ns()
-            self._connection.request("POST", "/streams/flights/samples", body, self._headers)
-            answer = self._connection.getresponse()
-            said = answer.read()
-            if answer.status != 202:
-                raise RuntimeError(f"{answer.status}: {said.decode()}")
+            self._post(body)
             self.moments.append((due, sent, time.monotonic_ns()))
 
+    def _post(self, body: bytes) -> None:
+        self._connection.request("POST", "/streams/flights/samples", body, self._headers)
+        self._read()
 
-def run(kind: str, batch: int, seconds: float, skipped: float) -> Run:
-    """So many ``seconds`` of load after ``skipped`` ones, in batches of ``batch`` samples."""
+    def _read(self) -> None:
+        answer = self._connection.getresponse()
+        said = answer.read()
+        if answer.status != 202:
+            raise RuntimeError(f"{answer.status}: {said.decode()}")
+
+    def finish(self) -> None:
+        """Nothing more is sent."""
+
+
+class LivePublisher(Publisher):
+    """Sends all in one request, which ends with `finish`: nobody waits for an answer before."""
+
+    def __init__(self, address: str, kind: str, interval: int) -> None:
+        super().__init__(address, kind, interval)
+        self._connection.putrequest("POST", "/streams/flights/samples/live")
+        self._connection.putheader("Content-Type", kind)
+        self._connection.putheader("Transfer-Encoding", "chunked")
+        self._connection.endheaders()
+        self._connection.sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+    def _post(self, body: bytes) -> None:
+        self._connection.send(b"%x\r\n%s\r\n" % (len(body), body))
+
+    def finish(self) -> None:
+        self._connection.send(b"0\r\n\r\n")
+        self._read()
+
+
+def run(kind: str, batch: int, seconds: float, skipped: float, live: bool = False) -> Run:
+    """So many ``seconds`` of load after ``skipped`` ones, in batches of ``batch`` samples, each a
+    request, or all in one that is ``live``."""
     samples = Samples.make(int(RATE * (skipped + seconds)))
     encode = samples.arrow if kind == ARROW else samples.ndjson
     starts = range(0, len(samples.time), batch)
@@ -203,11 +233,12 @@ def run(kind: str, batch: int, seconds: float, skipped: float) -> Run:
         address = url.removeprefix("http://")
         listener = Listener(address, asked["stream"])
         listener.start()
-        publisher = Publisher(address, kind, interval)
+        publisher = (LivePublisher if live else Publisher)(address, kind, interval)
         publisher.send(bodies[:first])
         before = cpu_seconds(process)
         publisher.send(bodies[first:])
         used = cpu_seconds(process) - before
+        publisher.finish()
         # The stream ends with the request, and so does the listener's answer.
         client.cancel_event(asked["id"])
         listener.join()
