@@ -11,7 +11,6 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from .problems import Problem
 
-
 HELD = "dyknow.held"
 """In the scope of a request: the `Held` of its body."""
 LIVE = "/samples/live"

@@ -1,0 +1,196 @@
+"""Live samples: however the bytes of a body are cut, the same is published and refused."""
+
+import itertools
+import json
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dyknow.converters.arrow import encode_arrow, samples_of_table
+from dyknow.converters.arrow_messages import ArrowMessages
+from dyknow.converters.errors import WireError
+from dyknow.converters.ndjson import decode_ndjson
+from dyknow.converters.wire import BOM
+from dyknow.engine.engine import Engine
+from dyknow.engine.errors import DyknowError
+from dyknow.engine.views import StreamDeclaration
+from dyknow.rdf.namespaces import DYKNOW
+from dyknow.service.live import LiveLines, LiveTables
+from dyknow.streams.fluent import Retention
+from dyknow.streams.sample import Field, FieldType, Schema, batch_from_rows
+
+LIMITS = settings(deadline=None, max_examples=150)
+SCHEMA = Schema((Field("id", FieldType.STRING), Field("n", FieldType.INTEGER)))
+
+
+def engine_with_stream(lateness=3):
+    engine = Engine(epoch="e1")
+    declaration = StreamDeclaration("s", SCHEMA.fields, lateness, Retention(), DYKNOW, None)
+    engine.declare(declaration)
+    return engine
+
+
+def good(time, stamped=False, text="a"):
+    sample = {"valid": time, "id": text, "n": time}
+    if not stamped:
+        sample["available"] = time
+    return json.dumps(sample).encode()
+
+
+@st.composite
+def lines(draw):
+    stamped = draw(st.booleans())
+    usual = st.builds(
+        good, st.integers(0, 30), st.just(stamped), st.sampled_from(["a", "ö", "\n", '"'])
+    )
+    other = st.sampled_from(
+        [
+            b"",
+            b"  ",
+            b"\t",
+            b"\x0b",
+            BOM,
+            BOM + good(3, stamped),
+            good(4, not stamped),
+            b'{"valid": 1}',
+            b'{"valid": 1, "available": 1, "id": "a", "n": 1, "n": 2}',
+            b'{"valid": 1, "available": 1, "id": "a", "n": 99999999999999999999}',
+            b'{"valid": "1970-13-01T00:00:00Z", "id": "a", "n": 1}',
+            b'{"valid": 1, "id": "a", "n": 1.5}',
+            good(5, stamped) + good(6, stamped),
+            b"[1]",
+            b"\xff",
+            b"{",
+            b"[" * 3000,
+        ]
+    )
+    found = draw(st.lists(st.one_of(usual, usual, usual, st.just(b""), other), max_size=12))
+    end = draw(st.sampled_from([b"\n", b"\r\n"]))
+    last = draw(st.sampled_from([b"", b"\n"]))
+    begin = draw(st.sampled_from([b"", b"", BOM]))
+    # Repeated, so that some parts are large enough for the short way through NDJSON.
+    times = draw(st.sampled_from([1, 1, 40]))
+    return begin + end.join(found * times) + last
+
+
+def line_by_line(engine, body):
+    """The definition: each line is a batch of its own, until one is refused."""
+    accepted, stamped = 0, None
+    for number, line in enumerate(body.removeprefix(BOM).split(b"\n"), 1):
+        if not line.strip():
+            continue
+        if line.startswith(BOM):
+            return accepted, WireError, number
+        generator = engine.accepting("s")
+        try:
+            incoming = decode_ndjson(line, generator.schema, generator.stream.pools)
+        except WireError:
+            return accepted, WireError, number
+        if stamped not in (None, incoming.stamped):
+            return accepted, WireError, number
+        try:
+            accepted += engine.publish("s", incoming, 100)
+        except DyknowError as error:
+            return accepted, type(error), None
+        stamped = incoming.stamped
+    return accepted, None, None
+
+
+def cut(data, places):
+    edges = sorted({0, len(data), *(place % (len(data) + 1) for place in places)})
+    return [data[begin:end] for begin, end in itertools.pairwise(edges)]
+
+
+def live(engine, parts, make=LiveLines):
+    samples = make(engine, "s", lambda: 100)
+    try:
+        for part in parts:
+            samples.take(part)
+        samples.end()
+    except (WireError, DyknowError) as error:
+        return samples.accepted, type(error), getattr(error, "line", None)
+    return samples.accepted, None, None
+
+
+def state(engine):
+    generator = engine.accepting("s")
+    return list(generator.stream.all().rows()), generator.counters, generator.stamped
+
+
+@LIMITS
+@given(lines(), st.lists(st.integers(0, 10_000), max_size=12), st.booleans(), st.booleans())
+def test_lines_are_published_as_one_by_one(body, places, bytewise, begun):
+    whole, slow = engine_with_stream(), engine_with_stream()
+    for engine in (whole, slow):
+        if begun:  # samples came before that bring their times
+            engine.publish(
+                "s", decode_ndjson(good(1), SCHEMA, engine.accepting("s").stream.pools), 5
+            )
+    bytewise = bytewise and len(body) < 2000
+    parts = [body[i : i + 1] for i in range(len(body))] if bytewise else cut(body, places)
+    assert live(whole, parts) == line_by_line(slow, body)
+    assert state(whole) == state(slow)
+
+
+def tables(rows):
+    return [
+        batch_from_rows(SCHEMA, [(t, t, {"id": f"u{t % 3}", "n": n}) for t, n in part], {})
+        for part in rows
+    ]
+
+
+ROWS = st.lists(
+    st.lists(st.tuples(st.integers(0, 50), st.integers(-5, 5)), min_size=1, max_size=5), max_size=5
+)
+
+
+def one_stream(batches, dictionary):
+    """All batches in one Arrow stream; text as dictionaries that grow where ``dictionary``."""
+    import pyarrow as pa
+
+    found = [pa.ipc.open_stream(encode_arrow(batch)).read_all() for batch in batches]
+    if not found:
+        return b""
+    if dictionary:
+        found = [t.set_column(2, "id", t.column("id").dictionary_encode()) for t in found]
+    sink = pa.BufferOutputStream()
+    with pa.ipc.new_stream(sink, found[0].schema) as writer:
+        for table in found:
+            writer.write_table(table)
+    return sink.getvalue().to_pybytes()
+
+
+@LIMITS
+@given(
+    ROWS, st.lists(st.integers(0, 10_000), max_size=12), st.sampled_from(["many", "one", "dict"])
+)
+def test_record_batches_are_published_as_they_are_complete(rows, places, form):
+    batches = tables(rows)
+    if form == "many":  # one stream after the other
+        body = b"".join(encode_arrow(batch) for batch in batches)
+    else:
+        body = one_stream(batches, form == "dict")
+    whole, slow = engine_with_stream(), engine_with_stream()
+    accepted = 0
+    for batch in batches:
+        target = slow.accepting("s")
+        table = next(ArrowMessages().take(encode_arrow(batch)))
+        accepted += slow.publish("s", samples_of_table(table, SCHEMA, target.stream.pools), 100)
+    assert live(whole, cut(body, places), LiveTables) == (accepted, None, None)
+    assert state(whole) == state(slow)
+
+
+@LIMITS
+@given(ROWS.filter(bool), st.integers(0, 10_000), st.binary(min_size=1, max_size=4), st.data())
+def test_no_bytes_make_it_fail_otherwise(rows, place, noise, data):
+    """Broken streams are refused, whatever is broken in them and however they come."""
+    body = bytearray(one_stream(tables(rows), data.draw(st.booleans())))
+    at = place % len(body)
+    body[at : at + len(noise)] = noise
+    places = data.draw(st.lists(st.integers(0, 10_000), max_size=5))
+    first, second = engine_with_stream(), engine_with_stream()
+    found = live(first, cut(bytes(body), places), LiveTables)
+    assert found == live(second, [bytes(body)], LiveTables)
+    assert state(first) == state(second)
+    assert np.less_equal(found[0], sum(map(len, rows)))
