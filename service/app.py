@@ -29,6 +29,7 @@ from .routes import (
     live,
     match,
     ontologies,
+    publish,
     queries,
     samples,
     sparql,
@@ -44,8 +45,9 @@ from .sse import Feeds
 
 # Looked through in this order for each request: batches of samples are the most frequent ones.
 RESOURCES = (
-    samples,
+    publish,
     live,
+    samples,
     templates,
     events,
     queries,

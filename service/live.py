@@ -15,7 +15,7 @@ from fastapi import Request
 from starlette.requests import ClientDisconnect
 from starlette.types import Message
 
-from ..converters.arrow import samples_of_table
+from ..converters.arrow import ArrowMissing, samples_of_table
 from ..converters.arrow_messages import ArrowMessages
 from ..converters.errors import WireError
 from ..converters.ndjson import decode_ndjson, mixed_times
@@ -164,6 +164,8 @@ class LiveTables(LiveSamples):
                     pools = generator.stream.pools
                     self._publish(samples_of_table(table, generator.schema, pools), 1)
                     self._before += table.num_rows
+        except ArrowMissing:
+            raise
         except WireError as error:
             raise self._placed(error) from None
 

@@ -17,6 +17,7 @@ from pydantic import BaseModel, Field
 from starlette.exceptions import HTTPException as StarletteHTTPException
 from starlette.routing import Match
 
+from ..converters.arrow import ArrowMissing
 from ..converters.errors import ConversionError, WireError
 from ..engine import errors as engine_errors
 from ..engine.errors import DyknowError, NoPlan
@@ -126,6 +127,13 @@ def problem_of(error: Exception) -> Problem:
                 hint=error.hint,
                 line=error.line,
                 column=error.column,
+            )
+        case ArrowMissing():
+            return Problem(
+                501,
+                "not available",
+                "this service was installed without Arrow",
+                hint="install dyknow[arrow], or use application/x-ndjson",
             )
         case WireError():
             return Problem(400, "bad samples", error.message, hint=error.hint, line=error.line)

@@ -13,7 +13,7 @@ from ..logs import log
 from ..models import AcceptedModel
 from ..negotiation import ARROW, NDJSON, content_type
 from ..problems import Problem, problem_of, responses
-from .samples import BODY
+from .publish import BODY
 
 router = APIRouter(tags=["samples"])
 
