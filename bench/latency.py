@@ -3,7 +3,8 @@
     python bench/latency.py [--quick]
 
 `dyknow serve` runs as a process of its own. 1,000 UAVs say how fast they are, 100,000 samples a
-second together, published over one connection in batches, each when its last sample is due. An
+second together, published over one connection in batches, each when its last sample is due. A batch
+is a request of its own, or all are one request whose samples are published as they come (*live*). An
 event is asked for with [RANGE 1s STEP 10ms]: every window has ten events, those of the UAVs that
 are fast. Samples bring their available times, so that the first one after a window's end closes it;
 no clock does. *Latency* is from the moment when the batch with this sample began to be sent to the
@@ -45,6 +46,19 @@ UAVS, FAST = 1_000, 10
 STEP = 10 * MS
 AIMS = {50: 2.0, 99: 20.0}
 """Milliseconds, by percentile."""
+ROWS = (
+    ("NDJSON", NDJSON, 1_000, False),
+    ("NDJSON", NDJSON, 200, False),
+    ("NDJSON", NDJSON, 100, False),
+    ("Arrow", ARROW, 1_000, False),
+    ("Arrow", ARROW, 200, False),
+    ("live NDJSON", NDJSON, 1_000, True),
+    ("live NDJSON", NDJSON, 200, True),
+    ("live NDJSON", NDJSON, 100, True),
+    ("live NDJSON", NDJSON, 50, True),
+    ("live Arrow", ARROW, 200, True),
+)
+"""Format, samples a batch, and whether all batches go in one request."""
 COMMAND = "from dyknow.service.cli import main; main()"
 SSL = "stream flights contains speed(UAV) = speed for every UAV = id"
 TEMPLATE = f"""REGISTER TEMPLATE dyknow:FastEvent(?o, ?type, ?threshold) COMPUTE EVERY 10ms AS
@@ -277,7 +291,7 @@ def line(name: str, batch: int, run: Run) -> str:
     missed = [
         f"p{share}" for share, aim in AIMS.items() if np.percentile(found["sent"], share) >= aim
     ]
-    text = f"{name:<8}{batch:>8,}{rate / 1e3:>9.1f}" + "".join(f"{v:>9.2f}" for v in shown)
+    text = f"{name:<12}{batch:>8,}{rate / 1e3:>9.1f}" + "".join(f"{v:>9.2f}" for v in shown)
     text += f"{np.percentile(found['due'], 99):>11.2f}{post:>9.2f}{run.cpu:>7.0%}"
     return text + (f"  (aim missed: {', '.join(missed)})" if missed else "")
 
@@ -288,17 +302,11 @@ def main(quick: bool = False) -> int:
     # Kept on the disk for the services: the very first time would be all of a run.
     compile_all()
     print("milliseconds from sending the batch that closes a window to the event at the client")
-    print(f"{'':<8}{'batch':>8}{'k/s':>9}{'p50':>9}{'p90':>9}{'p99':>9}{'max':>9}", end="")
+    print(f"{'':<12}{'batch':>8}{'k/s':>9}{'p50':>9}{'p90':>9}{'p99':>9}{'max':>9}", end="")
     print(f"{'due p99':>11}{'answer':>9}{'CPU':>7}")
     agree = True
-    for name, kind, batch in (
-        ("NDJSON", NDJSON, 1_000),
-        ("NDJSON", NDJSON, 200),
-        ("NDJSON", NDJSON, 100),
-        ("Arrow", ARROW, 1_000),
-        ("Arrow", ARROW, 200),
-    ):
-        done = run(kind, batch, seconds, skipped)
+    for name, kind, batch, live in ROWS:
+        done = run(kind, batch, seconds, skipped, live)
         agree &= complete(done)
         print(line(name, batch, done), flush=True)
     print(f"every event, once: {agree}")

@@ -469,7 +469,9 @@ def test_an_idempotency_key_that_is_too_long(http: httpx.Client) -> None:
     http.put("/streams/keyed", json={"fields": {"v": "float"}})
     for length, status in ((200, 202), (201, 422)):
         headers = {"Idempotency-Key": "x" * length}
-        answer = http.post("/streams/keyed/samples", content='{"valid": 1, "v": 1.0}', headers=headers)
+        answer = http.post(
+            "/streams/keyed/samples", content='{"valid": 1, "v": 1.0}', headers=headers
+        )
         assert answer.status_code == status
     assert answer.json()["title"] == "values do not fit"
     assert answer.json()["errors"][0]["at"] == "header.idempotency-key"
