@@ -3,14 +3,15 @@
     python bench/latency.py [--quick]
 
 `dyknow serve` runs as a process of its own. 1,000 UAVs say how fast they are, 100,000 samples a
-second together, published over one connection in batches, each when its last sample is due. A batch
-is a request of its own, or all are one request whose samples are published as they come (*live*). An
-event is asked for with [RANGE 1s STEP 10ms]: every window has ten events, those of the UAVs that
-are fast. Samples bring their available times, so that the first one after a window's end closes it;
-no clock does. *Latency* is from the moment when the batch with this sample began to be sent to the
-arrival of the event; *since due* is from when that batch should have been sent, so that a service
-that keeps the publisher waiting cannot hide it. Windows of the first seconds are not counted: loops
-are loaded, the first window fills. Every event must come, and none twice.
+second together, published over one connection in batches, each when its last sample is due. A
+batch is a request of its own, or all are one request whose samples are published as they come
+(*live*). An event is asked for with [RANGE 1s STEP 10ms]: every window has ten events, those of
+the UAVs that are fast. Samples bring their available times, so that the first one after a
+window's end closes it; no clock does. *Latency* is from the moment when the batch with this
+sample began to be sent to the arrival of the event; *since due* is from when that batch should
+have been sent, so that a service that keeps the publisher waiting cannot hide it. Windows of the
+first seconds are not counted: loops are loaded, the first window fills. Every event must come,
+and none twice.
 """
 
 from __future__ import annotations

@@ -26,15 +26,14 @@ class Held:
         self._limit = limit
 
     def add(self, count: int) -> None:
-        """So many bytes have come. Raises `Problem` 413 or 429."""
+        """So many bytes have come. Raises `Problem` 413 or 429; of a live body `keep` does."""
         self.size += count
         self._limit.held += count
         if not self.live:
             self._limit.check(self.size)
-        self._limit.check_total()
 
     def keep(self, count: int) -> None:
-        """Of a live body no more than so many bytes are still held. Raises `Problem` 413."""
+        """Of a live body no more than so many bytes are still held. Raises `Problem` 413 or 429."""
         self._limit.held += count - self.size
         self.size = count
         self._limit.check(count)
@@ -78,12 +77,10 @@ class BodyLimit:
             self.held -= body.size
 
     def check(self, size: int) -> None:
-        """Raises a 413 `Problem` where ``size`` bytes of one body are too many."""
+        """Raises a `Problem` where ``size`` bytes of one body are too many, 413, or those of all
+        bodies, 429."""
         if size > self._limit:
             raise self._too_large()
-
-    def check_total(self) -> None:
-        """Raises a 429 `Problem` where too many bytes of all bodies are held."""
         if self.held > self._total:
             raise self._too_many()
 

@@ -24,9 +24,13 @@ LIMITS = settings(deadline=None, max_examples=150)
 SCHEMA = Schema((Field("id", FieldType.STRING), Field("n", FieldType.INTEGER)))
 
 
-def engine_with_stream(lateness=3):
+def engine_with_stream(is_open=False):
+    """One that takes samples into stream s, whose fields its first sample decides if it is open."""
     engine = Engine(epoch="e1")
-    declaration = StreamDeclaration("s", SCHEMA.fields, lateness, Retention(), DYKNOW, None)
+    if is_open:
+        engine.add_kpl("source pos s\nstrmgen pos = s")
+        return engine
+    declaration = StreamDeclaration("s", SCHEMA.fields, 3, Retention(), DYKNOW, None)
     engine.declare(declaration)
     return engine
 
@@ -119,11 +123,16 @@ def state(engine):
 
 
 @LIMITS
-@given(lines(), st.lists(st.integers(0, 10_000), max_size=12), st.booleans(), st.booleans())
-def test_lines_are_published_as_one_by_one(body, places, bytewise, begun):
-    whole, slow = engine_with_stream(), engine_with_stream()
+@given(
+    lines(),
+    st.lists(st.integers(0, 10_000), max_size=12),
+    st.booleans(),
+    st.sampled_from(["open", "declared", "begun"]),
+)
+def test_lines_are_published_as_one_by_one(body, places, bytewise, before):
+    whole, slow = engine_with_stream(before == "open"), engine_with_stream(before == "open")
     for engine in (whole, slow):
-        if begun:  # samples came before that bring their times
+        if before == "begun":  # samples came before that bring their times
             engine.publish(
                 "s", decode_ndjson(good(1), SCHEMA, engine.accepting("s").stream.pools), 5
             )

@@ -14,13 +14,16 @@ from urllib.parse import urlsplit
 import httpx
 import msgspec
 import pytest
+from starlette.types import Receive, Scope, Send
 
 from dyknow.converters.arrow import encode_arrow
 from dyknow.converters.ndjson import decode_ndjson
 from dyknow.engine.engine import Engine
 from dyknow.service.app import create_app
+from dyknow.service.body import BodyLimit, Held
 from dyknow.service.client import Client, ServiceError
 from dyknow.service.negotiation import ARROW, NDJSON
+from dyknow.service.problems import Problem
 from dyknow.service.server import GRACE, running
 from dyknow.service.settings import Settings
 from dyknow.streams.sample import Field, FieldType, Schema
@@ -202,6 +205,23 @@ def test_what_is_published_is_not_held(engine: Engine, clock: Clock) -> None:
         part = b"".join(line(i) for i in range(1, 1_001))
         assert client.publish_live("s5", itertools.repeat(part, 40)) == 40_000
         assert client.publish("s5", part) == 1_000
+
+
+def test_only_what_waits_counts_among_all_bodies() -> None:
+    async def nothing(scope: Scope, receive: Receive, send: Send) -> None:
+        """Never called."""
+
+    limit = BodyLimit(nothing, limit=100, total=150)
+    Held(limit, live=False).add(100)
+    body = Held(limit, live=True)
+    body.add(1_000)
+    body.keep(50)
+    for kept, status in ((51, 429), (101, 413)):
+        with pytest.raises(Problem) as caught:
+            body.keep(kept)
+        assert caught.value.status_code == status
+    body.keep(0)
+    assert limit.held == 100
 
 
 def test_several_at_once(url: str, client: Client) -> None:
