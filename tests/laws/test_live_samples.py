@@ -2,13 +2,12 @@
 
 import itertools
 import json
+from contextlib import contextmanager
 
-import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dyknow.converters.arrow import encode_arrow, samples_of_table
-from dyknow.converters.arrow_messages import ArrowMessages
+from dyknow.converters.arrow import decode_arrow, encode_arrow
 from dyknow.converters.errors import WireError
 from dyknow.converters.ndjson import decode_ndjson
 from dyknow.converters.wire import BOM
@@ -24,15 +23,28 @@ LIMITS = settings(deadline=None, max_examples=150)
 SCHEMA = Schema((Field("id", FieldType.STRING), Field("n", FieldType.INTEGER)))
 
 
-def engine_with_stream(is_open=False):
-    """One that takes samples into stream s, whose fields its first sample decides if it is open."""
-    engine = Engine(epoch="e1")
-    if is_open:
-        engine.add_kpl("source pos s\nstrmgen pos = s")
-        return engine
-    declaration = StreamDeclaration("s", SCHEMA.fields, 3, Retention(), DYKNOW, None)
-    engine.declare(declaration)
-    return engine
+ENGINE = Engine(epoch="e1")
+NUMBERS = itertools.count()
+"""Each example has streams of its own in one engine, which takes longer to make than all else."""
+
+
+@contextmanager
+def streams(is_open=False):
+    """Two new ones; their fields are decided by their first sample if they are open."""
+    names = [f"s{next(NUMBERS)}" for _ in range(2)]
+    for name in names:
+        if is_open:
+            ENGINE.add_kpl(f"source pos {name}")
+        else:
+            ENGINE.declare(StreamDeclaration(name, SCHEMA.fields, 3, Retention(), DYKNOW, None))
+    try:
+        yield names
+    finally:
+        for name in names:
+            if is_open:
+                ENGINE.remove_kpl(name, cascade=True)
+            else:
+                ENGINE.remove_stream(name)
 
 
 def good(time, stamped=False, text="a"):
@@ -78,7 +90,7 @@ def lines(draw):
     return begin + end.join(found * times) + last
 
 
-def line_by_line(engine, body):
+def line_by_line(name, body):
     """The definition: each line is a batch of its own, until one is refused."""
     accepted, stamped = 0, None
     for number, line in enumerate(body.removeprefix(BOM).split(b"\n"), 1):
@@ -86,7 +98,7 @@ def line_by_line(engine, body):
             continue
         if line.startswith(BOM):
             return accepted, WireError, number
-        generator = engine.accepting("s")
+        generator = ENGINE.accepting(name)
         try:
             incoming = decode_ndjson(line, generator.schema, generator.stream.pools)
         except WireError:
@@ -94,7 +106,7 @@ def line_by_line(engine, body):
         if stamped not in (None, incoming.stamped):
             return accepted, WireError, number
         try:
-            accepted += engine.publish("s", incoming, 100)
+            accepted += ENGINE.publish(name, incoming, 100)
         except DyknowError as error:
             return accepted, type(error), None
         stamped = incoming.stamped
@@ -106,8 +118,8 @@ def cut(data, places):
     return [data[begin:end] for begin, end in itertools.pairwise(edges)]
 
 
-def live(engine, parts, make=LiveLines):
-    samples = make(engine, "s", lambda: 100)
+def live(name, parts, make=LiveLines):
+    samples = make(ENGINE, name, lambda: 100)
     try:
         for part in parts:
             samples.take(part)
@@ -117,8 +129,8 @@ def live(engine, parts, make=LiveLines):
     return samples.accepted, None, None
 
 
-def state(engine):
-    generator = engine.accepting("s")
+def state(name):
+    generator = ENGINE.accepting(name)
     return list(generator.stream.all().rows()), generator.counters, generator.stamped
 
 
@@ -130,16 +142,15 @@ def state(engine):
     st.sampled_from(["open", "declared", "begun"]),
 )
 def test_lines_are_published_as_one_by_one(body, places, bytewise, before):
-    whole, slow = engine_with_stream(before == "open"), engine_with_stream(before == "open")
-    for engine in (whole, slow):
-        if before == "begun":  # samples came before that bring their times
-            engine.publish(
-                "s", decode_ndjson(good(1), SCHEMA, engine.accepting("s").stream.pools), 5
-            )
     bytewise = bytewise and len(body) < 2000
     parts = [body[i : i + 1] for i in range(len(body))] if bytewise else cut(body, places)
-    assert live(whole, parts) == line_by_line(slow, body)
-    assert state(whole) == state(slow)
+    with streams(before == "open") as (whole, slow):
+        if before == "begun":  # samples came before that bring their times
+            for name in (whole, slow):
+                pools = ENGINE.accepting(name).stream.pools
+                ENGINE.publish(name, decode_ndjson(good(1), SCHEMA, pools), 5)
+        assert live(whole, parts) == line_by_line(slow, body)
+        assert state(whole) == state(slow)
 
 
 def tables(rows):
@@ -180,14 +191,14 @@ def test_record_batches_are_published_as_they_are_complete(rows, places, form):
         body = b"".join(encode_arrow(batch) for batch in batches)
     else:
         body = one_stream(batches, form == "dict")
-    whole, slow = engine_with_stream(), engine_with_stream()
-    accepted = 0
-    for batch in batches:
-        target = slow.accepting("s")
-        table = next(ArrowMessages().take(encode_arrow(batch)))
-        accepted += slow.publish("s", samples_of_table(table, SCHEMA, target.stream.pools), 100)
-    assert live(whole, cut(body, places), LiveTables) == (accepted, None, None)
-    assert state(whole) == state(slow)
+    with streams() as (whole, slow):
+        pools = ENGINE.accepting(slow).stream.pools
+        accepted = 0
+        for batch in batches:
+            incoming = decode_arrow(encode_arrow(batch), SCHEMA, pools)
+            accepted += ENGINE.publish(slow, incoming, 100)
+        assert live(whole, cut(body, places), LiveTables) == (accepted, None, None)
+        assert state(whole) == state(slow)
 
 
 @LIMITS
@@ -198,8 +209,8 @@ def test_no_bytes_make_it_fail_otherwise(rows, place, noise, data):
     at = place % len(body)
     body[at : at + len(noise)] = noise
     places = data.draw(st.lists(st.integers(0, 10_000), max_size=5))
-    first, second = engine_with_stream(), engine_with_stream()
-    found = live(first, cut(bytes(body), places), LiveTables)
-    assert found == live(second, [bytes(body)], LiveTables)
-    assert state(first) == state(second)
-    assert np.less_equal(found[0], sum(map(len, rows)))
+    with streams() as (first, second):
+        found = live(first, cut(bytes(body), places), LiveTables)
+        assert found == live(second, [bytes(body)], LiveTables)
+        assert state(first) == state(second)
+        assert found[0] <= sum(map(len, rows))
