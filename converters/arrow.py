@@ -6,6 +6,7 @@ field. pyarrow is an extra of the installation: `ArrowMissing` says how to get i
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -81,6 +82,11 @@ def samples_of_table(table: Any, schema: Schema, pools: dict[str, StringPool]) -
     }
     columns = {name: found[name] for name in schema.names}
     return Incoming(SampleBatch(available, valid, columns), stamped)
+
+
+def joined(tables: Sequence[Any]) -> Any:
+    """Tables of the same columns as one."""
+    return tables[0] if len(tables) == 1 else pyarrow_module().concat_tables(tables)
 
 
 def encode_arrow(batch: SampleBatch) -> bytes:

@@ -10,12 +10,14 @@ from __future__ import annotations
 import asyncio
 import re
 from abc import ABC, abstractmethod
+from itertools import groupby
+from typing import Any
 
 from fastapi import Request
 from starlette.requests import ClientDisconnect
 from starlette.types import Message
 
-from ..converters.arrow import ArrowMissing, samples_of_table
+from ..converters.arrow import ArrowMissing, joined, samples_of_table
 from ..converters.arrow_messages import ArrowMessages
 from ..converters.errors import WireError
 from ..converters.ndjson import decode_ndjson, mixed_times
@@ -157,17 +159,36 @@ class LiveTables(LiveSamples):
         return self._messages.held
 
     def take(self, data: bytes) -> None:
+        tables: list[Any] = []
         try:
             for table in self._messages.take(data):
                 if table.num_rows:
-                    generator = self._target()
-                    pools = generator.stream.pools
-                    self._publish(samples_of_table(table, generator.schema, pools), 1)
-                    self._before += table.num_rows
+                    tables.append(table)  # noqa: PERF401  kept when the next one is broken
         except ArrowMissing:
             raise
         except WireError as error:
+            self._take_all(tables)
             raise self._placed(error) from None
+        self._take_all(tables)
+
+    def _take_all(self, tables: list[Any]) -> None:
+        for _, alike in groupby(tables, lambda table: table.schema):
+            self._take_alike(list(alike))
+
+    def _take_alike(self, tables: list[Any]) -> None:
+        """Publish tables of the same columns together; where one is bad, one by one up to it."""
+        table = joined(tables)
+        generator = self._target()
+        try:
+            incoming = samples_of_table(table, generator.schema, generator.stream.pools)
+            self._publish(incoming, 1)
+        except WireError as error:
+            if len(tables) == 1:
+                raise self._placed(error) from None
+            for each in tables:
+                self._take_alike([each])
+            return
+        self._before += table.num_rows
 
     def end(self) -> None:
         if self.held:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from dyknow.converters.arrow import decode_arrow, encode_arrow
 from dyknow.converters.errors import WireError
-from dyknow.converters.ndjson import decode_ndjson
+from dyknow.converters.ndjson import decode_ndjson, mixed_times
 from dyknow.converters.wire import BOM
 from dyknow.engine.engine import Engine
 from dyknow.engine.errors import DyknowError
@@ -198,6 +198,54 @@ def test_record_batches_are_published_as_they_are_complete(rows, places, form):
             incoming = decode_arrow(encode_arrow(batch), SCHEMA, pools)
             accepted += ENGINE.publish(slow, incoming, 100)
         assert live(whole, cut(body, places), LiveTables) == (accepted, None, None)
+        assert state(whole) == state(slow)
+
+
+def arrow_of(kind, times):
+    """A stream of one record batch; all but the first two kinds are refused."""
+    import pyarrow as pa
+
+    columns = {"valid": times, "available": times, "id": ["a"] * len(times), "n": times}
+    if kind == "stamped":
+        del columns["available"]
+    if kind == "too large":
+        columns["n"] = pa.array([2**63] * len(times), pa.uint64())
+    if kind == "without id":
+        del columns["id"]
+    table = pa.table(columns)
+    sink = pa.BufferOutputStream()
+    with pa.ipc.new_stream(sink, table.schema) as writer:
+        writer.write_table(table)
+    return sink.getvalue().to_pybytes()
+
+
+KINDS = st.sampled_from(["good", "good", "good", "good", "stamped", "too large", "without id"])
+
+
+@LIMITS
+@given(
+    st.lists(st.tuples(KINDS, st.lists(st.integers(0, 9), min_size=1, max_size=3)), max_size=8),
+    st.lists(st.integers(0, 10_000), max_size=6),
+    st.booleans(),
+)
+def test_a_record_batch_is_refused_as_if_it_came_alone(parts, places, is_open):
+    bodies = [arrow_of(kind, times) for kind, times in parts]
+    with streams(is_open) as (whole, slow):
+        accepted, rows, stamped, refused = 0, 0, None, None
+        for body, (_, times) in zip(bodies, parts, strict=True):
+            target = ENGINE.accepting(slow)
+            try:
+                incoming = decode_arrow(body, target.schema, target.stream.pools)
+                if stamped not in (None, incoming.stamped):
+                    raise mixed_times(1)
+                accepted += ENGINE.publish(slow, incoming, 100)
+            except (WireError, DyknowError) as error:
+                line = getattr(error, "line", None)
+                refused = (type(error), None if line is None else rows + line)
+                break
+            rows, stamped = rows + len(times), incoming.stamped
+        found = live(whole, cut(b"".join(bodies), places), LiveTables)
+        assert found == (accepted, *(refused or (None, None)))
         assert state(whole) == state(slow)
 
 
