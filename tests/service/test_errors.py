@@ -466,11 +466,11 @@ def test_a_byte_order_mark_before_texts(http: httpx.Client) -> None:
 
 
 def test_an_idempotency_key_that_is_too_long(http: httpx.Client) -> None:
-    http.put("/streams/keyed", json={"fields": {"v": "float"}})
+    http.put("/streams/plain", json={"fields": {"v": "float"}})
     for length, status in ((200, 202), (201, 422)):
         headers = {"Idempotency-Key": "x" * length}
         answer = http.post(
-            "/streams/keyed/samples", content='{"valid": 1, "v": 1.0}', headers=headers
+            "/streams/plain/samples", content='{"valid": 1, "v": 1.0}', headers=headers
         )
         assert answer.status_code == status
     assert answer.json()["title"] == "values do not fit"
@@ -479,9 +479,9 @@ def test_an_idempotency_key_that_is_too_long(http: httpx.Client) -> None:
 
 @pytest.mark.parametrize("path", ["samples", "samples/live"])
 def test_without_arrow(http: httpx.Client, monkeypatch: pytest.MonkeyPatch, path: str) -> None:
-    http.put("/streams/keyed", json={"fields": {"v": "float"}})
+    http.put("/streams/plain", json={"fields": {"v": "float"}})
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     headers = {"Content-Type": "application/vnd.apache.arrow.stream"}
-    answer = http.post(f"/streams/keyed/{path}", content=b"\xff" * 4 + b"\0" * 4, headers=headers)
+    answer = http.post(f"/streams/plain/{path}", content=b"\xff" * 4 + b"\0" * 4, headers=headers)
     assert answer.status_code == 501
     assert "dyknow[arrow]" in answer.json()["hint"]
