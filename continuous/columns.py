@@ -218,7 +218,8 @@ def canonical(term: Term) -> Term:
         case Sort.FLOAT | Sort.DOUBLE:
             return make_number(Kind(int(sort)), number)
         case Sort.DECIMAL:
-            made = make_number(Kind.DECIMAL, number)
+            # A decimal has no -0.
+            made = make_number(Kind.DECIMAL, number + 0.0)
             return made if Decimal(made.value) == Decimal(term.value) else _stored(term)
     return _stored(term)
 

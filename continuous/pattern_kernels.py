@@ -58,6 +58,9 @@ def _wait(
     words: Any,
     times: Any,
     by: Any,
+    # By term: its tag and bits (`columns.TermValues.encoded`).
+    term_tags: Any,
+    term_bits: Any,
     pending: Any,
     pending_bits: Any,
     pending_times: Any,
@@ -76,8 +79,11 @@ def _wait(
         pending[start + n, 0] = parts[p, 0]
         pending[start + n, 1] = parts[p, 1]
         pending[start + n, 2] = subjects[row]
-        pending[start + n, 3] = parts[p, 2]
-        pending_bits[start + n] = words[row]
+        tag, word = parts[p, 2], words[row]
+        if tag == 0:
+            tag, word = np.int64(term_tags[word]), term_bits[word]
+        pending[start + n, 3] = tag
+        pending_bits[start + n] = word
         pending_times[start + n] = times[row]
 
 
@@ -94,9 +100,6 @@ def _turn(
     pending: Any,
     pending_bits: Any,
     pending_times: Any,
-    # By term: its tag and bits (`columns.TermValues.encoded`).
-    term_tags: Any,
-    term_bits: Any,
     # By slot: whether equal triples count once, which chains are needed (a bit each).
     once: Any,
     needed: Any,
@@ -109,10 +112,15 @@ def _turn(
     details: Any,
     heads: Any,
     sizes: Any,
-    # By slot: the visible rows, those that ever were. By window: the rows before have gone.
+    # By slot: the visible rows, those that ever were, the first that may be visible, those that
+    # have left their window and stand for others. By window: the rows before have gone; and by
+    # slot: the rows that have not.
     visible: Any,
     entered: Any,
+    floors: Any,
+    lasting: Any,
     swept: Any,
+    inside: Any,
     marks: Any,
 ) -> int:
     """Rows at or below the low bound of their window go, pending ones within its bounds come."""
@@ -126,18 +134,22 @@ def _turn(
                 state = rows[i, PLACE] >> STATE_SHIFT
                 if state in (VISIBLE, COPY):
                     root = details[i, ROOT]
+                    slot = rows[root, PLACE] & SLOT_MASK
+                    inside[w, slot] -= 1
                     details[root, COPIES] -= 1
                     if state == COPY:
                         rows[i, PLACE] = GONE << STATE_SHIFT
                         marks[KEPT] -= 1
                     elif details[root, COPIES] > 0:
                         marks[LASTING] += 1
+                        lasting[slot] += 1
                     if details[root, COPIES] == 0:
-                        visible[rows[root, PLACE] & SLOT_MASK] -= 1
+                        visible[slot] -= 1
                         rows[root, PLACE] = GONE << STATE_SHIFT
                         marks[KEPT] -= 1
                         if root != i:
                             marks[LASTING] -= 1
+                            lasting[slot] -= 1
                 elif state == COVERED:
                     rows[i, PLACE] = GONE << STATE_SHIFT
                     marks[KEPT] -= 1
@@ -148,8 +160,8 @@ def _turn(
     for w in range(1, highs.shape[0]):
         top = max(top, highs[w])
     # Whether each slot's rows come in order of (time, window, tag), and how many rows they are.
-    last_time = np.full(slot_count, -9223372036854775807, np.int64)
-    last_place = np.zeros(slot_count, np.int64)
+    last_time = np.full(slot_count + 1, -9223372036854775807, np.int64)
+    last_place = np.zeros(slot_count + 1, np.int64)
     wanted = np.int64(0)
     end = first
     while end < stop and pending_times[end] <= top:
@@ -161,11 +173,7 @@ def _turn(
         if slot == SORT_SLOT:
             sort = pending_bits[end - 1]
             wanted += sort_starts[sort + 1] - sort_starts[sort]
-            continue
-        if pending[end - 1, 3] == 0:
-            id = pending_bits[end - 1]
-            pending[end - 1, 3] = term_tags[id]
-            pending_bits[end - 1] = term_bits[id]
+            slot = slot_count
         place = np.int64(w) * 256 + pending[end - 1, 3]
         if time < last_time[slot] or (time == last_time[slot] and place < last_place[slot]):
             return UNORDERED
@@ -198,8 +206,8 @@ def _turn(
             if slot == SORT_SLOT:
                 state = COVERED
             elif once[slot]:
-                mixed = (word ^ high ^ (word >> 45) ^ subject) & 0x7FFFFFFF
-                mixed = mixed * 40503 + slot * 9973 + tag * 131
+                mixed = ((word ^ high ^ (word >> 45)) & 0x7FFFFFFF) * 40503 + slot * 9973
+                mixed = mixed + np.int64(subject) * 2246822519 + tag * 131
                 mixed = mixed ^ (mixed >> 16)
                 j = static_heads[
                     (mixed & (static_sizes[BY_TRIPLE] - 1)) + static_sizes[WAYS + BY_TRIPLE]
@@ -239,6 +247,8 @@ def _turn(
             marks[COUNT] = n + 1
             marks[KEPT] += 1
             part += 1
+            if state in (VISIBLE, COPY):
+                inside[w, slot] += 1
             if state != VISIBLE:
                 continue
             visible[slot] += 1
@@ -262,8 +272,8 @@ def _turn(
                 rows[n, LINKS + BY_OBJECT] = heads[bucket]
                 heads[bucket] = n
             if needed[slot] & 8:
-                mixed = (word ^ high ^ (word >> 45) ^ subject) & 0x7FFFFFFF
-                mixed = mixed * 40503 + slot * 9973 + tag * 131
+                mixed = ((word ^ high ^ (word >> 45)) & 0x7FFFFFFF) * 40503 + slot * 9973
+                mixed = mixed + np.int64(subject) * 2246822519 + tag * 131
                 bucket = (mixed ^ (mixed >> 16)) & (sizes[BY_TRIPLE] - 1)
                 bucket += sizes[WAYS + BY_TRIPLE]
                 rows[n, LINKS + BY_TRIPLE] = heads[bucket]
@@ -278,12 +288,15 @@ def _turn(
             pending_bits[free] = pending_bits[at]
             pending_times[free] = pending_times[at]
     marks[FIRST_PENDING] = free
-    floor = np.int64(0)
-    if marks[LASTING] == 0:
-        floor = marks[COUNT]
+    marks[FLOOR] = marks[COUNT]
+    for slot in range(slot_count):
+        floors[slot] = marks[COUNT]
         for w in range(swept.shape[0]):
-            floor = min(floor, swept[w])
-    marks[FLOOR] = floor
+            if inside[w, slot] > 0:
+                floors[slot] = min(floors[slot], swept[w])
+        if lasting[slot] > 0:
+            floors[slot] = 0
+        marks[FLOOR] = min(marks[FLOOR], floors[slot])
     return DONE
 
 
@@ -342,8 +355,8 @@ def _link(rows: Any, needed: Any, heads: Any, sizes: Any, count: int) -> None:
                 rows[n, LINKS + BY_OBJECT] = heads[bucket]
                 heads[bucket] = n
             if needed[slot] & 8:
-                mixed = (word ^ high ^ (word >> 45) ^ subject) & 0x7FFFFFFF
-                mixed = mixed * 40503 + slot * 9973 + tag * 131
+                mixed = ((word ^ high ^ (word >> 45)) & 0x7FFFFFFF) * 40503 + slot * 9973
+                mixed = mixed + np.int64(subject) * 2246822519 + tag * 131
                 bucket = (mixed ^ (mixed >> 16)) & (sizes[BY_TRIPLE] - 1)
                 bucket += sizes[WAYS + BY_TRIPLE]
                 rows[n, LINKS + BY_TRIPLE] = heads[bucket]
@@ -360,8 +373,6 @@ def _of_turn() -> Any:
         int32_rows,
         int64s,
         int64s,
-        types.int8[::1],
-        int64s,
         types.boolean[::1],
         int64s,
         int32_rows,
@@ -370,7 +381,9 @@ def _of_turn() -> Any:
         int64s,
         int32_rows,
         *chains,
-        *(int64s,) * 4,
+        *(int64s,) * 5,
+        types.int64[:, ::1],
+        int64s,
     )
 
 
@@ -382,6 +395,8 @@ def _of_wait() -> Any:
         types.int64[:, ::1],
         types.int32[::1],
         *(int64s,) * 3,
+        types.int8[::1],
+        int64s,
         int32_rows,
         *(int64s,) * 2,
         types.int64,
@@ -403,15 +418,14 @@ def _of_link() -> Any:
 
 
 def chain_heads(
-    rows: int, counts: NDArray[np.int64], needed: NDArray[np.int64]
+    rows: int, needed: NDArray[np.int64]
 ) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
-    """Where chains over so many rows begin, of none yet: by way the number of buckets, then where
-    they begin. ``counts``: the rows by slot, of which the others will be about as many."""
-    total = max(1, int(counts.sum()))
-    sizes = [len(counts)]
-    for way in range(BY_SUBJECT, WAYS):
-        linked = int(counts[needed & (1 << way) != 0].sum())
-        sizes.append(1 << max(3, rows * linked // total).bit_length())
+    """Where chains over so many rows begin, of none yet: by way the number of buckets, as many as
+    rows where any slot needs them, then where they begin."""
+    some = int(np.bitwise_or.reduce(needed))
+    buckets = 1 << max(3, rows).bit_length()
+    ways = range(BY_SUBJECT, WAYS)
+    sizes = [len(needed), *(buckets if some & (1 << way) else 1 for way in ways)]
     starts = np.cumsum([0, *sizes])
     heads = np.full(int(starts[-1]), -1, np.int32)
     return heads, np.array([*sizes, *starts[:-1]], np.int64)

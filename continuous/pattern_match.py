@@ -64,6 +64,7 @@ def _match(
     heads: Any,
     sizes: Any,
     visible: Any,
+    floors: Any,
     marks: Any,
     static_rows: Any,
     static_heads: Any,
@@ -170,7 +171,8 @@ def _match(
                 if subject_bound and object_bound:
                     cost, way = 0.5, BY_TRIPLE if needed[slot] & 8 else BY_SUBJECT
                 elif subject_bound:
-                    cost, way = 1.0, BY_SUBJECT
+                    # One subject of a slot may have most of it.
+                    cost, way = 1.0 + (0.01 * number if s < 0 else 0.0), BY_SUBJECT
                 elif object_bound:
                     cost, way = 2.0 + 0.1 * number, BY_OBJECT
                     if o >= 0:
@@ -220,7 +222,7 @@ def _match(
             step[depth, AT_OBJECT] = o if o >= 0 else variable_count - 1 - o
             step[depth, KNOWS_SUBJECT] = 1 if s < 0 or bound[s] else 0
             step[depth, KNOWS_OBJECT] = 1 if o < 0 or bound[o] else 0
-            step[depth, ABOVE] = first_new if p == turn and not whole else floor
+            step[depth, ABOVE] = first_new if p == turn and not whole else floors[slot]
             step[depth, BELOW] = first_new if p < turn and not whole else marks[COUNT]
             goes_on = static_visible[slot] > 0 and (p != turn or whole)
             step[depth, GOES_ON] = 1 if goes_on else 0
@@ -268,11 +270,9 @@ def _match(
                             key = (value_bits[s] + (value_bits[s] >> 8)) * slot_count + slot
                         else:
                             key = value_bits[o] ^ (value_bits[o] >> 32) ^ (value_bits[o] >> 45)
-                            if way == BY_OBJECT:
-                                key = (key & 0x7FFFFFFF) * 40503 + slot * 9973
-                            else:
-                                key = (key ^ value_bits[s]) & 0x7FFFFFFF
-                                key = key * 40503 + slot * 9973 + value_tags[o] * 131
+                            key = (key & 0x7FFFFFFF) * 40503 + slot * 9973
+                            if way == BY_TRIPLE:
+                                key = key + value_bits[s] * 2246822519 + value_tags[o] * 131
                             key = key ^ (key >> 16)
                         static_key = key & (static_sizes[way] - 1)
                         key = key & (sizes[way] - 1)
@@ -489,6 +489,7 @@ def _of_match() -> Any:
     tuple_of: Any = types.UniTuple
     return tuple_of(types.int64, 2)(
         *side,
+        int64s,
         int64s,
         *side,
         types.int64,

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..rdf.namespaces import RDF_TYPE
 from ..rdf.timed import Kind, TripleRows
 from .columns import TermValues, bits, decoded
 from .pattern_kernels import (
@@ -74,6 +75,7 @@ class PatternRows:
         self._once = once
         self._waiting: list[tuple[Any, ...]] = []
         """Window, slot, kind, subjects, values and times of what has come and nobody has seen."""
+        self._asks_for_sorts = [Slot(graph, RDF_TYPE) in self.slots for graph in windows]
         self._numbers: list[dict[int, int]] = [{} for _ in windows]
         """By window: the slot of a predicate's id."""
         self._pending = _pending(_LEAST)
@@ -90,9 +92,13 @@ class PatternRows:
         """By slot: how many rows joins see."""
         self.entered = np.zeros(slots, np.int64)
         """By slot: how many such rows there ever were."""
+        self.floors = np.zeros(slots, np.int64)
+        """By slot: the first row that may be visible."""
+        self._lasting = np.zeros(slots, np.int64)
         self._swept = np.zeros(len(self.windows), np.int64)
+        self._inside = np.zeros((len(self.windows), slots), np.int64)
         self.rows, self._times, self._details = _room(_LEAST)
-        self.heads, self.sizes = chain_heads(_LEAST, np.ones(slots, np.int64), self.needed)
+        self.heads, self.sizes = chain_heads(_LEAST, self.needed)
 
     @property
     def count(self) -> int:
@@ -114,7 +120,7 @@ class PatternRows:
                     at = np.flatnonzero(~column.null)
                     subjects, values, times = subjects[at], values[at], times[at]
                 parts.append((window, slot, column.kind, subjects, values, times))
-            if rows.sort is not None and len(rows):
+            if rows.sort is not None and self._asks_for_sorts[window] and len(rows):
                 number = self.sorts.setdefault(rows.sort, len(self.sorts))
                 numbered = np.full(len(rows), number, np.int64)
                 part = (window, SORT_SLOT, Kind.INTEGER, rows.subject, numbered, rows.time)
@@ -149,6 +155,8 @@ class PatternRows:
         stop = last + len(times)
         if first == last:
             first, last, stop, self._ordered = 0, 0, len(times), True
+            if len(self._pending[0]) > 8 * max(stop, _LEAST):
+                self._pending = _pending(2 * stop)
         if stop > len(self._pending[0]):
             places, all_words, all_times = (part[first:last] for part in self._pending)
             self._pending = _pending(2 * (stop - first))
@@ -157,7 +165,7 @@ class PatternRows:
             self._pending[1][:last], self._pending[2][:last] = all_words, all_times
         # Tables of the same time, and inputs in turn: cheaper here than with all others.
         by = times.argsort(kind="stable")
-        wait(parts, subjects, words, times, by, *self._pending, last)
+        wait(parts, subjects, words, times, by, *self.terms.encodings, *self._pending, last)
         if stop > last > first:
             moments = self._pending[2]
             self._ordered &= bool(moments[last - 1] <= moments[last])
@@ -195,7 +203,6 @@ class PatternRows:
                 highs,
                 *sorts,
                 *self._pending,
-                *self.terms.encodings,
                 self._once,
                 self.needed,
                 *static[:3],
@@ -206,7 +213,10 @@ class PatternRows:
                 self.sizes,
                 self.visible,
                 self.entered,
+                self.floors,
+                self._lasting,
                 self._swept,
+                self._inside,
                 self.marks,
             )
             if answer == DONE:
@@ -246,11 +256,7 @@ class PatternRows:
             self.rows[:kept] = rows[:kept]
             self._times[:kept] = times[:kept]
             self._details[:kept] = details[:kept]
-        # As many buckets as rows there may be until the next time, if slots stay as they are now.
-        first, last = self.marks[FIRST_PENDING:].tolist()
-        slots = self._pending[0][first:last, 1]
-        counts = np.bincount(slots[slots != SORT_SLOT], minlength=len(self.visible))
-        self.heads, self.sizes = chain_heads(len(self.rows), self.visible + counts, self.needed)
+        self.heads, self.sizes = chain_heads(len(self.rows), self.needed)
         link(self.rows, self.needed, self.heads, self.sizes, self.count)
         return moved
 

@@ -111,6 +111,7 @@ class PatternJoin:
                 rows.heads,
                 rows.sizes,
                 rows.visible,
+                rows.floors,
                 rows.marks,
                 *static,
                 self._seen,

@@ -70,6 +70,6 @@ class StaticRows:
             rows[:, HIGH] = words >> 32
         # A join asks for several slots of one subject.
         rows = rows[np.argsort(rows[:, SUBJECT], kind="stable")]
-        heads, sizes = chain_heads(total, counts, self.needed)
+        heads, sizes = chain_heads(total, self.needed)
         link(rows, self.needed, heads, sizes, total)
         return rows, heads, sizes, counts

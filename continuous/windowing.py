@@ -75,7 +75,7 @@ class Windowing:
         known = self._watermarks.get(input)
         if known is None or watermark > known:
             self._watermarks[input] = watermark
-            self._close()
+        self._close()
 
     def end(self, input: str) -> None:
         """``input`` has come to its end. After the last one every window with content closes."""
