@@ -120,6 +120,15 @@ def test_an_input_that_ends_without_a_word_holds_nobody_back() -> None:
     assert [r.end // S for r in run.evaluator.end(Y)] == [1, 2]
 
 
+def test_an_input_that_goes_on_has_the_windows_that_closed_meanwhile() -> None:
+    run = average(Options(report="close"))
+    run.push((S, ONE, SPEED, Literal(2.0)))
+    run.evaluator.end(X)
+    assert run.evaluator.advance(X, 9 * S + 1) == []
+    run.evaluator.resume(X)
+    assert [r.end // S for r in run.evaluator.advance(X, 9 * S + 1)] == [6, 7, 8, 9]
+
+
 def test_each_stream_has_its_own_window() -> None:
     run = Run(
         f"SELECT ?o ?v ?w FROM STREAM <{X}> [RANGE 1s STEP 1s] FROM STREAM <{Y}> "
