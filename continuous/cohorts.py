@@ -7,9 +7,9 @@ aggregates and its table, but no rows.
 from __future__ import annotations
 
 from array import array
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from pyoxigraph import Variable
@@ -20,9 +20,10 @@ from ..rdf.dictionary import Term
 from .columns import NeedsOxigraph, Relation
 from .evaluation import evaluate, holds
 from .execution import Execution, WindowRows
+from .heads import finish
 from .instance_results import Common, Joined
 from .instance_table import INSTANCE, InstanceTable
-from .logical import Distinct, Extend, Filter, Project, Query, Select
+from .logical import Distinct, Extend, Filter, Project, Query, Select, outputs
 from .parameters import Joint, Step, Unfit, joint
 from .printing import describe, describe_query
 from .relational import distinct, execute
@@ -39,6 +40,10 @@ class Place:
 
     key: tuple[object, ...]
     serial: int
+
+
+OwnQuery: TypeAlias = Callable[[int, Mapping[str, Term]], ContinuousQuery]
+"""The query of an instance, by its number and its terms in the table of its cohort."""
 
 
 class Alone:
@@ -79,28 +84,32 @@ class Together:
     """Instances that agree on the fixed parameters: the plan is computed once, then joined with
     the table of their other arguments.
 
+    ``own`` gives the query of an instance by itself. ``alone``: no other cohort reads the windows.
+
     Cost a window: that of the plan, then `InstanceTable.join`, then numpy a column on what that
     gives. A window that columns cannot judge is evaluated for each instance alone.
     """
 
     def __init__(
         self,
-        query: ContinuousQuery,
+        own: OwnQuery,
         windows: Windowing,
         static: StaticSide,
         place: Place,
         joint: Joint,
-        fixed: Mapping[str, Term],
+        *,
+        alone: bool = False,
     ) -> None:
-        self.query = query
         self.windows = windows
         self.static = static
         self.terms = static.terms
         self.place = place
         self.joint = joint
-        self.fixed = fixed
         self.table = InstanceTable(joint, self.terms)
+        self._own = own
         self._execution = Execution(joint.plan, windows, static)
+        if alone:
+            self._execution.join_patterns(outputs(joint.plan))
         self._alone: dict[int, Solver] = {}
 
     def explain(self) -> str:
@@ -133,12 +142,17 @@ class Together:
         start, shown = self.windows.span(end)
         rows = WindowRows(self.windows.contents, end)
         for source in self._execution.sources(rows):
+            head = self.joint.head
             try:
-                relation = self._solutions(execute(self.joint.plan, source, self.terms))
+                relation = execute(self._execution.plan, source, self.terms)
+                if not self.table.columns:
+                    # They do not differ at all.
+                    result = finish(head, relation, start, shown, self.terms)
+                    return (Common(numbers[alive], result),)
+                relation = self._solutions(relation)
             except NeedsOxigraph:
                 continue
             self._alone = {}
-            head = self.joint.head
             return (Joined(start, shown, head, relation, numbers, alive, self.terms),)
         return self._each(rows)
 
@@ -177,11 +191,8 @@ class Together:
         for row in np.flatnonzero(alive).tolist():
             number = int(numbers[row])
             if number not in self._alone:
-                arguments = dict(self.fixed)
-                for name, column in self.table.columns.items():
-                    arguments[name] = column.term(row)
-                bound = {Variable(name): term for name, term in arguments.items()}
-                query = bind(self.query, bound)
+                columns = self.table.columns.items()
+                query = self._own(number, {name: column.term(row) for name, column in columns})
                 self._alone[number] = Solver(query, self.windows, self.static, folds=False)
             result = self._alone[number].solve(rows)
             found.append(Common(np.array([number], np.int64), result))
@@ -201,7 +212,7 @@ def joint_of(
         why = f"{query.operator} compares the results of an instance"
         return None, dict.fromkeys(arguments, why)
     bound = bind(query, {Variable(name): term for name, term in arguments.items()})
-    reading = Reading.of(bound, windows)
+    reading = Reading.of(bound, windows.schedule)
     before = {variable.value: term for variable, term in query.bindings.items()}
     for name in arguments.keys() & _graph_names(reading.tree):
         reasons[name] = f"?{name} is a graph"

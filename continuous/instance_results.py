@@ -40,6 +40,10 @@ class Common:
         some = self.result.answer is not None or self.result.size > 0
         return self.instances if some else self.instances[:0]
 
+    def silent(self) -> Iterator[tuple[Numbers, WindowResult]]:
+        if not len(self.answered):
+            yield self.instances, self.result
+
     @property
     def rows(self) -> int:
         return self.result.size * len(self.instances)
@@ -91,6 +95,12 @@ class Joined:
     @property
     def answered(self) -> Numbers:
         return self.reported if isinstance(self.head, Ask) else np.unique(self._numbers)
+
+    def silent(self) -> Iterator[tuple[Numbers, WindowResult]]:
+        others = np.setdiff1d(self.reported, self.answered, assume_unique=True)
+        if len(others):
+            nothing = self.relation.take(np.zeros(0, np.int64))
+            yield others, finish(self.head, nothing, self.start, self.end, self.terms)
 
     @property
     def rows(self) -> int:
@@ -164,6 +174,12 @@ class InstanceResults:
     def answered(self) -> Numbers:
         """The instances that have solutions (of an ASK: an answer), ascending."""
         return np.sort(np.concatenate([_NONE, *(part.answered for part in self.parts)]))
+
+    def silent(self) -> Iterator[tuple[Numbers, WindowResult]]:
+        """The instances whose result has no solutions, ascending, with that result: it is one for
+        many."""
+        for part in self.parts:
+            yield from part.silent()
 
     @property
     def size(self) -> int:

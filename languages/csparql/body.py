@@ -257,11 +257,15 @@ def _replacements(tokens: Sequence[Token], expressions: Mapping[str, str]) -> li
 
 
 def _substituted(tokens: Sequence[Token], expressions: Mapping[str, str]) -> str:
-    parts = (
-        expressions.get(token.text[1:], token.text) if token.kind is Kind.VARIABLE else token.text
-        for token in tokens
-    )
-    return " ".join(parts)
+    parts: list[str] = []
+    before: Token | None = None
+    for token in tokens:
+        # What belongs together stays so: a literal and its datatype.
+        parts.append(" " if before is not None and token.start > before.end else "")
+        name = token.text[1:] if token.kind is Kind.VARIABLE else ""
+        parts.append(expressions.get(name, token.text))
+        before = token
+    return "".join(parts)
 
 
 def _aggregate_edits(query: ContinuousQuery, shape: Shape, parameters: Sequence[str]) -> list[Edit]:
