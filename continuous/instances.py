@@ -178,8 +178,8 @@ class TemplateEvaluator(SharedWindows):
             agreed = {name: given[name] for name in fixed}
 
             def own(_: int, terms: Mapping[str, Term]) -> ContinuousQuery:
-                bound = {Variable(name): term for name, term in (agreed | terms).items()}
-                return bind(self.query, bound)
+                arguments = {**agreed, **terms}
+                return bind(self.query, {Variable(n): term for n, term in arguments.items()})
 
             made = Together(own, self._windows, self._static, place, joint)
         else:

@@ -40,7 +40,7 @@ MERGE = "merge"
 C_SPARQL = "cSparql"
 """The transformation that evaluates a continuous query ([Events14 §V.B])."""
 SELECT_INSTANCE = "selectInstance"
-"""The transformation that selects a request's results from those of its template."""
+"""The transformation that selects a query's results from those of the queries that share one."""
 AnyUnit = TypeVar("AnyUnit", bound=ComputationalUnit)
 _NAMED = 20
 """So many streams are listed when an unknown one is asked for."""
@@ -264,12 +264,14 @@ class Configuration:
         return generator
 
     def reads_what_is_there(self, unit: ComputationalUnit) -> bool:
-        """Whether its inputs are the streams of their names still, behind policies too."""
+        """Whether its inputs are the streams of their names still, behind policies too, and behind
+        a query that it shares."""
         for source in unit.inputs:
             if self.streams.get(source.name) is not source:
                 return False
             producer = self.units.get(source.name)
-            if producer is None or producer.transformation != POLICY:
+            is_part = unit.transformation == SELECT_INSTANCE
+            if producer is None or not (is_part or producer.transformation == POLICY):
                 continue
             if not self.reads_what_is_there(producer):
                 return False

@@ -35,6 +35,7 @@ from .knowing import checked_strategy, did_you_mean
 from .plans import Plans
 from .registrations import Asked, Registration, check_same, registration_of
 from .starting import Started, Starter, told_as_arguments
+from .template_unit import InstanceUnit
 from .unit import QueryUnit
 from .views import QueryView, Since
 
@@ -50,7 +51,7 @@ class _Running:
     users: int = 1
 
     @property
-    def unit(self) -> QueryUnit:
+    def unit(self) -> QueryUnit | InstanceUnit:
         return self.started.unit
 
 
@@ -196,7 +197,7 @@ class RegisteredQueries:
             view,
             stream=output.name,
             fields=output.schema.fields,
-            reads=tuple(source.name for source in unit.inputs),
+            reads=tuple(source.name for source in unit.reads),
             position=output.stream.last_number,
             waits_for=explanations.waits_for(self._configuration, unit),
             watermark=unit.least_watermark,
@@ -239,6 +240,7 @@ class RegisteredQueries:
             running.started.matches,
             explanations.plan_text(self._configuration, running.unit),
             running.unit.explain(),
+            running.started.alone,
         )
 
     def explain(self, text: str) -> str:
@@ -355,8 +357,7 @@ class RegisteredQueries:
 
     def _stop(self, running: _Running) -> None:
         del self._running[running.name]
-        if self._configuration.units.get(running.name) is running.unit:
-            self._configuration.remove_unit(running.unit)
+        self._starter.stop(running.name, running.started)
 
 
 def _number_of(item: tuple[str, _Lost]) -> int:

@@ -46,7 +46,8 @@ BODIES = [
     f"SELECT (COUNT(*) AS ?x) WHERE {{ ?o {A} ?v }} HAVING(?x > @t)",
     f"SELECT ?v ?w WHERE {{ @o {A} ?v . @o {B} ?w FILTER(?v < @t) }}",
     f"SELECT DISTINCT ?r WHERE {{ ?o {A} ?v . ?o {ON} ?r FILTER(?v != @t || ?v > @u) }}",
-    f"SELECT DISTINCT ?v (@t AS ?w) WHERE {{ ?o {A} ?v . ?o {ON} @r FILTER(?v > @t && ?v < 2*@u) }}",
+    f"SELECT DISTINCT ?v (@t AS ?w) WHERE {{ ?o {A} ?v . ?o {ON} @r "
+    "FILTER(?v > @t && ?v < 2 * @u) }",
     f"ASK WHERE {{ ?o {A} @t . ?o {ON} @r }}",
     f"SELECT * WHERE {{ ?o {A} ?v . ?o {ON} ?r FILTER(?v > @t) FILTER(?o != @o) }}",
     f"SELECT ?o ?w WHERE {{ ?o {A} ?v FILTER(?v >= @t) BIND(?v + @u AS ?w) "
@@ -201,8 +202,8 @@ def test_most_of_them_are_shared_in_the_law(body):
 @given(st.sampled_from(BODIES), terms, terms)
 def test_a_form_with_the_constants_put_back_is_the_query(body, one, other):
     forms = []
-    for given in (one, other):
-        query = query_of(body, (3, 1), given)
+    for chosen in (one, other):
+        query = query_of(body, (3, 1), chosen)
         found = Reading.of(query, schedule(query, [INPUT], Options())).translated({})
         form = lifted(found)
         assert lowered(form.query, form.constants) == found
