@@ -15,9 +15,10 @@ from ..rdf.dictionary import Term, TermDictionary
 from .background import Background
 from .cohorts import Place, Together
 from .expressions import Const, Var
+from .foreign import is_volatile
 from .instance_results import InstanceResults
 from .lifting import Pattern, fitted, lifted, lowered, place
-from .logical import Blank, Construct, Order, Query, walk
+from .logical import Blank, Construct, Order, Query, expressions_of, walk
 from .options import Options
 from .parameters import Joint, Unfit, described, joint
 from .printing import show
@@ -73,6 +74,8 @@ def form_of(
         raise Unshared(f"it runs on Oxigraph, because of {error}") from error
     if any(isinstance(node, Order) for node in walk(found.plan)):
         raise Unshared("ORDER BY orders the solutions of one query")
+    if any(is_volatile(each) for node in walk(found.plan) for each in expressions_of(node)):
+        raise Unshared("it asks for what is another value each time")
     head = found.head
     if isinstance(head, Construct) and any(isinstance(p, Blank) for t in head.template for p in t):
         raise Unshared("its head names blank nodes by the solutions before")

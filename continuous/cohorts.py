@@ -7,8 +7,9 @@ aggregates and its table, but no rows.
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import takewhile
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -21,12 +22,12 @@ from .columns import NeedsOxigraph, Relation
 from .evaluation import evaluate, holds
 from .execution import Execution, WindowRows
 from .heads import finish
-from .instance_results import Common, Joined
+from .instance_results import Apart, Common, Joined
 from .instance_table import INSTANCE, InstanceTable
 from .logical import Distinct, Extend, Filter, Project, Query, Select, outputs
 from .parameters import Joint, Step, Unfit, joint
 from .printing import describe, describe_query
-from .relational import distinct, execute
+from .relational import distinct, execute, united
 from .rules import optimize
 from .solving import Reading, Solver
 from .sources import StaticSide
@@ -42,6 +43,8 @@ class Place:
     serial: int
 
 
+LARGEST = 2_000_000
+"""So many pairs of a solution and an instance are looked at at a time."""
 OwnQuery: TypeAlias = Callable[[int, Mapping[str, Term]], ContinuousQuery]
 """The query of an instance, by its number and its terms in the table of its cohort."""
 
@@ -137,7 +140,7 @@ class Together:
         """The rows up to ``end`` are there."""
         self._execution.fold(end)
 
-    def results(self, end: int, *, reports: bool) -> tuple[Joined | Common, ...]:
+    def results(self, end: int, *, reports: bool) -> tuple[Joined | Common | Apart, ...]:
         numbers, alive = self.table.members()
         start, shown = self.windows.span(end)
         rows = WindowRows(self.windows.contents, end)
@@ -154,14 +157,37 @@ class Together:
                 continue
             self._alone = {}
             return (Joined(start, shown, head, relation, numbers, alive, self.terms),)
-        return self._each(rows)
+        return (self._each(rows),)
 
     def _solutions(self, relation: Relation) -> Relation:
-        relation, decided = self.table.join(relation)
-        rest = self.joint.rest[1:] if decided else self.joint.rest
-        for step in rest:
-            relation = self._step(step, relation)
-        return relation
+        """What the instances have of the solutions of the plan."""
+        pieces: list[Relation] = []
+        after: tuple[Step, ...] = ()
+        for piece in self._pieces(relation):
+            joined, decided = self.table.join(piece)
+            rest = self.joint.rest[1:] if decided else self.joint.rest
+            alone = tuple(takewhile(lambda step: not isinstance(step, Distinct), rest))
+            for step in alone:
+                joined = self._step(step, joined)
+            pieces.append(joined)
+            after = rest[len(alone) :]
+        found = pieces[0]
+        if len(pieces) > 1:
+            found = replace(united(pieces, self.terms), key=found.key)
+        for step in after:
+            found = self._step(step, found)
+        return found
+
+    def _pieces(self, relation: Relation) -> Sequence[Relation]:
+        """The solutions, so many at a time that they fit in memory with all instances, where each
+        meets each."""
+        size = relation.rows
+        if not self.joint.joined and self.joint.search is None:
+            size = max(1, LARGEST // self.live)
+        if size >= relation.rows:
+            return (relation,)
+        starts = range(0, relation.rows, size)
+        return [relation.take(np.arange(i, min(i + size, relation.rows))) for i in starts]
 
     def _step(self, step: Step, relation: Relation) -> Relation:
         columns, terms = relation.columns, self.terms
@@ -184,19 +210,18 @@ class Together:
             case Distinct():
                 return relation if relation.key is not None else distinct(relation, terms)
 
-    def _each(self, rows: WindowRows) -> tuple[Common, ...]:
+    def _each(self, rows: WindowRows) -> Apart:
         """Every instance alone. Cost: a plan each, and an evaluation each."""
         numbers, alive = self.table.members()
-        found = []
+        found = {}
         for row in np.flatnonzero(alive).tolist():
             number = int(numbers[row])
             if number not in self._alone:
                 columns = self.table.columns.items()
                 query = self._own(number, {name: column.term(row) for name, column in columns})
                 self._alone[number] = Solver(query, self.windows, self.static, folds=False)
-            result = self._alone[number].solve(rows)
-            found.append(Common(np.array([number], np.int64), result))
-        return tuple(found)
+            found[number] = self._alone[number].solve(rows)
+        return Apart(found)
 
 
 def joint_of(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeAlias
@@ -61,6 +61,50 @@ class Common:
 
     def holding(self) -> Numbers:
         return self.instances if self.result.answer else self.instances[:0]
+
+
+@dataclass(frozen=True, eq=False)
+class Apart:
+    """Instances that each have a result of their own, numbers ascending."""
+
+    results: Mapping[int, WindowResult]
+
+    def of(self, instance: int) -> WindowResult | None:
+        return self.results.get(instance)
+
+    @property
+    def reported(self) -> Numbers:
+        return np.array([*self.results], np.int64)
+
+    @property
+    def answered(self) -> Numbers:
+        return self._those(lambda result: result.answer is not None or result.size > 0)
+
+    def silent(self) -> Iterator[tuple[Numbers, WindowResult]]:
+        for part in self._parts():
+            yield from part.silent()
+
+    @property
+    def rows(self) -> int:
+        return sum(result.size for result in self.results.values())
+
+    def solutions(self) -> Iterator[tuple[Numbers, Solutions]]:
+        for part in self._parts():
+            yield from part.solutions()
+
+    def triples(self) -> Iterator[tuple[Numbers, TripleRows]]:
+        for part in self._parts():
+            yield from part.triples()
+
+    def holding(self) -> Numbers:
+        return self._those(lambda result: bool(result.answer))
+
+    def _parts(self) -> Iterator[Common]:
+        for number, result in self.results.items():
+            yield Common(np.array([number], np.int64), result)
+
+    def _those(self, chosen: Callable[[WindowResult], bool]) -> Numbers:
+        return np.array([n for n, result in self.results.items() if chosen(result)], np.int64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,7 +203,7 @@ class InstanceResults:
 
     start: int
     end: int
-    parts: tuple[Common | Joined, ...]
+    parts: tuple[Common | Apart | Joined, ...]
 
     def of(self, instance: int) -> WindowResult | None:
         """The result of one instance; None if it was not there when the window closed."""

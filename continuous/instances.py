@@ -18,7 +18,7 @@ from ..languages.csparql.ast import ContinuousQuery
 from ..rdf.dictionary import Term, TermDictionary
 from .background import Background
 from .cohorts import Alone, Place, Together, joint_of
-from .instance_results import Common, InstanceResults, Joined
+from .instance_results import Apart, Common, InstanceResults, Joined
 from .logical import Ask
 from .options import Options
 from .parameters import confined, described
@@ -190,7 +190,7 @@ class TemplateEvaluator(SharedWindows):
 
     def _closed(self, end: int, reports: bool) -> bool:
         """The window that ends at ``end`` has closed: the result of every cohort."""
-        parts: list[Common | Joined] = []
+        parts: list[Common | Apart | Joined] = []
         if reports or self._windows.differs:
             for cohort in self._cohorts.values():
                 cohort.fold(end)

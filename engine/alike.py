@@ -14,6 +14,8 @@ from dataclasses import dataclass, field
 from ..continuous.alike import Form, Unshared
 from ..continuous.lifting import Pattern, fitted, generalized
 from ..rdf.dictionary import Term
+from .template_unit import TemplateUnit
+from .unit import ComputationalUnit
 
 ALIKE = 4
 """So many queries that differ in constants are evaluated as one."""
@@ -46,20 +48,23 @@ class _Kind:
 class Alikes:
     """Says of a registered query with whom it shares, and remembers those who do not yet.
 
-    ``is_running`` tells whether there is a unit for a key.
+    ``running`` gives the unit for a key, if there is one.
     """
 
-    def __init__(self, is_running: Callable[[Hashable], bool]) -> None:
-        self._is_running = is_running
+    def __init__(self, running: Callable[[Hashable], ComputationalUnit | None]) -> None:
+        self._running = running
         self._kinds: dict[Hashable, _Kind] = {}
 
     def pattern(self, kin: Kin) -> Pattern:
         """What the query has in common with those that it shares with; raises `Unshared` where it
         is evaluated alone. Cost: O(`ALIKE`), and that of planning what is to be shared first."""
         kind = self._kinds.get(kin.key, _Kind())
-        kind.shared = [one for one in kind.shared if self._is_running(shared_key(kin, one))]
+        kind.shared = [one for one in kind.shared if self._runs(kin, one)]
         for pattern in kind.shared:
             if fitted(pattern, kin.constants) is not None:
+                unit = self._running(shared_key(kin, pattern))
+                if isinstance(unit, TemplateUnit) and not unit.waits_as_its_inputs_do:
+                    raise Unshared("others have closed windows for which its streams are in time")
                 return pattern
         if len(kind.alone) + 1 < ALIKE:
             raise Unshared(f"it came before there were {ALIKE} that differ in constants")
@@ -79,8 +84,11 @@ class Alikes:
         if kind is None:
             return
         kind.alone.pop(name, None)
-        if not kind.alone and not any(self._is_running(shared_key(kin, p)) for p in kind.shared):
+        if not kind.alone and not any(self._runs(kin, pattern) for pattern in kind.shared):
             del self._kinds[kin.key]
+
+    def _runs(self, kin: Kin, pattern: Pattern) -> bool:
+        return self._running(shared_key(kin, pattern)) is not None
 
 
 def shared_key(kin: Kin, pattern: Pattern) -> Hashable:

@@ -248,8 +248,8 @@ class Configuration:
         ``build`` starts the unit; it is forgotten when it stops, and not shared once it failed or
         one of its inputs was removed.
         """
-        unit = self._shared.get(key)
-        if unit is None or self.is_broken(unit) or not self.reads_what_is_there(unit):
+        unit = self.shared(key)
+        if unit is None:
             unit = build()
             self._shared[key] = unit
             self._keys[unit] = key
@@ -465,8 +465,14 @@ class Configuration:
 
     def is_shared(self, key: Hashable) -> bool:
         """Whether there is a running unit for ``key``; see `share`."""
+        return self.shared(key) is not None
+
+    def shared(self, key: Hashable) -> ComputationalUnit | None:
+        """The running unit that whoever wants ``key`` gets, if there is one; see `share`."""
         unit = self._shared.get(key)
-        return unit is not None and not self.is_broken(unit) and self.reads_what_is_there(unit)
+        if unit is None or self.is_broken(unit) or not self.reads_what_is_there(unit):
+            return None
+        return unit
 
     def key_of(self, unit: ComputationalUnit) -> Hashable | None:
         """What a running unit was built for; None if it is not shared. See `share`."""

@@ -80,7 +80,7 @@ class Starter:
         self._plans = plans
         self._space = space
         self._converter_of = converter_of
-        self._alikes = Alikes(configuration.is_shared)
+        self._alikes = Alikes(configuration.shared)
 
     def start(self, name: str, query: ContinuousQuery, asked: Asked) -> Started:
         """Start ``query`` with the stream ``name``; raises as `RegisteredQueries.register`, and

@@ -89,6 +89,17 @@ class TemplateUnit(WindowUnit):
         own = super().late_streams_of(source)
         return (*own, *self._late_of_instances.get(source, {}).values())
 
+    @property
+    def waits_as_its_inputs_do(self) -> bool:
+        """Whether samples that are in time for the inputs are in time for the windows: not so when
+        an input has ended, and with it all windows, and may go on."""
+        for source in self.sources:
+            limit = self.evaluator.limit(source.name)
+            known = source.watermark
+            if limit is not None and not source.is_idle and (known is None or limit >= known):
+                return False
+        return True
+
     def follow(self, instance: InstanceUnit, followed: bool) -> None:
         """Somebody reads an instance's stream and has to hear of time, or nobody any more."""
         if not followed:

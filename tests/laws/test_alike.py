@@ -13,6 +13,7 @@ from hypothesis import Phase, assume, given, settings
 from hypothesis import strategies as st
 from pyoxigraph import Literal
 
+from dyknow.continuous import cohorts
 from dyknow.continuous.alike import AlikeEvaluator, Unshared, form_of
 from dyknow.continuous.evaluator import ContinuousEvaluator
 from dyknow.continuous.expressions import Var
@@ -181,6 +182,14 @@ def test_a_query_has_among_others_what_it_gives_alone(body, size, elements, cuts
 )
 def test_also_where_terms_are_mixed(body, size, elements, cuts, some, opts):
     check(body, size, elements, cuts, some, opts)
+
+
+@law
+@given(st.sampled_from(BODIES), sizes, laws.elements_of(values), several)
+def test_many_are_looked_at_a_piece_at_a_time(body, size, elements, some):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(cohorts, "LARGEST", 1)
+        check(body, size, elements, [], some, Options())
 
 
 GIVEN = {"o": laws.OBJECTS[0], "k": UAV, "r": laws.node("r1"), "t": Literal(1), "u": Literal(2)}
