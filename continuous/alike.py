@@ -7,7 +7,7 @@ in which the queries differ (`cohorts.Together`).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from ..languages.csparql.ast import ContinuousQuery, StreamOperator, TimeWindow
@@ -15,6 +15,7 @@ from ..rdf.dictionary import Term, TermDictionary
 from .background import Background
 from .cohorts import Place, Together
 from .expressions import Const, Var
+from .flows import Flow
 from .foreign import is_volatile
 from .instance_results import InstanceResults
 from .lifting import Pattern, fitted, lifted, lowered, place
@@ -158,19 +159,21 @@ class AlikeEvaluator(SharedWindows):
 
     def explain(self) -> str:
         """What the queries differ in, and the plan that is computed once."""
-        count = len(self)
-        lines = [f"one of {count} queries that differ in constants, computed together"]
+        lines = [f"one of {len(self)} queries that differ in constants, computed together"]
         lines += described(self._cohort.joint, {})
         lines.append("computed once, then joined with the table of their constants:")
         lines += [f"  {line}" for line in self._cohort.explain().splitlines()]
         return "\n".join(lines)
 
-    def explain_of(self, constants: Sequence[Term]) -> str:
-        """The same for the query with these constants."""
+    def explain_of(self, constants: Sequence[Term], flows: Mapping[str, Flow]) -> str:
+        """The same for the query with these constants, with what the plan is likely to cost;
+        ``flows`` is what is known of the inputs, by name."""
         terms = fitted(self.pattern, constants) or {}
-        own = [f"{show(Var(name))} is {show(Const(term))}" for name, term in terms.items()]
         first, *rest = self.explain().splitlines()
-        return "\n".join([first, *(f"  here {line}" for line in own), *rest])
+        own = [f"here {show(Var(name))} is {show(Const(term))}" for name, term in terms.items()]
+        costs = [f"  {line.rstrip()}" for line in self._cohort.costs(flows)]
+        told = "costs a window, of all of them: rows out, own time (estimates are rough):"
+        return "\n".join([first, *own, *rest, told, *costs])
 
     def _closed(self, end: int, reports: bool) -> bool:
         self._cohort.fold(end)

@@ -7,7 +7,7 @@ aggregates and its table, but no rows.
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import takewhile
 from typing import Any, TypeAlias
@@ -19,13 +19,17 @@ from ..languages.csparql import bind
 from ..languages.csparql.ast import ContinuousQuery, StreamOperator
 from ..rdf.dictionary import Term
 from .columns import NeedsOxigraph, Relation
+from .costs import cost_table
+from .estimates import estimate
 from .evaluation import evaluate, holds
 from .execution import Execution, WindowRows
+from .flows import Flow
 from .heads import finish
 from .instance_results import Apart, Common, Joined
 from .instance_table import INSTANCE, InstanceTable
 from .logical import Distinct, Extend, Filter, Project, Query, Select, outputs
 from .parameters import Joint, Step, Unfit, joint
+from .pattern_sizes import Known
 from .printing import describe, describe_query
 from .relational import distinct, execute, united
 from .rules import optimize
@@ -125,6 +129,15 @@ class Together:
             lines.append("in columns, incrementally")
         lines += [f"then {describe(step)[0]}" for step in self.joint.rest]
         return "\n".join(lines)
+
+    def costs(self, flows: Mapping[str, Flow]) -> Iterator[str]:
+        """What the shared plan is likely to cost; ``flows`` is what is known of the inputs."""
+        execution, options = self._execution, self.windows.options
+        distinct = options.semantics == "set"
+        known = Known(self.windows.schedule, self.static, flows, distinct)
+        shape = None if isinstance(execution.shape, str) else execution.shape
+        costs = estimate(execution.plan, known, shape, execution.served)
+        return cost_table(execution.plan, costs, known, None)
 
     @property
     def live(self) -> int:

@@ -163,7 +163,7 @@ class Queries:
                 ),
                 template=shared,
                 enter=partial(evaluator.add, query, kin.constants),
-                evaluation=partial(evaluator.explain_of, kin.constants),
+                evaluation=lambda: evaluator.explain_of(kin.constants, shared.flows()),
                 results=form.converter(output.stream.pools),
                 hear=manner.hear,
             )

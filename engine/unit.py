@@ -15,6 +15,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ..continuous.evaluator import ContinuousEvaluator
+from ..continuous.flows import Flow
 from ..continuous.results import WindowResult
 from ..continuous.shared_windows import SharedWindows
 from ..converters.objects import ObjectTable
@@ -430,6 +431,16 @@ class WindowUnit(ComputationalUnit):
         """The streams whose samples are in the windows."""
         return self.inputs
 
+    def flows(self) -> dict[str, Flow]:
+        """What may be expected of the inputs, by name."""
+        flows = {}
+        for source in self.sources:
+            read = (converter.annotation for converter in self._converters[source.name])
+            flow = flow_of(source, read)
+            if flow is not None:
+                flows[source.name] = flow
+        return flows
+
     def process(self, source: StreamGenerator, batch: SampleBatch) -> None:
         limit = self.evaluator.limit(source.name)
         if limit is not None:
@@ -494,13 +505,7 @@ class QueryUnit(WindowUnit):
 
     def explain(self) -> str:
         """How the query is evaluated; its costs are estimated from the rates of its streams."""
-        flows = {}
-        for source in self.sources:
-            read = (converter.annotation for converter in self._converters[source.name])
-            flow = flow_of(source, read)
-            if flow is not None:
-                flows[source.name] = flow
-        return self.evaluator.explain(flows)
+        return self.evaluator.explain(self.flows())
 
     def progress(self, source: StreamGenerator, watermark: int) -> None:
         self._emit(self.evaluator.advance(source.name, watermark))

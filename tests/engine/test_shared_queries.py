@@ -101,7 +101,9 @@ def test_what_is_shared_is_explained(flying):
     for words in (
         "q3  ← selectInstance",
         "one of 2 queries that differ in constants, computed together",
-        "here ?.parameter1 is 130",
+        "\n  here ?.parameter1 is 130",
+        "costs a window, of all of them",
+        "s5: 1,000 samples a second of 100 subjects (assumed)",
         "?.parameter1: compared, found by order",
         "Aggregate by (?o)",
     ):
