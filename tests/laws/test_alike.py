@@ -9,7 +9,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
-from hypothesis import Phase, assume, given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from pyoxigraph import Literal
 
@@ -80,7 +80,7 @@ terms = st.fixed_dictionaries(
 sizes = st.tuples(st.integers(1, 9), st.integers(1, 9))
 lives = st.tuples(st.integers(0, 25), terms, st.integers(1, 25) | st.none())
 """After which element a query comes, with what constants, and how many later it goes."""
-law = settings(deadline=None, max_examples=200, phases=[Phase.generate])
+law = settings(deadline=None, max_examples=200)
 values = st.one_of(laws.doubles, laws.integers)
 
 

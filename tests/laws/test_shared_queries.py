@@ -6,7 +6,7 @@ from collections import Counter
 
 import pytest
 from feeding import feed, samples
-from hypothesis import Phase, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dyknow.engine import alike
@@ -196,7 +196,7 @@ def run(given, least):
         return run
 
 
-@settings(deadline=None, max_examples=60, phases=[Phase.generate])
+@settings(deadline=None, max_examples=60)
 @given(steps, st.sampled_from([1, 2]))
 def test_sharing_changes_nothing(given, least):
     assert run(given, least).told == run(given, 10**9).told
