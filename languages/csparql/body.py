@@ -260,8 +260,10 @@ def _substituted(tokens: Sequence[Token], expressions: Mapping[str, str]) -> str
     parts: list[str] = []
     before: Token | None = None
     for token in tokens:
-        # What belongs together stays so: a literal and its datatype.
-        parts.append(" " if before is not None and token.start > before.end else "")
+        # A literal and its datatype or language are one term.
+        joined = token.is_mark("^^") or token.kind is Kind.LANGUAGE
+        joined = joined or (before is not None and before.is_mark("^^"))
+        parts.append("" if joined or before is None else " ")
         name = token.text[1:] if token.kind is Kind.VARIABLE else ""
         parts.append(expressions.get(name, token.text))
         before = token
