@@ -10,21 +10,20 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from ..languages.csparql.ast import ContinuousQuery, StreamOperator, TimeWindow
+from ..languages.csparql.ast import ContinuousQuery
 from ..rdf.dictionary import Term, TermDictionary
 from .background import Background
 from .cohorts import Place, Together
 from .expressions import Const, Var
 from .flows import Flow
-from .foreign import is_volatile
 from .instance_results import InstanceResults
 from .lifting import Pattern, fitted, lifted, lowered, place
-from .logical import Blank, Construct, Order, Query, expressions_of, walk
+from .logical import Query
 from .options import Options
 from .parameters import Joint, Unfit, described, joint
 from .printing import show
 from .rules import optimize
-from .shared_windows import SharedWindows
+from .shared_windows import SharedWindows, own_solutions, own_windows
 from .solving import Reading
 from .unsupported import Unsupported
 from .windows import Schedule, schedule
@@ -62,26 +61,20 @@ def form_of(
     Raises `Unshared` for one that would say something else among others: where it matters when it
     began, or in which order solutions are found. Cost: that of planning it.
     """
-    if query.operator is not StreamOperator.RSTREAM:
-        raise Unshared(f"{query.operator} compares results with those before, of its own")
-    if options.report != "non-empty":
-        raise Unshared(f"what it reports ({options.report}) depends on when it began")
     windows = schedule(query, inputs, options)
-    if not all(isinstance(one.window, TimeWindow) for one in windows.windows):
-        raise Unshared("what is in a window that counts or lasts depends on when it began")
+    _refuse(own_windows(query, windows, options))
     try:
         found = Reading.of(query, windows).translated({})
     except (Unsupported, ValueError) as error:
         raise Unshared(f"it runs on Oxigraph, because of {error}") from error
-    if any(isinstance(node, Order) for node in walk(found.plan)):
-        raise Unshared("ORDER BY orders the solutions of one query")
-    if any(is_volatile(each) for node in walk(found.plan) for each in expressions_of(node)):
-        raise Unshared("it asks for what is another value each time")
-    head = found.head
-    if isinstance(head, Construct) and any(isinstance(p, Blank) for t in head.template for p in t):
-        raise Unshared("its head names blank nodes by the solutions before")
+    _refuse(own_solutions(found))
     form, constants = _fit(found)
     return Form(windows, options, query.static_named, form), constants
+
+
+def _refuse(reason: str) -> None:
+    if reason:
+        raise Unshared(reason)
 
 
 def _fit(query: Query) -> tuple[Query, tuple[Term, ...]]:

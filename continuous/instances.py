@@ -22,7 +22,8 @@ from .instance_results import Apart, Common, InstanceResults, Joined
 from .logical import Ask
 from .options import Options
 from .parameters import confined, described
-from .shared_windows import SharedWindows
+from .shared_windows import SharedWindows, own_solutions, own_windows
+from .solving import Reading
 
 
 @dataclass(slots=True, eq=False)
@@ -102,13 +103,20 @@ class TemplateEvaluator(SharedWindows):
         streamed: Collection[str],
     ) -> frozenset[str] | None:
         """The parameters on which instances with such arguments have to agree to share more than
-        their windows; None if they share nothing more, or if those in ``one_by_one`` are among
-        these, or need other triples than those about their term, of the predicates (IRIs) that are
-        ``streamed``: else an instance has what it would have over these alone.
+        their windows; None if they share nothing more, or what they give is their own
+        (`own_windows`, `own_solutions`), or if those in ``one_by_one`` are among these, or need
+        other triples than those about their term, of the predicates (IRIs) that are ``streamed``:
+        else an instance has what it would have over these alone.
         """
         given = {variable.value: term for variable, term in arguments.items()}
         found, fixed = joint_of(self._windows, self.query, given)
         if found is None or not fixed.keys().isdisjoint(one_by_one):
+            return None
+        windows = self._windows
+        if own_windows(self.query, windows.schedule, windows.options):
+            return None
+        reading = Reading.of(bind(self.query, arguments), windows.schedule)
+        if own_solutions(reading.translated(given)):
             return None
         # ASK says no as well.
         alike = not isinstance(found.head, Ask) and confined(found.plan, one_by_one, streamed)

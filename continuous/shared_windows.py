@@ -9,15 +9,43 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 
-from ..languages.csparql.ast import ContinuousQuery
+from ..languages.csparql.ast import ContinuousQuery, StreamOperator, TimeWindow
 from ..rdf.dictionary import TermDictionary
 from ..rdf.timed import TimedTriples
 from .background import Background
 from .columns import TermValues
+from .foreign import is_volatile
 from .instance_results import InstanceResults
+from .logical import Blank, Construct, Order, Query, expressions_of, walk
 from .options import Options
 from .sources import StaticSide
 from .windowing import Windowing
+from .windows import Schedule
+
+
+def own_windows(query: ContinuousQuery, schedule: Schedule, options: Options) -> str:
+    """Why what is in the windows of a query, or which it reports, is its own: it depends on when
+    the query began. "" where it does not."""
+    if query.operator is not StreamOperator.RSTREAM:
+        return f"{query.operator} compares results with those before, of its own"
+    if options.report != "non-empty":
+        return f"what it reports ({options.report}) depends on when it began"
+    if not all(isinstance(one.window, TimeWindow) for one in schedule.windows):
+        return "what is in a window that counts or lasts depends on when it began"
+    return ""
+
+
+def own_solutions(query: Query) -> str:
+    """Why the solutions of a query are its own, in the same windows as others; "" where not."""
+    nodes = walk(query.plan)
+    if any(isinstance(node, Order) for node in nodes):
+        return "ORDER BY orders the solutions of one query"
+    if any(is_volatile(each) for node in nodes for each in expressions_of(node)):
+        return "it asks for what is another value each time"
+    head = query.head
+    if isinstance(head, Construct) and any(isinstance(p, Blank) for t in head.template for p in t):
+        return "its head names blank nodes by the solutions before"
+    return ""
 
 
 class SharedWindows(ABC):
