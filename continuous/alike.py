@@ -9,24 +9,37 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from math import ceil
 
 from ..languages.csparql.ast import ContinuousQuery
 from ..rdf.dictionary import Term, TermDictionary
+from ..streams.time import SECOND
 from .background import Background
 from .cohorts import Place, Together
+from .estimates import estimate
 from .expressions import Const, Var
-from .flows import Flow
+from .flows import NOTHING_KNOWN, Flow
 from .instance_results import InstanceResults
 from .lifting import Pattern, fitted, lifted, lowered, place
-from .logical import Query
+from .logical import Plan, Query
 from .options import Options
 from .parameters import Joint, Unfit, described, joint
+from .pattern_parts import pattern_parts, served_parts
+from .pattern_sizes import Known
 from .printing import show
 from .rules import optimize
+from .shapes import shape_of
 from .shared_windows import SharedWindows, own_solutions, own_windows
 from .solving import Reading
+from .sources import StaticSide
 from .unsupported import Unsupported
 from .windows import Schedule, schedule
+
+READING = 200_000, 300
+"""ns a step, and ns a sample, for a query by itself to read its streams (`bench/requests.py`: of
+1,000 samples 0.6 ms). Estimates of plans have only what their patterns select."""
+MOST_ALONE = 1_000_000_000
+"""Estimates have no end; numbers of queries have."""
 
 
 class Unshared(Exception):
@@ -97,6 +110,47 @@ def _fit(query: Query) -> tuple[Query, tuple[Term, ...]]:
         for number, i in enumerate(kept):
             pattern[i] = Var(place(number))
         return lowered(found.query, pattern), tuple(found.constants[i] for i in kept)
+
+
+def worth_from(
+    form: Form,
+    pattern: Pattern,
+    constants: Sequence[Term],
+    static: StaticSide,
+    flows: Mapping[str, Flow],
+) -> int:
+    """How many queries, each by itself, are likely to cost what one costs that computes all that
+    fit ``pattern``: one with these ``constants`` is an example. ``flows`` is what is known of the
+    inputs, by name.
+
+    A plan without its constants may be far larger: where an object that a query names was all that
+    kept its joins small. Cost: that of planning both, and as `estimate`.
+    """
+    own = optimize(lowered(form.query, constants).plan)[0]
+    known = Known(form.schedule, static, flows, form.options.semantics == "set")
+    together, alone = (_likely(plan, known) for plan in (form.joint(pattern).plan, own))
+    return max(1, min(ceil(together / alone), MOST_ALONE))
+
+
+def _reading(known: Known) -> float:
+    """What a query by itself takes to read its streams, for a step, in ns."""
+    schedule = known.schedule
+    inputs = dict.fromkeys(one.input for one in schedule.windows)
+    step = 1.0 if schedule.ends is None else schedule.ends.step / SECOND
+    rows = sum(known.flows.get(name, NOTHING_KNOWN).any.rate * step for name in inputs)
+    call, row = READING
+    return call + row * rows
+
+
+def _likely(plan: Plan, known: Known) -> float:
+    """What a plan is likely to cost a window, in ns."""
+    found = shape_of(plan, known.static) if known.schedule.uniform else ""
+    if isinstance(found, str):
+        plan = pattern_parts(plan)
+        costs = estimate(plan, known, None, tuple(served_parts(plan)))
+    else:
+        costs = estimate(plan, known, found)
+    return _reading(known) + sum(cost.nanoseconds for cost in costs.values())
 
 
 class AlikeEvaluator(SharedWindows):

@@ -1,9 +1,10 @@
 """Which registered queries one query can serve (DESIGN §3 "Sharing"): those that read the same
 streams in the same windows and differ in constants only (`continuous.alike`).
 
-It is worth while from some of them on. What is shared then is what those had in common that are
-evaluated alone: the constants on which they agreed stay in the plan, so that it does not grow for
-the sake of queries that nobody registers.
+It is worth while from some of them on: from more than usual, where what is computed for all is
+likely to cost more. What is shared then is what those had in common that are evaluated alone: the
+constants on which they agreed stay in the plan, so that it does not grow for the sake of queries
+that nobody registers.
 """
 
 from __future__ import annotations
@@ -38,11 +39,13 @@ class Kin:
 
 @dataclass(slots=True)
 class _Kind:
-    """The queries of a kind: the constants of those that are evaluated ``alone``, by name, and how
-    others have been ``shared``."""
+    """The queries of a kind: the constants of those that are evaluated ``alone``, by name, and what
+    others have ``shared``."""
 
     alone: dict[str, tuple[Term, ...]] = field(default_factory=dict)
     shared: list[Pattern] = field(default_factory=list)
+    worth: dict[Pattern, int] = field(default_factory=dict)
+    """From how many queries on it is worth while to share a pattern."""
 
 
 class Alikes:
@@ -55,9 +58,10 @@ class Alikes:
         self._running = running
         self._kinds: dict[Hashable, _Kind] = {}
 
-    def pattern(self, kin: Kin) -> Pattern:
+    def pattern(self, kin: Kin, worth_from: Callable[[Pattern], int]) -> Pattern:
         """What the query has in common with those that it shares with; raises `Unshared` where it
-        is evaluated alone. Cost: O(`ALIKE`), and that of planning what is to be shared first."""
+        is evaluated alone. ``worth_from`` tells how many queries cost what sharing a pattern does.
+        Cost: O(queries that are alone), and that of planning what is to be shared first."""
         kind = self._kinds.get(kin.key, _Kind())
         kind.shared = [one for one in kind.shared if self._runs(kin, one)]
         for pattern in kind.shared:
@@ -69,7 +73,11 @@ class Alikes:
         if len(kind.alone) + 1 < ALIKE:
             raise Unshared(f"it came before there were {ALIKE} that differ in constants")
         pattern = generalized([*kind.alone.values(), kin.constants])
-        kin.form.joint(pattern)
+        if pattern not in kind.worth:
+            kind.worth = {pattern: worth_from(pattern)}
+        least = kind.worth[pattern]
+        if len(kind.alone) + 1 < least:
+            raise Unshared(f"together they are likely to cost what {least} cost by themselves")
         kind.shared.append(pattern)
         self._kinds[kin.key] = kind
         return pattern

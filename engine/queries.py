@@ -10,13 +10,16 @@ from typing import Generic, TypeAlias
 
 from pyoxigraph import Variable
 
-from ..continuous.alike import AlikeEvaluator
+from ..continuous.alike import AlikeEvaluator, worth_from
+from ..continuous.columns import TermValues
 from ..continuous.evaluator import ContinuousEvaluator
+from ..continuous.flows import Flow
 from ..continuous.instances import TemplateEvaluator
 from ..continuous.lifting import Pattern
 from ..continuous.options import Options
 from ..continuous.results import WindowResult
 from ..continuous.shared_windows import SharedWindows
+from ..continuous.sources import StaticSide
 from ..converters.to_triples import SampleConverter
 from ..languages.csparql import format_query, with_streams
 from ..languages.csparql.ast import ContinuousQuery
@@ -130,6 +133,13 @@ class Queries:
 
         unit = self._configuration.start_query(form.schema, make)
         return _built(unit, query, form, supplies)
+
+    def worth_from(self, kin: Kin, flows: Mapping[str, Flow], pattern: Pattern) -> int:
+        """From how many queries on that fit ``pattern`` it is likely to be cheaper to compute them
+        together; ``flows`` is what is known of their streams."""
+        background = explanations.closed_ontology(self._ontology, kin.form.static_named)
+        static = StaticSide(background, TermValues(self._dictionary))
+        return worth_from(kin.form, pattern, kin.constants, static, flows)
 
     def start_alike(
         self, query: ContinuousQuery, kin: Kin, pattern: Pattern, read: Read | Sequence[Supply]

@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 
 from ..continuous.alike import Unshared, form_of
 from ..continuous.flows import Flow
@@ -143,8 +144,11 @@ class Starter:
         except (Unshared, ValueError) as unshared:
             return None, None, str(unshared)
         kin = Kin(streams, form, constants)
+        known = ((one.name, flow_of(one.generator, [one.annotation])) for one in reads)
+        flows = {name: flow for name, flow in known if flow is not None}
         try:
-            return kin, self._alikes.pattern(kin), ""
+            worth_from = partial(self._plans.queries.worth_from, kin, flows)
+            return kin, self._alikes.pattern(kin, worth_from), ""
         except Unshared as unshared:
             return kin, None, str(unshared)
 

@@ -1,6 +1,7 @@
 """Registered queries that differ in constants and are evaluated as one (engine/alike.py)."""
 
 import gc
+import re
 
 import pytest
 from feeding import feed, samples
@@ -133,7 +134,8 @@ def test_constants_on_which_all_agree_stay_in_the_plan(flying):
     assert told == [True, True, True, False, True, False]
 
 
-def test_constants_of_every_place_differ(flying):
+def test_constants_of_every_place_differ(flying, monkeypatch):
+    monkeypatch.setattr("dyknow.engine.queries.worth_from", lambda *_: 1)
     texts = [
         f"REGISTER STREAM q{i} AS CONSTRUCT {{ dyknow:base{i} dyknow:speed ?v }} "
         f"FROM STREAM {S5} {WINDOW} WHERE {{ dyknow:uav{i} dyknow:speed ?v ; dyknow:heading ?h "
@@ -145,6 +147,21 @@ def test_constants_of_every_place_differ(flying):
     fly(flying, 3, uav3=1, uav4=2)
     told = [{(v["id"], v["speed"]) for _, v in samples(flying, f"q{i}")} for i in range(1, 5)]
     assert told == [set(), set(), {("base3", 1.0)}, {("base4", 2.0)}]
+
+
+def test_what_would_cost_more_than_it_saves_is_not_shared(flying):
+    """Of one object the pairs of two features are few, of all objects many."""
+    texts = [
+        f"REGISTER QUERY q{i} AS SELECT ?v ?h FROM STREAM {S5} {WINDOW} "
+        f"WHERE {{ dyknow:uav{i} dyknow:speed ?v ; dyknow:heading ?h }}"
+        for i in range(20)
+    ]
+    made = [shares(flying, text) for text in texts]
+    told = flying.queries.explain_running("q3")
+    found = re.search(r"by itself: together they are likely to cost what (\d+) cost", told)
+    least = int(found[1])
+    assert 4 < least < 20
+    assert made == [i >= least - 1 for i in range(20)]
 
 
 def test_the_same_query_under_other_names_is_computed_once(flying):
