@@ -161,16 +161,14 @@ class Queries:
         evaluator = shared.evaluator
         assert isinstance(evaluator, AlikeEvaluator)
         form = self.form(query)
-        text = query.source.strip()
-        if not query.streams:
+        text = query.source.strip() if query.streams else None
+        if text is None:
             query = with_streams(query, [source.name for source in shared.inputs])
-            text = format_query(query)
 
         def make(output: StreamGenerator) -> InstanceUnit:
+            given = {"query": text or format_query(replace(query, name=output.name))}
             return InstanceUnit(
-                *self._configuration.identity(
-                    SELECT_INSTANCE, [shared.output], output, {"query": text}
-                ),
+                *self._configuration.identity(SELECT_INSTANCE, [shared.output], output, given),
                 template=shared,
                 enter=partial(evaluator.add, query, kin.constants),
                 evaluation=lambda: evaluator.explain_of(kin.constants, shared.flows()),
