@@ -2,9 +2,9 @@
 
 Run by ``make bench`` (``python bench/queries.py``). One process, one core, medians; two engines
 that take steps in turns. 1,000 UAVs with a sample a second each, window [RANGE 5s STEP 1s]. Queries
-differ in a threshold on an average (3 % or 0.3 % of the UAVs are above it), or on each sample, or
-each is about a UAV of its own. A step publishes a second of samples, closes a window, makes the
-samples of all queries and keeps their results.
+differ in a threshold on an average (3 %, 0.3 % or none of the UAVs are above it), or on each
+sample, or each is about a UAV of its own. A step publishes a second of samples, closes a window,
+makes the samples of all queries and keeps their results.
 """
 
 from __future__ import annotations
@@ -45,6 +45,7 @@ def one_object(part: float) -> str:
 KINDS = {
     "limit of an average, 3 %": average(97),
     "limit of an average, 0.3 %": average(99.7),
+    "limit of an average, none": average(100),
     "limit of samples, 0.3 %": sample,
     "object": one_object,
 }
