@@ -3,13 +3,15 @@
     python bench/latency.py [--quick]
 
 `dyknow serve` runs as a process of its own. 1,000 UAVs say how fast they are, 100,000 samples a
-second together, published over one connection in batches, each when its last sample is due. An
-event is asked for with [RANGE 1s STEP 10ms]: every window has ten events, those of the UAVs that
-are fast. Samples bring their available times, so that the first one after a window's end closes it;
-no clock does. *Latency* is from the moment when the batch with this sample began to be sent to the
-arrival of the event; *since due* is from when that batch should have been sent, so that a service
-that keeps the publisher waiting cannot hide it. Windows of the first seconds are not counted: loops
-are loaded, the first window fills. Every event must come, and none twice.
+second together, published over one connection in batches, each when its last sample is due. A
+batch is a request of its own, or all are one request whose samples are published as they come
+(*live*). An event is asked for with [RANGE 1s STEP 10ms]: every window has ten events, those of
+the UAVs that are fast. Samples bring their available times, so that the first one after a
+window's end closes it; no clock does. *Latency* is from the moment when the batch with this
+sample began to be sent to the arrival of the event; *since due* is from when that batch should
+have been sent, so that a service that keeps the publisher waiting cannot hide it. Windows of the
+first seconds are not counted: loops are loaded, the first window fills. Every event must come,
+and none twice.
 """
 
 from __future__ import annotations
@@ -17,6 +19,7 @@ from __future__ import annotations
 import http.client
 import os
 import re
+import socket
 import subprocess
 import sys
 import threading
@@ -44,6 +47,19 @@ UAVS, FAST = 1_000, 10
 STEP = 10 * MS
 AIMS = {50: 2.0, 99: 20.0}
 """Milliseconds, by percentile."""
+ROWS = (
+    ("NDJSON", NDJSON, 1_000, False),
+    ("NDJSON", NDJSON, 200, False),
+    ("NDJSON", NDJSON, 100, False),
+    ("Arrow", ARROW, 1_000, False),
+    ("Arrow", ARROW, 200, False),
+    ("live NDJSON", NDJSON, 1_000, True),
+    ("live NDJSON", NDJSON, 200, True),
+    ("live NDJSON", NDJSON, 100, True),
+    ("live NDJSON", NDJSON, 50, True),
+    ("live Arrow", ARROW, 200, True),
+)
+"""Format, samples a batch, and whether all batches go in one request."""
 COMMAND = "from dyknow.service.cli import main; main()"
 SSL = "stream flights contains speed(UAV) = speed for every UAV = id"
 TEMPLATE = f"""REGISTER TEMPLATE dyknow:FastEvent(?o, ?type, ?threshold) COMPUTE EVERY 10ms AS
@@ -179,16 +195,45 @@ class Publisher:
             if wait > 0:
                 time.sleep(wait / SECOND)
             sent = time.monotonic_ns()
-            self._connection.request("POST", "/streams/flights/samples", body, self._headers)
-            answer = self._connection.getresponse()
-            said = answer.read()
-            if answer.status != 202:
-                raise RuntimeError(f"{answer.status}: {said.decode()}")
+            self._post(body)
             self.moments.append((due, sent, time.monotonic_ns()))
 
+    def _post(self, body: bytes) -> None:
+        self._connection.request("POST", "/streams/flights/samples", body, self._headers)
+        self._read()
 
-def run(kind: str, batch: int, seconds: float, skipped: float) -> Run:
-    """So many ``seconds`` of load after ``skipped`` ones, in batches of ``batch`` samples."""
+    def _read(self) -> None:
+        answer = self._connection.getresponse()
+        said = answer.read()
+        if answer.status != 202:
+            raise RuntimeError(f"{answer.status}: {said.decode()}")
+
+    def finish(self) -> None:
+        """Nothing more is sent."""
+
+
+class LivePublisher(Publisher):
+    """Sends all in one request, which ends with `finish`: nobody waits for an answer before."""
+
+    def __init__(self, address: str, kind: str, interval: int) -> None:
+        super().__init__(address, kind, interval)
+        self._connection.putrequest("POST", "/streams/flights/samples/live")
+        self._connection.putheader("Content-Type", kind)
+        self._connection.putheader("Transfer-Encoding", "chunked")
+        self._connection.endheaders()
+        self._connection.sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+    def _post(self, body: bytes) -> None:
+        self._connection.send(b"%x\r\n%s\r\n" % (len(body), body))
+
+    def finish(self) -> None:
+        self._connection.send(b"0\r\n\r\n")
+        self._read()
+
+
+def run(kind: str, batch: int, seconds: float, skipped: float, live: bool = False) -> Run:
+    """So many ``seconds`` of load after ``skipped`` ones, in batches of ``batch`` samples, each a
+    request, or all in one that is ``live``."""
     samples = Samples.make(int(RATE * (skipped + seconds)))
     encode = samples.arrow if kind == ARROW else samples.ndjson
     starts = range(0, len(samples.time), batch)
@@ -203,11 +248,12 @@ def run(kind: str, batch: int, seconds: float, skipped: float) -> Run:
         address = url.removeprefix("http://")
         listener = Listener(address, asked["stream"])
         listener.start()
-        publisher = Publisher(address, kind, interval)
+        publisher = (LivePublisher if live else Publisher)(address, kind, interval)
         publisher.send(bodies[:first])
         before = cpu_seconds(process)
         publisher.send(bodies[first:])
         used = cpu_seconds(process) - before
+        publisher.finish()
         # The stream ends with the request, and so does the listener's answer.
         client.cancel_event(asked["id"])
         listener.join()
@@ -246,7 +292,7 @@ def line(name: str, batch: int, run: Run) -> str:
     missed = [
         f"p{share}" for share, aim in AIMS.items() if np.percentile(found["sent"], share) >= aim
     ]
-    text = f"{name:<8}{batch:>8,}{rate / 1e3:>9.1f}" + "".join(f"{v:>9.2f}" for v in shown)
+    text = f"{name:<12}{batch:>8,}{rate / 1e3:>9.1f}" + "".join(f"{v:>9.2f}" for v in shown)
     text += f"{np.percentile(found['due'], 99):>11.2f}{post:>9.2f}{run.cpu:>7.0%}"
     return text + (f"  (aim missed: {', '.join(missed)})" if missed else "")
 
@@ -257,17 +303,11 @@ def main(quick: bool = False) -> int:
     # Kept on the disk for the services: the very first time would be all of a run.
     compile_all()
     print("milliseconds from sending the batch that closes a window to the event at the client")
-    print(f"{'':<8}{'batch':>8}{'k/s':>9}{'p50':>9}{'p90':>9}{'p99':>9}{'max':>9}", end="")
+    print(f"{'':<12}{'batch':>8}{'k/s':>9}{'p50':>9}{'p90':>9}{'p99':>9}{'max':>9}", end="")
     print(f"{'due p99':>11}{'answer':>9}{'CPU':>7}")
     agree = True
-    for name, kind, batch in (
-        ("NDJSON", NDJSON, 1_000),
-        ("NDJSON", NDJSON, 200),
-        ("NDJSON", NDJSON, 100),
-        ("Arrow", ARROW, 1_000),
-        ("Arrow", ARROW, 200),
-    ):
-        done = run(kind, batch, seconds, skipped)
+    for name, kind, batch, live in ROWS:
+        done = run(kind, batch, seconds, skipped, live)
         agree &= complete(done)
         print(line(name, batch, done), flush=True)
     print(f"every event, once: {agree}")

@@ -124,13 +124,11 @@ class TermValues:
         self._follow()
         return self._tag[column.values], self._bits[column.values]
 
-    def spell(self, tags: NDArray[np.int8], bits: NDArray[np.int64]) -> None:
-        """Encode in place what is still the id of a term: where the tag is TERM."""
+    @property
+    def encodings(self) -> tuple[NDArray[np.int8], NDArray[np.int64]]:
+        """By id what `encoded` gives for a term."""
         self._follow()
-        at = np.flatnonzero(tags == Kind.TERM)
-        ids = bits[at]
-        tags[at] = self._tag[ids]
-        bits[at] = self._bits[ids]
+        return self._tag, self._bits
 
     @property
     def sorts_by_id(self) -> NDArray[np.int8]:
@@ -220,7 +218,8 @@ def canonical(term: Term) -> Term:
         case Sort.FLOAT | Sort.DOUBLE:
             return make_number(Kind(int(sort)), number)
         case Sort.DECIMAL:
-            made = make_number(Kind.DECIMAL, number)
+            # A decimal has no -0.
+            made = make_number(Kind.DECIMAL, number + 0.0)
             return made if Decimal(made.value) == Decimal(term.value) else _stored(term)
     return _stored(term)
 

@@ -49,6 +49,11 @@ class Contents:
                 self._numbers[i] = 0
             elif one.grid is not None:
                 self._panes[i] = Panes(Grid(schedule.pane, one.grid.origin), one.low)
+        self._ranges: NDArray[np.int64] | None = None
+        """How long each window is, where all end at each evaluation and nothing lasts."""
+        ranges = [one.range for one in schedule.windows if one.grid == schedule.ends]
+        if len(ranges) == len(schedule.windows) and None not in ranges:
+            self._ranges = np.array(ranges, np.int64)
         self._patterns: PatternSolver | None = None
         self.keeps = True
         """Whether rows are kept here, or ``patterns`` alone have them."""
@@ -218,6 +223,8 @@ class Contents:
 
     def _bounds(self, end: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Lows and highs, by window."""
+        if self._ranges is not None:
+            return end - self._ranges, np.full(len(self._ranges), end, np.int64)
         lows, highs = zip(*(one.bounds(end) for one in self.schedule.windows), strict=True)
         return np.array(lows, np.int64), np.array(highs, np.int64)
 
@@ -256,7 +263,7 @@ class Contents:
             lows[one.input] = min(low, lows.get(one.input, low))
             highs[one.input] = min(high, highs.get(one.input, high))
         if self._patterns is not None:
-            self._patterns.rows.drop(self._bounds(following)[0])
+            self._patterns.drop()
         if self.keeps:
             for input, low in lows.items():
                 high = highs[input]

@@ -29,7 +29,7 @@ from .logical import (
     walk,
     with_inputs,
 )
-from .pattern_kernels import (
+from .pattern_match import (
     ADD,
     AND,
     DIVIDE,

@@ -3,16 +3,17 @@
 It serves a plan's parts that are patterns with constant predicates, their joins, and filters of
 numbers on them (`pattern_parts`); what stands above is executed by `relational`. Law (tests/laws):
 the same solutions as `relational.execute` gives for that part, in an order that depends on the rows
-only.
+and the evaluations only.
 
-Cost: a few microseconds a window, then tens of nanoseconds a row of the window and a step of the
-join. Memory: 26 bytes a triple of the windows; static triples of the named predicates once.
+Cost: some ten microseconds a window, then tens of nanoseconds a row that has come and a step of its
+joins, and a few a solution that stays. Memory: some 200 bytes a triple of the windows; a solution
+takes 4 bytes a pattern and 9 a variable, and where they are many more than the triples they are not
+kept, and found anew each time; static triples of the named predicates once.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,12 +24,17 @@ from ..rdf.timed import Kind, ObjectColumn
 from .columns import Relation, TermValues, decoded, decoded_terms
 from .expressions import Call, Const, Expression, Var, variables
 from .logical import Plan, Position, TypeScan, outputs
-from .pattern_kernels import CONSTANT, DOUBTFUL, VARIABLE, match, select
+from .pattern_kernels import BY_OBJECT, BY_SLOT, BY_SUBJECT, BY_TRIPLE, LOST
+from .pattern_match import CONSTANT, DOUBTFUL, VARIABLE, match
 from .pattern_parts import OPERATIONS, Slot, conditions, leaves, slot_of
-from .pattern_rows import PatternRows, StaticRows
+from .pattern_rows import PatternRows
 from .sources import StaticSide
+from .static_rows import StaticArrays, StaticRows
 
 _FIRST_CAPACITY = 256
+_MOST = 4
+"""So many solutions a row are kept."""
+_NEVER = -2
 _KINDS = tuple(Kind)
 
 
@@ -39,8 +45,10 @@ class PatternJoin:
         self, part: Plan, shown: frozenset[str], slots: Mapping[Slot, int], terms: TermValues
     ) -> None:
         self.terms = terms
-        self._shown = [(i, name) for i, name in enumerate(sorted(outputs(part))) if name in shown]
         self.variables = tuple(sorted(outputs(part)))
+        self._shown = [name for name in self.variables if name in shown]
+        places = [self._shown.index(name) if name in shown else -1 for name in self.variables]
+        self._places = np.array(places, np.int64)
         place = {name: i for i, name in enumerate(self.variables)}
         constants: dict[Const, int] = {}
 
@@ -68,48 +76,122 @@ class PatternJoin:
         encoded = [terms.encoded(_single(const, terms)) for const in constants]
         self.constant_tags = np.array([tag[0] for tag, _ in encoded], np.int8)
         self.constant_bits = np.array([bit[0] for _, bit in encoded], np.int64)
-        self._capacity = _FIRST_CAPACITY
+        self._uniform = np.zeros(len(self._shown), np.int8)
+        self._kept, self._seen, self._seen_turn = 0, 0, _NEVER
+        """So many solutions are known, of so many rows, as of this turn."""
+        self._entered = np.zeros(len(slots), np.int64)
+        self._solutions: NDArray[np.int32] = np.empty((0, len(rows) + 1), np.int32)
+        self._tags: NDArray[np.int8] = np.empty((len(self._shown), 0), np.int8)
+        self._bits: NDArray[np.int64] = np.empty((len(self._shown), 0), np.int64)
 
-    def solve(
-        self,
-        rows: tuple[NDArray[Any], ...],
-        static: tuple[NDArray[Any], ...],
-        once: NDArray[np.bool_],
-    ) -> Relation | None:
+    def chains(self) -> Iterable[tuple[int, int]]:
+        """The chains that the loop may walk along, as slot and bit."""
+        ends = self.patterns[:, 1:].tolist()
+        known = [end for pair in ends for end in set(pair)]
+        for slot, subject, object in self.patterns.tolist():
+            by_subject, by_object = (end < 0 or known.count(end) > 1 for end in (subject, object))
+            yield slot, 1 << BY_SLOT
+            if by_subject or subject == object:
+                yield slot, 1 << BY_SUBJECT
+            if by_object:
+                yield slot, 1 << BY_OBJECT
+            if by_subject and by_object:
+                yield slot, 1 << BY_TRIPLE
+
+    def solve(self, rows: PatternRows, static: StaticArrays) -> Relation | None:
         """The solutions over these rows; None where a filter has to be judged by `evaluation`."""
+        # What came in a turn that it has not seen may have gone: then it is not told what is new.
+        whole = self._seen_turn != rows.turns - 1
+        if whole:
+            self._kept = 0
+        most = _FIRST_CAPACITY + _MOST * rows.count
         while True:
-            shape = (len(self.variables), self._capacity)
-            tags, bits = np.empty(shape, np.int8), np.empty(shape, np.int64)
-            uniform = np.zeros(len(self.variables), np.int8)
-            found = match(
-                *rows,
+            stayed, found = match(
+                rows.rows,
+                rows.heads,
+                rows.sizes,
+                rows.visible,
+                rows.floors,
+                rows.marks,
                 *static,
+                self._seen,
+                rows.entered - self._entered,
+                whole,
+                len(rows.windows),
                 self.patterns,
+                rows.needed,
                 self.constant_tags,
                 self.constant_bits,
-                once,
                 self.operations,
                 self.filter_starts,
                 self.filter_needs,
                 self.terms.sorts_by_id,
-                tags,
-                bits,
-                uniform,
+                self._places,
+                self._solutions,
+                self._kept,
+                self._tags,
+                self._bits,
+                self._uniform,
             )
             if found == DOUBTFUL:
+                self.forget()
                 return None
-            if found <= self._capacity:
+            if found <= self._bits.shape[1]:
                 break
-            self._capacity = 2 * found
+            keeps = found <= most
+            self._kept = stayed if keeps else 0
+            whole |= not keeps
+            self._make_room(2 * found, keeps=keeps)
+        keeps = found <= most and self._solutions.shape[1] > 0
+        relation = Relation(self._columns(found, copied=keeps), found)
+        if keeps:
+            self._kept, self._seen, self._seen_turn = found, rows.count, rows.turns
+            self._entered = rows.entered.copy()
+            if self._bits.shape[1] > 8 * max(found, _FIRST_CAPACITY):
+                self._make_room(2 * found)
+        else:
+            # The result has these arrays.
+            self.forget()
+            self._make_room(2 * found, keeps=found <= most)
+        return relation
+
+    def _columns(self, found: int, *, copied: bool) -> dict[str, ObjectColumn]:
         columns = {}
-        for i, name in self._shown:
-            tag = uniform[i]
+        for i, name in enumerate(self._shown):
+            tag, words = self._uniform[i], self._bits[i, :found]
             if tag < 0:
-                found_tags, found_bits = tags[i, :found], bits[i, :found]
-                columns[name] = decoded_terms(found_tags, found_bits, self.terms.dictionary)
+                columns[name] = decoded_terms(self._tags[i, :found], words, self.terms.dictionary)
             else:
-                columns[name] = decoded(_KINDS[tag], bits[i, :found])
-        return Relation(columns, found)
+                column = decoded(_KINDS[tag], words)
+                # What is not of 64 bits is another array already.
+                if copied and column.values.itemsize == words.itemsize:
+                    column = ObjectColumn(column.kind, column.values.copy())
+                columns[name] = column
+        return columns
+
+    def forget(self) -> None:
+        """No solution is known."""
+        self._kept, self._seen, self._seen_turn = 0, 0, _NEVER
+
+    def moved(self, moved: NDArray[np.int64]) -> None:
+        """Rows have gone to these places."""
+        self._seen = int(np.count_nonzero(moved[: self._seen] != LOST))
+        known = self._solutions[: self._kept]
+        if known.size and len(moved):
+            stays = (known < 0) | (known >= len(moved))
+            known[:] = np.where(stays, known, moved.take(known, mode="clip"))
+
+    def _make_room(self, capacity: int, *, keeps: bool = True) -> None:
+        """Room for so many solutions; ``keeps``: with those that are known."""
+        capacity, kept = max(capacity, _FIRST_CAPACITY), self._kept
+        before = self._solutions, self._tags, self._bits
+        width = len(self.patterns) + 1 if keeps else 0
+        self._solutions = np.empty((capacity if keeps else 0, width), np.int32)
+        shape = (len(self._shown), capacity)
+        self._tags, self._bits = np.empty(shape, np.int8), np.empty(shape, np.int64)
+        if kept:
+            self._solutions[:kept] = before[0][:kept]
+            self._tags[:, :kept], self._bits[:, :kept] = before[1][:, :kept], before[2][:, :kept]
 
 
 def _single(const: Const, terms: TermValues) -> ObjectColumn:
@@ -147,39 +229,49 @@ class PatternSolver:
         self.static = static
         named = (slot_of(leaf) for part, _ in parts for leaf in leaves(part))
         slots = list(dict.fromkeys(named))
-        self.rows = PatternRows(slots, windows, static.terms)
-        self._static_rows = StaticRows(slots, frozenset(w for w in windows if w), static)
+        numbered = {slot: number for number, slot in enumerate(slots)}
         # Parts are told apart by identity, which hashing a deep plan would cost more than.
         self._joins = {
-            id(part): PatternJoin(part, shown, self.rows.slots, static.terms)
-            for part, shown in parts
+            id(part): PatternJoin(part, shown, numbered, static.terms) for part, shown in parts
         }
-        self._once = np.array([distinct or s.predicate == RDF_TYPE for s in slots], np.bool_)
-        self._starts = np.zeros(len(slots) + 1, np.int64)
+        once = np.array([distinct or s.predicate == RDF_TYPE for s in slots], np.bool_)
+        needed = np.where(once, 1 << BY_TRIPLE, 0)
+        for join in self._joins.values():
+            for slot, chain in join.chains():
+                needed[slot] |= chain
+        self.rows = PatternRows(slots, windows, static.terms, once, needed)
+        self._static_rows = StaticRows(slots, frozenset(w for w in windows if w), static, needed)
+        self._version: int | None = None
         self._expanded: tuple[int, int] | None = None
         self._expansion: tuple[NDArray[np.int64], ...] = ()
-        self._selected: tuple[NDArray[Any], ...] | None = None
 
     def turn(self, lows: NDArray[np.int64], highs: NDArray[np.int64]) -> None:
         """The windows whose bounds these are: what `solve` is about from now on."""
-        rows = self.rows
-        while True:
-            first, end = rows.between(int(lows.min()), int(highs.max()))
-            *triples, ordered = select(
-                *rows.columns, first, end, lows, highs, *self._sorts(), self._starts
-            )
-            if ordered:
-                break
-            rows.order()
-        self._selected = (self._starts, *triples)
-        rows.inside = len(triples[0])
+        version = self.static.background.version
+        if version != self._version:
+            if self._version is not None:
+                self.rows.start_anew()
+                for join in self._joins.values():
+                    join.forget()
+            self._version = version
+        self._move(self.rows.turn(lows, highs, self._sorts(), self._static_rows.arrays))
+
+    def drop(self) -> None:
+        """Forget what has left the windows."""
+        if self.rows.is_full:
+            self._move(self.rows.compact())
+
+    def _move(self, moved: NDArray[np.int64] | None) -> None:
+        if moved is not None:
+            for join in self._joins.values():
+                join.moved(moved)
 
     def solve(self, part: Plan) -> Relation | None:
         """The solutions of a part; None if it is not served, or cannot be with this data."""
         join = self._joins.get(id(part))
-        if join is None or self._selected is None:
+        if join is None or self._version is None:
             return None
-        return join.solve(self._selected, self._static_rows.arrays, self._once)
+        return join.solve(self.rows, self._static_rows.arrays)
 
     def _sorts(self) -> tuple[NDArray[np.int64], ...]:
         """For each annotated sort the facts it stands for: windows, slots and classes."""

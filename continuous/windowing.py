@@ -45,6 +45,8 @@ class Windowing:
         self.contents = Contents(self.schedule, terms.dictionary)
         self.differs = query.operator is not StreamOperator.RSTREAM
         """Whether results are compared with those before, so that each one has to be known."""
+        self._plain = options.report == "non-empty" and not self.differs
+        """Whether windows with content alone are evaluated, and each of them is reported."""
         self.clock: Callable[[], int] | None = None
         """Tells ns, where it is measured what selecting the rows of a window costs."""
         self.turned = 0
@@ -152,6 +154,10 @@ class Windowing:
             return
         self.contents.settle(watermark)
         while True:
+            if self._closed is not None and self.schedule.ends is not None:
+                following = self.schedule.after(self._closed)
+                if watermark <= following - self.schedule.shift:
+                    return
             due = self._due()
             if due is None or watermark <= due.end - self.schedule.shift:
                 return
@@ -160,7 +166,7 @@ class Windowing:
     def _due(self) -> Due | None:
         """The next evaluation: one with content, or one that is asked for without."""
         due = self.contents.next(self._closed)
-        if self._closed is None or self.schedule.ends is None:
+        if self._plain or self._closed is None or self.schedule.ends is None:
             return due
         following = Due(self.schedule.after(self._closed))
         if due is not None and due.end == following.end:
@@ -173,10 +179,12 @@ class Windowing:
         return following if leaves and self._had_content else due
 
     def _evaluate(self, due: Due) -> None:
-        end = due.end
-        content, changed = self.contents.changed(due, self._closed)
-        self._closed, self._had_content = end, content
-        reports = {"non-empty": content, "change": changed, "close": True}[self.options.report]
+        end, reports = due.end, True
+        if not self._plain:
+            content, changed = self.contents.changed(due, self._closed)
+            reports = {"non-empty": content, "change": changed, "close": True}[self.options.report]
+            self._had_content = content
+        self._closed = end
         begin = 0 if self.clock is None else self.clock()
         self.contents.turn(due)
         self.turned = 0 if self.clock is None else self.clock() - begin

@@ -6,6 +6,7 @@ field. pyarrow is an extra of the installation: `ArrowMissing` says how to get i
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -43,7 +44,11 @@ def decode_arrow(data: bytes, schema: Schema, pools: dict[str, StringPool]) -> I
 
     Without fields in ``schema`` (an open stream) the table's columns decide them.
     """
-    table = _read(data)
+    return samples_of_table(_read(data), schema, pools)
+
+
+def samples_of_table(table: Any, schema: Schema, pools: dict[str, StringPool]) -> Incoming:
+    """`decode_arrow` of a table that has been read."""
     names = table.column_names
     if not schema.fields and len(set(names)) == len(names):
         own = [(name, table.column(name).type) for name in names if name not in TIME_FIELDS]
@@ -79,9 +84,14 @@ def decode_arrow(data: bytes, schema: Schema, pools: dict[str, StringPool]) -> I
     return Incoming(SampleBatch(available, valid, columns), stamped)
 
 
+def joined(tables: Sequence[Any]) -> Any:
+    """Tables of the same columns as one."""
+    return tables[0] if len(tables) == 1 else pyarrow_module().concat_tables(tables)
+
+
 def encode_arrow(batch: SampleBatch) -> bytes:
     """An IPC stream of one record batch; `decode_arrow` gives the batch back."""
-    pa = _arrow()
+    pa = pyarrow_module()
     zoned = pa.timestamp("ns", "UTC")
     arrays = {
         "available": pa.array(batch.available, pa.int64()).cast(zoned),
@@ -107,7 +117,7 @@ def read_arrow(path: Path) -> Any:
 
 def arrow_field_type(name: str, type: Any) -> FieldType:
     """The field type that holds an Arrow column; raises `WireError` if none does."""
-    pa = _arrow()
+    pa = pyarrow_module()
     if pa.types.is_boolean(type):
         return FieldType.BOOLEAN
     if pa.types.is_integer(type):
@@ -121,7 +131,7 @@ def arrow_field_type(name: str, type: Any) -> FieldType:
 
 def times_from_arrow(column: Any, key: str, reader: TimeReader) -> Times:
     """A column of times in ns; plain numbers are in the reader's unit."""
-    pa = _arrow()
+    pa = pyarrow_module()
     if column.null_count:
         row = column.is_null().to_pylist().index(True) + 1
         raise WireError(row, f"{key!r} is missing", "every sample has its times")
@@ -147,7 +157,7 @@ def times_from_arrow(column: Any, key: str, reader: TimeReader) -> Times:
 
 def column_from_arrow(field: Field, column: Any, pools: dict[str, StringPool]) -> Column:
     """A field's column; raises `WireError` with the row for a value that is none."""
-    pa = _arrow()
+    pa = pyarrow_module()
     if field.type is FieldType.STRING:
         return _text(field, column, pools)
     null = column.is_null().to_numpy() if column.null_count else None
@@ -184,7 +194,7 @@ def _text(field: Field, column: Any, pools: dict[str, StringPool]) -> Column:
 
     Cost: Python once a distinct text and chunk; a dictionary that came with the column is used.
     """
-    pa = _arrow()
+    pa = pyarrow_module()
     pool = pool_of(field, pools)
     if len(column) < _FEW:
         values = _as(column, pa.string()).to_pylist()
@@ -232,7 +242,7 @@ def _as(column: Any, type: Any) -> Any:
 
 def _expect(field: Field, column: Any) -> bool:
     """True if the column can hold the field's values, by type alone; else raises `WireError`."""
-    pa = _arrow()
+    pa = pyarrow_module()
     if pa.types.is_null(column.type):
         return True
     got = arrow_field_type(field.name, column.type)
@@ -242,7 +252,7 @@ def _expect(field: Field, column: Any) -> bool:
 
 
 def _read(data: bytes) -> Any:
-    pa = _arrow()
+    pa = pyarrow_module()
     if not data:
         raise WireError(None, "the body is empty", "send an Arrow IPC stream")
     is_file = data[:6] == b"ARROW1"
@@ -250,19 +260,25 @@ def _read(data: bytes) -> Any:
         opened = pa.ipc.open_file(data) if is_file else pa.ipc.open_stream(data)
         table = opened.read_all()
         table.validate(full=True)
-    except (pa.ArrowException, OSError, ValueError, UnicodeDecodeError) as error:
+    except failures(pa) as error:
         raise WireError(None, f"no Arrow IPC stream: {error}") from None
     return table
 
 
+def failures(pa: Any) -> tuple[type[Exception], ...]:
+    """What pyarrow raises for bytes that are no Arrow."""
+    return (pa.ArrowException, OSError, ValueError, UnicodeDecodeError)
+
+
 def _is_text(type: Any) -> bool:
-    pa = _arrow()
+    pa = pyarrow_module()
     if pa.types.is_dictionary(type):
         return _is_text(type.value_type)
     return bool(pa.types.is_string(type) or pa.types.is_large_string(type))
 
 
-def _arrow() -> Any:
+def pyarrow_module() -> Any:
+    """pyarrow, which may not be installed; raises `ArrowMissing`."""
     try:
         import pyarrow
     except ImportError:

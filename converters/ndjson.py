@@ -83,11 +83,7 @@ def decode_exactly(data: bytes, schema: Schema, pools: dict[str, StringPool]) ->
     stamped = samples[0].available is msgspec.UNSET
     for i, sample in enumerate(samples):
         if (sample.available is msgspec.UNSET) is not stamped:
-            raise WireError(
-                lines.of(i),
-                "'available' is in some samples and not in others",
-                "send it with every sample, or with none to have them stamped on arrival",
-            )
+            raise mixed_times(lines.of(i))
     _check_keys(data, len(samples), len(schema.fields) + (1 if stamped else 2))
     valid = _times([sample.valid for sample in samples], "valid", lines)
     available = (
@@ -102,6 +98,15 @@ def decode_exactly(data: bytes, schema: Schema, pools: dict[str, StringPool]) ->
         for field, values in zip(schema.fields, found, strict=True)
     }
     return Incoming(SampleBatch(available, valid, columns), stamped)
+
+
+def mixed_times(line: int) -> WireError:
+    """Available times in some samples and not in others."""
+    return WireError(
+        line,
+        "'available' is in some samples and not in others",
+        "send it with every sample, or with none to have them stamped on arrival",
+    )
 
 
 def _decided_by(data: bytes) -> Schema:

@@ -14,6 +14,7 @@ from ..streams.time import Clock
 from . import problems
 from .body import BodyLimit
 from .context import Service
+from .live import LiveBodies
 from .logs import log
 from .metrics import Metrics
 from .models import READ_BY_ROUTES
@@ -25,8 +26,10 @@ from .routes import (
     explain,
     health,
     kpl,
+    live,
     match,
     ontologies,
+    publish,
     queries,
     samples,
     sparql,
@@ -42,6 +45,8 @@ from .sse import Feeds
 
 # Looked through in this order for each request: batches of samples are the most frequent ones.
 RESOURCES = (
+    publish,
+    live,
     samples,
     templates,
     events,
@@ -76,6 +81,7 @@ def create_app(engine: Engine, settings: Settings, clock: Clock) -> FastAPI:
         settings,
         clock,
         feeds,
+        LiveBodies(),
         Metrics(engine, feeds),
         anyio.CapacityLimiter(settings.sparql_workers),
         clock(),
@@ -86,7 +92,7 @@ def create_app(engine: Engine, settings: Settings, clock: Clock) -> FastAPI:
         async with anyio.create_task_group() as tasks:
             tasks.start_soon(_tick, service)
             yield
-            feeds.close()
+            service.leave()
             tasks.cancel_scope.cancel()
 
     app = FastAPI(

@@ -2,6 +2,7 @@
 
 A pure ASGI layer, so that it holds for every route and nothing is read that will be refused.
 Memory: at most ``bodies_limit`` bytes of bodies under way, plus one chunk a connection.
+A live body has no length of its own: what counts is what of it is not worked off yet.
 """
 
 from __future__ import annotations
@@ -10,52 +11,85 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from .problems import Problem
 
+HELD = "dyknow.held"
+"""In the scope of a request: the `Held` of its body."""
+LIVE = "/samples/live"
+"""Paths that end so have bodies that are worked off while they come."""
+
+
+class Held:
+    """What of one body is held. A live one is counted by what is kept of it, and has any length."""
+
+    def __init__(self, limit: BodyLimit, live: bool) -> None:
+        self.size = 0
+        self.live = live
+        self._limit = limit
+
+    def add(self, count: int) -> None:
+        """So many bytes have come. Raises `Problem` 413 or 429; of a live body `keep` does."""
+        self.size += count
+        self._limit.held += count
+        if not self.live:
+            self._limit.check(self.size)
+
+    def keep(self, count: int) -> None:
+        """Of a live body no more than so many bytes are still held. Raises `Problem` 413 or 429."""
+        self._limit.held += count - self.size
+        self.size = count
+        self._limit.check(count)
+
 
 class BodyLimit:
-    """Refuses bodies over ``limit`` bytes, and further ones while ``total`` bytes are under way."""
+    """Refuses bodies over ``limit`` bytes, and further ones while ``total`` bytes are under way.
+
+    Of a live body the limit is for what is not worked off yet: a line, a record batch.
+    """
 
     def __init__(self, app: ASGIApp, limit: int, total: int) -> None:
+        self.held = 0
         self._app = app
         self._limit = limit
         self._total = total
-        self._held = 0
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
-        declared = _content_length(scope)
+        body = Held(self, scope["path"].endswith(LIVE))
+        declared = None if body.live else _content_length(scope)
         if declared is not None and declared > self._limit:
             await self._too_large().response()(scope, receive, send)
             return
-        if declared and self._held + declared > self._total:
+        if declared and self.held + declared > self._total:
             await self._too_many().response()(scope, receive, send)
             return
-        size = 0
 
         async def counted() -> Message:
-            nonlocal size
             message = await receive()
             if message["type"] == "http.request":
-                length = len(message.get("body", b""))
-                size += length
-                self._held += length
-                if size > self._limit:
-                    raise self._too_large()
-                if self._held > self._total:
-                    raise self._too_many()
+                body.add(len(message.get("body", b"")))
             return message
 
+        scope[HELD] = body
         try:
             await self._app(scope, counted, send)
         finally:
-            self._held -= size
+            self.held -= body.size
+
+    def check(self, size: int) -> None:
+        """Raises a `Problem` where ``size`` bytes of one body are too many, 413, or those of all
+        bodies, 429."""
+        if size > self._limit:
+            raise self._too_large()
+        if self.held > self._total:
+            raise self._too_many()
 
     def _too_large(self) -> Problem:
         return Problem(
             413,
             "body too large",
-            f"a request body has at most {self._limit} bytes",
+            f"a request body, of a live one each line or record batch, has at most "
+            f"{self._limit} bytes",
             hint="send samples in several batches",
         )
 

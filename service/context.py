@@ -10,6 +10,7 @@ from fastapi import Depends, Request
 
 from ..engine.engine import Engine
 from ..streams.time import Clock
+from .live import LiveBodies
 from .metrics import Metrics
 from .settings import Settings
 from .sse import Feeds
@@ -23,11 +24,17 @@ class Service:
     settings: Settings
     clock: Clock
     feeds: Feeds
+    bodies: LiveBodies
     metrics: Metrics
     sparql_slots: anyio.CapacityLimiter
     started: int
     failure: str | None = None
     """Why the engine's last tick failed; None while all is well."""
+
+    def leave(self) -> None:
+        """The service stops: let those go whose requests have no end of their own."""
+        self.feeds.close()
+        self.bodies.close()
 
     def tick(self) -> None:
         """Tell the engine the time, and event stream clients which streams are gone."""

@@ -29,7 +29,7 @@ class Metrics:
         )
         self._seconds = Histogram(
             "dyknow_http_request_seconds",
-            "Time until a response is complete (event streams excepted)",
+            "Time until a response is complete (event streams and live samples excepted)",
             ["route"],
             registry=self._registry,
         )

@@ -7,6 +7,7 @@ from typing import Protocol
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from .body import HELD, Held
 from .logs import log
 from .problems import problem_of
 
@@ -64,6 +65,8 @@ class Observe:
             seconds = time.perf_counter() - begun
             route = scope.get("route")
             path = getattr(route, "path_format", "(none)")
+            body: Held | None = scope.get(HELD)
+            endless = endless or (body is not None and body.live)
             self._metrics.request(method, path, status, None if endless else seconds)
             log().debug(
                 "request",

@@ -17,6 +17,7 @@ from pydantic import BaseModel, Field
 from starlette.exceptions import HTTPException as StarletteHTTPException
 from starlette.routing import Match
 
+from ..converters.arrow import ArrowMissing
 from ..converters.errors import ConversionError, WireError
 from ..engine import errors as engine_errors
 from ..engine.errors import DyknowError, NoPlan
@@ -41,6 +42,9 @@ class ProblemModel(BaseModel):
     column: int | None = None
     excerpt: str | None = Field(None, description="the source line with a caret under the place")
     field: str | None = Field(None, description="the field of a sample that is to blame")
+    accepted: int | None = Field(
+        None, description="how many of the live samples before the error were taken"
+    )
     missing: list[str] | None = Field(None, description="what semantic matching would need")
     errors: list[dict[str, Any]] | None = Field(None, description="each value that does not fit")
 
@@ -60,11 +64,13 @@ class Problem(HTTPException):
     ) -> None:
         super().__init__(status, detail, dict(headers) if headers else None)
         self.title = title
-        self.members = {"hint": hint or None, **extra}
+        self.members: dict[str, object] = {"hint": hint or None, **extra}
 
     def model(self) -> ProblemModel:
         kind = _NAMES + self.title.lower().replace(" ", "-")
-        known: dict[str, Any] = {key: value for key, value in self.members.items() if value}
+        known: dict[str, Any] = {
+            key: value for key, value in self.members.items() if value or value == 0
+        }
         return ProblemModel(
             type=kind, title=self.title, status=self.status_code, detail=str(self.detail), **known
         )
@@ -121,6 +127,13 @@ def problem_of(error: Exception) -> Problem:
                 hint=error.hint,
                 line=error.line,
                 column=error.column,
+            )
+        case ArrowMissing():
+            return Problem(
+                501,
+                "not available",
+                "this service was installed without Arrow",
+                hint="install dyknow[arrow], or use application/x-ndjson",
             )
         case WireError():
             return Problem(400, "bad samples", error.message, hint=error.hint, line=error.line)

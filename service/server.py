@@ -18,7 +18,8 @@ GRACE = 5
 
 
 class Server(uvicorn.Server):
-    """Lets event-stream clients go first when it stops: their answers have no end of their own."""
+    """Lets those go first when it stops whose requests have no end of their own: clients of event
+    streams, senders of live samples."""
 
     def __init__(self, config: uvicorn.Config, leave: Callable[[], None]) -> None:
         super().__init__(config)
@@ -40,7 +41,7 @@ def make_server(app: FastAPI) -> Server:
         timeout_graceful_shutdown=GRACE,
         server_header=False,
     )
-    return Server(config, service.feeds.close)
+    return Server(config, service.leave)
 
 
 def bind(settings: Settings) -> socket.socket:

@@ -25,6 +25,8 @@ class Settings(BaseSettings):
     """A larger request body is refused with 413."""
     bodies_limit: int = Field(default=64 * MEBIBYTE, gt=0)
     """Bodies under way together; beyond it requests are refused with 429 and Retry-After."""
+    live_timeout: float = Field(default=60.0, gt=0)
+    """A sender of live samples from whom nothing comes for so long is let go, with 408."""
     tick: float = Field(default=0.1, gt=0)
     """How often the engine is told the time."""
     retention_samples: int = Field(default=100_000, gt=0)

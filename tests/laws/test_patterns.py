@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
+from itertools import pairwise
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pyoxigraph import BlankNode, Literal, NamedNode, Quad, Store
 
-from dyknow.continuous import execution, pattern_rows, patterns
+from dyknow.continuous import execution, pattern_rows, patterns, static_rows
 from dyknow.continuous.background import Background
 from dyknow.continuous.evaluator import ContinuousEvaluator
 from dyknow.continuous.options import Options
@@ -100,27 +101,54 @@ def bodies(draw) -> str:
     return body
 
 
-def background(triples) -> Background:
+def background_store(triples) -> Store:
     store = Store()
     store.add(Quad(node("Sub"), SUB_CLASS, node("Top")))
     store.extend(Quad(s, p, o) for s, p, o in triples)
-    return Background(store)
+    return store
 
 
-def solutions(body: str, elements: list, static: list, options: Options) -> list:
-    windows = f"FROM STREAM <{X}> [RANGE 4ns STEP 2ns] FROM STREAM <{Y}> [RANGE 6ns STEP 2ns]"
+WINDOWS = f"FROM STREAM <{X}> [RANGE 4ns STEP 2ns] FROM STREAM <{Y}> [RANGE 6ns STEP 2ns]"
+
+
+def solutions(
+    body: str, elements: list, static: list, options: Options, windows=WINDOWS, cuts=(), told=None
+) -> list:
+    """The windows' ends and solutions. The elements come in as many pushes as ``cuts`` says, each
+    with a watermark; at the cut ``told`` a static triple more is known."""
     query = parse_query(f"SELECT * {windows} WHERE {{ {body} }}")
     dictionary = TermDictionary()
-    evaluator = ContinuousEvaluator(query, dictionary, background(static), [X, Y], options)
+    store = background_store(static)
+    # Two versions that anybody can tell: the second has more.
+    version = [0]
+    known = Background(store, lambda: version[0])
+    evaluator = ContinuousEvaluator(query, dictionary, known, [X, Y], options)
+    results = []
+    bounds = [-(10**9), *cuts, 10**9]
+    for number, (low, high) in enumerate(pairwise(bounds)):
+        for name in (X, Y):
+            for sort in SORTS[1:]:
+                rows = [
+                    (t, s, p, o)
+                    for i, t, s, p, o, k in elements
+                    if i == name and k == sort and low < t <= high
+                ]
+                id = None if sort is None else dictionary.id(sort)
+                tables = tuple(
+                    TripleRows(table.time, table.valid, table.subject, table.objects, sort=id)
+                    for table in from_terms(rows, dictionary).tables
+                )
+                evaluator.push(name, TimedTriples(dictionary, tables))
+        if high < 10**9:
+            for name in (X, Y):
+                results += evaluator.advance(name, high + 1)
+        if number == told:
+            store.add(Quad(NODES[0], PREDICATES[0], NODES[1]))
+            store.add(Quad(NODES[1], RDF_TYPE, node("Top")))
+            store.add(Quad(node("Top"), SUB_CLASS, node("All")))
+            version[0] += 1
     for name in (X, Y):
-        for sort in SORTS[1:]:
-            rows = [(t, s, p, o) for i, t, s, p, o, k in elements if i == name and k == sort]
-            id = None if sort is None else dictionary.id(sort)
-            tables = tuple(
-                TripleRows(table.time, table.valid, table.subject, table.objects, sort=id)
-                for table in from_terms(rows, dictionary).tables
-            )
-            evaluator.push(name, TimedTriples(dictionary, tables))
+        results += evaluator.end(name)
     return [
         (
             result.end,
@@ -129,9 +157,18 @@ def solutions(body: str, elements: list, static: list, options: Options) -> list
                 for row in result.solutions.rows()
             ),
         )
-        for name in (X, Y)
-        for result in evaluator.end(name)
+        for result in results
     ]
+
+
+_LOOPS = (
+    (pattern_rows, "wait"),
+    (pattern_rows, "turn"),
+    (pattern_rows, "pack"),
+    (pattern_rows, "link"),
+    (static_rows, "link"),
+    (patterns, "match"),
+)
 
 
 @settings(deadline=None, max_examples=200)
@@ -150,9 +187,60 @@ def test_three_ways_to_join_patterns_agree(body, elements, static, options) -> N
         patch.setattr(execution, "JIT", False)
         assert solutions(body, elements, static, options) == found
     with pytest.MonkeyPatch.context() as patch:
-        for module, name in ((patterns, "select"), (pattern_rows, "chain"), (patterns, "match")):
+        for module, name in _LOOPS:
             patch.setattr(module, name, getattr(module, name).py_func)
         assert solutions(body, elements, static, options) == found
+
+
+moving = st.lists(
+    st.tuples(
+        st.sampled_from([X, X, Y]),
+        st.integers(1, 24),
+        st.sampled_from(NODES),
+        st.sampled_from([*PREDICATES[:2], *PREDICATES]),
+        st.sampled_from(OBJECTS[:6]),
+        st.sampled_from(SORTS),
+    ),
+    min_size=30,
+    max_size=90,
+)
+
+
+@settings(deadline=None, max_examples=150)
+@given(
+    bodies(),
+    moving,
+    st.lists(
+        st.tuples(st.sampled_from(NODES), st.sampled_from(PREDICATES), st.sampled_from(NODES)),
+        max_size=4,
+    ),
+    st.sampled_from([Options("bag"), Options("set")]),
+    st.sampled_from(
+        [
+            WINDOWS,
+            f"FROM STREAM <{X}> [RANGE 8ns STEP 1ns] FROM STREAM <{Y}> [RANGE 8ns STEP 1ns]",
+            f"FROM STREAM <{X}> [RANGE 12ns STEP 1ns] FROM STREAM <{Y}> [RANGE 3ns STEP 3ns]",
+            f"FROM STREAM <{X}> [LANDMARK STEP 2ns] FROM STREAM <{Y}> [RANGE 2ns STEP 4ns]",
+        ]
+    ),
+    st.sets(st.integers(1, 24), max_size=6).map(sorted),
+    st.one_of(st.none(), st.integers(0, 3)),
+    # Rows that there is room for, solutions that there is room for, and that are kept a row.
+    st.sampled_from([(512, 256, 4), (1, 1, 4), (4, 2, 0)]),
+)
+def test_what_is_kept_of_a_window_is_what_the_next_one_has(
+    body, elements, static, options, windows, cuts, told, room
+) -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(execution, "JIT", False)
+        anew = solutions(body, elements, static, options, windows, cuts, told)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pattern_rows, "_LEAST", room[0])
+        patch.setattr(patterns, "_FIRST_CAPACITY", room[1])
+        patch.setattr(patterns, "_MOST", room[2])
+        assert solutions(body, elements, static, options, windows, cuts, told) == anew
+        if told is None:
+            assert solutions(body, elements, static, options, windows) == anew
 
 
 def test_a_join_larger_than_expected_is_found_whole() -> None:
@@ -175,4 +263,4 @@ def test_rows_that_have_left_are_forgotten() -> None:
     for time in range(1, 3000):
         evaluator.push(X, from_terms([(time, NODES[0], node("p"), NODES[1])], dictionary))
         evaluator.advance(X, time)
-    assert patterns.rows.count < 200
+    assert patterns.rows.count < 1000

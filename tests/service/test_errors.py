@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Iterator
 from typing import Any
 
@@ -462,3 +463,25 @@ def test_a_byte_order_mark_before_texts(http: httpx.Client) -> None:
     made = http.post("/events", content=mark + request)
     assert made.status_code == 201, made.text
     http.delete(made.headers["location"])
+
+
+def test_an_idempotency_key_that_is_too_long(http: httpx.Client) -> None:
+    http.put("/streams/plain", json={"fields": {"v": "float"}})
+    for length, status in ((200, 202), (201, 422)):
+        headers = {"Idempotency-Key": "x" * length}
+        answer = http.post(
+            "/streams/plain/samples", content='{"valid": 1, "v": 1.0}', headers=headers
+        )
+        assert answer.status_code == status
+    assert answer.json()["title"] == "values do not fit"
+    assert answer.json()["errors"][0]["at"] == "header.idempotency-key"
+
+
+@pytest.mark.parametrize("path", ["samples", "samples/live"])
+def test_without_arrow(http: httpx.Client, monkeypatch: pytest.MonkeyPatch, path: str) -> None:
+    http.put("/streams/plain", json={"fields": {"v": "float"}})
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    headers = {"Content-Type": "application/vnd.apache.arrow.stream"}
+    answer = http.post(f"/streams/plain/{path}", content=b"\xff" * 4 + b"\0" * 4, headers=headers)
+    assert answer.status_code == 501
+    assert "dyknow[arrow]" in answer.json()["hint"]

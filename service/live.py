@@ -1,0 +1,250 @@
+"""Samples that are published while the body of their request comes (docs/api.md, "Live samples").
+
+One request for as long as its sender has something to say: what has arrived by now is one call of
+the engine, so that several small parts that wait are taken together. `LiveBodies` has those under
+way, `LiveLines` and `LiveTables` cut a body into what is complete. Used by routes/live.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import re
+from abc import ABC, abstractmethod
+from itertools import groupby
+from typing import Any
+
+from fastapi import Request
+from starlette.requests import ClientDisconnect
+from starlette.types import Message
+
+from ..converters.arrow import ArrowMissing, joined, samples_of_table
+from ..converters.arrow_messages import ArrowMessages
+from ..converters.errors import WireError
+from ..converters.ndjson import decode_ndjson, mixed_times
+from ..converters.wire import BOM, Incoming
+from ..engine.engine import Engine
+from ..streams.generator import StreamGenerator
+from ..streams.time import Clock
+from .body import HELD, Held
+from .problems import Problem
+
+_LINE = re.compile(rb"[^\n]*\n|[^\n]+")
+
+
+class LiveSamples(ABC):
+    """The samples of one body, published into stream ``name`` as they come.
+
+    Law (tests/laws): what is accepted and what is refused does not depend on how the bytes were
+    cut; it equals publishing sample by sample (record batch by record batch) until one is refused.
+
+    Errors: those of decoding and of `Engine.publish`; a `WireError` counts lines (rows) from the
+    body's beginning. What was published before stays; ``accepted`` counts it.
+    """
+
+    def __init__(self, engine: Engine, name: str, clock: Clock) -> None:
+        self.accepted = 0
+        self._engine = engine
+        self._name = name
+        self._clock = clock
+        self._before = 0
+        """Lines (rows) of the body that are done with."""
+        self._stamped: bool | None = None
+
+    @property
+    @abstractmethod
+    def held(self) -> int:
+        """Bytes that have come and are not published."""
+
+    @abstractmethod
+    def take(self, data: bytes) -> None:
+        """Publish what is complete with ``data``."""
+
+    @abstractmethod
+    def end(self) -> None:
+        """The body is whole: publish what is left."""
+
+    def _target(self) -> StreamGenerator:
+        """Asked each time: the stream may have been declared anew, or removed, meanwhile."""
+        return self._engine.accepting(self._name)
+
+    def _publish(self, incoming: Incoming, line: int) -> None:
+        """``line`` is the first one's: available times are in all samples of a body or in none."""
+        if self._stamped not in (None, incoming.stamped):
+            raise mixed_times(line)
+        self.accepted += self._engine.publish(self._name, incoming, self._clock())
+        self._stamped = incoming.stamped
+
+    def _placed(self, error: WireError) -> WireError:
+        """An error in what comes next, as one of the body."""
+        line = None if error.line is None else self._before + error.line
+        return WireError(line, error.message, error.hint)
+
+
+class LiveLines(LiveSamples):
+    """NDJSON: a line is complete with its line feed, the last one with the body.
+
+    Cost: as `decode_ndjson`; a part with a bad line is decoded once more up to it.
+    """
+
+    def __init__(self, engine: Engine, name: str, clock: Clock) -> None:
+        super().__init__(engine, name, clock)
+        self._rest = bytearray()
+
+    @property
+    def held(self) -> int:
+        return len(self._rest)
+
+    def take(self, data: bytes) -> None:
+        cut = data.rfind(b"\n") + 1
+        lines = b""
+        if cut:
+            lines = bytes(self._rest) + data[:cut] if self._rest else data[:cut]
+            self._rest.clear()
+        self._rest += data[cut:]
+        self._take_lines(lines)
+
+    def end(self) -> None:
+        lines = bytes(self._rest)
+        self._rest.clear()
+        self._take_lines(lines)
+
+    def _take_lines(self, lines: bytes) -> None:
+        while lines and self._target().is_open:
+            # Its fields are those of the first line, not of as many as came with it.
+            cut = lines.find(b"\n") + 1 or len(lines)
+            self._take_part(lines[:cut])
+            lines = lines[cut:]
+        if lines:
+            self._take_part(lines)
+
+    def _take_part(self, lines: bytes) -> None:
+        """Publish whole lines; of those with a bad one all before it."""
+        try:
+            self._decode_and_publish(lines)
+        except WireError as error:
+            rows = _LINE.findall(lines)
+            if error.line is None and len(rows) > 1:
+                for row in rows:
+                    self._take_part(row)
+                return
+            # One before it may be bad in a way that is looked for later: then that one is told.
+            if before := b"".join(rows[: (error.line or 1) - 1]):
+                self._take_part(before)
+            raise self._placed(WireError(1, error.message, error.hint)) from None
+        self._before += lines.count(b"\n")
+
+    def _decode_and_publish(self, lines: bytes) -> None:
+        text = lines if self._before else lines.removeprefix(BOM)
+        if not text.strip():
+            return
+        generator = self._target()
+        # Not at the body's beginning, a byte order mark is no more than a bad line.
+        if text.startswith(BOM):
+            raise WireError(1, "not JSON: a byte order mark", "send one JSON object a line")
+        incoming = decode_ndjson(text, generator.schema, generator.stream.pools)
+        blank = len(text) - len(text.lstrip())
+        self._publish(incoming, 1 + text.count(b"\n", 0, blank))
+
+
+class LiveTables(LiveSamples):
+    """An Arrow IPC stream, or several one after the other: a record batch is taken whole or refused
+    whole."""
+
+    def __init__(self, engine: Engine, name: str, clock: Clock) -> None:
+        super().__init__(engine, name, clock)
+        self._messages = ArrowMessages()
+
+    @property
+    def held(self) -> int:
+        return self._messages.held
+
+    def take(self, data: bytes) -> None:
+        tables: list[Any] = []
+        try:
+            for table in self._messages.take(data):
+                if table.num_rows:
+                    tables.append(table)  # noqa: PERF401  kept when the next one is broken
+        except ArrowMissing:
+            raise
+        except WireError as error:
+            self._take_all(tables)
+            raise self._placed(error) from None
+        self._take_all(tables)
+
+    def _take_all(self, tables: list[Any]) -> None:
+        for _, alike in groupby(tables, lambda table: table.schema):
+            self._take_alike(list(alike))
+
+    def _take_alike(self, tables: list[Any]) -> None:
+        """Publish tables of the same columns together; where one is bad, one by one up to it."""
+        table = joined(tables)
+        generator = self._target()
+        try:
+            incoming = samples_of_table(table, generator.schema, generator.stream.pools)
+            self._publish(incoming, 1)
+        except WireError as error:
+            if len(tables) == 1:
+                raise self._placed(error) from None
+            for each in tables:
+                self._take_alike([each])
+            return
+        self._before += table.num_rows
+
+    def end(self) -> None:
+        if self.held:
+            raise WireError(None, "the body ends within an Arrow message")
+
+
+class LiveBodies:
+    """Those that are under way, so that they can be let go when the service stops."""
+
+    def __init__(self) -> None:
+        self._waits: set[asyncio.Timeout] = set()
+        self._closing = False
+
+    async def publish(self, request: Request, live: LiveSamples, patience: float) -> None:
+        """Publish the samples of the request's body until it ends.
+
+        Raises what `LiveSamples` raises; 408 and 503 `Problem` when nothing has come for
+        ``patience`` seconds and when the service stops; `ClientDisconnect` when the client is gone.
+        """
+        body: Held = request.scope[HELD]
+        while not self._closing:
+            message = await self._next(request, patience)
+            if message["type"] == "http.disconnect":
+                raise ClientDisconnect
+            live.take(message.get("body", b""))
+            if not message.get("more_body", False):
+                live.end()
+                return
+            body.keep(live.held)
+        raise Problem(
+            503,
+            "the service stops",
+            "the body was not read to its end",
+            hint="send the samples that were not accepted when the service is back",
+        )
+
+    async def _next(self, request: Request, patience: float) -> Message:
+        try:
+            async with asyncio.timeout(patience) as wait:
+                self._waits.add(wait)
+                try:
+                    return await request.receive()
+                finally:
+                    self._waits.discard(wait)
+        except TimeoutError:
+            if self._closing:
+                return {"type": "http.request", "body": b"", "more_body": True}
+            raise Problem(
+                408,
+                "nothing came",
+                f"nothing has come for {patience:g} seconds",
+                hint="send an empty line now and then while there are no samples",
+            ) from None
+
+    def close(self) -> None:
+        """Let all go: the service stops. Each sender is told what was accepted."""
+        self._closing = True
+        for wait in self._waits:
+            wait.reschedule(0)

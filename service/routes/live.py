@@ -1,0 +1,74 @@
+"""Live samples: one request whose samples are published while its body comes."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter, Header, Request, Response
+from starlette.requests import ClientDisconnect
+
+from ..context import Context, Service
+from ..live import LiveLines, LiveSamples, LiveTables
+from ..logs import log
+from ..models import AcceptedModel
+from ..negotiation import ARROW, NDJSON, content_type
+from ..problems import Problem, problem_of, responses
+from .publish import BODY
+
+router = APIRouter(tags=["samples"])
+
+
+@router.post(
+    "/streams/{name}/samples/live",
+    status_code=202,
+    response_model=AcceptedModel,
+    openapi_extra=BODY,
+    responses=responses(403, 404, 408, 409, 413, 415, 429, 503),
+)
+async def publish_live(
+    name: str,
+    request: Request,
+    service: Context,
+    idempotency_key: Annotated[
+        str | None, Header(description="refused: a live body is not taken whole")
+    ] = None,
+) -> AcceptedModel | Response:
+    """Publish samples as they come, in one body of any length (`Transfer-Encoding: chunked`).
+
+    A line (a record batch of Arrow) is published as soon as it is there. The answer comes at the
+    end. An error ends the body: all before `line` is published and stays, nothing from it on is;
+    `accepted` counts. 408: nothing has come for too long; 503: the service stops.
+    """
+    service.engine.accepting(name)
+    if idempotency_key is not None:
+        raise Problem(
+            400,
+            "no key here",
+            "a live body is not taken whole, so that it cannot be repeated under a key",
+            hint="leave Idempotency-Key out, or POST batches to /streams/{name}/samples",
+        )
+    live = _samples(name, content_type(request, (NDJSON, ARROW)), service)
+    try:
+        await service.bodies.publish(request, live, service.settings.live_timeout)
+    except ClientDisconnect:
+        log().info("live samples broken off", stream=name, accepted=live.accepted)
+        return Response(status_code=400)  # nobody reads it
+    except Exception as error:
+        raise _refusal(error, live) from error
+    return AcceptedModel(accepted=live.accepted)
+
+
+def _samples(name: str, kind: str, service: Service) -> LiveSamples:
+    make = LiveLines if kind == NDJSON else LiveTables
+    return make(service.engine, name, service.clock)
+
+
+def _refusal(error: Exception, live: LiveSamples) -> Exception:
+    """The problem that ``error`` is, with what was accepted before it."""
+    problem = problem_of(error)
+    if problem.status_code == 500:
+        return error
+    problem.members["accepted"] = live.accepted
+    # What of the body still comes is no request.
+    problem.headers = {**(problem.headers or {}), "Connection": "close"}
+    return problem

@@ -1,0 +1,98 @@
+"""Samples into a stream: publish a batch ([DyKnow10 Def. 4.4])."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Coroutine
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Header, Request, Response
+from fastapi.routing import APIRoute
+
+from ...converters.arrow import decode_arrow
+from ...converters.ndjson import decode_ndjson
+from ...converters.wire import Incoming
+from ...streams.generator import StreamGenerator
+from ..context import Context
+from ..models import AcceptedModel
+from ..negotiation import ARROW, JSON, NDJSON, content_type
+from ..problems import responses
+
+KEY_LENGTH = 200
+"""The longest Idempotency-Key."""
+LINE = '{"valid": "2021-10-07T19:12:53Z", "id": "uav1", "speed": 31.5}\n'
+BODY: dict[str, Any] = {
+    "requestBody": {
+        "required": True,
+        "content": {
+            NDJSON: {
+                "schema": {
+                    "type": "string",
+                    "description": "a line a sample: valid, available (optional), every field",
+                },
+                "example": LINE,
+            },
+            ARROW: {"schema": {"type": "string", "format": "binary"}},
+        },
+    }
+}
+
+
+class Direct(APIRoute):
+    """Calls `publish_samples` itself: the framework's dependencies, validation and models take as
+    long as a small batch (docs/design/0005-arrival-to-event.md). It is asked all the same where it
+    would refuse."""
+
+    def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
+        usual = super().get_route_handler()
+
+        async def handle(request: Request) -> Response:
+            key = request.headers.get("idempotency-key")
+            if key is not None and len(key) > KEY_LENGTH:
+                return await usual(request)
+            name, service = request.path_params["name"], request.app.state.service
+            taken = await publish_samples(name, request, service, key)
+            return Response(b'{"accepted":%d}' % taken.accepted, 202, media_type=JSON)
+
+        return handle
+
+
+router = APIRouter(tags=["samples"], route_class=Direct)
+
+
+@router.post(
+    "/streams/{name}/samples",
+    status_code=202,
+    openapi_extra=BODY,
+    responses=responses(403, 404, 409, 413, 415, 429),
+)
+async def publish_samples(
+    name: str,
+    request: Request,
+    service: Context,
+    idempotency_key: Annotated[
+        str | None, Header(max_length=KEY_LENGTH, description="repeating it has no second effect")
+    ] = None,
+) -> AcceptedModel:
+    """Publish a batch: taken whole, or refused whole with the line and the cause.
+
+    Samples without `available` are stamped on arrival. 409: the `Idempotency-Key` was used for
+    another body.
+    """
+    service.engine.accepting(name)  # an unknown stream is told before the body is read
+    kind = content_type(request, (NDJSON, ARROW))
+    body = await request.body()
+    # Asked again: the stream may have been declared anew while the body came.
+    incoming = _decode(kind, body, service.engine.accepting(name))
+    # Only what comes under a key is ever compared.
+    digest = b"" if idempotency_key is None else hashlib.blake2b(body, digest_size=16).digest()
+    count = service.engine.publish(
+        name, incoming, service.clock(), idempotency_key=idempotency_key, digest=digest
+    )
+    return AcceptedModel(accepted=count)
+
+
+def _decode(kind: str, body: bytes, generator: StreamGenerator) -> Incoming:
+    pools = generator.stream.pools
+    decode = decode_ndjson if kind == NDJSON else decode_arrow
+    return decode(body, generator.schema, pools)
