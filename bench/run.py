@@ -19,6 +19,7 @@ TABLES = (
     "two_stars.py",
     "instances.py",
     "requests.py",
+    "queries.py",
     "service.py",
     "latency.py",
     "ingest.py",

@@ -7,9 +7,10 @@ aggregates and its table, but no rows.
 from __future__ import annotations
 
 from array import array
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import takewhile
+from typing import Any, TypeAlias
 
 import numpy as np
 from pyoxigraph import Variable
@@ -18,14 +19,19 @@ from ..languages.csparql import bind
 from ..languages.csparql.ast import ContinuousQuery, StreamOperator
 from ..rdf.dictionary import Term
 from .columns import NeedsOxigraph, Relation
+from .costs import cost_table
+from .estimates import estimate
 from .evaluation import evaluate, holds
 from .execution import Execution, WindowRows
-from .instance_results import Common, Joined
+from .flows import Flow
+from .heads import finish
+from .instance_results import Apart, Common, Joined
 from .instance_table import INSTANCE, InstanceTable
-from .logical import Distinct, Extend, Filter, Project, Query, Select
+from .logical import Distinct, Extend, Filter, Project, Query, Select, outputs
 from .parameters import Joint, Step, Unfit, joint
+from .pattern_sizes import Known
 from .printing import describe, describe_query
-from .relational import distinct, execute
+from .relational import distinct, execute, united
 from .rules import optimize
 from .solving import Reading, Solver
 from .sources import StaticSide
@@ -39,6 +45,12 @@ class Place:
 
     key: tuple[object, ...]
     serial: int
+
+
+LARGEST = 2_000_000
+"""So many pairs of a solution and an instance are looked at at a time."""
+OwnQuery: TypeAlias = Callable[[int, Mapping[str, Term]], ContinuousQuery]
+"""The query of an instance, by its number and its terms in the table of its cohort."""
 
 
 class Alone:
@@ -79,28 +91,32 @@ class Together:
     """Instances that agree on the fixed parameters: the plan is computed once, then joined with
     the table of their other arguments.
 
+    ``own`` gives the query of an instance by itself. ``alone``: no other cohort reads the windows.
+
     Cost a window: that of the plan, then `InstanceTable.join`, then numpy a column on what that
     gives. A window that columns cannot judge is evaluated for each instance alone.
     """
 
     def __init__(
         self,
-        query: ContinuousQuery,
+        own: OwnQuery,
         windows: Windowing,
         static: StaticSide,
         place: Place,
         joint: Joint,
-        fixed: Mapping[str, Term],
+        *,
+        alone: bool = False,
     ) -> None:
-        self.query = query
         self.windows = windows
         self.static = static
         self.terms = static.terms
         self.place = place
         self.joint = joint
-        self.fixed = fixed
         self.table = InstanceTable(joint, self.terms)
+        self._own = own
         self._execution = Execution(joint.plan, windows, static)
+        if alone:
+            self._execution.join_patterns(outputs(joint.plan))
         self._alone: dict[int, Solver] = {}
 
     def explain(self) -> str:
@@ -113,6 +129,15 @@ class Together:
             lines.append("in columns, incrementally")
         lines += [f"then {describe(step)[0]}" for step in self.joint.rest]
         return "\n".join(lines)
+
+    def costs(self, flows: Mapping[str, Flow]) -> Iterator[str]:
+        """What the shared plan is likely to cost; ``flows`` is what is known of the inputs."""
+        execution, options = self._execution, self.windows.options
+        distinct = options.semantics == "set"
+        known = Known(self.windows.schedule, self.static, flows, distinct)
+        shape = None if isinstance(execution.shape, str) else execution.shape
+        costs = estimate(execution.plan, known, shape, execution.served)
+        return cost_table(execution.plan, costs, known, None)
 
     @property
     def live(self) -> int:
@@ -128,26 +153,54 @@ class Together:
         """The rows up to ``end`` are there."""
         self._execution.fold(end)
 
-    def results(self, end: int, *, reports: bool) -> tuple[Joined | Common, ...]:
+    def results(self, end: int, *, reports: bool) -> tuple[Joined | Common | Apart, ...]:
         numbers, alive = self.table.members()
         start, shown = self.windows.span(end)
         rows = WindowRows(self.windows.contents, end)
         for source in self._execution.sources(rows):
+            head = self.joint.head
             try:
-                relation = self._solutions(execute(self.joint.plan, source, self.terms))
+                relation = execute(self._execution.plan, source, self.terms)
+                if not self.table.columns:
+                    # They do not differ at all.
+                    result = finish(head, relation, start, shown, self.terms)
+                    return (Common(numbers[alive], result),)
+                relation = self._solutions(relation)
             except NeedsOxigraph:
                 continue
             self._alone = {}
-            head = self.joint.head
             return (Joined(start, shown, head, relation, numbers, alive, self.terms),)
-        return self._each(rows)
+        return (self._each(rows),)
 
     def _solutions(self, relation: Relation) -> Relation:
-        relation, decided = self.table.join(relation)
-        rest = self.joint.rest[1:] if decided else self.joint.rest
-        for step in rest:
-            relation = self._step(step, relation)
-        return relation
+        """What the instances have of the solutions of the plan."""
+        pieces: list[Relation] = []
+        after: tuple[Step, ...] = ()
+        for piece in self._pieces(relation):
+            joined, decided = self.table.join(piece)
+            rest = self.joint.rest[1:] if decided else self.joint.rest
+            alone = tuple(takewhile(lambda step: not isinstance(step, Distinct), rest))
+            for step in alone:
+                joined = self._step(step, joined)
+            pieces.append(joined)
+            after = rest[len(alone) :]
+        found = pieces[0]
+        if len(pieces) > 1:
+            found = replace(united(pieces, self.terms), key=found.key)
+        for step in after:
+            found = self._step(step, found)
+        return found
+
+    def _pieces(self, relation: Relation) -> Sequence[Relation]:
+        """The solutions, so many at a time that they fit in memory with all instances, where each
+        meets each."""
+        size = relation.rows
+        if not self.joint.joined and self.joint.search is None:
+            size = max(1, LARGEST // self.live)
+        if size >= relation.rows:
+            return (relation,)
+        starts = range(0, relation.rows, size)
+        return [relation.take(np.arange(i, min(i + size, relation.rows))) for i in starts]
 
     def _step(self, step: Step, relation: Relation) -> Relation:
         columns, terms = relation.columns, self.terms
@@ -170,22 +223,18 @@ class Together:
             case Distinct():
                 return relation if relation.key is not None else distinct(relation, terms)
 
-    def _each(self, rows: WindowRows) -> tuple[Common, ...]:
+    def _each(self, rows: WindowRows) -> Apart:
         """Every instance alone. Cost: a plan each, and an evaluation each."""
         numbers, alive = self.table.members()
-        found = []
+        found = {}
         for row in np.flatnonzero(alive).tolist():
             number = int(numbers[row])
             if number not in self._alone:
-                arguments = dict(self.fixed)
-                for name, column in self.table.columns.items():
-                    arguments[name] = column.term(row)
-                bound = {Variable(name): term for name, term in arguments.items()}
-                query = bind(self.query, bound)
+                columns = self.table.columns.items()
+                query = self._own(number, {name: column.term(row) for name, column in columns})
                 self._alone[number] = Solver(query, self.windows, self.static, folds=False)
-            result = self._alone[number].solve(rows)
-            found.append(Common(np.array([number], np.int64), result))
-        return tuple(found)
+            found[number] = self._alone[number].solve(rows)
+        return Apart(found)
 
 
 def joint_of(
@@ -201,7 +250,7 @@ def joint_of(
         why = f"{query.operator} compares the results of an instance"
         return None, dict.fromkeys(arguments, why)
     bound = bind(query, {Variable(name): term for name, term in arguments.items()})
-    reading = Reading.of(bound, windows)
+    reading = Reading.of(bound, windows.schedule)
     before = {variable.value: term for variable, term in query.bindings.items()}
     for name in arguments.keys() & _graph_names(reading.tree):
         reasons[name] = f"?{name} is a graph"

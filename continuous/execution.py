@@ -11,9 +11,8 @@ from ..rdf.timed import TripleRows
 from ..streams.compiled import JIT
 from .columns import Relation
 from .contents import Contents
-from .heads import head_variables
 from .incremental import Incremental
-from .logical import DEFAULT, AnyScan, Closure, Head, Plan, Scan, TypeScan, outputs, walk
+from .logical import DEFAULT, AnyScan, Closure, Plan, Scan, TypeScan, outputs, walk
 from .pattern_parts import needed_outside, pattern_parts, served_parts
 from .patterns import PatternSolver
 from .profile import Profile
@@ -59,9 +58,10 @@ class Execution:
         """Whether the rows of a window are read again when it has closed."""
         return self.incremental is None or self.incremental.shape.retains
 
-    def join_patterns(self, head: Head) -> None:
+    def join_patterns(self, shown: frozenset[str]) -> None:
         """Have the parts of the plan that are joins of patterns solved by a compiled loop, which
-        keeps the rows in a form of its own: so nobody else may read the windows."""
+        keeps the rows in a form of its own: so nobody else may read the windows. ``shown`` are the
+        variables that are looked at in what the plan gives."""
         windows = self.windows.schedule.windows
         counted = any(one.counted for one in windows)
         if self.incremental is not None or not JIT or self.names_now or counted:
@@ -72,7 +72,6 @@ class Execution:
             return
         self.plan, self.served = plan, parts
         graphs = [one.graph for one in windows]
-        shown = head_variables(head)
         wanted = [(part, needed_outside(plan, part) | (shown & outputs(part))) for part in parts]
         self.patterns = PatternSolver(wanted, graphs, self.static, distinct=self.distinct)
         covered = {id(node) for part in parts for node in walk(part)}

@@ -31,7 +31,7 @@ def ask(
     relation = Relation({name: columns[name] for name in names if name in columns}, rows)
     if not rows:
         return term_column([], terms.dictionary)
-    if _is_volatile(expression):
+    if is_volatile(expression):
         first = inverse = np.arange(rows)
     elif relation.columns:
         keys = [[column] for column in relation.columns.values()]
@@ -94,10 +94,11 @@ def _solutions(store: Store, query: str) -> Any:
     return store.query(query)
 
 
-def _is_volatile(expression: Expression) -> bool:
+def is_volatile(expression: Expression) -> bool:
+    """Whether the value is another one each time that it is asked for."""
     if not isinstance(expression, Call):
         return False
-    return expression.name in VOLATILE or any(map(_is_volatile, expression.arguments))
+    return expression.name in VOLATILE or any(map(is_volatile, expression.arguments))
 
 
 def sparql_text(expression: Expression, places: Mapping[str, str]) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeAlias
@@ -40,6 +40,10 @@ class Common:
         some = self.result.answer is not None or self.result.size > 0
         return self.instances if some else self.instances[:0]
 
+    def silent(self) -> Iterator[tuple[Numbers, WindowResult]]:
+        if not len(self.answered):
+            yield self.instances, self.result
+
     @property
     def rows(self) -> int:
         return self.result.size * len(self.instances)
@@ -57,6 +61,50 @@ class Common:
 
     def holding(self) -> Numbers:
         return self.instances if self.result.answer else self.instances[:0]
+
+
+@dataclass(frozen=True, eq=False)
+class Apart:
+    """Instances that each have a result of their own, numbers ascending."""
+
+    results: Mapping[int, WindowResult]
+
+    def of(self, instance: int) -> WindowResult | None:
+        return self.results.get(instance)
+
+    @property
+    def reported(self) -> Numbers:
+        return np.array([*self.results], np.int64)
+
+    @property
+    def answered(self) -> Numbers:
+        return self._those(lambda result: result.answer is not None or result.size > 0)
+
+    def silent(self) -> Iterator[tuple[Numbers, WindowResult]]:
+        for part in self._parts():
+            yield from part.silent()
+
+    @property
+    def rows(self) -> int:
+        return sum(result.size for result in self.results.values())
+
+    def solutions(self) -> Iterator[tuple[Numbers, Solutions]]:
+        for part in self._parts():
+            yield from part.solutions()
+
+    def triples(self) -> Iterator[tuple[Numbers, TripleRows]]:
+        for part in self._parts():
+            yield from part.triples()
+
+    def holding(self) -> Numbers:
+        return self._those(lambda result: bool(result.answer))
+
+    def _parts(self) -> Iterator[Common]:
+        for number, result in self.results.items():
+            yield Common(np.array([number], np.int64), result)
+
+    def _those(self, chosen: Callable[[WindowResult], bool]) -> Numbers:
+        return np.array([n for n, result in self.results.items() if chosen(result)], np.int64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,6 +139,12 @@ class Joined:
     @property
     def answered(self) -> Numbers:
         return self.reported if isinstance(self.head, Ask) else np.unique(self._numbers)
+
+    def silent(self) -> Iterator[tuple[Numbers, WindowResult]]:
+        others = np.setdiff1d(self.reported, self.answered, assume_unique=True)
+        if len(others):
+            nothing = self.relation.take(np.zeros(0, np.int64))
+            yield others, finish(self.head, nothing, self.start, self.end, self.terms)
 
     @property
     def rows(self) -> int:
@@ -149,7 +203,7 @@ class InstanceResults:
 
     start: int
     end: int
-    parts: tuple[Common | Joined, ...]
+    parts: tuple[Common | Apart | Joined, ...]
 
     def of(self, instance: int) -> WindowResult | None:
         """The result of one instance; None if it was not there when the window closed."""
@@ -164,6 +218,12 @@ class InstanceResults:
     def answered(self) -> Numbers:
         """The instances that have solutions (of an ASK: an answer), ascending."""
         return np.sort(np.concatenate([_NONE, *(part.answered for part in self.parts)]))
+
+    def silent(self) -> Iterator[tuple[Numbers, WindowResult]]:
+        """The instances whose result has no solutions, ascending, with that result: it is one for
+        many."""
+        for part in self.parts:
+            yield from part.silent()
 
     @property
     def size(self) -> int:

@@ -16,16 +16,14 @@ from pyoxigraph import BlankNode, Variable
 from ..languages.csparql import bind
 from ..languages.csparql.ast import ContinuousQuery
 from ..rdf.dictionary import Term, TermDictionary
-from ..rdf.timed import TimedTriples
 from .background import Background
 from .cohorts import Alone, Place, Together, joint_of
-from .columns import TermValues
-from .instance_results import Common, InstanceResults, Joined
+from .instance_results import Apart, Common, InstanceResults, Joined
 from .logical import Ask
 from .options import Options
 from .parameters import confined, described
-from .sources import StaticSide
-from .windowing import Windowing
+from .shared_windows import SharedWindows, own_solutions, own_windows
+from .solving import Reading
 
 
 @dataclass(slots=True, eq=False)
@@ -37,10 +35,8 @@ class _Family:
     fixed: Mapping[str, str]
 
 
-class TemplateEvaluator:
-    """The instances of a template over named inputs; `push`, `advance`, `end`, `resume`,
-    `next_end`, `late`, `limit` and the arguments as of `ContinuousEvaluator`, ``query`` with its
-    parameters free.
+class TemplateEvaluator(SharedWindows):
+    """The instances of a template over named inputs; ``query`` has its parameters free.
 
     Law (tests/laws): ``of(i)`` of a window is what a `ContinuousEvaluator` of
     ``bind(query, arguments)`` gives for it, from the first window on that closes after `add` and
@@ -61,30 +57,14 @@ class TemplateEvaluator:
         inputs: Sequence[str],
         options: Options | None = None,
     ) -> None:
+        super().__init__(query, dictionary, background, inputs, options)
         self.query = query
-        self._results: list[InstanceResults] = []
-        terms = TermValues(dictionary)
-        self._windows = Windowing(query, terms, inputs, options or Options(), self._closed)
-        self._static = StaticSide(background, terms)
         self._families: dict[tuple[Variable, ...], _Family] = {}
         self._cohorts: dict[tuple[object, ...], Alone | Together] = {}
         self._serials: dict[int, Alone | Together] = {}
         self._cohort_of = array("q")
         """By instance the serial number of its cohort, -1 of one that has gone."""
         self._live = self._next = 0
-
-    @property
-    def late(self) -> int:
-        """Rows that came too late and were dropped."""
-        return self._windows.late
-
-    def resume(self, input: str) -> None:
-        """``input`` had come to its end and goes on: windows wait for it again."""
-        self._windows.resume(input)
-
-    def limit(self, input: str) -> int | None:
-        """Rows of ``input`` with τ up to here come too late; None: none does."""
-        return self._windows.limit(input)
 
     def __len__(self) -> int:
         """How many instances there are."""
@@ -123,13 +103,20 @@ class TemplateEvaluator:
         streamed: Collection[str],
     ) -> frozenset[str] | None:
         """The parameters on which instances with such arguments have to agree to share more than
-        their windows; None if they share nothing more, or if those in ``one_by_one`` are among
-        these, or need other triples than those about their term, of the predicates (IRIs) that are
-        ``streamed``: else an instance has what it would have over these alone.
+        their windows; None if they share nothing more, or what they give is their own
+        (`own_windows`, `own_solutions`), or if those in ``one_by_one`` are among these, or need
+        other triples than those about their term, of the predicates (IRIs) that are ``streamed``:
+        else an instance has what it would have over these alone.
         """
         given = {variable.value: term for variable, term in arguments.items()}
         found, fixed = joint_of(self._windows, self.query, given)
         if found is None or not fixed.keys().isdisjoint(one_by_one):
+            return None
+        windows = self._windows
+        if own_windows(self.query, windows.schedule, windows.options):
+            return None
+        reading = Reading.of(bind(self.query, arguments), windows.schedule)
+        if own_solutions(reading.translated(given)):
             return None
         # ASK says no as well.
         alike = not isinstance(found.head, Ask) and confined(found.plan, one_by_one, streamed)
@@ -145,20 +132,6 @@ class TemplateEvaluator:
         cohort.remove(instance)
         if not cohort.live:
             del self._serials[cohort.place.serial], self._cohorts[cohort.place.key]
-
-    def push(self, input: str, triples: TimedTriples) -> None:
-        self._windows.push(input, triples)
-
-    def advance(self, input: str, watermark: int) -> list[InstanceResults]:
-        self._windows.advance(input, watermark)
-        return self._taken()
-
-    def end(self, input: str) -> list[InstanceResults]:
-        self._windows.end(input)
-        return self._taken()
-
-    def next_end(self) -> int | None:
-        return self._windows.next_end()
 
     def explain(self) -> str:
         """What is shared among which instances, and the plan of each cohort (of some)."""
@@ -210,21 +183,22 @@ class TemplateEvaluator:
         self._next += 1
         made: Alone | Together
         if joint is not None:
-            bound = {name: given[name] for name in fixed}
-            made = Together(self.query, self._windows, self._static, place, joint, bound)
+            agreed = {name: given[name] for name in fixed}
+
+            def own(_: int, terms: Mapping[str, Term]) -> ContinuousQuery:
+                arguments = {**agreed, **terms}
+                return bind(self.query, {Variable(n): term for n, term in arguments.items()})
+
+            made = Together(own, self._windows, self._static, place, joint)
         else:
             arguments = {Variable(name): given[name] for name in family.names}
             made = Alone(bind(self.query, arguments), self._windows, self._static, place)
         self._cohorts[key] = self._serials[place.serial] = made
         return made
 
-    def _taken(self) -> list[InstanceResults]:
-        taken, self._results = self._results, []
-        return taken
-
     def _closed(self, end: int, reports: bool) -> bool:
         """The window that ends at ``end`` has closed: the result of every cohort."""
-        parts: list[Common | Joined] = []
+        parts: list[Common | Apart | Joined] = []
         if reports or self._windows.differs:
             for cohort in self._cohorts.values():
                 cohort.fold(end)

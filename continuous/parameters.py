@@ -47,6 +47,7 @@ from .logical import (
     walk,
     with_inputs,
 )
+from .printing import show
 from .timestamps import names_now
 
 Step: TypeAlias = Project | Filter | Extend | Distinct
@@ -257,9 +258,10 @@ def confined(plan: Plan, names: Collection[str], streamed: Collection[str]) -> b
 
 def described(joint: Joint, reasons: Mapping[str, str]) -> list[str]:
     """The parameters and what becomes of them, for people."""
-    lines = [f"?{name}: joined, patterns bind it" for name in joint.joined]
+    lines = [f"{show(Var(name))}: joined, patterns bind it" for name in joint.joined]
     search = joint.search
     for name in joint.compared:
         sought = search is not None and search.limit == name
-        lines.append(f"?{name}: compared, {'found by order' if sought else 'a solution at a time'}")
+        how = "found by order" if sought else "a solution at a time"
+        lines.append(f"{show(Var(name))}: compared, {how}")
     return lines + [f"?{name}: fixed, {reason}" for name, reason in reasons.items()]

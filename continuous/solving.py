@@ -19,7 +19,7 @@ from .columns import NeedsOxigraph
 from .execution import Execution, WindowRows
 from .explain import Stages
 from .flows import Flow
-from .heads import finish
+from .heads import finish, head_variables
 from .logical import Query
 from .oxigraph import OxigraphWindows
 from .pattern_sizes import Known
@@ -33,6 +33,7 @@ from .timestamps import asks_for_times, at_time
 from .translate import Graphs, translate
 from .unsupported import Unsupported
 from .windowing import Windowing
+from .windows import Schedule
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,10 +46,10 @@ class Reading:
     selects_all: bool
 
     @classmethod
-    def of(cls, query: ContinuousQuery, windows: Windowing) -> Reading:
+    def of(cls, query: ContinuousQuery, schedule: Schedule) -> Reading:
         """``query`` over these windows; raises ``ValueError`` where it makes no SPARQL."""
         asked = _with_rows_only(query)
-        graphs = Graphs(windows.schedule.named, query.static_named, query.window_variables)
+        graphs = Graphs(schedule.named, query.static_named, query.window_variables)
         shape = query_shape(query.sparql)
         selects_all = shape is not None and shape.selects_all
         return cls(body_sparql(asked), algebra(asked).algebra, graphs, selects_all)
@@ -86,7 +87,7 @@ class Solver:
         self.windows = windows
         self.static = static
         self.terms = static.terms
-        reading = Reading.of(query, windows)
+        reading = Reading.of(query, windows.schedule)
         self.oxigraph = OxigraphWindows(
             reading.sparql,
             reading.tree,
@@ -111,7 +112,7 @@ class Solver:
             plan, self.rules = optimize(self.translated.plan)
             self.execution = Execution(plan, windows, static, folds=folds)
             if alone:
-                self.execution.join_patterns(self.translated.head)
+                self.execution.join_patterns(head_variables(self.translated.head))
         except Unsupported as unsupported:
             self.reason = str(unsupported)
             if asks_for_times(reading.tree):

@@ -40,7 +40,7 @@ MERGE = "merge"
 C_SPARQL = "cSparql"
 """The transformation that evaluates a continuous query ([Events14 §V.B])."""
 SELECT_INSTANCE = "selectInstance"
-"""The transformation that selects a request's results from those of its template."""
+"""The transformation that selects a query's results from those of the queries that share one."""
 AnyUnit = TypeVar("AnyUnit", bound=ComputationalUnit)
 _NAMED = 20
 """So many streams are listed when an unknown one is asked for."""
@@ -248,8 +248,8 @@ class Configuration:
         ``build`` starts the unit; it is forgotten when it stops, and not shared once it failed or
         one of its inputs was removed.
         """
-        unit = self._shared.get(key)
-        if unit is None or self.is_broken(unit) or not self.reads_what_is_there(unit):
+        unit = self.shared(key)
+        if unit is None:
             unit = build()
             self._shared[key] = unit
             self._keys[unit] = key
@@ -264,12 +264,14 @@ class Configuration:
         return generator
 
     def reads_what_is_there(self, unit: ComputationalUnit) -> bool:
-        """Whether its inputs are the streams of their names still, behind policies too."""
+        """Whether its inputs are the streams of their names still, behind policies too, and behind
+        a query that it shares."""
         for source in unit.inputs:
             if self.streams.get(source.name) is not source:
                 return False
             producer = self.units.get(source.name)
-            if producer is None or producer.transformation != POLICY:
+            is_part = unit.transformation == SELECT_INSTANCE
+            if producer is None or not (is_part or producer.transformation == POLICY):
                 continue
             if not self.reads_what_is_there(producer):
                 return False
@@ -463,8 +465,14 @@ class Configuration:
 
     def is_shared(self, key: Hashable) -> bool:
         """Whether there is a running unit for ``key``; see `share`."""
+        return self.shared(key) is not None
+
+    def shared(self, key: Hashable) -> ComputationalUnit | None:
+        """The running unit that whoever wants ``key`` gets, if there is one; see `share`."""
         unit = self._shared.get(key)
-        return unit is not None and not self.is_broken(unit) and self.reads_what_is_there(unit)
+        if unit is None or self.is_broken(unit) or not self.reads_what_is_there(unit):
+            return None
+        return unit
 
     def key_of(self, unit: ComputationalUnit) -> Hashable | None:
         """What a running unit was built for; None if it is not shared. See `share`."""

@@ -163,14 +163,18 @@ def running_query(
     matches: Sequence[Match],
     plan: str,
     evaluation: str,
+    alone: str,
 ) -> str:
     """A continuous query at work: its text, the streams that it names with what they contain or
-    how its streams were found, what runs, and how windows are evaluated."""
+    how its streams were found, what runs, and how windows are evaluated: ``alone``, because …, or
+    ("") together with other queries, as ``evaluation`` says."""
     parts = [f"registered\n{_indent(source)}"]
     if read:
         parts.append("streams\n" + "\n".join(_indent(each.source or each.stream) for each in read))
     if matches:
         parts.append("semantic matching\n" + "\n".join(_indent(render(m)) for m in matches))
+    if alone:
+        evaluation = f"by itself: {alone}\n\n{evaluation}"
     return "\n\n".join([*parts, f"units\n{_indent(plan)}", f"evaluation\n{_indent(evaluation)}"])
 
 

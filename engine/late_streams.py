@@ -78,8 +78,7 @@ class LateStreams:
             output = self._find(f"{LATE}_".join(parts[:i]))
             source = self._find(f"{LATE}_".join(parts[i:]))
             unit = None if output is None else self._units.get(output.name)
-            if unit is not None and source in unit.sources and unit.waits_for_all:
-                assert source is not None
+            if unit is not None and source is not None and source in unit.late_inputs:
                 yield _Origin(source, unit)
 
     def belonging_to(self, name: str) -> tuple[str, ...]:
@@ -95,7 +94,7 @@ class LateStreams:
         if origin.unit is None:
             origin.source.late_stream = None
         else:
-            del origin.unit.late_streams[origin.source]
+            origin.unit.forget_late(origin.source)
 
     def source_of(self, name: str) -> str | None:
         """The stream whose late samples stream ``name`` has; None if it has no such."""

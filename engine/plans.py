@@ -27,6 +27,7 @@ from ..matching.plan import (
     Synchronize,
     UseStream,
     annotation_of,
+    expanded,
     nodes_of,
 )
 from ..matching.space import StreamSpace
@@ -158,6 +159,13 @@ class Plans:
             and name not in self._broken
             and not any(map(self._is_particular, nodes_of(node)))
         }
+
+    def made_from(self, matches: Sequence[Match]) -> tuple[Supply, ...]:
+        """What the matches found, with what makes a stream instead of the stream: whether it has
+        been made for somebody already is no difference between those who ask."""
+        made = self.shared(Since.NOW)
+        found = (match.supply for match in matches if match.supply is not None)
+        return tuple(expanded(supply, made) for supply in found)
 
     def _is_particular(self, node: Node) -> bool:
         """Whether matching would not come to it by itself, with all that it is made from."""

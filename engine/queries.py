@@ -5,14 +5,21 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Generic
+from functools import partial
+from typing import Generic, TypeAlias
 
 from pyoxigraph import Variable
 
+from ..continuous.alike import AlikeEvaluator, worth_from
+from ..continuous.columns import TermValues
 from ..continuous.evaluator import ContinuousEvaluator
+from ..continuous.flows import Flow
 from ..continuous.instances import TemplateEvaluator
+from ..continuous.lifting import Pattern
 from ..continuous.options import Options
 from ..continuous.results import WindowResult
+from ..continuous.shared_windows import SharedWindows
+from ..continuous.sources import StaticSide
 from ..converters.to_triples import SampleConverter
 from ..languages.csparql import format_query, with_streams
 from ..languages.csparql.ast import ContinuousQuery
@@ -23,6 +30,7 @@ from ..ontology.units import Unit
 from ..rdf.dictionary import Term, TermDictionary
 from ..streams.generator import StreamGenerator
 from . import explain as explanations
+from .alike import Kin
 from .configuration import C_SPARQL, SELECT_INSTANCE, AnyUnit, Configuration
 from .results import ResultForm, result_form
 from .template_unit import TALLY, InstanceUnit, TemplateUnit
@@ -39,6 +47,10 @@ class Manner:
     options: Options = field(default_factory=Options)
     hear: Callable[[WindowResult], None] | None = None
 
+
+Read: TypeAlias = Mapping[StreamGenerator, SampleConverter]
+"""Streams that a query names, each with the converter of all that it says."""
+_OTHERS = "# and queries that differ from this one in constants\n"
 
 EVENT = Manner()
 """How the query of an event runs."""
@@ -90,17 +102,9 @@ class Queries:
     def start_template(self, query: ContinuousQuery, supplies: Sequence[Supply]) -> TemplateUnit:
         """Start the query of a template, its parameters free, over what the supplies ask for."""
         inputs, converters = self._read(supplies, Since.NOW)
-
-        def make(output: StreamGenerator) -> TemplateUnit:
-            named = replace(with_streams(query, list(inputs)), name=output.name)
-            sources, text = list(inputs.values()), format_query(named)
-            return TemplateUnit(
-                *self._configuration.identity(C_SPARQL, sources, output, {"query": text}),
-                evaluator=self._evaluator(named, list(inputs)),
-                converters=converters,
-            )
-
-        return self._configuration.start_query(TALLY, make)
+        query = with_streams(query, list(inputs))
+        evaluator = self._evaluator(query, list(inputs))
+        return self._start_shared(query, inputs, converters, evaluator)
 
     def start_instance(
         self,
@@ -111,6 +115,8 @@ class Queries:
     ) -> BuiltQuery[InstanceUnit]:
         """Start the part of ``query``, which is the template's with the arguments of ``request``
         (its text); ``supplies`` are those it would have by itself."""
+        evaluator = template.evaluator
+        assert isinstance(evaluator, TemplateEvaluator)
         form = self.form(query)
         query = with_streams(query, [source.name for source in template.inputs])
 
@@ -120,12 +126,57 @@ class Queries:
             return InstanceUnit(
                 *self._configuration.identity(SELECT_INSTANCE, [template.output], output, given),
                 template=template,
-                arguments=query.bindings,
+                enter=partial(evaluator.add, query.bindings),
+                evaluation=evaluator.explain,
                 results=form.converter(output.stream.pools),
             )
 
         unit = self._configuration.start_query(form.schema, make)
         return _built(unit, query, form, supplies)
+
+    def worth_from(self, kin: Kin, flows: Mapping[str, Flow], pattern: Pattern) -> int:
+        """From how many queries on that fit ``pattern`` it is likely to be cheaper to compute them
+        together; ``flows`` is what is known of their streams."""
+        background = explanations.closed_ontology(self._ontology, kin.form.static_named)
+        static = StaticSide(background, TermValues(self._dictionary))
+        return worth_from(kin.form, pattern, kin.constants, static, flows)
+
+    def start_alike(
+        self, query: ContinuousQuery, kin: Kin, pattern: Pattern, read: Read | Sequence[Supply]
+    ) -> TemplateUnit:
+        """Start what the queries have in common whose constants fit ``pattern``; ``query`` is one
+        of them, which reads ``read``."""
+        inputs, converters = self._of(read)
+        query = with_streams(query, list(inputs)) if not query.streams else query
+        background = explanations.closed_ontology(self._ontology, query.static_named)
+        evaluator = AlikeEvaluator(
+            query, kin.form, pattern, self._dictionary, background, list(inputs)
+        )
+        return self._start_shared(query, inputs, converters, evaluator, _OTHERS)
+
+    def start_member(
+        self, shared: TemplateUnit, query: ContinuousQuery, kin: Kin, manner: Manner
+    ) -> InstanceUnit:
+        """Start the part of ``query`` in what it has in common with others."""
+        evaluator = shared.evaluator
+        assert isinstance(evaluator, AlikeEvaluator)
+        form = self.form(query)
+        text = query.source.strip() if query.streams else None
+        if text is None:
+            query = with_streams(query, [source.name for source in shared.inputs])
+
+        def make(output: StreamGenerator) -> InstanceUnit:
+            given = {"query": text or format_query(replace(query, name=output.name))}
+            return InstanceUnit(
+                *self._configuration.identity(SELECT_INSTANCE, [shared.output], output, given),
+                template=shared,
+                enter=partial(evaluator.add, query, kin.constants),
+                evaluation=lambda: evaluator.explain_of(kin.constants, shared.flows()),
+                results=form.converter(output.stream.pools),
+                hear=manner.hear,
+            )
+
+        return self._configuration.start_query(form.schema, make, Since.NOW, manner.name)
 
     def agreement(
         self,
@@ -144,6 +195,33 @@ class Queries:
     def _evaluator(self, query: ContinuousQuery, inputs: Sequence[str]) -> TemplateEvaluator:
         background = explanations.closed_ontology(self._ontology, query.static_named)
         return TemplateEvaluator(query, self._dictionary, background, inputs)
+
+    def _start_shared(
+        self,
+        query: ContinuousQuery,
+        inputs: Mapping[str, StreamGenerator],
+        converters: Mapping[str, Sequence[SampleConverter]],
+        evaluator: SharedWindows,
+        told: str = "",
+    ) -> TemplateUnit:
+        def make(output: StreamGenerator) -> TemplateUnit:
+            text = told + format_query(replace(query, name=output.name))
+            sources = list(inputs.values())
+            return TemplateUnit(
+                *self._configuration.identity(C_SPARQL, sources, output, {"query": text}),
+                evaluator=evaluator,
+                converters=converters,
+            )
+
+        return self._configuration.start_query(TALLY, make)
+
+    def _of(
+        self, read: Read | Sequence[Supply]
+    ) -> tuple[dict[str, StreamGenerator], Mapping[str, Sequence[SampleConverter]]]:
+        if not isinstance(read, Mapping):
+            return self._read(read, Since.NOW)
+        converters = {generator.name: [converter] for generator, converter in read.items()}
+        return {generator.name: generator for generator in read}, converters
 
     def _read(
         self, supplies: Sequence[Supply], since: Since
@@ -179,14 +257,13 @@ class Queries:
     def start_over(
         self,
         query: ContinuousQuery,
-        read: Mapping[StreamGenerator, SampleConverter],
+        read: Read,
         since: Since,
         manner: Manner,
     ) -> QueryUnit:
         """Start a query over the streams that its clauses name, by their own names; ``read`` gives
         each with the converter of all that it says."""
-        inputs = {generator.name: generator for generator in read}
-        converters = {generator.name: [converter] for generator, converter in read.items()}
+        inputs, converters = self._of(read)
         form = self.form(query)
         return self._start(query, inputs, converters, form, since, manner, query.source.strip())
 

@@ -35,6 +35,7 @@ from .knowing import checked_strategy, did_you_mean
 from .plans import Plans
 from .registrations import Asked, Registration, check_same, registration_of
 from .starting import Started, Starter, told_as_arguments
+from .template_unit import InstanceUnit, TemplateUnit
 from .unit import QueryUnit
 from .views import QueryView, Since
 
@@ -50,7 +51,7 @@ class _Running:
     users: int = 1
 
     @property
-    def unit(self) -> QueryUnit:
+    def unit(self) -> QueryUnit | InstanceUnit:
         return self.started.unit
 
 
@@ -196,7 +197,7 @@ class RegisteredQueries:
             view,
             stream=output.name,
             fields=output.schema.fields,
-            reads=tuple(source.name for source in unit.inputs),
+            reads=tuple(source.name for source in unit.reads),
             position=output.stream.last_number,
             waits_for=explanations.waits_for(self._configuration, unit),
             watermark=unit.least_watermark,
@@ -239,6 +240,7 @@ class RegisteredQueries:
             running.started.matches,
             explanations.plan_text(self._configuration, running.unit),
             running.unit.explain(),
+            running.started.alone,
         )
 
     def explain(self, text: str) -> str:
@@ -346,17 +348,21 @@ class RegisteredQueries:
     def _readers(self, running: _Running) -> tuple[str, ...]:
         if self._configuration.units.get(running.name) is not running.unit:
             return ()
-        units = {unit.name: stream for stream, unit in self._configuration.units.items()}
-        readers = self._configuration.readers_of(running.name)
-        return tuple(
-            f"query {units[reader]}" if units.get(reader) in self._running else reader
-            for reader in readers
-        )
+        streams = {unit.name: stream for stream, unit in self._configuration.units.items()}
+        told: dict[str, None] = {}
+        for reader in self._configuration.readers_of(running.name):
+            made = [streams.get(reader, "")]
+            if isinstance(self._configuration.units.get(made[0]), TemplateUnit):
+                # It reads for those that share it.
+                parts = self._configuration.readers_of(made[0])
+                made = [streams.get(part, part) for part in parts]
+            queries = [stream for stream in made if stream in self._running]
+            told |= dict.fromkeys([f"query {name}" for name in queries] or [reader])
+        return tuple(told)
 
     def _stop(self, running: _Running) -> None:
         del self._running[running.name]
-        if self._configuration.units.get(running.name) is running.unit:
-            self._configuration.remove_unit(running.unit)
+        self._starter.stop(running.name, running.started)
 
 
 def _number_of(item: tuple[str, _Lost]) -> int:

@@ -21,7 +21,6 @@ from ..matching.plan import (
     SelectObject,
     Supply,
     Synchronize,
-    expanded,
     nodes_of_supply,
 )
 from ..ontology.ontology import Ontology
@@ -78,7 +77,7 @@ class Sharing:
         """
         if not query.bindings:
             return None
-        own = self._made_from(matches)
+        own = self._plans.made_from(matches)
         selected = _selected(own, query.bindings)
         fixed = self._agreement(template, query, own, selected)
         if fixed is None:
@@ -148,7 +147,7 @@ class Sharing:
             # Nothing else finds these objects.
             return None
         found = self._plans.match(wants, strategy, self._plans.unusable(Since.NOW))
-        every = self._made_from(found)
+        every = self._plans.made_from(found)
         if len(every) != len(supplies) or _elements(every) != _elements(supplies):
             return None
         same = all(
@@ -157,13 +156,6 @@ class Sharing:
             for mine, other in zip(supplies, every, strict=True)
         )
         return every if same else None
-
-    def _made_from(self, matches: Sequence[Match]) -> tuple[Supply, ...]:
-        """What the matches found, with what makes a stream instead of the stream: whether it has
-        been made for somebody already is no difference between requests."""
-        made = self._plans.shared(Since.NOW)
-        found = (match.supply for match in matches if match.supply is not None)
-        return tuple(expanded(supply, made) for supply in found)
 
 
 def _selected(supplies: Sequence[Supply], bindings: Mapping[Variable, Term]) -> frozenset[str]:

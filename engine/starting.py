@@ -4,22 +4,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 
+from ..continuous.alike import Unshared, form_of
 from ..continuous.flows import Flow
+from ..continuous.lifting import Pattern
 from ..converters.to_triples import SampleConverter
+from ..languages.csparql import with_streams
 from ..languages.csparql.ast import ContinuousQuery
 from ..languages.ssl.annotation import Content, StreamAnnotation
 from ..matching.match import Match
-from ..matching.plan import annotation_of
+from ..matching.plan import Supply, annotation_of
 from ..matching.space import StreamSpace
 from ..matching.want import THING
 from ..ontology.ontology import Ontology
 from ..rdf.dictionary import TermDictionary
+from ..streams.generator import StreamGenerator
 from ..templates.library import TemplateLibrary
 from ..templates.needs import Needs, NeedsError
+from .alike import Alikes, Kin, shared_key
 from .configuration import Configuration
 from .errors import BadArguments, NoPlan
 from .finding import check_graphs, find_streams, mean_the_same
@@ -30,20 +36,25 @@ from .reading import Reading, read_streams, stream_called
 from .registrations import Asked
 from .results import check_head, head_role, result_form
 from .stream_view import flow_of
+from .template_unit import InstanceUnit, TemplateUnit
 from .unit import QueryUnit
+from .views import Since
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Started:
     """A query at work. ``matches`` say how its streams were found, ``reads`` which it names: one of
     the two is empty. ``converter`` makes the triples of its head of its samples; None of a table.
+    ``kin`` says with whom it could share, None: with nobody; ``alone``, why it does not, if so.
     """
 
-    unit: QueryUnit
+    unit: QueryUnit | InstanceUnit
     kept: KeptWindows
     matches: tuple[Match, ...]
     reads: tuple[Reading, ...]
     converter: SampleConverter | None
+    kin: Kin | None
+    alone: str
 
 
 class Starter:
@@ -70,6 +81,7 @@ class Starter:
         self._plans = plans
         self._space = space
         self._converter_of = converter_of
+        self._alikes = Alikes(configuration.shared)
 
     def start(self, name: str, query: ContinuousQuery, asked: Asked) -> Started:
         """Start ``query`` with the stream ``name``; raises as `RegisteredQueries.register`, and
@@ -86,18 +98,77 @@ class Starter:
         converter = self._back(name, query, _contents(matches, reads))
         kept = KeptWindows()
         manner = Manner(name, asked.options, kept.keep)
+        kin, pattern, alone = self._kin(query, reads, matches, asked)
         try:
             with told_as_arguments():
-                if reads:
-                    read = {each.generator: each.converter for each in reads}
-                    unit = self._plans.queries.start_over(query, read, asked.since, manner)
+                unit: QueryUnit | InstanceUnit
+                if kin is not None and pattern is not None:
+                    unit = self._join(query, kin, pattern, reads, matches, manner)
+                elif reads:
+                    unit = self._plans.queries.start_over(query, _read(reads), asked.since, manner)
                 else:
-                    supplies = [match.supply for match in matches if match.supply is not None]
+                    supplies = _supplies(matches)
                     unit = self._plans.queries.start(query, supplies, asked.since, manner).unit
         except Exception:
             self._configuration.release_unused()
             raise
-        return Started(unit, kept, matches, reads, converter)
+        if kin is not None and pattern is None:
+            self._alikes.began_alone(name, kin)
+        return Started(unit, kept, matches, reads, converter, kin, alone)
+
+    def stop(self, name: str, started: Started) -> None:
+        """Stop a query, if it is the one of this name still."""
+        if self._configuration.units.get(name) is started.unit:
+            self._configuration.remove_unit(started.unit)
+        if started.kin is not None:
+            self._alikes.ended(name, started.kin)
+
+    def _kin(
+        self,
+        query: ContinuousQuery,
+        reads: Sequence[Reading],
+        matches: Sequence[Match],
+        asked: Asked,
+    ) -> tuple[Kin | None, Pattern | None, str]:
+        """With whom the query could share, what it does share, and why it shares nothing."""
+        try:
+            if asked.since is not Since.NOW:
+                raise Unshared("it begins with the past of its streams")
+            streams: Hashable = tuple((each.generator, each.annotation) for each in reads)
+            inputs = list(dict.fromkeys(each.name for each in reads))
+            if not reads:
+                # What streams are called makes no difference between queries.
+                streams, inputs = self._plans.made_from(matches), ["any"]
+                query = with_streams(query, inputs)
+            form, constants = form_of(query, inputs, asked.options)
+        except (Unshared, ValueError) as unshared:
+            return None, None, str(unshared)
+        kin = Kin(streams, form, constants)
+        known = ((one.name, flow_of(one.generator, [one.annotation])) for one in reads)
+        flows = {name: flow for name, flow in known if flow is not None}
+        try:
+            worth_from = partial(self._plans.queries.worth_from, kin, flows)
+            return kin, self._alikes.pattern(kin, worth_from), ""
+        except Unshared as unshared:
+            return kin, None, str(unshared)
+
+    def _join(
+        self,
+        query: ContinuousQuery,
+        kin: Kin,
+        pattern: Pattern,
+        reads: Sequence[Reading],
+        matches: Sequence[Match],
+        manner: Manner,
+    ) -> InstanceUnit:
+        """Start the part of a query in what it shares with others, and that, if it is not there."""
+        queries = self._plans.queries
+        read = _read(reads) if reads else _supplies(matches)
+        shared = self._configuration.share(
+            shared_key(kin, pattern), lambda: queries.start_alike(query, kin, pattern, read)
+        )
+        assert isinstance(shared, TemplateUnit)
+        return queries.start_member(shared, query, kin, manner)
 
     def needs(self, query: ContinuousQuery) -> Needs:
         """What a query needs that names no streams; raises `NoPlan`."""
@@ -160,6 +231,14 @@ def told_as_arguments() -> Iterator[None]:
         if type(error) is not ValueError:  # an error of a language has a place of its own
             raise
         raise BadArguments(str(error)) from error
+
+
+def _read(reads: Sequence[Reading]) -> dict[StreamGenerator, SampleConverter]:
+    return {each.generator: each.converter for each in reads}
+
+
+def _supplies(matches: Sequence[Match]) -> list[Supply]:
+    return [match.supply for match in matches if match.supply is not None]
 
 
 def _contents(matches: Sequence[Match], reads: Sequence[Reading]) -> Sequence[Content]:

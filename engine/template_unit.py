@@ -1,23 +1,22 @@
-"""The query of a template, evaluated once for many requests ([Events14 §V.B], DESIGN §3 "Sharing").
+"""A query that is evaluated once for many ([Events14 §V.B], DESIGN §3 "Sharing"): that of a
+template for its requests, or what registered queries have in common.
 
-A `TemplateUnit` reads the streams and keeps the windows. Each request that it serves has an
-`InstanceUnit`, which makes the request's stream out of its part of the results.
+A `TemplateUnit` reads the streams and keeps the windows. Each request or query that it serves has
+an `InstanceUnit`, which makes its stream out of its part of the results.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from pyoxigraph import Variable
 
 from ..continuous.instance_results import InstanceResults
-from ..continuous.instances import TemplateEvaluator
 from ..continuous.results import WindowResult
+from ..continuous.shared_windows import SharedWindows
 from ..converters.to_samples import ResultConverter
 from ..converters.to_triples import SampleConverter
-from ..rdf.dictionary import Term
 from ..streams.generator import StreamGenerator
 from ..streams.sample import Column, Field, FieldType, SampleBatch, Schema
 from ..streams.time import TIME_MIN
@@ -31,38 +30,75 @@ many of them had a result."""
 
 
 class TemplateUnit(WindowUnit):
-    """The instances of one template over the same streams, as one query (`TemplateEvaluator`).
+    """The instances of one template (`TemplateEvaluator`), or queries that differ in constants
+    (`AlikeEvaluator`), over the same streams, as one query.
 
-    Law (tests/laws/test_shared_requests.py): the stream of a request says what it would say had the
-    request a unit of its own, from the first window on that begins after the request; of the
-    windows that were open then it knows the samples before it as well.
+    Law (tests/laws/test_shared_requests.py, test_shared_queries.py): the stream of a request or
+    query says what it would say had it a unit of its own, from the first window on that begins
+    after it came; of the windows that were open then it knows the samples before it as well. So do
+    the results that are kept of a registered query.
 
-    Cost: a window as `TemplateEvaluator` says, then some 0.2 ms for each instance that has a result
-    in it; a promise of time only reaches the streams that somebody follows.
+    Cost: a window as the evaluator says, then some 0.2 ms for each instance that has a result in
+    it, and a microsecond for any other whose results are kept; a promise of time only reaches the
+    streams that somebody follows.
     """
 
     def __init__(
         self,
         *args: Any,
-        evaluator: TemplateEvaluator,
+        evaluator: SharedWindows,
         converters: Mapping[str, Sequence[SampleConverter]],
     ) -> None:
         super().__init__(*args, evaluator=evaluator, converters=converters)
-        self.evaluator: TemplateEvaluator = evaluator
+        self.evaluator: SharedWindows = evaluator
         self._instances: dict[int, InstanceUnit] = {}
         self._followed: set[InstanceUnit] = set()
+        self._heard: dict[int, Callable[[WindowResult], None]] = {}
+        """Who hears of all results of an instance, of those without solutions as well."""
+        self._late_of_instances: dict[StreamGenerator, dict[InstanceUnit, StreamGenerator]] = {}
         self._sent = TIME_MIN
 
-    def add(self, instance: InstanceUnit, arguments: Mapping[Variable, Term]) -> int:
-        """A new instance, by its number; it has results from the next window on."""
-        number = self.evaluator.add(arguments)
+    def add(self, instance: InstanceUnit, number: int) -> None:
+        """A new instance, with its number in the evaluator; it has results from the next window
+        on."""
         self._instances[number] = instance
-        return number
+        if instance.hear is not None:
+            self._heard[number] = instance.hear
 
     def remove(self, number: int) -> None:
         """The instance with this number is no more."""
-        self._followed.discard(self._instances.pop(number))
+        instance = self._instances.pop(number)
+        self._followed.discard(instance)
+        self._heard.pop(number, None)
+        for sides in self._late_of_instances.values():
+            sides.pop(instance, None)
         self.evaluator.remove(number)
+
+    def pass_late_of(
+        self, instance: InstanceUnit, source: StreamGenerator, side: StreamGenerator
+    ) -> None:
+        """From now on ``side`` gets the samples of ``source`` that are late for ``instance``."""
+        self._late_of_instances.setdefault(source, {})[instance] = side
+        self.tell_late(source, side)
+
+    def keep_late_of(self, instance: InstanceUnit, source: StreamGenerator) -> None:
+        """Those of ``instance`` are only counted again."""
+        self._late_of_instances[source].pop(instance, None)
+
+    def late_streams_of(self, source: StreamGenerator) -> Sequence[StreamGenerator]:
+        own = super().late_streams_of(source)
+        return (*own, *self._late_of_instances.get(source, {}).values())
+
+    @property
+    def waits_as_its_inputs_do(self) -> bool:
+        """Whether samples that are in time for the inputs are in time for the windows: not so when
+        an input has ended, and with it all windows, and may go on."""
+        for source in self.sources:
+            limit = self.evaluator.limit(source.name)
+            known = source.watermark
+            if limit is not None and not source.is_idle and (known is None or limit >= known):
+                return False
+        return True
 
     def follow(self, instance: InstanceUnit, followed: bool) -> None:
         """Somebody reads an instance's stream and has to hear of time, or nobody any more."""
@@ -118,6 +154,12 @@ class TemplateUnit(WindowUnit):
                 result = window.of(number)
                 if instance is not None and result is not None:
                     instance.tell(result)
+            if self._heard:
+                for numbers, nothing in window.silent():
+                    for number in numbers.tolist():
+                        hear = self._heard.get(number)
+                        if hear is not None:
+                            hear(nothing)
             self._tally(window.end, len(answered))
 
     def _tally(self, end: int, answered: int) -> None:
@@ -131,10 +173,11 @@ class TemplateUnit(WindowUnit):
 
 
 class InstanceUnit(ComputationalUnit):
-    """The part of a request in the results of its template, as samples.
+    """The part of a request or query in the results of those that share one, as samples.
 
     Its template tells it what it has to know: it does not subscribe to that one's stream, which
-    says other things.
+    says other things. ``enter`` gives it a number in the template's evaluator, ``evaluation``
+    explains that for people; ``hear`` is told the result of each window as the query gave it.
     """
 
     waits_for_all = False
@@ -143,26 +186,50 @@ class InstanceUnit(ComputationalUnit):
         self,
         *args: Any,
         template: TemplateUnit,
-        arguments: Mapping[Variable, Term],
+        enter: Callable[[], int],
+        evaluation: Callable[[], str],
         results: ResultConverter,
+        hear: Callable[[WindowResult], None] | None = None,
     ) -> None:
         super().__init__(*args)
+        self.hear = hear
         self._template = template
-        self._arguments = dict(arguments)
-        self._answer = Answer(self.output, results)
+        self._enter = enter
+        self._evaluation = evaluation
+        self._answer = Answer(self.output, results, hear)
         self._number: int | None = None
 
     def connect(self, source: StreamGenerator) -> None:
-        self._number = self._template.add(self, self._arguments)
+        self._number = self._enter()
+        self._template.add(self, self._number)
         self.output.on_followed = lambda followed: self._template.follow(self, followed)
         if source.is_ended:
             self.output.end()
         elif source.is_idle:
             self.output.fall_idle()
 
+    @property
+    def reads(self) -> Sequence[StreamGenerator]:
+        """The streams whose samples are in the windows."""
+        return self._template.reads
+
+    @property
+    def least_watermark(self) -> int | None:
+        return self._template.least_watermark
+
+    @property
+    def late_inputs(self) -> Sequence[StreamGenerator]:
+        return self._template.late_inputs
+
+    def pass_late_to(self, source: StreamGenerator, side: StreamGenerator) -> None:
+        self._template.pass_late_of(self, source, side)
+
+    def forget_late(self, source: StreamGenerator) -> None:
+        self._template.keep_late_of(self, source)
+
     def explain(self) -> str:
         """The query with its arguments, and how it is evaluated together with others."""
-        return f"{self.parameters['query'].rstrip()}\n\n{self._template.evaluator.explain()}"
+        return f"{self.parameters['query'].rstrip()}\n\n{self._evaluation()}"
 
     def tell(self, result: WindowResult) -> None:
         """Its result of a window."""

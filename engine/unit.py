@@ -15,8 +15,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ..continuous.evaluator import ContinuousEvaluator
-from ..continuous.instances import TemplateEvaluator
+from ..continuous.flows import Flow
 from ..continuous.results import WindowResult
+from ..continuous.shared_windows import SharedWindows
 from ..converters.objects import ObjectTable
 from ..converters.to_samples import ResultConverter
 from ..converters.to_triples import SampleConverter
@@ -187,8 +188,7 @@ class ComputationalUnit(ABC):
         if known is not None and watermark <= known:
             return
         self._watermarks[source] = watermark
-        late = self.late_streams.get(source)
-        if late is not None:
+        for late in self.late_streams_of(source):
             late.advance(watermark)
         self._guarded(lambda: self.progress(source, watermark))
 
@@ -203,8 +203,7 @@ class ComputationalUnit(ABC):
         """An input has come to its end; with the last one so does the output."""
         self._ended.add(source)
         self._guarded(lambda: self.finish(source))
-        late = self.late_streams.get(source)
-        if late is not None:
+        for late in self.late_streams_of(source):
             late.end()
         if self._idle:
             self._leave_idle_behind()
@@ -214,8 +213,7 @@ class ComputationalUnit(ABC):
         if self._until is not None:
             return
         self._guarded(lambda: self.resume(source))
-        late = self.late_streams.get(source)
-        if late is not None:
+        for late in self.late_streams_of(source):
             late.resume()
         if self.failure is None:
             self.output.resume()
@@ -275,9 +273,27 @@ class ComputationalUnit(ABC):
             self._leave_inputs()
             self._on_failure(self)
 
+    @property
+    def late_inputs(self) -> Sequence[StreamGenerator]:
+        """The streams whose samples may come too late for what the unit makes."""
+        return self.sources if self.waits_for_all else ()
+
+    def late_streams_of(self, source: StreamGenerator) -> Sequence[StreamGenerator]:
+        """Those that take the late samples of an input."""
+        late = self.late_streams.get(source)
+        return () if late is None else (late,)
+
+    def forget_late(self, source: StreamGenerator) -> None:
+        """The late samples of ``source`` are only counted again."""
+        del self.late_streams[source]
+
     def pass_late_to(self, source: StreamGenerator, side: StreamGenerator) -> None:
         """From now on ``side``, which has the fields of ``source``, gets its late samples."""
         self.late_streams[source] = side
+        self.tell_late(source, side)
+
+    def tell_late(self, source: StreamGenerator, side: StreamGenerator) -> None:
+        """Tell ``side``, which begins to take late samples, how far ``source`` is."""
         known = self._watermarks.get(source)
         if known is not None:
             side.advance(known)
@@ -296,8 +312,7 @@ class ComputationalUnit(ABC):
         kept = batch.available > decided
         late = batch.take(~kept)
         self.late += len(late)
-        side = self.late_streams.get(source)
-        if side is not None:
+        for side in self.late_streams_of(source):
             came = max(self._before, min(decided, TIME_MAX - 1) + 1)
             moments = np.full(len(late), came, np.int64)
             side.offer(late.with_available(side.stamps_at(moments)))
@@ -404,12 +419,27 @@ class WindowUnit(ComputationalUnit):
     def __init__(
         self,
         *args: Any,
-        evaluator: ContinuousEvaluator | TemplateEvaluator,
+        evaluator: ContinuousEvaluator | SharedWindows,
         converters: Mapping[str, Sequence[SampleConverter]],
     ) -> None:
         super().__init__(*args)
         self.evaluator = evaluator
         self._converters = converters
+
+    @property
+    def reads(self) -> Sequence[StreamGenerator]:
+        """The streams whose samples are in the windows."""
+        return self.inputs
+
+    def flows(self) -> dict[str, Flow]:
+        """What may be expected of the inputs, by name."""
+        flows = {}
+        for source in self.sources:
+            read = (converter.annotation for converter in self._converters[source.name])
+            flow = flow_of(source, read)
+            if flow is not None:
+                flows[source.name] = flow
+        return flows
 
     def process(self, source: StreamGenerator, batch: SampleBatch) -> None:
         limit = self.evaluator.limit(source.name)
@@ -430,17 +460,25 @@ class Answer:
 
     A result becomes available right after its window's end, which is its valid time; after the
     results before it, where windows end closer together than they have solutions: available times
-    are unique.
+    are unique. ``hear`` is told the result of each window as the query gave it.
     """
 
-    def __init__(self, output: StreamGenerator, results: ResultConverter) -> None:
+    def __init__(
+        self,
+        output: StreamGenerator,
+        results: ResultConverter,
+        hear: Callable[[WindowResult], None] | None = None,
+    ) -> None:
         self.output = output
         self.results = results
+        self.hear = hear
         self._sent = TIME_MIN
         """The available time (ns) of the last sample."""
 
     def give(self, result: WindowResult) -> None:
         """The result of a window; windows come in order."""
+        if self.hear is not None:
+            self.hear(result)
         batch = self.results.convert(result, max(result.end, self._sent) + 1)
         if len(batch):
             self._sent = int(batch.available[-1])
@@ -449,9 +487,8 @@ class Answer:
 
 class QueryUnit(WindowUnit):
     """The C-SPARQL computational unit ([Events14 §V.B, Fig. 2]): samples in, converted to timed
-    triples, evaluated in windows, results converted back to samples (`Answer`).
-
-    ``hear`` is told the result of each window as the query gave it.
+    triples, evaluated in windows, results converted back to samples (`Answer`, which tells
+    ``hear``).
     """
 
     def __init__(
@@ -464,18 +501,11 @@ class QueryUnit(WindowUnit):
     ) -> None:
         super().__init__(*args, evaluator=evaluator, converters=converters)
         self.evaluator: ContinuousEvaluator = evaluator
-        self._answer = Answer(self.output, results)
-        self._hear = hear
+        self._answer = Answer(self.output, results, hear)
 
     def explain(self) -> str:
         """How the query is evaluated; its costs are estimated from the rates of its streams."""
-        flows = {}
-        for source in self.sources:
-            read = (converter.annotation for converter in self._converters[source.name])
-            flow = flow_of(source, read)
-            if flow is not None:
-                flows[source.name] = flow
-        return self.evaluator.explain(flows)
+        return self.evaluator.explain(self.flows())
 
     def progress(self, source: StreamGenerator, watermark: int) -> None:
         self._emit(self.evaluator.advance(source.name, watermark))
@@ -490,6 +520,4 @@ class QueryUnit(WindowUnit):
 
     def _emit(self, windows: Sequence[WindowResult]) -> None:
         for window in windows:
-            if self._hear is not None:
-                self._hear(window)
             self._answer.give(window)

@@ -257,11 +257,17 @@ def _replacements(tokens: Sequence[Token], expressions: Mapping[str, str]) -> li
 
 
 def _substituted(tokens: Sequence[Token], expressions: Mapping[str, str]) -> str:
-    parts = (
-        expressions.get(token.text[1:], token.text) if token.kind is Kind.VARIABLE else token.text
-        for token in tokens
-    )
-    return " ".join(parts)
+    parts: list[str] = []
+    before: Token | None = None
+    for token in tokens:
+        # A literal and its datatype or language are one term.
+        joined = token.is_mark("^^") or token.kind is Kind.LANGUAGE
+        joined = joined or (before is not None and before.is_mark("^^"))
+        parts.append("" if joined or before is None else " ")
+        name = token.text[1:] if token.kind is Kind.VARIABLE else ""
+        parts.append(expressions.get(name, token.text))
+        before = token
+    return "".join(parts)
 
 
 def _aggregate_edits(query: ContinuousQuery, shape: Shape, parameters: Sequence[str]) -> list[Edit]:

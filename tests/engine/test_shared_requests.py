@@ -89,6 +89,27 @@ def test_who_does_not_agree_on_what_the_plan_has_to_have_does_not_share(shared):
     assert [made_by(view)[-1] for view in views] == ["cSparql"] * 3 + ["selectInstance"]
 
 
+@pytest.mark.parametrize(
+    ("body", "window"),
+    [
+        ("SELECT ?o ?s WHERE { @ } ORDER BY DESC(?s)", "RANGE 1s STEP 1s"),
+        ("SELECT ?o ?s WHERE { @ }", "TRIPLES 3 STEP 2"),
+        ("SELECT ?o (RAND() AS ?x) WHERE { @ }", "RANGE 1s STEP 1s"),
+        ("CONSTRUCT { ?o dyknow:at [] } WHERE { @ }", "RANGE 1s STEP 1s"),
+    ],
+)
+def test_what_is_a_requests_own_is_not_shared(shared, body, window):
+    """The order of its solutions, windows that count from when it began."""
+    body = body.replace("@", "?o dyknow:speed ?s FILTER (?s > ?limit)")
+    shared.register_template(
+        "REGISTER TEMPLATE dyknow:OwnEvent(?limit) COMPUTE EVERY 1s AS "
+        f"PREFIX dyknow: <http://www.ida.liu.se/dyknow/> {body} WINDOW [{window}]"
+    )
+    texts = [f"dyknow:OwnEvent({limit})" for limit in (1, 2, 3)]
+    views = [shared.request_event(shared.parse_request(text)) for text in texts]
+    assert [made_by(view) for view in views] == [["cSparql"]] * 3
+
+
 def test_streams_that_are_made_for_somebody_are_the_same_streams(engine, high_speed, monkeypatch):
     monkeypatch.setattr(sharing, "SAME_STREAMS", 2)
     monkeypatch.setattr(sharing, "OWN_OBJECTS", 3)

@@ -140,6 +140,12 @@ def test_a_binding_joins_with_the_row_of_parameters(
         assert {answer[0] for answer in answers} == expected
 
 
+@pytest.mark.parametrize("limit", ['"100"^^xsd:integer', '"100"@en', "100"])
+def test_a_condition_on_an_aggregate_may_have_any_literal(limit: str) -> None:
+    query = parse_query(LISTING_3.replace("> 100", f"> {limit}"))
+    assert f"(AVG(?spd)) > {limit}" in body_sparql(query)
+
+
 def test_having_over_an_alias_is_the_aggregate() -> None:
     text = (
         "REGISTER STREAM s AS SELECT ?o (AVG(?v) AS ?a) (?a * 2 AS ?b) "
