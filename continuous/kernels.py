@@ -95,20 +95,21 @@ def _fold(
     return rows, used, int(touches)
 
 
-def read_only(kind: Any) -> Any:
-    """The type of an array argument of any stride, read-only ones (files, Arrow buffers) too."""
+def read_only(kind: Any, layout: str = "A") -> Any:
+    """The type of an array argument that may be read-only (a file, an Arrow buffer), of any stride
+    (``"A"``) or contiguous (``"C"``)."""
     from numba import types
 
-    return types.Array(kind, 1, "A", readonly=True)
+    return types.Array(kind, 1, layout, readonly=True)
 
 
-def _signature(value: str) -> Callable[[], Any]:
+def _signature(value: str, layout: str) -> Callable[[], Any]:
     def make() -> Any:
         from numba import types
 
         scalar = types.float64 if value == "float64" else types.int64
         ids = types.int32[::1]
-        rows = (read_only(types.int32), read_only(scalar), read_only(types.boolean))
+        rows = tuple(read_only(kind, layout) for kind in (types.int32, scalar, types.boolean))
         state = types.Array(scalar, 2, "C")
         tuple_of: Any = types.UniTuple
         return tuple_of(types.int64, 3)(
@@ -130,17 +131,22 @@ def _signature(value: str) -> Callable[[], Any]:
 def _times() -> Any:
     from numba import types
 
-    return types.boolean(read_only(types.int64))
+    return types.boolean(read_only(types.int64, "C"))
 
 
 _ascending_kernel = Kernel(_ascending, _times)
-_folds = {np.dtype(name): Kernel(_fold, _signature(name)) for name in ("float64", "int64")}
+_folds = {
+    (np.dtype(name), layout): Kernel(_fold, _signature(name, layout))
+    for name in ("float64", "int64")
+    for layout in ("C", "A")
+}
+"""By type of the values and layout: contiguous rows, as nearly all are, take a fifth less."""
 
 
 def ascending(times: NDArray[np.int64]) -> bool:
     """Whether no time is less than the one before."""
     if JIT and len(times) > 4096:
-        return bool(_ascending_kernel(times))
+        return bool(_ascending_kernel(np.ascontiguousarray(times)))
     return bool(np.all(times[1:] >= times[:-1]))
 
 
@@ -250,7 +256,8 @@ class RowFold:
         self._listed &= len(subjects) < groups.used
         self.reserve(max(groups.used, 256))
         mask = NO_SKIP if skip is None else skip
-        kernel, row = _folds[self.state.dtype], 0
+        contiguous = all(rows.flags.c_contiguous for rows in (subjects, values, mask))
+        kernel, row = _folds[self.state.dtype, "C" if contiguous else "A"], 0
         while True:
             groups.reserve(len(self.state))
             row, groups.used, self._count = kernel(

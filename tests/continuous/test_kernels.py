@@ -62,9 +62,9 @@ def test_the_twin_equals_the_compiled_kernel_over_many_groups(width: int) -> Non
     subjects = random.integers(0, 3000, 10_000).astype(np.int32)
     values, skip = random.normal(size=10_000), random.random(10_000) < 0.5
     values[::100] = np.nan
-    kernel = kernels._folds[np.dtype(np.float64)]
+    compiled = [kernels._folds[np.dtype(np.float64), layout] for layout in ("C", "A")]
     found = []
-    for run in (kernel, kernel.py_func):
+    for run in (*compiled, compiled[0].py_func):
         group_of, members = np.full(3000, -1, np.int32), np.zeros(3000, np.int32)
         state, touched = np.zeros((3000, width)), np.zeros(3001, np.int32)
         row, used, count = run(
@@ -72,7 +72,7 @@ def test_the_twin_equals_the_compiled_kernel_over_many_groups(width: int) -> Non
         )
         assert row == len(subjects)
         found.append((used, members.tolist(), touched[:count].tolist(), state.tobytes()))
-    assert found[0] == found[1]
+    assert found[0] == found[1] == found[2]
 
 
 def test_few_touched_groups_are_given_alone() -> None:
