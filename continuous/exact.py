@@ -43,7 +43,7 @@ def _add_values(
     values: Any,
     numbers: Any,
     start: int,
-    sign: int,
+    sign: float,
     grains: Any,
     inverse: Any,
 ) -> int:
@@ -54,24 +54,25 @@ def _add_values(
     depth = digits.shape[0]
     each = numbers.shape[0] > 0
     limit = grains[0] * 2.0**BITS
+    one = np.int64(sign)
     for i in range(start, values.shape[0]):
-        value = values[i]
+        value = sign * values[i]
         group = np.uint64(at[i])
         if not abs(value) < limit:
             return i
         rest = value
         for k in range(depth):
             part = np.int64(rest * inverse[k])
-            digits[k, group] += sign * part
+            digits[k, group] += part
             rest -= part * grains[k]
         if rest != 0.0:
             rest = value
             for k in range(depth):
                 part = np.int64(rest * inverse[k])
-                digits[k, group] -= sign * part
+                digits[k, group] -= part
                 rest -= part * grains[k]
             return i
-        counts[group] += sign * (np.int64(numbers[i]) if each else 1)
+        counts[group] += np.int64(sign * numbers[i]) if each else one
     return int(values.shape[0])
 
 
@@ -81,7 +82,7 @@ def _add_all(
     values: Any,
     numbers: Any,
     start: int,
-    sign: int,
+    sign: float,
     grains: Any,
     inverse: Any,
 ) -> int:
@@ -93,7 +94,7 @@ def _add_all(
         size = min(512, values.shape[0] - begin)
         large = 0
         for i in range(size):
-            rest[i] = values[begin + i]
+            rest[i] = sign * values[begin + i]
             large += not abs(rest[i]) < limit
         if large > 0:
             return begin
@@ -101,24 +102,24 @@ def _add_all(
             row = digits[k, begin : begin + size]
             for i in range(size):
                 part = np.int64(rest[i] * inverse[k])
-                row[i] += sign * part
+                row[i] += part
                 rest[i] -= part * grains[k]
         left = 0
         for i in range(size):
             left += rest[i] != 0.0
         if left > 0:
             for i in range(size):
-                rest[i] = values[begin + i]
+                rest[i] = sign * values[begin + i]
             for k in range(depth):
                 row = digits[k, begin : begin + size]
                 for i in range(size):
                     part = np.int64(rest[i] * inverse[k])
-                    row[i] -= sign * part
+                    row[i] -= part
                     rest[i] -= part * grains[k]
             return begin
         row = counts[begin : begin + size]
         for i in range(size):
-            row[i] += sign * np.int64(numbers[begin + i])
+            row[i] += np.int64(sign * numbers[begin + i])
     return int(values.shape[0])
 
 
@@ -143,11 +144,13 @@ def _add_signature(listed: bool) -> Callable[[], Any]:
     def make() -> Any:
         from numba import types
 
-        value, ints = read_only(types.float64), types.int64[::1]
+        # All groups are added in vectors, which takes contiguous columns.
+        value = read_only(types.float64, "A" if listed else "C")
+        ints = types.int64[::1]
         at = (read_only(types.int32),) if listed else ()
         scale = (types.float64[::1], types.float64[::1])
         totals = (types.Array(types.int64, 2, "C"), ints)
-        return types.int64(*totals, *at, value, value, types.int64, types.int64, *scale)
+        return types.int64(*totals, *at, value, value, types.int64, types.float64, *scale)
 
     return make
 
@@ -287,10 +290,11 @@ class FloatTotals(Totals):
             totals, scale = (self.digits, self.counts), (self._grains, self._inverse)
             some = _NO_NUMBERS if numbers is None else numbers
             if at is None:
-                stop: int = _add_all_kernel(*totals, values, some, start, sign, *scale)
+                columns = np.ascontiguousarray(values), np.ascontiguousarray(some)
+                stop: int = _add_all_kernel(*totals, *columns, start, float(sign), *scale)
             else:
                 where = at.astype(np.int32, copy=False)
-                stop = _add_kernel(*totals, where, values, some, start, sign, *scale)
+                stop = _add_kernel(*totals, where, values, some, start, float(sign), *scale)
             return stop
         if not np.all(np.abs(values) < self._limit):
             return start

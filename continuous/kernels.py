@@ -279,7 +279,8 @@ class RowFold:
             self.reserve(4 * len(self.state))
 
     def take(self, used: int) -> tuple[NDArray[np.int32] | None, NDArray[Any]]:
-        """What was folded, and begin anew: the groups touched, ascending, and their rows.
+        """What was folded, and begin anew: the groups touched, ascending, and the columns of
+        their `state`, shape ``(2 or 4, n)``.
 
         None instead of groups: all of ``used``, in order (where a quarter of them was touched).
         Cost: O(touched), or O(groups) where it is a quarter of them.
@@ -290,7 +291,7 @@ class RowFold:
             count = int(np.count_nonzero(self.state[:used, 1]))
         at: NDArray[np.int32] | None = None
         if 4 * count >= used:
-            rows = self.state[:used].copy()
+            columns = self.state[:used].T.copy()
             if len(self.empty) == 2:
                 self.state[:used].fill(0)
             else:
@@ -300,10 +301,10 @@ class RowFold:
                 at = np.sort(self._touched[:count])
             else:
                 at = np.flatnonzero(self.state[:used, 1]).astype(np.int32)
-            rows = self.state[at]
+            columns = self.state[at].T.copy()
             self.state[at] = self.empty
         self._count, self._listed = 0, True
-        return at, rows
+        return at, columns
 
     def reserve(self, capacity: int) -> None:
         """Make room for ``capacity`` groups."""
