@@ -196,7 +196,7 @@ class Incremental:
     def _fold(self, end: int, subjects: NDArray[np.int32], objects: ObjectColumn) -> None:
         """Rows of the folded predicate."""
         skip = objects.null
-        if skip is not None and (self._distinct is not None or not self.shape.plain):
+        if skip is not None and not self.shape.plain:
             present = np.flatnonzero(~skip)
             subjects, objects, skip = subjects[present], objects.take(present), None
         pairs = ObjectColumn(Kind.TERM, subjects), ObjectColumn(objects.kind, objects.values)
@@ -206,7 +206,7 @@ class Incremental:
         for partial, column in zip(self._partials, columns, strict=True):
             partial.fold(pairs[0].values, column, skip, self.groups, self.terms)
         if self._distinct is not None:
-            fresh = self._distinct.see(end, pairs)
+            fresh = self._distinct.see(end, pairs, skip)
             self._count((pairs[0].take(fresh), pairs[1].take(fresh)), 1)
 
     def _selected(self, pairs: Pairs) -> Pairs:

@@ -34,8 +34,9 @@ class Intake:
     Law: `between` depends on the rows and their order of arrival, not on how they were cut into
     batches. (Two tables of one shape in one batch are merged by τ.)
 
-    Cost: a sort of what is pushed out of order; `between` O(chunks + rows copied), where only chunks
-    under 4,096 rows and out-of-order ones are copied. Memory: rows not yet dropped, by chunk.
+    Cost: a sort of what is pushed out of order; `between` O(chunks + rows copied), where only
+    chunks under 4,096 rows and out-of-order ones are copied. Memory: rows not yet dropped, by
+    chunk.
     """
 
     def __init__(self, dictionary: TermDictionary) -> None:

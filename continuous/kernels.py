@@ -8,7 +8,7 @@ which costs a third of these loops.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 from ..streams.compiled import JIT, Kernel
 
 _unsigned = np.uint64
+Layout = Literal["A", "C"]
+_LAYOUTS: tuple[Layout, ...] = ("C", "A")
 
 
 def _ascending(times: Any) -> bool:
@@ -95,7 +97,7 @@ def _fold(
     return rows, used, int(touches)
 
 
-def read_only(kind: Any, layout: str = "A") -> Any:
+def read_only(kind: Any, layout: Layout = "A") -> Any:
     """The type of an array argument that may be read-only (a file, an Arrow buffer), of any stride
     (``"A"``) or contiguous (``"C"``)."""
     from numba import types
@@ -103,7 +105,7 @@ def read_only(kind: Any, layout: str = "A") -> Any:
     return types.Array(kind, 1, layout, readonly=True)
 
 
-def _signature(value: str, layout: str) -> Callable[[], Any]:
+def _signature(value: str, layout: Layout) -> Callable[[], Any]:
     def make() -> Any:
         from numba import types
 
@@ -138,7 +140,7 @@ _ascending_kernel = Kernel(_ascending, _times)
 _folds = {
     (np.dtype(name), layout): Kernel(_fold, _signature(name, layout))
     for name in ("float64", "int64")
-    for layout in ("C", "A")
+    for layout in _LAYOUTS
 }
 """By type of the values and layout: contiguous rows, as nearly all are, take a fifth less."""
 
