@@ -35,7 +35,9 @@ class DistinctRows:
         the window."""
         fresh = []
         for kind, rows, keys in self._keys(pairs, skip):
-            seen = self._kinds.setdefault(kind, SeenPairs())
+            if kind not in self._kinds:
+                self._kinds[kind] = SeenPairs()
+            seen = self._kinds[kind]
             whole = isinstance(rows, slice)
             found = seen.see(end, (pairs[0].values[rows], keys), skip if whole else None)
             fresh.append(found if isinstance(rows, slice) else rows[found])

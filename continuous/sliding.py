@@ -268,14 +268,14 @@ class SlidingPartial:
                 self._of(part.kind).hold(at, part.values[present])
 
     def rows(self, rows: Rows) -> NDArray[np.int64]:
-        """How many rows each of the groups ``rows`` has, errors too."""
-        total = np.zeros(rows.stop if isinstance(rows, slice) else len(rows), np.int64)
+        """How many rows each of the groups ``rows`` has, errors too. Not to be changed."""
+        counts = [numbers.counts_of(rows) for numbers in self._kinds.values()]
         if self._odd_rows:
             self._reserve(_above(rows))
-            total += self._others[rows].sum(axis=1)
-        for numbers in self._kinds.values():
-            total += numbers.counts_of(rows)
-        return total
+            counts.append(self._others[rows].sum(axis=1))
+        if not counts:
+            return np.zeros(rows.stop if isinstance(rows, slice) else len(rows), np.int64)
+        return counts[0] if len(counts) == 1 else np.sum(counts, axis=0)
 
     def partial(self, rows: NDArray[np.int64]) -> Partial:
         """The aggregates of the groups ``rows``, as groups 0, 1, 2 …"""
