@@ -91,26 +91,32 @@ def test_pairs_come_once_and_leave_once(jit, panes, length) -> None:
         seen.JIT, seen._PANES = before
 
 
-def test_many_pairs_and_long_histories() -> None:
+def history(panes: int, most: int) -> list[object]:
+    """What comes new and what leaves, pane by pane: few pairs, then many, then few."""
+    found, out = SeenPairs(), []
     random = np.random.default_rng(5)
-    runs = []
-    for jit in (True, False):
-        before, seen.JIT = seen.JIT, jit
-        try:
-            found, out = SeenPairs(), []
-            random = np.random.default_rng(5)
-            for end in range(120):
-                count = int(random.integers(0, 2000)) if 20 < end < 60 else 30
-                subjects = random.integers(0, 40, count).astype(np.int32)
-                bits = np.floor(random.uniform(0, 60, count)).view(np.int64)
-                out.append(found.see(end, (subjects, bits)).tolist())
-                gone = found.leave(end - 7)
-                listed = (
-                    () if gone is None else zip(gone[0].tolist(), gone[1].tolist(), strict=True)
-                )
-                out.append(sorted(listed))
-            runs.append(out)
-            assert len(found._entries) <= 2 * 4096
-        finally:
-            seen.JIT = before
-    assert runs[0] == runs[1]
+    for end in range(panes):
+        count = int(random.integers(0, most)) if panes // 6 < end < panes // 2 else most // 60
+        subjects = random.integers(0, 40, count).astype(np.int32)
+        bits = np.floor(random.uniform(0, 60, count)).view(np.int64)
+        out.append(found.see(end, (subjects, bits)).tolist())
+        gone = found.leave(end - 7)
+        listed = () if gone is None else zip(gone[0].tolist(), gone[1].tolist(), strict=True)
+        out.append(sorted(listed))
+    assert len(found._entries) <= 2 * 4096
+    return out
+
+
+def test_many_pairs_and_long_histories(monkeypatch) -> None:
+    compiled = history(120, 2000)
+    monkeypatch.setattr(seen, "JIT", False)
+    assert compiled == history(120, 2000)
+
+
+def test_the_loops_over_pairs_are_the_same_in_plain_python(monkeypatch) -> None:
+    compiled = history(40, 600)
+    for name in ("enter", "leave", "hold", "fill"):
+        kernel = getattr(seen, f"_{name}_kernel")
+        monkeypatch.setattr(seen, f"_{name}_kernel", kernel.py_func)
+    with np.errstate(over="ignore"):
+        assert compiled == history(40, 600)
