@@ -14,6 +14,7 @@ from ..rdf.timed import TripleRows
 from ..streams.time import TIME_MAX
 from .counting_intake import CountingIntake
 from .intake import Intake
+from .kernels import ascending
 from .panes import Panes
 from .patterns import PatternSolver
 from .windows import Grid, InputWindow, Schedule
@@ -66,15 +67,19 @@ class Contents:
         self.keeps = not alone
 
     def push(self, input: str, rows: TripleRows, after: int | None) -> int:
-        """Keep the rows of ``input`` with τ > ``after`` (None: all); returns how many were late."""
-        late = 0
+        """Keep the rows of ``input`` with τ > ``after`` (None: all); returns how many were late.
+
+        Cost: one pass over τ where it ascends, as it mostly does; else a few.
+        """
+        come, in_order = len(rows), ascending(rows.time)
         if after is not None:
-            kept = rows.time > after
-            late = len(rows) - int(np.count_nonzero(kept))
-            if late:
-                rows = rows.take(kept)
+            rows = _behind(rows, after, in_order)
+        late = come - len(rows)
         if not len(rows):
             return late
+        times = rows.time
+        ends = (times[0], times[-1]) if in_order else (times.min(), times.max())
+        least, greatest = map(int, ends)
         self._known_next = None
         wanted = False
         for i, one in enumerate(self.schedule.windows):
@@ -83,12 +88,12 @@ class Contents:
             if one.counted:
                 self._counting[i].push(rows)
                 continue
-            self._panes[i].push(rows.time, int(rows.time.min()), int(rows.time.max()))
+            self._panes[i].push(times, least, greatest)
             if self._patterns is not None:
                 self._patterns.rows.push(i, [rows])
             wanted = self.keeps
         if wanted:
-            self.intakes[input].push(rows)
+            self.intakes[input].push(rows, ascending=in_order)
         return late
 
     def push_plain(self, input: str, tables: Sequence[TripleRows], after: int | None) -> bool:
@@ -271,3 +276,12 @@ class Contents:
                     self.intakes[input].drop(min(low, high) if raw else high, high)
                 else:
                     self.intakes[input].settle(high)
+
+
+def _behind(rows: TripleRows, after: int, in_order: bool) -> TripleRows:
+    """The rows with τ > ``after``."""
+    if in_order:
+        first = int(np.searchsorted(rows.time, after, "right"))
+        return rows.take(slice(first, None)) if first else rows
+    kept = rows.time > after
+    return rows if kept.all() else rows.take(kept)

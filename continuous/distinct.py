@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..rdf.timed import Kind, ObjectColumn
+from ..streams.sample import Mask
 from .columns import Pairs, Sort, TermValues, bits, decoded, make_number
 from .seen import SeenPairs
 
@@ -29,12 +30,16 @@ class DistinctRows:
         self._kinds: dict[Kind, SeenPairs] = {}
         self._spelled: dict[int, bool] = {}
 
-    def see(self, end: int, pairs: Pairs) -> NDArray[np.int64]:
-        """Rows of the pane that ends at ``end``: those whose pair is new to the window."""
+    def see(self, end: int, pairs: Pairs, skip: Mask | None = None) -> NDArray[np.int64]:
+        """Rows of the pane that ends at ``end``, but those in ``skip``: those whose pair is new to
+        the window."""
         fresh = []
-        for kind, rows, keys in self._keys(pairs):
-            seen = self._kinds.setdefault(kind, SeenPairs())
-            found = seen.see(end, (pairs[0].values[rows], keys))
+        for kind, rows, keys in self._keys(pairs, skip):
+            if kind not in self._kinds:
+                self._kinds[kind] = SeenPairs()
+            seen = self._kinds[kind]
+            whole = isinstance(rows, slice)
+            found = seen.see(end, (pairs[0].values[rows], keys), skip if whole else None)
             fresh.append(found if isinstance(rows, slice) else rows[found])
         if len(fresh) == 1:
             return fresh[0]
@@ -51,22 +56,24 @@ class DistinctRows:
     def holds(self, pairs: Pairs) -> NDArray[np.bool_]:
         """Which of the pairs are in the window."""
         answer = np.zeros(len(pairs[0]), np.bool_)
-        for kind, rows, keys in self._keys(pairs):
+        for kind, rows, keys in self._keys(pairs, None):
             if kind in self._kinds:
                 answer[rows] = self._kinds[kind].holds((pairs[0].values[rows], keys))
         return answer
 
     def _keys(
-        self, pairs: Pairs
+        self, pairs: Pairs, skip: Mask | None
     ) -> Iterator[tuple[Kind, slice | NDArray[np.int64], NDArray[np.int64]]]:
-        """The rows by kind of object, and the objects' bits."""
+        """The rows by kind of object, and the objects' bits. A slice is all rows, those in ``skip``
+        too."""
         column = pairs[1]
         if column.kind is not Kind.TERM:
             yield column.kind, slice(None), _bits(column.values)
             return
-        sorts = self._terms.sorts(column.values).astype(np.int64)
+        there = np.arange(len(column)) if skip is None else np.flatnonzero(~skip)
+        sorts = self._terms.sorts(column.values[there]).astype(np.int64)
         for sort in np.unique(sorts).tolist():
-            rows = np.flatnonzero(sorts == sort)
+            rows = there[sorts == sort]
             if Sort.INTEGER <= sort <= Sort.BOOLEAN:
                 ids = column.values[rows]
                 plain = np.array([self._plain(id, Kind(sort)) for id in ids.tolist()], np.bool_)
@@ -91,6 +98,7 @@ class DistinctRows:
 
 def _bits(values: NDArray[Any]) -> NDArray[np.int64]:
     """`bits`, and all NaNs the same: they are one literal."""
-    if values.dtype == np.float64 and np.isnan(values).any():
+    # A NaN is the least of all, as numpy has it: to look for the least makes no array.
+    if values.dtype == np.float64 and len(values) and np.isnan(values.min()):
         values = np.where(np.isnan(values), np.nan, values)
     return bits(values)

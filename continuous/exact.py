@@ -12,7 +12,6 @@ Integers are summed the same way, in digits of 32 bits.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -36,90 +35,65 @@ def _grain(digit: int) -> float:
     return 2.0 ** (BITS * digit + 28)
 
 
-def _add_values(
+def _add(
     digits: Any,
     counts: Any,
     at: Any,
     values: Any,
     numbers: Any,
     start: int,
-    sign: int,
+    sign: float,
     grains: Any,
     inverse: Any,
 ) -> int:
     """``sign`` times each value and its number to its group; returns the row where it stopped.
 
-    It stops at a value that the digits cannot hold.
+    Without ``at`` the groups are 0, 1, 2 …; without ``numbers`` each is 1. A block of rows is added
+    or none of it: it stops at one with a value that the digits cannot hold. First the digits of a
+    block are found, without branches, so that they are in vectors.
     """
-    depth = digits.shape[0]
-    each = numbers.shape[0] > 0
+    depth, rows = digits.shape[0], values.shape[0]
     limit = grains[0] * 2.0**BITS
-    for i in range(start, values.shape[0]):
-        value = values[i]
-        group = np.uint64(at[i])
-        if not abs(value) < limit:
-            return i
-        rest = value
-        for k in range(depth):
-            part = np.int64(rest * inverse[k])
-            digits[k, group] += sign * part
-            rest -= part * grains[k]
-        if rest != 0.0:
-            rest = value
-            for k in range(depth):
-                part = np.int64(rest * inverse[k])
-                digits[k, group] -= sign * part
-                rest -= part * grains[k]
-            return i
-        counts[group] += sign * (np.int64(numbers[i]) if each else 1)
-    return int(values.shape[0])
-
-
-def _add_all(
-    digits: Any,
-    counts: Any,
-    values: Any,
-    numbers: Any,
-    start: int,
-    sign: int,
-    grains: Any,
-    inverse: Any,
-) -> int:
-    """The same for the groups 0, 1, 2 …, all or none of a block of 512: without branches."""
-    depth = digits.shape[0]
-    limit = grains[0] * 2.0**BITS
-    rest = np.empty(512, np.float64)
-    for begin in range(start, values.shape[0], 512):
-        size = min(512, values.shape[0] - begin)
-        large = 0
+    rest, counted = np.empty(512, np.float64), np.empty(512, np.int64)
+    parts = np.empty((depth, 512), np.int64)
+    counted[:] = np.int64(sign)
+    for begin in range(start, rows, 512):
+        size = min(512, rows - begin)
+        beyond = 0
         for i in range(size):
-            rest[i] = values[begin + i]
-            large += not abs(rest[i]) < limit
-        if large > 0:
+            rest[i] = sign * values[begin + i]
+            beyond += not abs(rest[i]) < limit
+        if beyond > 0:
             return begin
         for k in range(depth):
-            row = digits[k, begin : begin + size]
+            row = parts[k]
             for i in range(size):
                 part = np.int64(rest[i] * inverse[k])
-                row[i] += sign * part
+                row[i] = part
                 rest[i] -= part * grains[k]
-        left = 0
         for i in range(size):
-            left += rest[i] != 0.0
-        if left > 0:
-            for i in range(size):
-                rest[i] = values[begin + i]
-            for k in range(depth):
-                row = digits[k, begin : begin + size]
-                for i in range(size):
-                    part = np.int64(rest[i] * inverse[k])
-                    row[i] -= sign * part
-                    rest[i] -= part * grains[k]
+            beyond += rest[i] != 0.0
+        if beyond > 0:
             return begin
-        row = counts[begin : begin + size]
-        for i in range(size):
-            row[i] += sign * np.int64(numbers[begin + i])
-    return int(values.shape[0])
+        if numbers.shape[0] > 0:
+            for i in range(size):
+                counted[i] = np.int64(sign * numbers[begin + i])
+        if at.shape[0] > 0:
+            for k in range(depth):
+                row, total = parts[k], digits[k]
+                for i in range(size):
+                    total[np.uint64(at[begin + i])] += row[i]
+            for i in range(size):
+                counts[np.uint64(at[begin + i])] += counted[i]
+        else:
+            for k in range(depth):
+                row, total = parts[k], digits[k, begin : begin + size]
+                for i in range(size):
+                    total[i] += row[i]
+            total = counts[begin : begin + size]
+            for i in range(size):
+                total[i] += counted[i]
+    return int(rows)
 
 
 def _round(digits: Any, rows: Any, grains: Any, out: Any) -> None:
@@ -139,17 +113,21 @@ def _round(digits: Any, rows: Any, grains: Any, out: Any) -> None:
         out[i] = total
 
 
-def _add_signature(listed: bool) -> Callable[[], Any]:
-    def make() -> Any:
-        from numba import types
+def _add_signature() -> Any:
+    from numba import types
 
-        value, ints = read_only(types.float64), types.int64[::1]
-        at = (read_only(types.int32),) if listed else ()
-        scale = (types.float64[::1], types.float64[::1])
-        totals = (types.Array(types.int64, 2, "C"), ints)
-        return types.int64(*totals, *at, value, value, types.int64, types.int64, *scale)
-
-    return make
+    value, ints = read_only(types.float64, "C"), types.int64[::1]
+    return types.int64(
+        types.Array(types.int64, 2, "C"),
+        ints,
+        read_only(types.int32, "C"),
+        value,
+        value,
+        types.int64,
+        types.float64,
+        types.float64[::1],
+        types.float64[::1],
+    )
 
 
 def _round_signature() -> Any:
@@ -163,10 +141,10 @@ def _round_signature() -> Any:
     )
 
 
-_add_kernel = Kernel(_add_values, _add_signature(True))
-_add_all_kernel = Kernel(_add_all, _add_signature(False))
+_add_kernel = Kernel(_add, _add_signature)
 _round_kernel = Kernel(_round, _round_signature)
 _NO_NUMBERS = np.zeros(0, np.float64)
+_NO_GROUPS = np.zeros(0, np.int32)
 
 
 class Totals(ABC):
@@ -284,13 +262,18 @@ class FloatTotals(Totals):
         self, at: At, values: NDArray[Any], numbers: NDArray[Any] | None, start: int, sign: int
     ) -> int:
         if JIT:
-            totals, scale = (self.digits, self.counts), (self._grains, self._inverse)
-            some = _NO_NUMBERS if numbers is None else numbers
-            if at is None:
-                stop: int = _add_all_kernel(*totals, values, some, start, sign, *scale)
-            else:
-                where = at.astype(np.int32, copy=False)
-                stop = _add_kernel(*totals, where, values, some, start, sign, *scale)
+            where = _NO_GROUPS if at is None else np.ascontiguousarray(at, np.int32)
+            columns = (values, _NO_NUMBERS if numbers is None else numbers)
+            stop: int = _add_kernel(
+                self.digits,
+                self.counts,
+                where,
+                *map(np.ascontiguousarray, columns),
+                start,
+                float(sign),
+                self._grains,
+                self._inverse,
+            )
             return stop
         if not np.all(np.abs(values) < self._limit):
             return start

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,7 @@ from ..rdf.dictionary import Ids
 from ..rdf.namespaces import RDF_TYPE
 from ..rdf.timed import Kind, TripleRows
 from .expressions import Const, Var
-from .kernels import grown
+from .kernels import Groups, grown
 from .logical import TypeScan
 from .sources import StaticSide, distinct_ids
 
@@ -76,3 +77,61 @@ class SortFacts:
             self._static[known] = True
         told = self._static[subjects]
         return told | (self._counts[subjects] > 0) if self._panes else told
+
+
+class GroupSorts:
+    """Which groups are of all of some sorts, by the window or by the static side.
+
+    Law: `holds` says of each group what `SortFacts.holds` says of its member for every sort. Cost:
+    a look-up a sort for a new group and for one of which facts came or went; for every group when
+    the static side has changed. Memory: a byte a group, and that of `SortFacts`.
+    """
+
+    def __init__(self, sorts: Sequence[NamedNode], groups: Groups, static: StaticSide) -> None:
+        self._facts = [SortFacts(sort) for sort in sorts]
+        self._groups = groups
+        self._static = static
+        self._version: int | None = None
+        self._of: NDArray[np.bool_] = np.zeros(0, np.bool_)
+        self._known = 0
+        """Of so many groups `_of` says it."""
+
+    def fold(self, end: int, tables: Sequence[TripleRows]) -> Iterator[NDArray[np.int32]]:
+        """The facts of the pane that ends at ``end``: the groups of which they may change it."""
+        for facts in self._facts:
+            yield self._changed(facts.fold(end, tables, self._static))
+
+    def evict(self, until: int) -> Iterator[NDArray[np.int32]]:
+        """Forget the panes that end at or before ``until``: the groups of which they told."""
+        for facts in self._facts:
+            for ids in facts.evict(until):
+                yield self._changed(ids)
+
+    def forget(self) -> None:
+        """The groups are others now."""
+        self._known = 0
+
+    def holds(self, rows: NDArray[Any] | slice) -> NDArray[np.bool_]:
+        """Of each of the groups ``rows``."""
+        version, used = self._static.background.version, self._groups.used
+        if version != self._version:
+            self._version, self._known = version, 0
+        if self._known < used:
+            self._of = grown(self._of, max(used, 2 * self._known), False)
+            self._look(slice(self._known, used))
+            self._known = used
+        return self._of[rows]
+
+    def _changed(self, ids: Ids) -> NDArray[np.int32]:
+        """The groups of these ids."""
+        found = self._groups.group_of[ids[ids < len(self._groups.group_of)]]
+        found = found[found >= 0]
+        self._look(found[found < self._known])
+        return found
+
+    def _look(self, rows: NDArray[np.int32] | slice) -> None:
+        members = self._groups.members[rows]
+        of = np.ones(len(members), np.bool_)
+        for facts in self._facts:
+            of &= facts.holds(members, self._static)
+        self._of[rows] = of

@@ -20,7 +20,7 @@ from .columns import NeedsOxigraph, Pairs, Relation, TermValues
 from .distinct import DistinctRows
 from .evaluation import evaluate, holds
 from .expressions import Const, Var
-from .facts import SortFacts
+from .facts import GroupSorts
 from .grouping import group_keys, grouping
 from .joins import join_all
 from .kernels import Groups, grown
@@ -69,7 +69,7 @@ class Incremental:
             SlidingPartial(extremes, panes, distinct=distinct) for _, extremes in shape.arguments
         ]
         self._distinct = DistinctRows(terms) if distinct else None
-        self._facts = [SortFacts(sort) for sort in shape.sorts]
+        self._sorts = GroupSorts(shape.sorts, self.groups, static)
         self._irregular: deque[int] = deque()
         self._static_version: int | None = None
         self._static_pairs: Pairs | None = None
@@ -95,8 +95,8 @@ class Incremental:
         self._touched.reserve(self.groups.used)
         for partial in self._partials:
             partial.push(end, self.groups.used, self._touched)
-        for facts in self._facts:
-            self._mark(facts.fold(end, tables, self.static))
+        for changed in self._sorts.fold(end, tables):
+            self._touched.mark(changed)
 
     def evict(self, until: int) -> None:
         """Forget the panes that end at or before ``until``."""
@@ -105,9 +105,8 @@ class Incremental:
         if self._distinct is not None:
             for pairs in self._distinct.leave(until):
                 self._count(pairs, -1)
-        for facts in self._facts:
-            for ids in facts.evict(until):
-                self._mark(ids)
+        for changed in self._sorts.evict(until):
+            self._touched.mark(changed)
         while self._irregular and self._irregular[0] <= until:
             self._irregular.popleft()
         if self.groups.used >= self._compact_at:
@@ -131,8 +130,8 @@ class Incremental:
     def _alive(self, rows: Rows) -> NDArray[np.int64]:
         """Those of ``rows`` that have rows in the window and are of the sorts."""
         alive = self._partials[0].rows(rows) > 0
-        for facts in self._facts:
-            alive &= facts.holds(self.groups.members[rows], self.static)
+        if self.shape.sorts:
+            alive &= self._sorts.holds(rows)
         return np.flatnonzero(alive) if isinstance(rows, slice) else rows[alive]
 
     def _having(self) -> Relation:
@@ -197,7 +196,7 @@ class Incremental:
     def _fold(self, end: int, subjects: NDArray[np.int32], objects: ObjectColumn) -> None:
         """Rows of the folded predicate."""
         skip = objects.null
-        if skip is not None and (self._distinct is not None or not self.shape.plain):
+        if skip is not None and not self.shape.plain:
             present = np.flatnonzero(~skip)
             subjects, objects, skip = subjects[present], objects.take(present), None
         pairs = ObjectColumn(Kind.TERM, subjects), ObjectColumn(objects.kind, objects.values)
@@ -207,7 +206,7 @@ class Incremental:
         for partial, column in zip(self._partials, columns, strict=True):
             partial.fold(pairs[0].values, column, skip, self.groups, self.terms)
         if self._distinct is not None:
-            fresh = self._distinct.see(end, pairs)
+            fresh = self._distinct.see(end, pairs, skip)
             self._count((pairs[0].take(fresh), pairs[1].take(fresh)), 1)
 
     def _selected(self, pairs: Pairs) -> Pairs:
@@ -287,11 +286,6 @@ class Incremental:
             self._count(_those(self._static_pairs, self._static_counted & ~count), -1)
             self._static_counted = count
 
-    def _mark(self, ids: NDArray[np.int32]) -> None:
-        """What is known of the sorts of these ids may have changed."""
-        found = self.groups.group_of[ids[ids < len(self.groups.group_of)]]
-        self._touched.mark(found[found >= 0])
-
     def _compact(self) -> None:
         """Forget the groups without rows if they are half of all.
 
@@ -301,6 +295,7 @@ class Incremental:
         kept = np.flatnonzero(self._partials[0].rows(slice(used)) > 0)
         if 2 * len(kept) <= used:
             self.groups.keep(kept)
+            self._sorts.forget()
             new: NDArray[np.int32] = np.full(used, -1, np.int32)
             new[kept] = np.arange(len(kept), dtype=np.int32)
             for partial in self._partials:

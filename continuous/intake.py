@@ -12,7 +12,6 @@ from ..rdf.dictionary import TermDictionary
 from ..rdf.timed import TripleRows
 from ..streams.sample import Times
 from .columns import concatenate_rows
-from .kernels import ascending
 
 _SMALL = 4096
 """Chunks below this many rows are put together before they are worked on."""
@@ -35,8 +34,9 @@ class Intake:
     Law: `between` depends on the rows and their order of arrival, not on how they were cut into
     batches. (Two tables of one shape in one batch are merged by τ.)
 
-    Cost: a check of order a row pushed; `between` O(chunks + rows copied), where only chunks
-    under 4,096 rows and out-of-order ones are copied. Memory: rows not yet dropped, by chunk.
+    Cost: a sort of what is pushed out of order; `between` O(chunks + rows copied), where only
+    chunks under 4,096 rows and out-of-order ones are copied. Memory: rows not yet dropped, by
+    chunk.
     """
 
     def __init__(self, dictionary: TermDictionary) -> None:
@@ -44,9 +44,9 @@ class Intake:
         self._chunks: dict[Shape, list[_Chunk]] = {}
         self._names: dict[Shape, tuple[object, ...]] = {}
 
-    def push(self, rows: TripleRows) -> None:
-        """Keep these rows, of which there are some."""
-        if not ascending(rows.time):
+    def push(self, rows: TripleRows, *, ascending: bool) -> None:
+        """Keep these rows, of which there are some; ``ascending``: they are in order of τ."""
+        if not ascending:
             rows = rows.take(np.argsort(rows.time, kind="stable"))
         shape = (
             -1 if rows.sort is None else rows.sort,

@@ -8,7 +8,7 @@ which costs a third of these loops.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 from ..streams.compiled import JIT, Kernel
 
 _unsigned = np.uint64
+Layout = Literal["A", "C"]
+_LAYOUTS: tuple[Layout, ...] = ("C", "A")
 
 
 def _ascending(times: Any) -> bool:
@@ -95,20 +97,21 @@ def _fold(
     return rows, used, int(touches)
 
 
-def read_only(kind: Any) -> Any:
-    """The type of an array argument of any stride, read-only ones (files, Arrow buffers) too."""
+def read_only(kind: Any, layout: Layout = "A") -> Any:
+    """The type of an array argument that may be read-only (a file, an Arrow buffer), of any stride
+    (``"A"``) or contiguous (``"C"``)."""
     from numba import types
 
-    return types.Array(kind, 1, "A", readonly=True)
+    return types.Array(kind, 1, layout, readonly=True)
 
 
-def _signature(value: str) -> Callable[[], Any]:
+def _signature(value: str, layout: Layout) -> Callable[[], Any]:
     def make() -> Any:
         from numba import types
 
         scalar = types.float64 if value == "float64" else types.int64
         ids = types.int32[::1]
-        rows = (read_only(types.int32), read_only(scalar), read_only(types.boolean))
+        rows = tuple(read_only(kind, layout) for kind in (types.int32, scalar, types.boolean))
         state = types.Array(scalar, 2, "C")
         tuple_of: Any = types.UniTuple
         return tuple_of(types.int64, 3)(
@@ -130,17 +133,22 @@ def _signature(value: str) -> Callable[[], Any]:
 def _times() -> Any:
     from numba import types
 
-    return types.boolean(read_only(types.int64))
+    return types.boolean(read_only(types.int64, "C"))
 
 
 _ascending_kernel = Kernel(_ascending, _times)
-_folds = {np.dtype(name): Kernel(_fold, _signature(name)) for name in ("float64", "int64")}
+_folds = {
+    (np.dtype(name), layout): Kernel(_fold, _signature(name, layout))
+    for name in ("float64", "int64")
+    for layout in _LAYOUTS
+}
+"""By type of the values and layout: contiguous rows, as nearly all are, take a fifth less."""
 
 
 def ascending(times: NDArray[np.int64]) -> bool:
     """Whether no time is less than the one before."""
     if JIT and len(times) > 4096:
-        return bool(_ascending_kernel(times))
+        return bool(_ascending_kernel(np.ascontiguousarray(times)))
     return bool(np.all(times[1:] >= times[:-1]))
 
 
@@ -180,7 +188,8 @@ class Groups:
 
     def groups(self, subjects: NDArray[np.int32]) -> NDArray[np.int32]:
         """The group of each id, new ones given in order of appearance. In numpy."""
-        found: NDArray[np.int32] = self.group_of[subjects]
+        # `take` is twice as fast as an index here.
+        found: NDArray[np.int32] = self.group_of.take(subjects)
         new = subjects[found < 0]
         if len(new):
             distinct, first = np.unique(new, return_index=True)
@@ -191,7 +200,7 @@ class Groups:
             self.group_of[distinct] = np.arange(self.used, self.used + len(distinct))
             self.members[self.used : self.used + len(distinct)] = distinct
             self.used += len(distinct)
-            found = self.group_of[subjects]
+            found = self.group_of.take(subjects)
         return found
 
 
@@ -250,7 +259,8 @@ class RowFold:
         self._listed &= len(subjects) < groups.used
         self.reserve(max(groups.used, 256))
         mask = NO_SKIP if skip is None else skip
-        kernel, row = _folds[self.state.dtype], 0
+        contiguous = all(rows.flags.c_contiguous for rows in (subjects, values, mask))
+        kernel, row = _folds[self.state.dtype, "C" if contiguous else "A"], 0
         while True:
             groups.reserve(len(self.state))
             row, groups.used, self._count = kernel(
@@ -272,7 +282,8 @@ class RowFold:
             self.reserve(4 * len(self.state))
 
     def take(self, used: int) -> tuple[NDArray[np.int32] | None, NDArray[Any]]:
-        """What was folded, and begin anew: the groups touched, ascending, and their rows.
+        """What was folded, and begin anew: the groups touched, ascending, and the columns of
+        their `state`, shape ``(2 or 4, n)``.
 
         None instead of groups: all of ``used``, in order (where a quarter of them was touched).
         Cost: O(touched), or O(groups) where it is a quarter of them.
@@ -283,7 +294,7 @@ class RowFold:
             count = int(np.count_nonzero(self.state[:used, 1]))
         at: NDArray[np.int32] | None = None
         if 4 * count >= used:
-            rows = self.state[:used].copy()
+            columns = self.state[:used].T.copy()
             if len(self.empty) == 2:
                 self.state[:used].fill(0)
             else:
@@ -293,10 +304,10 @@ class RowFold:
                 at = np.sort(self._touched[:count])
             else:
                 at = np.flatnonzero(self.state[:used, 1]).astype(np.int32)
-            rows = self.state[at]
+            columns = self.state[at].T.copy()
             self.state[at] = self.empty
         self._count, self._listed = 0, True
-        return at, rows
+        return at, columns
 
     def reserve(self, capacity: int) -> None:
         """Make room for ``capacity`` groups."""

@@ -113,26 +113,26 @@ class NumberFold:
     def take(self, used: int) -> tuple[At, NDArray[Any], NDArray[np.int64] | None]:
         """What was folded, and begin anew: see `RowFold.take`.
 
-        The third: integers whose 2^32-fold the first column of the rows lacks, None: of none.
+        The third: integers whose 2^32-fold the first of the columns lacks, None: of none.
         """
-        at, rows = self._rows.take(used)
+        at, columns = self._rows.take(used)
         self._bound = 0
         if self._high is None:
-            return at, rows, None
+            return at, columns, None
         self._high.reserve(used)
         high = self._high.state[slice(used) if at is None else at, 0].copy()
         self._high = None
         # In the lower halves no sum can leave 64 bits: 2^30 rows of 32 bits.
-        rows[:, 0] -= high << 32
-        return at, rows, high
+        columns[0] -= high << 32
+        return at, columns, high
 
     def take_all(self, used: int) -> tuple[NDArray[Any], NDArray[np.int64] | None]:
-        """As `take`, but a row for each group, also where few were touched."""
-        at, rows, high = self.take(used)
+        """As `take`, but of each group, also where few were touched."""
+        at, columns, high = self.take(used)
         if at is None:
-            return rows, high
-        whole = np.tile(self._rows.empty, (used, 1))
-        whole[at] = rows
+            return columns, high
+        whole = np.repeat(self._rows.empty[:, np.newaxis], used, axis=1)
+        whole[:, at] = columns
         if high is not None:
             above = np.zeros(used, np.int64)
             above[at] = high
@@ -170,12 +170,11 @@ class Partial:
                 continue
             fold = NumberFold(part.kind, extremes)
             fold.add(part.subjects, part.values, part.skip, groups)
-            rows, high = fold.take_all(groups.used)
-            sums = rows[:, 0]
+            columns, high = fold.take_all(groups.used)
+            sums, counts = columns[0], columns[1].astype(np.int64)
             if high is not None:
                 sums = high.astype(object) * 2**32 + sums.astype(object)
-            counts = rows[:, 1].astype(np.int64)
-            made.numbers[part.kind] = Numbers(sums, counts, rows[:, 2:] if extremes else None)
+            made.numbers[part.kind] = Numbers(sums, counts, columns[2:].T if extremes else None)
         return made
 
     def merged(self, groups: NDArray[np.int64], rows: NDArray[np.int64], count: int) -> Partial:

@@ -23,6 +23,8 @@ from .partials import NumberFold, Numbers, Part, Partial, parts_of
 
 Rows = NDArray[np.int64] | slice
 """Groups; a slice has a stop only."""
+_Pane = tuple[int, At, NDArray[Any], NDArray[np.int64] | None]
+"""Its end, and as `NumberFold.take` gives it, sums and counts only."""
 
 
 class Touched:
@@ -70,7 +72,7 @@ class SlidingNumbers:
 
     def __init__(self, kind: Kind, extremes: bool, panes: int) -> None:
         self._fold = NumberFold(kind, extremes)
-        self._panes: deque[tuple[int, At, NDArray[Any], NDArray[np.int64] | None]] = deque()
+        self._panes: deque[_Pane] = deque()
         self._totals: IntegerTotals | FloatTotals = (
             IntegerTotals() if kind is Kind.INTEGER else FloatTotals()
         )
@@ -92,24 +94,24 @@ class SlidingNumbers:
 
     def push(self, end: int, used: int, touched: Touched, *, distinct: bool) -> None:
         """The pane has been read; ``distinct``: its extremes only, the sums are added by rows."""
-        at, rows, high = self._fold.take(used)
-        if not len(rows):
+        at, columns, high = self._fold.take(used)
+        if not columns.shape[1]:
             return
         touched.mark(at)
         if self._sliding is not None:
             self._sliding.reserve(used)
-            self._sliding.push(end, at, rows[:, 2:])
-            rows = rows[:, :2].copy()
+            self._sliding.push(end, at, columns[2:].T.copy())
+            columns = columns[:2].copy()
         if not distinct:
-            self._panes.append((end, at, rows, high))
-            self._add(at, rows, high, 1)
+            self._panes.append((end, at, columns, high))
+            self._add(at, columns, high, 1)
 
     def evict(self, until: int, touched: Touched) -> None:
         """Forget the panes that end at or before ``until``."""
         while self._panes and self._panes[0][0] <= until:
-            _, at, rows, high = self._panes.popleft()
+            _, at, columns, high = self._panes.popleft()
             touched.mark(at)
-            self._add(at, rows, high, -1)
+            self._add(at, columns, high, -1)
         if self._sliding is not None:
             for at in self._sliding.evict(until):
                 touched.mark(at)
@@ -150,24 +152,25 @@ class SlidingNumbers:
     def keep(self, kept: NDArray[np.int64], new: NDArray[np.int32]) -> None:
         """Forget all groups but ``kept`` (ascending); group g becomes ``new[g]``."""
 
-        def of(at: At, rows: NDArray[Any]) -> tuple[At, NDArray[Any]]:
-            return (None, rows[kept[kept < len(rows)]]) if at is None else (new[at], rows)
-
-        renamed = []
-        for end, at, rows, high in self._panes:
-            if high is not None:
-                high = of(at, high)[1]
-            renamed.append((end, *of(at, rows), high))
-        self._panes = deque(renamed)
+        renamed: deque[_Pane] = deque()
+        for end, at, columns, high in self._panes:
+            if at is not None:
+                renamed.append((end, new[at], columns, high))
+                continue
+            still = kept[kept < columns.shape[1]]
+            renamed.append((end, None, columns[:, still], None if high is None else high[still]))
+        self._panes = renamed
         self._totals.keep(kept)
         if self._sliding is not None:
             self._sliding.keep(kept, new)
         if self._held is not None:
-            self._held = of(None, self._held)[1]
+            self._held = self._held[kept[kept < len(self._held)]]
 
-    def _add(self, at: At, rows: NDArray[Any], high: NDArray[np.int64] | None, sign: int) -> None:
-        self._totals.reserve(len(rows) if at is None else int(at[-1]) + 1)
-        self._totals.add(at, rows[:, 0], rows[:, 1], sign)
+    def _add(
+        self, at: At, columns: NDArray[Any], high: NDArray[np.int64] | None, sign: int
+    ) -> None:
+        self._totals.reserve(columns.shape[1] if at is None else int(at[-1]) + 1)
+        self._totals.add(at, columns[0], columns[1], sign)
         if high is not None:
             assert isinstance(self._totals, IntegerTotals)
             self._totals.add_high(at, high, sign)
@@ -265,14 +268,14 @@ class SlidingPartial:
                 self._of(part.kind).hold(at, part.values[present])
 
     def rows(self, rows: Rows) -> NDArray[np.int64]:
-        """How many rows each of the groups ``rows`` has, errors too."""
-        total = np.zeros(rows.stop if isinstance(rows, slice) else len(rows), np.int64)
+        """How many rows each of the groups ``rows`` has, errors too. Not to be changed."""
+        counts = [numbers.counts_of(rows) for numbers in self._kinds.values()]
         if self._odd_rows:
             self._reserve(_above(rows))
-            total += self._others[rows].sum(axis=1)
-        for numbers in self._kinds.values():
-            total += numbers.counts_of(rows)
-        return total
+            counts.append(self._others[rows].sum(axis=1))
+        if not counts:
+            return np.zeros(rows.stop if isinstance(rows, slice) else len(rows), np.int64)
+        return counts[0] if len(counts) == 1 else np.sum(counts, axis=0)
 
     def partial(self, rows: NDArray[np.int64]) -> Partial:
         """The aggregates of the groups ``rows``, as groups 0, 1, 2 …"""

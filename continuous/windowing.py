@@ -9,8 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from ..languages.csparql.ast import ContinuousQuery, StreamOperator
 from ..rdf.timed import TimedTriples, TripleRows
+from ..streams.sample import Mask
 from ..streams.time import TIME_MAX
 from .columns import TermValues
 from .contents import Contents, Due
@@ -20,6 +23,7 @@ from .windows import schedule
 Closed = Callable[[int, bool], bool]
 """Told the end of a window that has closed and whether its result is reported; answers whether the
 rows that were in it are read again."""
+_BLOCK = 2**15
 
 
 class Windowing:
@@ -118,14 +122,12 @@ class Windowing:
             objects = {p: self.terms.canonical(column) for p, column in table.objects.items()}
             if any(objects[p] is not column for p, column in table.objects.items()):
                 table = replace(table, objects=objects)
-        empty = None
-        for column in table.objects.values():
-            if column.null is None:
-                return table
-            empty = column.null if empty is None else empty & column.null
-        if empty is None:
+        nulls = [column.null for column in table.objects.values() if column.null is not None]
+        if not table.objects:
             return None
-        return table.take(~empty) if empty.any() else table
+        if len(nulls) < len(table.objects) or not _meet(nulls):
+            return table
+        return table.take(~np.logical_and.reduce(nulls))
 
     def limit(self, input: str) -> int | None:
         """Rows of ``input`` with τ up to here come too late; None: none does."""
@@ -190,3 +192,15 @@ class Windowing:
         self.turned = 0 if self.clock is None else self.clock() - begin
         again = self._tell(end, reports)
         self.contents.drop(end, raw=again)
+
+
+def _meet(masks: Sequence[Mask]) -> bool:
+    """Whether all masks are set in some row. Block by block: what is made on the way stays in a
+    cache, and needs no pages of memory from the system."""
+    for first in range(0, len(masks[0]), _BLOCK):
+        part = masks[0][first : first + _BLOCK]
+        for mask in masks[1:]:
+            part = part & mask[first : first + _BLOCK]
+        if part.any():
+            return True
+    return False

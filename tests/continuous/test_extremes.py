@@ -64,7 +64,9 @@ pairs = st.lists(st.tuples(st.integers(0, 3), st.integers(-4, 4)), max_size=12)
 @settings(deadline=None, max_examples=100)
 @given(st.lists(st.tuples(st.integers(0, 3), pairs), max_size=30), st.integers(1, 9))
 def test_pairs_come_once_and_leave_once(jit, panes, length) -> None:
-    before, seen.JIT = seen.JIT, jit
+    before = seen.JIT, seen._PANES
+    # The numbers of panes begin anew after a few.
+    seen.JIT, seen._PANES = jit, 10
     try:
         found, end, last = SeenPairs(), 0, {}
         for gap, rows in panes:
@@ -74,33 +76,47 @@ def test_pairs_come_once_and_leave_once(jit, panes, length) -> None:
             last = {pair: at for pair, at in last.items() if at > end - length}
             listed = [] if gone is None else zip(gone[0].tolist(), gone[1].tolist(), strict=True)
             assert sorted(listed) == left
+            skip = [r[1] == 3 for r in rows]
             arrays = np.array([r[0] for r in rows], np.int32), np.array([r[1] for r in rows], int)
-            new = [i for i, pair in enumerate(rows) if pair not in {*last, *rows[:i]}]
-            assert found.see(end, arrays).tolist() == new
-            last.update(dict.fromkeys(rows, end))
-            assert found.holds(arrays).all()
+            came = [pair for pair, skipped in zip(rows, skip, strict=True) if not skipped]
+            new = [
+                i for i, pair in enumerate(rows) if not skip[i] and pair not in {*last, *rows[:i]}
+            ]
+            mask = np.array(skip, np.bool_) if any(skip) else None
+            assert found.see(end, arrays, mask).tolist() == new
+            last.update(dict.fromkeys(came, end))
+            assert found.holds(arrays).tolist() == [pair in last for pair in rows]
             assert not found.holds((arrays[0], arrays[1] + 100)).any()
     finally:
-        seen.JIT = before
+        seen.JIT, seen._PANES = before
 
 
-def test_many_pairs_and_long_histories() -> None:
+def history(panes: int, most: int) -> list[object]:
+    """What comes new and what leaves, pane by pane: few pairs, then many, then few."""
+    found, out = SeenPairs(), []
     random = np.random.default_rng(5)
-    runs = []
-    for jit in (True, False):
-        before, seen.JIT = seen.JIT, jit
-        try:
-            found, out = SeenPairs(), []
-            random = np.random.default_rng(5)
-            for end in range(120):
-                count = int(random.integers(0, 2000)) if 20 < end < 60 else 30
-                subjects = random.integers(0, 40, count).astype(np.int32)
-                bits = np.floor(random.uniform(0, 60, count)).view(np.int64)
-                out.append(found.see(end, (subjects, bits)).tolist())
-                gone = found.leave(end - 7)
-                out.append(None if gone is None else (gone[0].tolist(), gone[1].tolist()))
-            runs.append(out)
-            assert len(found._bits) <= 2048
-        finally:
-            seen.JIT = before
-    assert runs[0] == runs[1]
+    for end in range(panes):
+        count = int(random.integers(0, most)) if panes // 6 < end < panes // 2 else most // 60
+        subjects = random.integers(0, 40, count).astype(np.int32)
+        bits = np.floor(random.uniform(0, 60, count)).view(np.int64)
+        out.append(found.see(end, (subjects, bits)).tolist())
+        gone = found.leave(end - 7)
+        listed = () if gone is None else zip(gone[0].tolist(), gone[1].tolist(), strict=True)
+        out.append(sorted(listed))
+    assert len(found._entries) <= 2 * 4096
+    return out
+
+
+def test_many_pairs_and_long_histories(monkeypatch) -> None:
+    compiled = history(120, 2000)
+    monkeypatch.setattr(seen, "JIT", False)
+    assert compiled == history(120, 2000)
+
+
+def test_the_loops_over_pairs_are_the_same_in_plain_python(monkeypatch) -> None:
+    compiled = history(40, 600)
+    for name in ("enter", "leave", "hold", "fill"):
+        kernel = getattr(seen, f"_{name}_kernel")
+        monkeypatch.setattr(seen, f"_{name}_kernel", kernel.py_func)
+    with np.errstate(over="ignore"):
+        assert compiled == history(40, 600)
