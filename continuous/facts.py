@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,6 +54,10 @@ class SortFacts:
         self._counts[ids] += 1
         self._panes.append((end, ids))
         return ids
+
+    def held(self) -> Iterator[Ids]:
+        """The ids that the panes are about; those of the static side are pinned."""
+        return (ids for _, ids in self._panes)
 
     def evict(self, until: int) -> list[Ids]:
         """Forget the panes that end at or before ``until``: the ids each was about."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -45,13 +45,24 @@ class PatternRows:
         """Window, slot, kind, subjects, values and times of what has come and nobody has seen."""
         self._numbers: list[dict[int, int]] = [{} for _ in windows]
         """By window: the slot of a predicate's id."""
-        self._known = 0
+        terms.dictionary.hold(self)
 
     @property
     def columns(self) -> tuple[NDArray[Any], ...]:
         """Window, slot, subject, tag, bits, time of each triple; the first `count` are valid."""
         self._take_in()
         return self._columns
+
+    def held(self) -> Iterator[NDArray[Any] | Sequence[int]]:
+        """See `dictionary.Holder`: what waits has not been spelled, so it is told as it came."""
+        _, _, subjects, tags, objects, _ = (column[: self.count] for column in self._columns)
+        yield subjects
+        yield objects[tags == Kind.TERM]
+        yield list(self.sorts)
+        for _, _, kind, subjects, values, _ in self._waiting:
+            yield subjects
+            if kind is Kind.TERM:
+                yield values
 
     def push(self, window: int, tables: Sequence[TripleRows]) -> None:
         """Rows of a window. Cost: a copy of each column that a pattern names, when somebody looks

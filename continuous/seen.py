@@ -184,6 +184,11 @@ class SeenPairs:
             self._young, self._in_young = spare, 0
         return gone
 
+    def pairs(self) -> Pairs:
+        """The pairs of the window, some more than once."""
+        places = np.arange(self._head, self._tail) & (len(self._bits) - 1)
+        return self._subjects[places], self._bits[places]
+
     def holds(self, pairs: Pairs) -> NDArray[np.bool_]:
         """Which of the pairs are in the window."""
         subjects, bits = pairs
