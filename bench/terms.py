@@ -49,7 +49,9 @@ class Case:
 
 
 CASES = (
-    Case("aggregate by new IRIs", "SELECT ?o (AVG(?v) AS ?a)", "WHERE { ?o :value ?v } GROUP BY ?o"),
+    Case(
+        "aggregate by new IRIs", "SELECT ?o (AVG(?v) AS ?a)", "WHERE { ?o :value ?v } GROUP BY ?o"
+    ),
     Case(
         "the same, as a set",
         "SELECT ?o (AVG(?v) AS ?a)",
