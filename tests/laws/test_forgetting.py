@@ -118,7 +118,7 @@ def rows(result) -> tuple:
 
 
 @pytest.mark.parametrize("head", HEADS)
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(
     st.sampled_from(WINDOWS),
     # Only what is neither compared nor asked of Oxigraph is folded.
