@@ -10,9 +10,12 @@ from dyknow.continuous import incremental
 from dyknow.engine import starting
 from dyknow.engine.engine import Engine
 from dyknow.engine.kept_windows import KeptWindows
+from dyknow.engine.merge_unit import Whose, _Naming
 from dyknow.engine.views import StreamDeclaration
 from dyknow.rdf import dictionary as module
-from dyknow.streams.sample import Field, FieldType
+from dyknow.rdf.dictionary import TermDictionary
+from dyknow.streams.sample import Column, Field, FieldType, SampleBatch
+from dyknow.streams.strings import StringPool
 
 DYKNOW = "http://www.ida.liu.se/dyknow/"
 S5 = f"<{DYKNOW}s5.trdf>"
@@ -56,3 +59,16 @@ def test_an_hour_of_new_names_is_flat(integers, monkeypatch) -> None:
     (row, *_) = engine.queries.latest("texts").solutions.rows()
     assert row["x"].value.startswith(row["o"].value)
     assert most <= len(engine.dictionary) < first + 600
+
+
+def test_merged_objects_keep_their_names() -> None:
+    dictionary, own, pool = TermDictionary(), StringPool(), StringPool()
+    naming = _Naming(Whose(None, "id"), dictionary, pool, None)
+    for turn in range(6):
+        names = [f"o{turn}", "always", f"o{turn - 2}"][:: 1 if turn % 2 else -1]
+        times = np.arange(3, dtype=np.int64)
+        column = Column(FieldType.STRING, own.encode(names), None, own)
+        codes, known = naming.of(SampleBatch(times, times, {"id": column}))
+        assert [pool[code] for code in codes.tolist()] == names
+        assert known.all()
+        dictionary._sweep()
