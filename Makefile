@@ -17,6 +17,9 @@ serve: $(VENV)/installed ## leave the service running with the same flights repl
 
 test: lint image-check ## everything that CI runs
 	$(BIN)/pytest --hypothesis-profile=ci
+	for way in reused retired; do $(BIN)/pytest $(SWEPT) --sweeps=$$way --share=0.01 --hypothesis-profile=ci || exit 1; done
+# Laws that hold as well where terms are forgotten at every chance (tests/conftest.py).
+SWEPT := $(addprefix tests/laws/test_,continuous.py algebra.py patterns.py event_time.py shared_requests.py engine.py ntriples.py)
 
 ROUNDS ?= 3
 soak: $(VENV)/installed-dev ## look for what breaks a law, in random examples (ROUNDS of all laws)

@@ -15,6 +15,7 @@ HERE = Path(__file__).parent
 TABLES = (
     "speed_query.py",
     "windows.py",
+    "terms.py",
     "citybench.py",
     "two_stars.py",
     "instances.py",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,29 +15,46 @@ from .logical import START, STOP, Closure
 
 
 def closure(plan: Closure, step: Relation, nodes: ObjectColumn, terms: TermValues) -> Pairs:
-    """The pairs of ends of the repetition of ``step``, in the order of their ids; of those that the
-    constants of ``plan`` select no one is missing.
+    """The pairs of ends of the repetition of ``step``, in the order in which nodes are met there;
+    of those that the constants of ``plan`` select no one is missing.
 
     ``nodes`` are those of the graph: each reaches itself where ``plan.zero``. From an end that is a
     constant only what it reaches is followed; between two variables every pair is found: O(pairs)
     memory, a sort a round, as many rounds as the longest shortest path has steps.
     """
     dictionary = terms.dictionary
-    starts = as_terms(step.column(START), dictionary).values.astype(np.int64)
-    stops = as_terms(step.column(STOP), dictionary).values.astype(np.int64)
+    begins, ends = (as_terms(step.column(name), dictionary).values for name in (START, STOP))
+    given = [ids[:0] for ids in (begins, begins)]
     if isinstance(plan.subject, Const):
-        first = np.array([dictionary.id(plan.subject.term)], np.int64)
-        found = _reached(first, starts, stops, plan, len(dictionary))
+        given[0] = np.array([dictionary.id(plan.subject.term)], np.int32)
     elif isinstance(plan.object, Const):
-        first = np.array([dictionary.id(plan.object.term)], np.int64)
-        stop, start = _reached(first, stops, starts, plan, len(dictionary))
+        given[0] = np.array([dictionary.id(plan.object.term)], np.int32)
+    elif plan.zero:
+        given[1] = as_terms(nodes, dictionary).values
+    # Numbered as they are met: ids say when a term came, which may be after it was forgotten.
+    numbered, (seed, every, starts, stops) = _numbered([*given, begins, ends])
+    if isinstance(plan.subject, Const):
+        found = _reached(seed, starts, stops, plan, len(numbered))
+    elif isinstance(plan.object, Const):
+        stop, start = _reached(seed, stops, starts, plan, len(numbered))
         found = start, stop
     else:
-        every = as_terms(nodes, dictionary).values.astype(np.int64)
-        seeds = np.unique(np.concatenate([every, starts]) if plan.zero else starts)
-        found = _reached(seeds, starts, stops, plan, len(dictionary))
-    first_ids, last_ids = (ObjectColumn(Kind.TERM, ids.astype(np.int32)) for ids in found)
+        seeds = np.concatenate([every, starts])
+        found = _reached(seeds, starts, stops, plan, len(numbered))
+    first_ids, last_ids = (ObjectColumn(Kind.TERM, numbered[codes]) for codes in found)
     return first_ids, last_ids
+
+
+def _numbered(
+    parts: Sequence[NDArray[np.int32]],
+) -> tuple[NDArray[np.int32], list[NDArray[np.int64]]]:
+    """The distinct ids in order of appearance, and the places of all among them, part by part."""
+    ids, first, inverse = np.unique(np.concatenate(parts), return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    rank = np.empty(len(order), np.int64)
+    rank[order] = np.arange(len(order))
+    cuts = np.cumsum([len(part) for part in parts])[:-1]
+    return ids[order], np.split(rank[inverse.reshape(-1)], cuts)
 
 
 def _reached(

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from pyoxigraph import Literal, NamedNode, Quad, Store
 
 from ..rdf.datatypes import INTEGERS
-from ..rdf.dictionary import NO_TERM, Term, TermDictionary
+from ..rdf.dictionary import NO_TERM, Term, TermDictionary, TermTable
 from ..rdf.namespaces import RDF, XSD
-from ..rdf.timed import DATATYPES, Kind, ObjectColumn, TripleRows, make_term, split_term
+from ..rdf.timed import DATATYPES, Intern, Kind, ObjectColumn, TripleRows, make_literal, split_term
 from ..streams.sample import Mask
 
 
@@ -70,15 +70,15 @@ class Sort(IntEnum):
 _WHOLE = re.compile(r"[+-]?[0-9]+")
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?|[+-]?INF|NaN")
 _ANY = NamedNode(XSD + "any")
-_NO_DICTIONARY = TermDictionary()
 _NUMBERS = {XSD + "decimal": Kind.DECIMAL, XSD + "float": Kind.FLOAT, XSD + "double": Kind.DOUBLE}
 
 
-class TermValues:
+class TermValues(TermTable):
     """What the terms of a dictionary are and are worth, in arrays by id that follow its growth.
 
     Of each: its `Sort`, its float64 and int64 value (of a string: whether it has any character),
-    and the id of its `canonical` term. Cost: Python once a distinct term.
+    and the id of its `canonical` term, which stays as long as it does. Cost: Python once a distinct
+    term, once more when it comes again after it was forgotten.
     """
 
     def __init__(self, dictionary: TermDictionary) -> None:
@@ -90,6 +90,11 @@ class TermValues:
         self._tag: NDArray[np.int8] = np.zeros(0, np.int8)
         self._bits: NDArray[np.int64] = np.zeros(0, np.int64)
         self._size = 0
+        self._place = 0
+        """How many of the ids that are used again have been looked at."""
+        self._waiting: list[int] = []
+        """Those of them that had not been looked at when terms were forgotten last."""
+        dictionary.follow(self)
 
     def sorts(self, ids: NDArray[np.int32]) -> NDArray[np.int8]:
         """`Sort` of each id; an absent term (`NO_TERM`) is OTHER."""
@@ -142,10 +147,26 @@ class TermValues:
         answer: NDArray[np.bool_] = self._integer[ids] != 0
         return answer
 
+    def implied(self, marked: NDArray[np.bool_]) -> NDArray[np.int32]:
+        """See `dictionary.TermTable`."""
+        return self._canonical[np.flatnonzero(marked[: self._size])]
+
+    def forget(self, freed: NDArray[np.bool_]) -> None:
+        """See `dictionary.TermTable`."""
+        waiting = [*self._waiting, *self.dictionary.reused[self._place :]]
+        self._waiting = [id for id in waiting if not freed[id]]
+        self._place = 0
+
     def _follow(self) -> None:
+        dictionary = self.dictionary
         # A canonical term may be new to the dictionary: then it is looked at in its turn.
-        while self._size < len(self.dictionary) or not len(self._sort):
-            size = len(self.dictionary)
+        while (
+            self._size < len(dictionary)
+            or self._place < len(dictionary.reused)
+            or self._waiting
+            or not len(self._sort)
+        ):
+            size = len(dictionary)
             if len(self._sort) <= size:
                 capacity = max(2 * size, 64)
                 self._sort = _enlarged(self._sort, capacity)
@@ -158,17 +179,33 @@ class TermValues:
             new = slice(self._size, size)
             self._sort[new] = Sort.NODE
             self._canonical[new] = self._bits[new] = np.arange(self._size, size)
-            for id, term in enumerate(list(self.dictionary.terms(self._size)), self._size):
-                if isinstance(term, Literal) and id < size:
-                    self._note(id, term)
+            terms: list[tuple[int, Term | None]] = list(
+                enumerate(dictionary.terms(self._size), self._size)
+            )
+            if self._waiting or self._place < len(dictionary.reused):
+                terms += self._used_again()
             self._size = size
+            for id, term in terms:
+                if isinstance(term, Literal):
+                    self._note(id, term)
+
+    def _used_again(self) -> list[tuple[int, Term | None]]:
+        """Ids that have other terms than when they were looked at, as nothing is known of them."""
+        ids = [*self._waiting, *self.dictionary.reused[self._place :]]
+        self._waiting, self._place = [], len(self.dictionary.reused)
+        at = np.array(ids, np.int64)
+        self._sort[at], self._number[at], self._integer[at] = Sort.NODE, 0.0, 0
+        self._canonical[at] = self._bits[at] = at
+        self._tag[at] = Kind.TERM
+        return [(id, self.dictionary.term(id)) for id in ids]
 
     def _note(self, id: int, literal: Literal) -> None:
         self._sort[id], self._number[id], self._integer[id] = _worth(literal)
         spelled = canonical(literal)
-        self._canonical[id] = id if spelled == literal else self.dictionary.id(spelled)
+        intern = self.dictionary.transient_id
+        self._canonical[id] = id if spelled == literal else intern(spelled)
         # A number that no column holds (a long decimal) is the term itself.
-        kind, value = split_term(spelled, self.dictionary)
+        kind, value = split_term(spelled, intern)
         self._tag[id] = kind
         self._bits[id] = bits(np.array([value], kind.dtype))[0]
 
@@ -226,9 +263,7 @@ def canonical(term: Term) -> Term:
 
 def make_number(kind: Kind, number: float) -> Literal:
     """A DECIMAL, FLOAT or DOUBLE as a literal."""
-    made = make_term(kind, number, _NO_DICTIONARY)
-    assert isinstance(made, Literal)
-    return made
+    return make_literal(kind, number)
 
 
 def _stored(literal: Literal) -> Literal:
@@ -247,10 +282,10 @@ def either(left: Mask | None, right: Mask | None) -> Mask | None:
     return left if right is None else left | right
 
 
-def term_column(terms: Sequence[Term | None], dictionary: TermDictionary) -> ObjectColumn:
+def term_column(terms: Sequence[Term | None], intern: Intern) -> ObjectColumn:
     """A column of ``terms`` (None = null), canonical, in numbers if they are all of one kind."""
     terms = [None if term is None else canonical(term) for term in terms]
-    pairs = [(Kind.TERM, NO_TERM) if t is None else split_term(t, dictionary) for t in terms]
+    pairs = [(Kind.TERM, NO_TERM) if t is None else split_term(t, intern) for t in terms]
     null = np.array([t is None for t in terms], np.bool_)
     kinds = {kind for (kind, _), term in zip(pairs, terms, strict=True) if term is not None}
     mask = null if null.any() else None
@@ -259,7 +294,7 @@ def term_column(terms: Sequence[Term | None], dictionary: TermDictionary) -> Obj
             0 if term is None else value for (_, value), term in zip(pairs, terms, strict=True)
         ]
         return ObjectColumn(kind, np.array(values, kind.dtype), mask)
-    ids = [NO_TERM if term is None else dictionary.id(term) for term in terms]
+    ids = [NO_TERM if term is None else intern(term) for term in terms]
     return ObjectColumn(Kind.TERM, np.array(ids, np.int32), mask)
 
 
@@ -269,7 +304,7 @@ def as_terms(column: ObjectColumn, dictionary: TermDictionary) -> ObjectColumn:
         return column
     distinct, inverse = np.unique(bits(column.values), return_inverse=True)
     values = decoded(column.kind, distinct).values.tolist()
-    ids = dictionary.ids(make_term(column.kind, value, dictionary) for value in values)
+    ids = dictionary.transient_ids(make_literal(column.kind, value) for value in values)
     return ObjectColumn(Kind.TERM, ids[inverse.reshape(-1)], column.null)
 
 

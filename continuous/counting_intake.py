@@ -35,6 +35,15 @@ class CountingIntake:
         self._settled = _Triples.none()
         self._first = 0
         """How many settled triples have been forgotten."""
+        dictionary.hold(self)
+
+    def held(self) -> Iterator[NDArray[np.int64]]:
+        """See `dictionary.Holder`."""
+        for part in (*self._waiting, self._settled):
+            yield part.subject
+            yield part.predicate
+            yield part.object[part.kind == Kind.TERM]
+            yield part.sort
 
     def push(self, rows: TripleRows) -> None:
         """Keep the triples of ``rows``."""

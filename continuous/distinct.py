@@ -12,13 +12,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..rdf.dictionary import TermTable
 from ..rdf.timed import Kind, ObjectColumn
 from ..streams.sample import Mask
 from .columns import Pairs, Sort, TermValues, bits, decoded, make_number
 from .seen import SeenPairs
 
 
-class DistinctRows:
+class DistinctRows(TermTable):
     """The distinct pairs of the window: a `SeenPairs` for each kind of object.
 
     Law: `see` gives each pair when it comes into the window, `leave` when it has left. Cost and
@@ -29,6 +30,20 @@ class DistinctRows:
         self._terms = terms
         self._kinds: dict[Kind, SeenPairs] = {}
         self._spelled: dict[int, bool] = {}
+        terms.dictionary.hold(self)
+        terms.dictionary.follow(self)
+
+    def held(self) -> Iterator[NDArray[Any]]:
+        """See `dictionary.Holder`."""
+        for kind, seen in self._kinds.items():
+            subjects, keys = seen.pairs()
+            yield subjects
+            if kind is Kind.TERM:
+                yield keys
+
+    def forget(self, freed: NDArray[np.bool_]) -> None:
+        """See `dictionary.TermTable`."""
+        self._spelled = {id: plain for id, plain in self._spelled.items() if not freed[id]}
 
     def see(self, end: int, pairs: Pairs, skip: Mask | None = None) -> NDArray[np.int64]:
         """Rows of the pane that ends at ``end``, but those in ``skip``: those whose pair is new to

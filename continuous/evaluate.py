@@ -155,7 +155,10 @@ def _run(
 ) -> Iterator[Window]:
     """Always the feed that is furthest behind goes on."""
     open_feeds = list(feeds)
+    batch: TimedTriples | None = None
     while open_feeds:
+        batch = None
+        dictionary.collect()
         feed = min(open_feeds, key=lambda one: one.progress)
         batch = feed.read(dictionary, evaluator.next_end())
         if batch is None:

@@ -209,7 +209,7 @@ class _Rows:
                 raise NeedsOxigraph(f"the expression {expression}")
 
     def _constant(self, term: Term) -> ObjectColumn:
-        kind, value = split_term(term, self.terms.dictionary)
+        kind, value = split_term(term, self.terms.dictionary.id)
         if kind is Kind.TERM:
             sort = int(self.terms.sorts(np.array([value], np.int32))[0])
             if Sort.INTEGER <= sort <= Sort.BOOLEAN:
@@ -365,10 +365,12 @@ class _Rows:
             return np.asarray(sorts != Sort.NODE)
         if name == "ISNUMERIC":
             return np.zeros(self.rows, np.bool_)
-        ids, inverse = np.unique(a.values, return_inverse=True)
-        wanted = [isinstance(self.terms.dictionary.term(id), NamedNode) for id in ids.tolist()]
-        nodes = np.array(wanted, np.bool_)[inverse.reshape(-1)]
-        return np.asarray((sorts == Sort.NODE) & (nodes == (name == "ISIRI")))
+        nodes: NDArray[np.bool_] = a.present & (sorts == Sort.NODE)
+        ids, inverse = np.unique(a.values[nodes], return_inverse=True)
+        iris = [isinstance(self.terms.dictionary.term(id), NamedNode) for id in ids.tolist()]
+        wanted = np.array(iris, np.bool_) == (name == "ISIRI")
+        nodes[nodes] = wanted[inverse.reshape(-1)]
+        return nodes
 
 
 def _boolean(values: Any, null: Mask | None) -> ObjectColumn:

@@ -34,7 +34,8 @@ class ContinuousEvaluator:
     pushes or how often watermarks were told.
 
     Cost: see `incremental`, `relational` and `oxigraph`; `explain` says which serves the query.
-    Memory: the rows of the open windows, or their partial aggregates; the dictionary's terms.
+    Memory: the rows of the open windows, or their partial aggregates, and their terms, if whoever
+    calls has the dictionary `collect` between two calls; else all terms that ever came.
     """
 
     def __init__(

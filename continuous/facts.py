@@ -56,6 +56,10 @@ class SortFacts:
         self._panes.append((end, ids))
         return ids
 
+    def held(self) -> Iterator[Ids]:
+        """The ids that the panes are about; those of the static side are pinned."""
+        return (ids for _, ids in self._panes)
+
     def evict(self, until: int) -> list[Ids]:
         """Forget the panes that end at or before ``until``: the ids each was about."""
         forgotten = []
@@ -106,6 +110,11 @@ class GroupSorts:
         for facts in self._facts:
             for ids in facts.evict(until):
                 yield self._changed(ids)
+
+    def held(self) -> Iterator[Ids]:
+        """The ids that somebody has told something of; groups hold their members."""
+        for facts in self._facts:
+            yield from facts.held()
 
     def forget(self) -> None:
         """The groups are others now."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -84,7 +84,8 @@ class _Counted:
 class Traffic:
     """Counts what comes in one stream, whose terms are of one dictionary.
 
-    Cost: a sort of the ids of a table; memory: the distinct subjects and objects by predicate.
+    Cost: a sort of the ids of a table; memory: the distinct subjects and objects by predicate. It
+    holds their terms, so that none is counted twice.
     """
 
     def __init__(self) -> None:
@@ -98,7 +99,9 @@ class Traffic:
 
     def add(self, triples: TimedTriples) -> None:
         """Rows that came."""
-        self._dictionary = triples.dictionary
+        if self._dictionary is None:
+            self._dictionary = triples.dictionary
+            self._dictionary.hold(self)
         times = [table.time for table in triples.tables if len(table)]
         if not times:
             return
@@ -127,6 +130,12 @@ class Traffic:
                     counted.objects = None
                 elif counted.objects is not None:
                     counted.objects |= set(np.unique(column.values[there]).tolist())
+
+    def held(self) -> Iterator[Sequence[int]]:
+        """See `dictionary.Holder`."""
+        yield list(self._subjects)
+        for predicate, counted in self._counted.items():
+            yield [predicate, *counted.subjects, *(counted.objects or ())]
 
     def flow(self) -> Flow | None:
         """What was counted; None before two moments have come, since that is no rate yet."""

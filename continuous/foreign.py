@@ -30,7 +30,7 @@ def ask(
     names = sorted(variables(expression))
     relation = Relation({name: columns[name] for name in names if name in columns}, rows)
     if not rows:
-        return term_column([], terms.dictionary)
+        return term_column([], terms.dictionary.transient_id)
     if is_volatile(expression):
         first = inverse = np.arange(rows)
     elif relation.columns:
@@ -50,7 +50,7 @@ def ask(
         for row in range(len(first))
     ]
     answers = _answers(expression, known, table)
-    return term_column(answers, terms.dictionary).take(inverse)
+    return term_column(answers, terms.dictionary.transient_id).take(inverse)
 
 
 def _answers(

@@ -163,5 +163,5 @@ def _concatenated(
         texts[at].append(term.value)
     ids = np.full(count, NO_TERM, np.int32)
     for at in np.flatnonzero(~failed).tolist():
-        ids[at] = dictionary.id(Literal(separator.join(texts[at])))
+        ids[at] = dictionary.transient_id(Literal(separator.join(texts[at])))
     return ObjectColumn(Kind.TERM, ids, failed if failed.any() else None)

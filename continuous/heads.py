@@ -104,7 +104,7 @@ def instantiated(
         rows = np.flatnonzero(keep & _iris(predicates, terms))
         subjects, predicates, objects = (c.take(rows) for c in (subjects, predicates, objects))
         objects = ObjectColumn(objects.kind, objects.values)
-        for id in np.unique(predicates.values).tolist():
+        for id in predicates.values[first_rows(predicates.values)].tolist():
             at = np.flatnonzero(predicates.values == id)
             part = Instantiated(rows[at], subjects.values[at], objects.take(at), unique)
             found.setdefault(id, []).append(part)
@@ -154,8 +154,8 @@ def _position(
             BlankNode(f"{position.label}t{time}r{row}".replace("-", "m"))
             for row in range(relation.rows)
         )
-        return ObjectColumn(Kind.TERM, terms.dictionary.ids(nodes))
-    kind, value = split_term(position.term, terms.dictionary)
+        return ObjectColumn(Kind.TERM, terms.dictionary.transient_ids(nodes))
+    kind, value = split_term(position.term, terms.dictionary.id)
     return ObjectColumn(kind, np.full(relation.rows, value, kind.dtype))
 
 

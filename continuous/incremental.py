@@ -9,7 +9,7 @@ the window's rows.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -78,6 +78,15 @@ class Incremental:
         # Which groups had rows, were of the sorts and passed the HAVING, when last looked at.
         self._passing: NDArray[np.bool_] = np.zeros(0, np.bool_)
         self._compact_at = COMPACT
+        terms.dictionary.hold(self)
+
+    def held(self) -> Iterator[NDArray[Any]]:
+        """See `dictionary.Holder`: groups keep their subjects until they are compacted, a static
+        triple may have been given another spelling."""
+        yield self.groups.members[: self.groups.used]
+        yield from self._sorts.held()
+        for column in self._static_pairs or ():
+            yield column.held
 
     def fold(self, end: int, tables: Sequence[TripleRows]) -> None:
         """The rows of the pane that ends at ``end``, in order."""

@@ -4,7 +4,7 @@ by the compared term that a condition searches for.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import TypeAlias
 
 import numpy as np
@@ -97,6 +97,12 @@ class _Key:
         self.tags, self.bits = terms.tags[rows], terms.bits[rows]
         self.codes, self.count = self._coded()
         self._of_id: NDArray[np.int64] | None = None
+        terms.dictionary.hold(self)
+
+    def held(self) -> Iterator[Rows]:
+        """The terms that numbers have been given, to be found by id; the others are the table's."""
+        if self._of_id is not None:
+            yield np.flatnonzero(self._of_id >= 0)
 
     def _coded(self) -> tuple[Rows, int]:
         codes = np.zeros(len(self.tags), np.int64)

@@ -132,6 +132,14 @@ class Joined:
         found = _of_one(self.relation.take(order[low:high]))
         return finish(self.head, found, self.start, self.end, self.terms)
 
+    def __post_init__(self) -> None:
+        self.terms.dictionary.hold(self)
+
+    def held(self) -> Iterator[NDArray[np.int32]]:
+        """See `dictionary.Holder`."""
+        for column in self.relation.columns.values():
+            yield column.held
+
     @property
     def reported(self) -> Numbers:
         return self.numbers[self.alive]

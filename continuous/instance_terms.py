@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -53,6 +53,11 @@ class Terms:
         self.dictionary = dictionary
         self._tags, self._bits = Growing(np.int8), Growing(np.int64)
         self._waiting: list[Term] = []
+        dictionary.hold(self)
+
+    def held(self) -> Iterator[NDArray[np.int64]]:
+        """See `dictionary.Holder`."""
+        yield self.bits[self.tags == Kind.TERM]
 
     @property
     def tags(self) -> NDArray[np.int8]:
@@ -106,7 +111,7 @@ class Terms:
 def _split(term: Term, dictionary: TermDictionary) -> tuple[Kind, Any]:
     """`split_term` of the canonical spelling; doubles and integers without spelling them first."""
     if isinstance(term, NamedNode):
-        return Kind.TERM, dictionary.id(term)
+        return Kind.TERM, dictionary.transient_id(term)
     if isinstance(term, Literal):
         known, text = _READ.get(term.datatype.value), term.value
         if known is not None and text.isascii() and "_" not in text and text == text.strip():
@@ -119,4 +124,4 @@ def _split(term: Term, dictionary: TermDictionary) -> tuple[Kind, Any]:
                 -(2**63) <= value < 2**63 if kind is Kind.INTEGER else abs(value) < np.inf
             ):
                 return kind, value
-    return split_term(canonical(term), dictionary)
+    return split_term(canonical(term), dictionary.transient_id)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ..rdf.dictionary import TermDictionary
+from ..rdf.dictionary import TermDictionary, TermTable
 from ..rdf.timed import TripleRows
 from ..streams.sample import Times
 from .columns import concatenate_rows
@@ -28,7 +30,7 @@ class _Chunk:
     small: bool
 
 
-class Intake:
+class Intake(TermTable):
     """The rows of one input, by shape, each chunk ordered by τ.
 
     Law: `between` depends on the rows and their order of arrival, not on how they were cut into
@@ -43,6 +45,8 @@ class Intake:
         self._dictionary = dictionary
         self._chunks: dict[Shape, list[_Chunk]] = {}
         self._names: dict[Shape, tuple[object, ...]] = {}
+        dictionary.hold(self)
+        dictionary.follow(self)
 
     def push(self, rows: TripleRows, *, ascending: bool) -> None:
         """Keep these rows, of which there are some; ``ascending``: they are in order of τ."""
@@ -55,6 +59,16 @@ class Intake:
         self._chunks.setdefault(shape, []).append(
             _Chunk(rows, int(rows.time[0]), int(rows.time[-1]), len(rows) < _SMALL)
         )
+
+    def held(self) -> Iterator[NDArray[Any] | Sequence[int]]:
+        """See `dictionary.Holder`."""
+        for chunks in self._chunks.values():
+            for chunk in chunks:
+                yield from chunk.rows.held()
+
+    def forget(self, freed: NDArray[np.bool_]) -> None:
+        """Names of predicates that no row has are found anew."""
+        self._names = {shape: name for shape, name in self._names.items() if shape in self._chunks}
 
     def earliest(self, after: int) -> int | None:
         """The least τ > ``after``, or None."""

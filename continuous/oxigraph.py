@@ -138,7 +138,7 @@ class OxigraphWindows:
                 )
                 rows = [[solution[name] for name in names] for solution in found]
                 columns = {
-                    name: term_column([_optional(row[i]) for row in rows], dictionary)
+                    name: term_column([_optional(row[i]) for row in rows], dictionary.transient_id)
                     for i, name in enumerate(names)
                 }
                 solutions = Solutions(names, columns, dictionary, len(rows))

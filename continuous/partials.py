@@ -306,8 +306,8 @@ def _sum_column(
         if all(-(2**63) <= value < 2**63 for value in whole):
             return ObjectColumn(kind, np.array(whole, np.int64))
         datatype = DATATYPES[Kind.INTEGER]
-        ids = [terms.dictionary.id(Literal(str(value), datatype=datatype)) for value in whole]
-        return ObjectColumn(Kind.TERM, np.array(ids, np.int32))
+        literals = (Literal(str(value), datatype=datatype) for value in whole)
+        return ObjectColumn(Kind.TERM, terms.dictionary.transient_ids(literals))
     return ObjectColumn(kind, rounded(sums) if kind is Kind.DECIMAL else sums)
 
 

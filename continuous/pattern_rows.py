@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -83,6 +83,7 @@ class PatternRows:
         """Whether times of pending rows ascend."""
         self.marks = np.zeros(MARKS, np.int64)
         self._start()
+        terms.dictionary.hold(self)
 
     def _start(self) -> None:
         """No row is here; pending ones stay pending."""
@@ -104,6 +105,24 @@ class PatternRows:
     def count(self) -> int:
         """How many rows are here, those that have gone and are not forgotten among them."""
         return int(self.marks[COUNT])
+
+    def held(self) -> Iterator[NDArray[Any] | Sequence[int]]:
+        """See `dictionary.Holder`. Rows that have gone are passed by, whatever their ids are."""
+        count = self.count
+        rows = self.rows[:count][self.rows[:count, PLACE] >> STATE_SHIFT != GONE]
+        slots, subjects, tags = _columns(rows)
+        yield subjects
+        yield _words(rows[(tags == Kind.TERM) & (slots != SORT_SLOT)])
+        first, last = self.marks[FIRST_PENDING:].tolist()
+        places, words, _ = (part[first:last] for part in self._pending)
+        yield places[:, 2]
+        yield words[places[:, 3] == Kind.TERM]
+        yield list(self.sorts)
+        # What waits has not been spelled, so it is told as it came.
+        for _, _, kind, subjects, values, _ in self._waiting:
+            yield subjects
+            if kind is Kind.TERM:
+                yield values
 
     def push(self, window: int, tables: Sequence[TripleRows]) -> None:
         """Rows of a window. Cost: a copy of each column that a pattern names, when somebody looks

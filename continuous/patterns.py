@@ -21,7 +21,7 @@ from pyoxigraph import NamedNode
 
 from ..rdf.namespaces import RDF_TYPE
 from ..rdf.timed import Kind, ObjectColumn
-from .columns import Relation, TermValues, decoded, decoded_terms
+from .columns import Relation, TermValues, canonical, decoded, decoded_terms
 from .expressions import Call, Const, Expression, Var, variables
 from .logical import Plan, Position, TypeScan, outputs
 from .pattern_kernels import BY_OBJECT, BY_SLOT, BY_SUBJECT, BY_TRIPLE, LOST
@@ -195,8 +195,9 @@ class PatternJoin:
 
 
 def _single(const: Const, terms: TermValues) -> ObjectColumn:
-    ids = np.array([terms.dictionary.id(const.term)], np.int32)
-    return terms.canonical(ObjectColumn(Kind.TERM, ids))
+    # Pinned in the spelling that is compared: the loop has its id for good.
+    ids = np.array([terms.dictionary.id(canonical(const.term))], np.int32)
+    return ObjectColumn(Kind.TERM, ids)
 
 
 def _compiled(

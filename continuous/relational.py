@@ -111,7 +111,7 @@ def _execute(plan: Plan, source: Source, terms: TermValues) -> Relation:
             return select_pairs(pairs, plan.subject, plan.object, terms)
         case Values(variables, rows):
             columns = {
-                name: term_column([row[i] for row in rows], terms.dictionary)
+                name: term_column([row[i] for row in rows], terms.dictionary.id)
                 for i, name in enumerate(variables)
             }
             return Relation(columns, len(rows))
@@ -328,7 +328,7 @@ def select_pairs(pairs: Pairs, subject: Position, object: Position, terms: TermV
 
 
 def _equals(column: ObjectColumn, constant: Const, terms: TermValues) -> NDArray[np.bool_]:
-    kind, value = split_term(constant.term, terms.dictionary)
+    kind, value = split_term(constant.term, terms.dictionary.id)
     if column.kind is Kind.TERM:
         return np.asarray(column.values == terms.dictionary.find(constant.term))
     if column.kind is not kind:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,17 +12,28 @@ from ..rdf.dictionary import Term, TermDictionary
 from ..rdf.timed import ObjectColumn, TimedTriples
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class Solutions:
-    """A SELECT's solutions, a column a variable, of shape ``(length,)``; null = unbound."""
+    """A SELECT's solutions, a column a variable, of shape ``(length,)``; null = unbound.
+
+    As long as they are kept their terms are: they hold them.
+    """
 
     variables: tuple[str, ...]
     columns: Mapping[str, ObjectColumn]
     dictionary: TermDictionary
     length: int
 
+    def __post_init__(self) -> None:
+        self.dictionary.hold(self)
+
     def __len__(self) -> int:
         return self.length
+
+    def held(self) -> Iterator[NDArray[np.int32]]:
+        """See `dictionary.Holder`."""
+        for column in self.columns.values():
+            yield column.held
 
     def take(self, rows: NDArray[np.int64]) -> Solutions:
         """The solutions at ``rows``."""

@@ -332,6 +332,15 @@ class SeenPairs:
         subjects, bits = (np.concatenate(column) for column in zip(*parts, strict=True))
         return subjects, bits
 
+    def pairs(self) -> Pairs:
+        """The pairs of the window, in any order."""
+        if not JIT:
+            subjects, bits = zip(*self._known, strict=True) if self._known else ((), ())
+            return np.array(subjects, np.int32), np.array(bits, np.int64)
+        entries = self._entries.reshape(-1, 2)
+        entries = entries[entries[:, 1] != 0]
+        return (entries[:, 1] >> 32).astype(np.int32), entries[:, 0]
+
     def holds(self, pairs: Pairs) -> NDArray[np.bool_]:
         """Which of the pairs are in the window."""
         subjects, bits = pairs

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pyoxigraph import BlankNode, DefaultGraph, Literal, NamedNode, RdfFormat, parse
 
-from ..rdf.dictionary import NO_TERM, Ids, Term, TermDictionary
+from ..rdf.dictionary import NO_TERM, Ids, Term, TermDictionary, TermTable
 from ..rdf.namespaces import XSD
 from ..rdf.timed import (
     Kind,
@@ -61,7 +61,7 @@ class _Statements:
         return _Statements(subject, predicate, self.kind[rows], self.object[rows], graph, line)
 
 
-class TripleReader:
+class TripleReader(TermTable):
     """Reads texts into the ids of one dictionary, and remembers each spelling of a term.
 
     Law (tests/laws): the triples are those that pyoxigraph's parser finds, objects as `from_terms`
@@ -70,13 +70,18 @@ class TripleReader:
     Cost: about 2 ns a byte, Python once a distinct term of a text; numbers of 16 and 17 digits some
     Python each, and those in unusual spellings (``1.50``, ``1E2``) are terms like others. Texts
     that the loops do not know, such as with ``_:b.`` or triple terms, are parsed one by one, 3 µs
-    a triple. Memory: every distinct spelling once, beside the dictionary.
+    a triple. Memory: the spellings of the terms that the dictionary has.
     """
 
     def __init__(self, dictionary: TermDictionary, least: int = cells.LEAST) -> None:
         self.dictionary = dictionary
         self._least = least
-        self._known: dict[bytes, tuple[int, int]] = {}
+        self._known: dict[bytes, int] = {}
+        dictionary.follow(self)
+
+    def forget(self, freed: NDArray[np.bool_]) -> None:
+        """See `dictionary.TermTable`."""
+        self._known = {text: id for text, id in self._known.items() if not freed[id]}
 
     def triples(self, data: bytes, time: int) -> TimedTriples:
         """N-Triples, all at ``time`` (ns), which is their valid time too."""
@@ -116,9 +121,9 @@ class TripleReader:
             parts = (quad.subject, quad.object)
             if not all(isinstance(part, NamedNode | BlankNode | Literal) for part in parts):
                 raise WireError(None, f"a triple about triples cannot be timed: {quad}")
-        id = self.dictionary.id
+        id = self.dictionary.transient_id
         for quad in quads:
-            kind, value = split_term(quad.object, self.dictionary)
+            kind, value = split_term(quad.object, id)
             graph = quad.graph_name
             rows.append(
                 (
@@ -183,7 +188,7 @@ class TripleReader:
         """Kind and value of distinct spellings; those not known yet are parsed together."""
         places = zip(starts.tolist(), ends.tolist(), strict=True)
         spelled = [raw[start:end] for start, end in places]
-        known = self._known
+        known, numbers = self._known, {}
         new = [text for text in spelled if text not in known]
         if new:
             lines = b"".join(b"<x:s> <x:p> %b .\n" % text for text in new)
@@ -196,12 +201,17 @@ class TripleReader:
             ):
                 raise cells.Irregular
             for text, term in zip(new, objects, strict=True):
-                kind, value = split_term(term, self.dictionary)
-                known[text] = int(kind), _bits(kind, value)
-        pairs = np.array([known[text] for text in spelled], np.int64).reshape(-1, 2)
-        if not len(pairs):
-            pairs = np.zeros((1, 2), np.int64)
-        return pairs[:, 0].astype(np.int8), pairs[:, 1]
+                kind, value = split_term(term, self.dictionary.transient_id)
+                if kind is Kind.TERM:
+                    known[text] = value
+                else:
+                    numbers[text] = int(kind), _bits(kind, value)
+        if not numbers:
+            ids = [known[text] for text in spelled] or [0]
+            return np.full(len(ids), int(Kind.TERM), np.int8), np.array(ids, np.int64)
+        pairs = [numbers.get(text) or (int(Kind.TERM), known[text]) for text in spelled]
+        kinds, values = np.array(pairs, np.int64).T
+        return kinds.astype(np.int8), values
 
     def _times(self, told: _Statements) -> dict[int, int]:
         """The time of each graph, by the triples of the default graph."""

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pyoxigraph import NamedNode
 
-from ..rdf.dictionary import NO_TERM, Ids, TermDictionary
+from ..rdf.dictionary import NO_TERM, Ids, TermDictionary, TermTable
 from ..rdf.namespaces import PREFIXES
 from ..streams.sample import Column, Mask
-from ..streams.strings import StringPool
+from .term_tables import PoolTable
 
 _SCHEME = re.compile(r"[A-Za-z][A-Za-z0-9+.\-]*:")
 # RFC 3987: what a path may hold beside letters and digits of any script. "%" is encoded so that
@@ -59,24 +59,27 @@ _SMALL = 1 << 20
 """Integers from 0 to here are looked up by their place, others by search."""
 
 
-class ObjectTable:
+class ObjectTable(TermTable):
     """Term ids of the objects that a field names: a table that follows the field's pool, or the
     integers that have come.
 
+    ``pinned``: they stay for good, for who keeps them in places that nobody asks; else as long as
+    they are held, and the table forgets them then.
+
     Law (tests/laws): each row has the id that `of_name` gives its name; a name met before adds
     nothing. Cost: one gather a batch (a binary search for integers that are not small), and once
-    per distinct name an IRI. Memory: 4 bytes a distinct name, 4 up to the greatest small integer,
-    12 a large one.
+    per distinct name an IRI. Memory: 4 bytes a name of the pool, 4 up to the greatest small
+    integer, 12 a large one.
     """
 
-    def __init__(self, dictionary: TermDictionary, namespace: str) -> None:
-        self._dictionary = dictionary
+    def __init__(self, dictionary: TermDictionary, namespace: str, *, pinned: bool = False) -> None:
+        self._intern = dictionary.id if pinned else dictionary.transient_id
         self._namespace = namespace
-        self._pool: StringPool | None = None
-        self._ids: Ids = np.empty(0, np.int32)
+        self._texts = PoolTable(self.of_name, dictionary)
         self._small: Ids = np.empty(0, np.int32)
         self._large: NDArray[np.int64] = np.empty(0, np.int64)
         self._large_ids: Ids = np.empty(0, np.int32)
+        dictionary.follow(self)
 
     def ids(self, column: Column) -> tuple[Ids, Mask]:
         """The term ids that a text or integer field names, and where it names one; ``(n,)``."""
@@ -89,18 +92,7 @@ class ObjectTable:
             values = np.where(column.null, values.dtype.type(0), values)
         if column.pool is None:
             return self.of_integers(values)
-        return self.of_codes(values, column.pool)
-
-    def of_codes(self, codes: NDArray[np.int32], pool: StringPool) -> Ids:
-        """The term ids of the names with these codes, shape ``(n,)``."""
-        if pool is not self._pool:
-            self._pool, self._ids = pool, np.empty(0, np.int32)
-        if len(pool) > len(self._ids):
-            new = [self.of_name(name) for name in pool.strings(len(self._ids))]
-            self._ids = np.concatenate((self._ids, np.array(new, np.int32)))
-        if not len(pool):  # no text has been seen: every row is null
-            return np.full(len(codes), NO_TERM, np.int32)
-        return self._ids[codes]
+        return self._texts.of_codes(values, column.pool)
 
     def of_integers(self, values: NDArray[np.int64]) -> Ids:
         """The term ids of objects that are called by integers, shape ``(n,)``."""
@@ -140,7 +132,14 @@ class ObjectTable:
 
     def of_name(self, name: str) -> int:
         """The term id of the object called ``name``."""
-        return self._dictionary.id(NamedNode(object_iri(name, self._namespace)))
+        return self._intern(NamedNode(object_iri(name, self._namespace)))
+
+    def forget(self, freed: NDArray[np.bool_]) -> None:
+        """See `dictionary.TermTable`."""
+        self._small[freed[self._small]] = NO_TERM
+        gone = freed[self._large_ids]
+        if gone.any():
+            self._large, self._large_ids = self._large[~gone], self._large_ids[~gone]
 
 
 def _is_iri(text: str) -> bool:

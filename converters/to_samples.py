@@ -216,7 +216,8 @@ class ResultConverter:
     so that the output does not depend on the evaluator; ``keep_order`` keeps ORDER BY's.
 
     Raises `ConversionError` for an object that its field cannot hold and for a predicate that
-    ``predicates`` did not name. Cost: numpy per column; new texts are sorted when they appear.
+    ``predicates`` did not name. Cost: numpy per column; the texts of a field are sorted once while
+    no new ones come, those of the result alone where some do.
     """
 
     def __init__(
@@ -234,6 +235,8 @@ class ResultConverter:
         self._fields = field_names(predicates)
         self._keep_order = keep_order
         self._ranks: dict[str, Ids] = {}
+        self._sizes: dict[str, int] = {}
+        """How many texts a field had when they were ordered last."""
         for field in schema.fields:
             if field.type is FieldType.STRING:
                 pools.setdefault(field.name, StringPool())
@@ -331,21 +334,32 @@ class ResultConverter:
         column = columns[field.name]
         values = column.values
         if column.pool is not None and len(column.pool):
-            values = self._rank(field.name, column.pool)[values]
+            values = self._rank(field.name, values, column.pool)
         if column.null is None:
             return [values]
         return [column.present, np.where(column.null, values.dtype.type(0), values)]
 
-    def _rank(self, name: str, pool: StringPool) -> Ids:
-        """The place of each code in the order of texts; made anew when texts were added."""
+    def _rank(self, name: str, codes: Ids, pool: StringPool) -> Ids:
+        """Numbers that order the texts with these codes."""
         ranks = self._ranks.get(name)
         if ranks is None or len(ranks) != len(pool):
-            texts = pool.strings()
-            order = np.array(sorted(range(len(texts)), key=texts.__getitem__), np.int64)
-            ranks = np.empty(len(texts), np.int32)
-            ranks[order] = np.arange(len(texts), dtype=np.int32)
-            self._ranks[name] = ranks
-        return ranks
+            if self._sizes.get(name) != len(pool):
+                # Where new texts come all the time, to sort all would cost more and more.
+                self._sizes[name] = len(pool)
+                distinct, place = np.unique(codes, return_inverse=True)
+                among: Ids = _ranked([pool[code] for code in distinct.tolist()])[place]
+                return among
+            ranks = self._ranks[name] = _ranked(pool.strings())
+        found: Ids = ranks[codes]
+        return found
+
+
+def _ranked(texts: Sequence[str]) -> Ids:
+    """The place of each text in their order."""
+    order = np.array(sorted(range(len(texts)), key=texts.__getitem__), np.int64)
+    ranks = np.empty(len(texts), np.int32)
+    ranks[order] = np.arange(len(texts), dtype=np.int32)
+    return ranks
 
 
 class _Part:

@@ -259,7 +259,7 @@ class _Node:
             return []
         arguments = [ids[kept] for ids in arguments]
         # The stem's slashes stand for themselves; only the time is added.
-        nodes = self.dictionary.ids(
+        nodes = self.dictionary.transient_ids(
             NamedNode(f"{self.stem}{format_time(time)}") for time in chosen.available.tolist()
         )
         time, valid = chosen.available, chosen.valid

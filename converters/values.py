@@ -15,7 +15,7 @@ from pyoxigraph import Literal, NamedNode
 
 from ..ontology.units import Conversion
 from ..rdf.datatypes import range_type
-from ..rdf.dictionary import NO_TERM, Term, TermDictionary
+from ..rdf.dictionary import Term, TermDictionary
 from ..rdf.namespaces import OWL, RDF, RDFS, XSD
 from ..rdf.timed import Kind, ObjectColumn, make_term
 from ..streams.sample import Column, Field, FieldType, Mask
@@ -23,6 +23,7 @@ from ..streams.strings import StringPool
 from ..streams.time import format_time, parse_time
 from .errors import ConversionError
 from .objects import ObjectTable, object_name
+from .term_tables import PoolTable
 
 ToObjects: TypeAlias = Callable[[Column], ObjectColumn]
 
@@ -105,7 +106,11 @@ def object_column(
         )
     if local is not None and local not in _NOT_TEXT and field.type is FieldType.STRING:
         datatype = NamedNode(range)
-        return _TextTable(lambda text: Literal(text, datatype=datatype), dictionary)
+        intern = dictionary.transient_id
+        table = PoolTable(lambda text: intern(Literal(text, datatype=datatype)), dictionary)
+        return lambda column: ObjectColumn(
+            Kind.TERM, table.of_codes(_filled(column), _pool(column)), column.null
+        )
     if local == "string" and field.type is FieldType.INTEGER:
         return _distinct(field, lambda value: Literal(str(value)), dictionary)
     if local is None and not range.startswith(RDF) and field.type in _NAMING:
@@ -217,31 +222,10 @@ def _distinct(field: Field, term: Callable[[int], Term], dictionary: TermDiction
 
     def convert(column: Column) -> ObjectColumn:
         distinct, inverse = np.unique(_filled(column), return_inverse=True)
-        ids = np.array([dictionary.id(term(value)) for value in distinct.tolist()], np.int32)
+        ids = dictionary.transient_ids(term(value) for value in distinct.tolist())
         return ObjectColumn(Kind.TERM, ids[inverse], column.null)
 
     return convert
-
-
-class _TextTable:
-    """Text that becomes literals: a table by the pool's codes that grows with the pool."""
-
-    def __init__(self, term: Callable[[str], Term], dictionary: TermDictionary) -> None:
-        self._term = term
-        self._dictionary = dictionary
-        self._pool: StringPool | None = None
-        self._ids = np.empty(0, np.int32)
-
-    def __call__(self, column: Column) -> ObjectColumn:
-        pool = _pool(column)
-        if pool is not self._pool:
-            self._pool, self._ids = pool, np.empty(0, np.int32)
-        if len(pool) > len(self._ids):
-            new = self._dictionary.ids(self._term(s) for s in pool.strings(len(self._ids)))
-            self._ids = np.concatenate((self._ids, new))
-        if not len(pool):  # no text has been seen: every row is null
-            return ObjectColumn(Kind.TERM, np.full(len(column), NO_TERM, np.int32), column.null)
-        return ObjectColumn(Kind.TERM, self._ids[_filled(column)], column.null)
 
 
 def _text(

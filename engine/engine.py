@@ -299,6 +299,7 @@ class Engine:
         self._idleness.came(generator, self._now)
         self._rematching.came(generator.name, self._now)
         self._settle()
+        self.dictionary.collect()
         return accepted
 
     def end(self, name: str) -> None:
@@ -307,6 +308,7 @@ class Engine:
         generator.end()
         self._changed(Change(ChangeKind.STREAM_ENDED, generator.name))
         self._settle()
+        self.dictionary.collect()
 
     def tick(self, now: int) -> None:
         """The time is ``now``: streams that are stamped on arrival have nothing before it, others
@@ -330,6 +332,7 @@ class Engine:
                     unit.advance(source, now)
         self._rematching.tick(self._now)
         self._settle()
+        self.dictionary.collect()
         if now - SECOND >= self._counted:
             self._counted = now
             streams = self._configuration.streams.items()

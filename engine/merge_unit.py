@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..converters.objects import ObjectTable, object_name
 from ..ontology.units import Conversion
-from ..rdf.dictionary import TermDictionary
+from ..rdf.dictionary import TermDictionary, TermTable
 from ..rdf.namespaces import DYKNOW
 from ..streams.generator import StreamGenerator
 from ..streams.sample import Column, FieldType, Mask, SampleBatch, column_from_values
@@ -252,7 +252,7 @@ class _Feed:
         return column
 
 
-class _Naming:
+class _Naming(TermTable):
     """Names of objects in a stream made into those of the output."""
 
     def __init__(
@@ -268,6 +268,11 @@ class _Naming:
         self._wanted = wanted
         self._table = ObjectTable(dictionary, whose.namespace)
         self._codes: dict[int, int] = {}
+        dictionary.follow(self)
+
+    def forget(self, freed: NDArray[np.bool_]) -> None:
+        """See `dictionary.TermTable`."""
+        self._codes = {id: code for id, code in self._codes.items() if not freed[id]}
 
     def of(self, batch: SampleBatch) -> tuple[Codes, Mask]:
         """The codes of the objects in the output's pool, and where there is one that is meant."""

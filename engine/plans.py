@@ -285,7 +285,9 @@ class Plans:
             ports=ports,
             keys=keys,
             id_fields=id_fields,
-            objects=lambda source: ObjectTable(self._dictionary, namespaces[source.name]),
+            objects=lambda source: ObjectTable(
+                self._dictionary, namespaces[source.name], pinned=True
+            ),
         )
 
     # -- computing ---------------------------------------------------------------------------

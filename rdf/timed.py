@@ -8,10 +8,10 @@ triples is the special case of one predicate a table.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,6 +89,13 @@ class ObjectColumn:
         null = None if self.null is None else self.null[rows]
         return ObjectColumn(self.kind, self.values[rows], null)
 
+    @property
+    def held(self) -> NDArray[Any]:
+        """The ids of terms that are there, in any order."""
+        if self.kind is not Kind.TERM:
+            return self.values[:0]
+        return self.values if self.null is None else self.values[~self.null]
+
     def term_at(self, row: int, dictionary: TermDictionary) -> Term:
         """The object at ``row`` (which must be present) as an RDF term."""
         return make_term(self.kind, self.values[row], dictionary)
@@ -116,21 +123,37 @@ class TripleRows:
         """How many triples the rows stand for."""
         return sum(int(np.count_nonzero(column.present)) for column in self.objects.values())
 
+    def held(self) -> Iterator[NDArray[Any] | Sequence[int]]:
+        """The ids of terms that are there (`dictionary.Holder`)."""
+        yield self.subject
+        yield list(self.objects) if self.sort is None else [*self.objects, self.sort]
+        for column in self.objects.values():
+            yield column.held
+
     def take(self, rows: NDArray[Any] | slice) -> TripleRows:
         """The rows at ``rows`` (a mask, indices or a slice), in that order."""
         objects = {predicate: column.take(rows) for predicate, column in self.objects.items()}
         return TripleRows(self.time[rows], self.valid[rows], self.subject[rows], objects, self.sort)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class TimedTriples:
     """A bag of timed triples: tables of wide rows over one dictionary.
 
-    Within a table rows are in any order of τ unless the maker says otherwise.
+    Within a table rows are in any order of τ unless the maker says otherwise. As long as it is
+    kept its terms are: it holds them. Tables without it do not.
     """
 
     dictionary: TermDictionary
     tables: tuple[TripleRows, ...]
+
+    def __post_init__(self) -> None:
+        self.dictionary.hold(self)
+
+    def held(self) -> Iterator[NDArray[Any] | Sequence[int]]:
+        """See `dictionary.Holder`."""
+        for table in self.tables:
+            yield from table.held()
 
     def __len__(self) -> int:
         """How many triples."""
@@ -168,13 +191,12 @@ def from_terms(
     in canonical form become numbers; others stay terms, so that iterating gives back term-equal
     triples.
     """
+    id = dictionary.transient_id
     groups: dict[tuple[int, Kind], list[tuple[int, int, int, Any]]] = defaultdict(list)
     for i, (time, subject, predicate, object) in enumerate(triples):
-        kind, value = split_term(object, dictionary)
-        key = (dictionary.id(predicate), kind)
-        groups[key].append(
-            (time, time if valid is None else valid[i], dictionary.id(subject), value)
-        )
+        kind, value = split_term(object, id)
+        key = (id(predicate), kind)
+        groups[key].append((time, time if valid is None else valid[i], id(subject), value))
     tables = []
     for (predicate_id, kind), rows in groups.items():
         time_column, valid_column, subjects, values = zip(*rows, strict=True)
@@ -189,24 +211,31 @@ def from_terms(
     return TimedTriples(dictionary, tuple(tables))
 
 
-def split_term(term: Term, dictionary: TermDictionary) -> tuple[Kind, Any]:
+Intern: TypeAlias = Callable[[Term], int]
+"""Gives the id of a term: `TermDictionary.id` or `TermDictionary.transient_id`."""
+
+
+def split_term(term: Term, intern: Intern) -> tuple[Kind, Any]:
     """How a column would hold ``term``: a kind and a value of its dtype.
 
-    A literal is held as a number only if `make_term` gives the equal literal back.
+    A literal is held as a number only if `make_literal` gives the equal literal back.
     """
     if isinstance(term, Literal):
         kind = _KIND_OF.get(term.datatype.value)
         if kind is not None:
             value = _parse(kind, term.value)
-            if value is not None and make_term(kind, value, dictionary) == term:
+            if value is not None and make_literal(kind, value) == term:
                 return kind, value
-    return Kind.TERM, dictionary.id(term)
+    return Kind.TERM, intern(term)
 
 
 def make_term(kind: Kind, value: Any, dictionary: TermDictionary) -> Term:
     """The RDF term that a column of ``kind`` holds as ``value``, numbers in canonical form."""
-    if kind is Kind.TERM:
-        return dictionary.term(int(value))
+    return dictionary.term(int(value)) if kind is Kind.TERM else make_literal(kind, value)
+
+
+def make_literal(kind: Kind, value: Any) -> Literal:
+    """A number or truth as a literal in canonical form."""
     if kind is Kind.INTEGER:
         return Literal(str(int(value)), datatype=DATATYPES[kind])
     if kind is Kind.BOOLEAN:

@@ -141,7 +141,9 @@ class Column:
         """All values as Python objects, None for no_value."""
         values: list[Value] = self.values.tolist()
         if self.pool is not None:
-            strings = self.pool.strings()
+            # A copy of the pool is the quicker, unless it is much longer than the column.
+            few = len(self.pool) > 16 * len(self)
+            strings = self.pool if few else self.pool.strings()
             if self.null is None:
                 return [strings[code] for code in self.values.tolist()]
             pairs = zip(self.values.tolist(), self.null.tolist(), strict=True)

@@ -1,0 +1,52 @@
+"""Ids of the terms that texts stand for, by the codes of a string pool."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..rdf.dictionary import NO_TERM, Ids, TermDictionary, TermTable
+from ..streams.strings import StringPool
+
+
+class PoolTable(TermTable):
+    """Term ids by the codes of a pool: a table that follows the pool.
+
+    ``term`` gives the id of a text's term. A text is asked for when it comes, and again when it
+    comes after its term was forgotten. Cost: one gather a batch, and ``term`` once per distinct
+    text. Memory: 4 bytes a text of the pool.
+    """
+
+    def __init__(self, term: Callable[[str], int], dictionary: TermDictionary) -> None:
+        self._term = term
+        self._pool: StringPool | None = None
+        self._ids: Ids = np.empty(0, np.int32)
+        self._known = 0
+        dictionary.follow(self)
+
+    def of_codes(self, codes: NDArray[np.int32], pool: StringPool) -> Ids:
+        """The term ids of the texts with these codes, shape ``(n,)``."""
+        if pool is not self._pool:
+            self._pool, self._ids, self._known = pool, np.empty(0, np.int32), 0
+        size = len(pool)
+        if not size:  # no text has been seen: every row is null
+            return np.full(len(codes), NO_TERM, np.int32)
+        if size > len(self._ids):
+            larger = np.full(max(size, 2 * len(self._ids)), NO_TERM, np.int32)
+            larger[: len(self._ids)] = self._ids
+            self._ids = larger
+        ids: Ids = self._ids[codes]
+        if self._known < size and len(ids) and int(ids.min()) < 0:
+            new = np.unique(codes[ids < 0])
+            self._ids[new] = [self._term(pool[code]) for code in new.tolist()]
+            self._known += len(new)
+            ids = self._ids[codes]
+        return ids
+
+    def forget(self, freed: NDArray[np.bool_]) -> None:
+        """See `dictionary.TermTable`."""
+        gone = freed[self._ids]
+        self._ids[gone] = NO_TERM
+        self._known -= int(np.count_nonzero(gone))

@@ -1,0 +1,35 @@
+"""``--sweeps=WAY``: terms are forgotten at every chance, in all tests that run (`sweeping`).
+
+``make test`` runs some laws once more so, with a share of their examples (``--share``).
+"""
+
+from collections.abc import Iterator
+
+import pytest
+from hypothesis import settings
+from sweeping import WAYS, at_every_chance
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--sweeps", choices=WAYS, help="forget terms at every chance")
+    parser.addoption("--share", type=float, default=1.0, help="how much of all examples to draw")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    share = config.getoption("--share")
+    for item in items:
+        law = getattr(item, "obj", None)
+        known = getattr(law, "_hypothesis_internal_use_settings", None)
+        if share < 1 and known is not None:
+            fewer = max(1, round(share * known.max_examples))
+            law._hypothesis_internal_use_settings = settings(known, max_examples=fewer)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def sweeps(request: pytest.FixtureRequest) -> Iterator[None]:
+    way = request.config.getoption("--sweeps")
+    if way is None:
+        yield
+        return
+    with at_every_chance(way):
+        yield
