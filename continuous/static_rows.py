@@ -68,8 +68,10 @@ class StaticRows:
             rows[:, PLACE] += tags.astype(np.int32) << TAG_SHIFT
             rows[:, LOW] = words.astype(np.int32)
             rows[:, HIGH] = words >> 32
-        # A join asks for several slots of one subject.
-        rows = rows[np.argsort(rows[:, SUBJECT], kind="stable")]
+        # A join asks for several slots of one subject: they stand together. Subjects stand as they
+        # were met, since what their ids are depends on what was there before.
+        _, first, who = np.unique(rows[:, SUBJECT], return_index=True, return_inverse=True)
+        rows = rows[np.argsort(first[who.reshape(-1)], kind="stable")]
         heads, sizes = chain_heads(total, self.needed)
         link(rows, self.needed, heads, sizes, total)
         return rows, heads, sizes, counts
