@@ -15,15 +15,18 @@ demo: $(VENV)/installed ## replay five minutes of recorded flights and find even
 serve: $(VENV)/installed ## leave the service running with the same flights replaying
 	@$(BIN)/dyknow serve --port $(PORT) --flights
 
+# On all cores; whoever is done takes tests from the others.
+PYTEST := $(BIN)/pytest -n auto --dist worksteal
+
 test: lint image-check ## everything that CI runs
-	$(BIN)/pytest --hypothesis-profile=ci
-	for way in reused retired; do $(BIN)/pytest $(SWEPT) --sweeps=$$way --share=0.01 --hypothesis-profile=ci || exit 1; done
+	$(PYTEST) --hypothesis-profile=ci
+	for way in reused retired; do $(PYTEST) $(SWEPT) --sweeps=$$way --share=0.01 --hypothesis-profile=ci || exit 1; done
 # Laws that hold as well where terms are forgotten at every chance (tests/conftest.py).
 SWEPT := $(addprefix tests/laws/test_,continuous.py algebra.py patterns.py event_time.py shared_requests.py engine.py ntriples.py)
 
 ROUNDS ?= 3
 soak: $(VENV)/installed-dev ## look for what breaks a law, in random examples (ROUNDS of all laws)
-	for round in $$(seq $(ROUNDS)); do $(BIN)/pytest tests/laws --hypothesis-profile=default || exit 1; done
+	for round in $$(seq $(ROUNDS)); do $(PYTEST) tests/laws --hypothesis-profile=default || exit 1; done
 
 image-check: ## what the Dockerfile does, as a script in an empty folder
 	sh docker/check
