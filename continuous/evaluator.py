@@ -10,19 +10,16 @@ from collections.abc import Mapping, Sequence
 
 from ..languages.csparql.ast import ContinuousQuery
 from ..rdf.dictionary import TermDictionary
-from ..rdf.timed import TimedTriples
 from .background import Background
-from .columns import TermValues
 from .flows import Flow
 from .options import Options
 from .profile import Profile
 from .results import WindowResult
 from .solving import Solver
-from .sources import StaticSide
-from .windowing import Windowing
+from .windowed_evaluator import WindowedEvaluator
 
 
-class ContinuousEvaluator:
+class ContinuousEvaluator(WindowedEvaluator[WindowResult]):
     """One continuous query over named inputs.
 
     ``inputs`` are the names of the input streams. An input that a FROM STREAM clause of the query
@@ -46,18 +43,10 @@ class ContinuousEvaluator:
         inputs: Sequence[str],
         options: Options | None = None,
     ) -> None:
+        super().__init__(query, dictionary, background, inputs, options)
         self.query = query
-        self.options = options or Options()
-        terms = TermValues(dictionary)
-        self._windows = Windowing(query, terms, inputs, self.options, self._closed)
         self.inputs, self.schedule = self._windows.inputs, self._windows.schedule
-        self._solver = Solver(query, self._windows, StaticSide(background, terms), alone=True)
-        self._results: list[WindowResult] = []
-
-    @property
-    def late(self) -> int:
-        """Rows that came behind a watermark, or for a window that had closed, and were dropped."""
-        return self._windows.late
+        self._solver = Solver(query, self._windows, self._static, alone=True)
 
     @property
     def profile(self) -> Profile | None:
@@ -69,40 +58,10 @@ class ContinuousEvaluator:
         self._solver.profile = profile
         self._windows.clock = None if profile is None else profile.clock
 
-    def push(self, input: str, triples: TimedTriples) -> None:
-        """Rows continue ``input``: none before its watermark. Their terms are of our dictionary."""
-        self._windows.push(input, triples)
-
-    def advance(self, input: str, watermark: int) -> list[WindowResult]:
-        """Every later row of ``input`` has τ ≥ ``watermark``: the windows that close now."""
-        self._windows.advance(input, watermark)
-        return self._taken()
-
-    def end(self, input: str) -> list[WindowResult]:
-        """``input`` has come to its end. After the last one every window with content closes."""
-        self._windows.end(input)
-        return self._taken()
-
-    def next_end(self) -> int | None:
-        """No later result is of a window that ends before this; None while that is unknown."""
-        return self._windows.next_end()
-
-    def resume(self, input: str) -> None:
-        """``input`` had come to its end and goes on: windows wait for it again."""
-        self._windows.resume(input)
-
-    def limit(self, input: str) -> int | None:
-        """Rows of ``input`` with τ up to here come too late; None: none does."""
-        return self._windows.limit(input)
-
     def explain(self, flows: Mapping[str, Flow] | None = None) -> str:
         """The query, its windows, its logical plan, how that is executed and what it costs, for
         people; ``flows`` is what is known of the inputs, by name."""
         return self._solver.explain(flows or {})
-
-    def _taken(self) -> list[WindowResult]:
-        taken, self._results = self._results, []
-        return taken
 
     def _closed(self, end: int, reports: bool) -> bool:
         solver = self._solver

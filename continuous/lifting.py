@@ -57,7 +57,7 @@ def lifted(query: Query) -> Lifted:
     """``query`` with the constants of its patterns (subjects and objects), expressions and head
     taken out. Not predicates, sorts, ends of paths, VALUES: they decide what is computed.
 
-    Law (tests/laws/test_lifting.py): ``lowered(form, constants)`` is ``query`` again. Cost: one
+    Law (tests/laws/test_alike.py): ``lowered(form, constants)`` is ``query`` again. Cost: one
     pass over the plan.
     """
     lifting = _Lifting()

@@ -6,20 +6,14 @@ differ in constants).
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from abc import abstractmethod
 
 from ..languages.csparql.ast import ContinuousQuery, StreamOperator, TimeWindow
-from ..rdf.dictionary import TermDictionary
-from ..rdf.timed import TimedTriples
-from .background import Background
-from .columns import TermValues
 from .foreign import is_volatile
 from .instance_results import InstanceResults
 from .logical import Blank, Construct, Order, Query, expressions_of, walk
 from .options import Options
-from .sources import StaticSide
-from .windowing import Windowing
+from .windowed_evaluator import WindowedEvaluator
 from .windows import Schedule
 
 
@@ -48,53 +42,8 @@ def own_solutions(query: Query) -> str:
     return ""
 
 
-class SharedWindows(ABC):
-    """The windows of ``query`` over named inputs; arguments and methods as of
-    `ContinuousEvaluator`."""
-
-    def __init__(
-        self,
-        query: ContinuousQuery,
-        dictionary: TermDictionary,
-        background: Background,
-        inputs: Sequence[str],
-        options: Options | None = None,
-    ) -> None:
-        self._results: list[InstanceResults] = []
-        terms = TermValues(dictionary)
-        self._windows = Windowing(query, terms, inputs, options or Options(), self._closed)
-        self._static = StaticSide(background, terms)
-
-    @property
-    def late(self) -> int:
-        """Rows that came too late and were dropped."""
-        return self._windows.late
-
-    def resume(self, input: str) -> None:
-        """``input`` had come to its end and goes on: windows wait for it again."""
-        self._windows.resume(input)
-
-    def limit(self, input: str) -> int | None:
-        """Rows of ``input`` with τ up to here come too late; None: none does."""
-        return self._windows.limit(input)
-
-    def push(self, input: str, triples: TimedTriples) -> None:
-        """Rows continue ``input``: none before its watermark."""
-        self._windows.push(input, triples)
-
-    def advance(self, input: str, watermark: int) -> list[InstanceResults]:
-        """Every later row of ``input`` has τ ≥ ``watermark``: the windows that close now."""
-        self._windows.advance(input, watermark)
-        return self._taken()
-
-    def end(self, input: str) -> list[InstanceResults]:
-        """``input`` has come to its end. After the last one every window with content closes."""
-        self._windows.end(input)
-        return self._taken()
-
-    def next_end(self) -> int | None:
-        """No later result is of a window that ends before this; None while that is unknown."""
-        return self._windows.next_end()
+class SharedWindows(WindowedEvaluator[InstanceResults]):
+    """The windows of ``query`` over named inputs, with the results of many queries."""
 
     @abstractmethod
     def remove(self, instance: int) -> None:
@@ -103,11 +52,3 @@ class SharedWindows(ABC):
     @abstractmethod
     def explain(self) -> str:
         """What is shared, and how it is computed."""
-
-    @abstractmethod
-    def _closed(self, end: int, reports: bool) -> bool:
-        """The window that ends at ``end`` has closed; whether its rows are read again."""
-
-    def _taken(self) -> list[InstanceResults]:
-        taken, self._results = self._results, []
-        return taken

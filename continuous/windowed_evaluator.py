@@ -1,0 +1,80 @@
+"""What evaluators have in common whose results come window by window: rows and watermarks in.
+
+What is computed when a window closes is theirs: `evaluator` for one query, `shared_windows` for
+many.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import Generic, TypeVar
+
+from ..languages.csparql.ast import ContinuousQuery
+from ..rdf.dictionary import TermDictionary
+from ..rdf.timed import TimedTriples
+from .background import Background
+from .columns import TermValues
+from .options import Options
+from .sources import StaticSide
+from .windowing import Windowing
+
+Result = TypeVar("Result")
+
+
+class WindowedEvaluator(ABC, Generic[Result]):
+    """The windows of ``query`` over named inputs, before a static side, and a result each;
+    arguments, errors and law as of `evaluator.ContinuousEvaluator`."""
+
+    def __init__(
+        self,
+        query: ContinuousQuery,
+        dictionary: TermDictionary,
+        background: Background,
+        inputs: Sequence[str],
+        options: Options | None = None,
+    ) -> None:
+        terms = TermValues(dictionary)
+        self.options = options or Options()
+        self._results: list[Result] = []
+        self._windows = Windowing(query, terms, inputs, self.options, self._closed)
+        self._static = StaticSide(background, terms)
+
+    @property
+    def late(self) -> int:
+        """Rows that came behind a watermark, or for a window that had closed, and were dropped."""
+        return self._windows.late
+
+    def push(self, input: str, triples: TimedTriples) -> None:
+        """Rows continue ``input``: none before its watermark. Their terms are of our dictionary."""
+        self._windows.push(input, triples)
+
+    def advance(self, input: str, watermark: int) -> list[Result]:
+        """Every later row of ``input`` has τ ≥ ``watermark``: the windows that close now."""
+        self._windows.advance(input, watermark)
+        return self._taken()
+
+    def end(self, input: str) -> list[Result]:
+        """``input`` has come to its end. After the last one every window with content closes."""
+        self._windows.end(input)
+        return self._taken()
+
+    def next_end(self) -> int | None:
+        """No later result is of a window that ends before this; None while that is unknown."""
+        return self._windows.next_end()
+
+    def resume(self, input: str) -> None:
+        """``input`` had come to its end and goes on: windows wait for it again."""
+        self._windows.resume(input)
+
+    def limit(self, input: str) -> int | None:
+        """Rows of ``input`` with τ up to here come too late; None: none does."""
+        return self._windows.limit(input)
+
+    @abstractmethod
+    def _closed(self, end: int, reports: bool) -> bool:
+        """The window that ends at ``end`` has closed; whether its rows are read again."""
+
+    def _taken(self) -> list[Result]:
+        taken, self._results = self._results, []
+        return taken
