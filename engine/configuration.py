@@ -87,12 +87,17 @@ class Configuration:
         self.named: set[str] = set()
         self.late = LateStreams(self._there, self.units, self._add_late)
         """The streams of late samples that somebody asked for."""
+        self.on_opened: Callable[[str], None] = _unheard
+        """Told of a stream that came into being by being asked for."""
         self._on_change = on_change
         self._next_reserved = first_reserved
         self._next_unit = 1
         self._shared: dict[Hashable, ComputationalUnit] = {}
         self._keys: dict[ComputationalUnit, Hashable] = {}
         self._specified: tuple[str | None, str] = (None, "")
+
+    def __getstate__(self) -> dict[str, object]:
+        return {**self.__dict__, "on_opened": _unheard}
 
     def stream(self, name: str) -> StreamGenerator:
         """The generator of ``name``, a stream or an alias of one; raises `UnknownStream`."""
@@ -110,7 +115,12 @@ class Configuration:
     def find(self, name: str) -> StreamGenerator | None:
         """The same; None if there is no such stream. One of violations or of late samples comes
         into being by being asked for."""
-        return self._there(name) or self._violations_of(name) or self.late.open(name)
+        found = self._there(name)
+        if found is None:
+            found = self._violations_of(name) or self.late.open(name)
+            if found is not None:
+                self.on_opened(found.name)
+        return found
 
     def _there(self, name: str) -> StreamGenerator | None:
         return self.streams.get(self.aliases.get(name, name))
@@ -492,3 +502,7 @@ class Configuration:
 
     def _failed(self, unit: ComputationalUnit) -> None:
         self.tell(ChangeKind.UNIT_FAILED, unit, unit.failure or "")
+
+
+def _unheard(_name: str) -> None:
+    """Nobody wants to know."""

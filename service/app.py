@@ -10,10 +10,13 @@ from pydantic.json_schema import models_json_schema
 
 from .. import __version__
 from ..engine.engine import Engine
+from ..engine.recorded import RecordedEngine
+from ..journal.errors import JournalError
 from ..streams.time import Clock
 from . import problems
 from .body import BodyLimit
 from .context import Service
+from .keeper import Keeper
 from .live import LiveBodies
 from .logs import log
 from .metrics import Metrics
@@ -65,16 +68,23 @@ RESOURCES = (
     health,
     docs,
 )
+TICK = "tick"
 DESCRIPTION = """Semantic stream reasoning: say what you want to know, and the service finds or
 builds the streams that answer it. Errors are `application/problem+json` (RFC 9457)."""
 
 
-def create_app(engine: Engine, settings: Settings, clock: Clock) -> FastAPI:
+def create_app(engine: Engine | RecordedEngine, settings: Settings, clock: Clock) -> FastAPI:
     """The service over ``engine`` as an ASGI application.
 
     ``clock`` tells the time in ns; the lifespan ticks the engine with it. The engine must not be
-    used by anybody else but in the thread that runs the application.
+    used by anybody else but in the thread that runs the application. One that is recorded is closed
+    when the application ends.
     """
+    recorded: RecordedEngine | None = None
+    if isinstance(engine, RecordedEngine):
+        recorded, engine = engine, engine.engine
+    troubles: dict[str, str] = {}
+    keeper = Keeper(engine, recorded, troubles)
     feeds = Feeds(engine, settings.sse_cache)
     service = Service(
         engine,
@@ -85,6 +95,8 @@ def create_app(engine: Engine, settings: Settings, clock: Clock) -> FastAPI:
         Metrics(engine, feeds),
         anyio.CapacityLimiter(settings.sparql_workers),
         clock(),
+        keeper,
+        troubles,
     )
 
     @asynccontextmanager
@@ -94,6 +106,7 @@ def create_app(engine: Engine, settings: Settings, clock: Clock) -> FastAPI:
             yield
             service.leave()
             tasks.cancel_scope.cancel()
+        keeper.close()
 
     app = FastAPI(
         title="DyKnow",
@@ -126,9 +139,13 @@ async def _tick(service: Service) -> None:
     while True:
         try:
             service.tick()
-            service.failure = None
+            service.troubles.pop(TICK, None)
+            await service.keeper.tend(service.settings)
+        except JournalError as error:
+            service.troubles[TICK] = str(error)
+            service.metrics.tick_failures.inc()
         except Exception as error:  # noqa: BLE001 - told by log, metric and /readyz
-            service.failure = f"{type(error).__name__}: {error}"
+            service.troubles[TICK] = f"{type(error).__name__}: {error}"
             service.metrics.tick_failures.inc()
             log().exception("tick failed")
         await anyio.sleep(service.settings.tick)

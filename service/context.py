@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any
 
 import anyio
 from fastapi import Depends, Request
 
+from ..converters.wire import Incoming
+from ..engine.commands import Command, Tick
 from ..engine.engine import Engine
 from ..streams.time import Clock
+from .keeper import Keeper
 from .live import LiveBodies
 from .metrics import Metrics
 from .settings import Settings
@@ -28,17 +31,24 @@ class Service:
     metrics: Metrics
     sparql_slots: anyio.CapacityLimiter
     started: int
-    failure: str | None = None
-    """Why the engine's last tick failed; None while all is well."""
+    keeper: Keeper
+    troubles: dict[str, str]
+    """Why the service is not ready, for people, by what fails; empty while all is well."""
 
     def leave(self) -> None:
         """The service stops: let those go whose requests have no end of their own."""
         self.feeds.close()
         self.bodies.close()
 
+    async def do(self, command: Command, incoming: Incoming | None = None) -> Any:
+        """Do ``command`` at once; return what it gives when it is kept."""
+        found = self.keeper.do(command, incoming)
+        await self.keeper.kept()
+        return found
+
     def tick(self) -> None:
         """Tell the engine the time, and event stream clients which streams are gone."""
-        self.engine.tick(self.clock())
+        self.keeper.do(Tick(self.clock()))
         self.feeds.review()
 
 

@@ -7,6 +7,8 @@ from pathlib import Path
 from pydantic import Field
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
+from ..journal.log import Durability
+
 MEBIBYTE = 1 << 20
 
 
@@ -19,6 +21,13 @@ class Settings(BaseSettings):
     port: int = Field(default=8000, ge=0, le=65535)
     data: Path | None = None
     """Where ontology, templates and annotations are kept; None keeps them in memory."""
+    durability: Durability = Durability.FSYNC
+    """With ``data``: an acknowledged change survives a loss of power (fsync), or the end of the
+    process (write)."""
+    checkpoint_interval: float = Field(default=300.0, gt=0)
+    """With ``data``: the state is written down this often, so that a start is quick."""
+    checkpoint_bytes: int = Field(default=256 * MEBIBYTE, gt=0)
+    """And whenever the log has grown by so much."""
     processes: list[str] = []
     """Modules or .py files with user-written processes, loaded at the start."""
     body_limit: int = Field(default=8 * MEBIBYTE, gt=0)

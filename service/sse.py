@@ -94,7 +94,7 @@ class PieceCache:
 
 
 class Feed:
-    """A stream that somebody listens to: a receiver of its generator that wakes the cursors."""
+    """A stream that somebody listens to: wakes the cursors when its generator has more."""
 
     def __init__(
         self, serial: int, engine: Engine, generator: StreamGenerator, cache: PieceCache
@@ -115,17 +115,8 @@ class Feed:
     def receive(self, source: StreamGenerator, batch: SampleBatch) -> None:
         self.wake()
 
-    def advance(self, source: StreamGenerator, watermark: int) -> None:
-        """A watermark is of no interest to clients."""
-
     def ended(self, source: StreamGenerator) -> None:
         self.wake()
-
-    def resumed(self, source: StreamGenerator) -> None:
-        """Clients were told of the end and have left."""
-
-    def idleness_changed(self, source: StreamGenerator) -> None:
-        """Nobody waits here for one stream with another."""
 
     def wake(self) -> None:
         """Let every waiting cursor look again. Several wakes before they run are one."""
@@ -314,7 +305,7 @@ class Feeds:
         feed = self._feeds.get(name)
         if feed is None or feed.generator is not generator:
             feed = Feed(next(self._serials), self._engine, generator, self._cache)
-            generator.subscribe(feed)
+            generator.listen(feed)
             self._feeds[name] = feed
         feed.clients += 1
         return feed
@@ -323,7 +314,7 @@ class Feeds:
         feed.clients -= 1
         if feed.clients:
             return
-        feed.generator.unsubscribe(feed)
+        feed.generator.leave(feed)
         self._cache.forget(feed.serial)
         if self._feeds.get(feed.name) is feed:
             del self._feeds[feed.name]

@@ -13,6 +13,10 @@ import typer
 
 from ...engine.engine import Engine
 from ...engine.loading import load_processes
+from ...engine.recorded import RecordedEngine
+from ...journal.errors import JournalError
+from ...journal.log import Durability
+from ...ontology.errors import OntologyError
 from ...streams.compiled import compile_all
 from ..app import create_app
 from ..logs import configure
@@ -34,6 +38,10 @@ def serve(
         list[str] | None,
         typer.Option(help="A module or .py file with user-written processes. May be repeated."),
     ] = None,
+    durability: Annotated[
+        Durability | None,
+        typer.Option(help="With --data: survive loss of power, or only of the process."),
+    ] = None,
     log_level: Annotated[str | None, typer.Option(help="debug, info, warning, error.")] = None,
     flights: Annotated[
         bool, typer.Option("--flights", help="Play the recorded flights, again and again.")
@@ -41,11 +49,10 @@ def serve(
 ) -> None:
     """Run the service. Every setting can also be given as DYKNOW_<NAME>."""
     given: dict[str, Any] = {"host": host, "port": port, "data": data, "log_level": log_level}
+    given["durability"] = durability
     given["processes"] = processes or None
     settings = Settings(**{key: value for key, value in given.items() if value is not None})
     configure(settings.log_level, settings.log_json)
-    if settings.data is not None:
-        settings.data.mkdir(parents=True, exist_ok=True)
     load(settings.processes)
     try:
         listener = bind(settings)
@@ -55,7 +62,7 @@ def serve(
             "choose another --port",
         ) from error
     watchdog = Watchdog()
-    engine = Engine(settings.data, now=time.time_ns(), runner=watchdog)
+    engine = _engine(settings, watchdog)
     app = create_app(engine, settings, time.time_ns)
     url = url_of(listener)
     err().print(f"DyKnow serves at {url} (documentation: {url}/docs)", markup=False)
@@ -71,6 +78,37 @@ def serve(
     finally:
         stopping.set()
         watchdog.close()
+
+
+def _engine(settings: Settings, watchdog: Watchdog) -> Engine | RecordedEngine:
+    """A new engine in memory, or that of the data directory as it was."""
+    if settings.data is None:
+        return Engine(now=time.time_ns(), runner=watchdog)
+
+    def progress(done: int, count: int) -> None:
+        err().print(f"  {done:,} of {count:,} commands done again", markup=False)
+
+    try:
+        engine = RecordedEngine(
+            settings.data,
+            now=time.time_ns(),
+            runner=watchdog,
+            durability=settings.durability,
+            progress=progress,
+        )
+    except (JournalError, OntologyError) as error:
+        raise fail(error.message, error.hint) from error
+    except OSError as error:
+        raise fail(f"{settings.data} cannot be used: {error}") from error
+    recovery = engine.recovery
+    for note in recovery.notes:
+        err().print(f"note: {note}", markup=False)
+    err().print(
+        f"{settings.data}: state of command {recovery.position:,}, "
+        f"{recovery.replayed:,} done again since",
+        markup=False,
+    )
+    return engine
 
 
 def warm() -> None:

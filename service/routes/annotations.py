@@ -8,6 +8,7 @@ from fastapi import APIRouter, Request
 from fastapi.responses import JSONResponse, PlainTextResponse, Response
 from pydantic import Field
 
+from ...engine.commands import Annotate, Describe
 from ..context import Context
 from ..models import AnnotationModel, ContentsIn, schema_of, text_schema
 from ..negotiation import JSON, TEXT, accepted, content_type, json_value, utf8
@@ -64,11 +65,11 @@ async def annotate(request: Request, service: Context) -> list[AnnotationModel]:
     kind = content_type(request, (TEXT, JSON))
     body = await request.body()
     if kind == TEXT:
-        found = service.engine.annotate(utf8(body))
+        found = await service.do(Annotate(utf8(body)))
         return [AnnotationModel.of(annotation) for annotation in found]
     described: ContentsIn | list[ContentsIn] = json_value(body, Described)
     several = described if isinstance(described, list) else [described]
-    made = service.engine.describe_all([each.described() for each in several])
+    made = await service.do(Describe(tuple(each.described() for each in several)))
     return [AnnotationModel.of(annotation) for annotation in made]
 
 
