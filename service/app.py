@@ -14,6 +14,7 @@ from ..streams.time import Clock
 from . import problems
 from .body import BodyLimit
 from .context import Service
+from .event_clients import EventClients
 from .live import LiveBodies
 from .logs import log
 from .metrics import Metrics
@@ -75,7 +76,13 @@ def create_app(engine: Engine, settings: Settings, clock: Clock) -> FastAPI:
     ``clock`` tells the time in ns; the lifespan ticks the engine with it. The engine must not be
     used by anybody else but in the thread that runs the application.
     """
-    feeds = Feeds(engine, settings.sse_cache)
+    clients = EventClients(
+        settings.sse_clients,
+        settings.sse_clients_each,
+        settings.sse_ping,
+        settings.sse_send_timeout,
+    )
+    feeds = Feeds(engine, settings.sse_cache, clients)
     service = Service(
         engine,
         settings,

@@ -10,6 +10,7 @@ from fastapi import Depends, Request
 
 from ..engine.engine import Engine
 from ..streams.time import Clock
+from .event_clients import ClientKey, address_of
 from .live import LiveBodies
 from .metrics import Metrics
 from .settings import Settings
@@ -30,6 +31,8 @@ class Service:
     started: int
     failure: str | None = None
     """Why the engine's last tick failed; None while all is well."""
+    client_key: ClientKey = address_of
+    """Whose event streams are counted together (`Settings.sse_clients_each`)."""
 
     def leave(self) -> None:
         """The service stops: let those go whose requests have no end of their own."""

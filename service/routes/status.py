@@ -33,7 +33,7 @@ async def read_status(service: Context) -> StatusModel:
     )
 
 
-@router.get("/status/events", responses={**EVENTS, **responses(406)})
+@router.get("/status/events", responses={**EVENTS, **responses(406, 429, 503)})
 async def follow_status(
     request: Request,
     service: Context,

@@ -114,7 +114,7 @@ async def end_stream(name: str, service: Context) -> Response:
     return Response(status_code=204)
 
 
-@router.get("/streams/{name}/events", responses={**EVENTS, **responses(404, 406)})
+@router.get("/streams/{name}/events", responses={**EVENTS, **responses(404, 406, 429, 503)})
 async def follow_stream(
     name: str,
     request: Request,
@@ -137,18 +137,9 @@ def follow(
     since: str | None,
     switches: Sequence[Rematch] | None = None,
 ) -> Response:
-    """The event stream of ``name``, with the service's settings; ``switches`` as `event_stream`
-    takes them."""
-    settings = service.settings
-    return event_stream(
-        service.feeds,
-        request,
-        name,
-        since,
-        switches=switches,
-        ping=settings.sse_ping,
-        timeout=settings.sse_send_timeout,
-    )
+    """The event stream of ``name``; ``switches`` as `event_stream` takes them."""
+    key = service.client_key(request)
+    return event_stream(service.feeds, request, key, name, since, switches)
 
 
 def _known(service: Service, name: str) -> bool:
