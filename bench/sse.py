@@ -66,6 +66,7 @@ class Load:
     idle: list[socket.socket] = field(default_factory=list)
     """The connections of stalled clients."""
     latencies: list[int] = field(default_factory=list)
+    """Of the clients that neither stall nor cut."""
     faults: int = 0
     """Samples that were missed, or came twice."""
     resumed: int = 0
@@ -121,7 +122,8 @@ class Load:
             number = int(message[2])
             self.faults += listener.last not in (0, number - 1)
             listener.last, listener.epoch = number, message[1]
-            self.latencies.append(now - int(message[3]))
+            if not listener.cuts:
+                self.latencies.append(now - int(message[3]))
             end = message.end()
         listener.rest = data[end:]
         if listener.cuts and listener.budget <= 0:

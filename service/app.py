@@ -14,6 +14,7 @@ from ..streams.time import Clock
 from . import problems
 from .body import BodyLimit
 from .context import Service
+from .descriptors import places
 from .event_clients import EventClients
 from .live import LiveBodies
 from .logs import log
@@ -77,7 +78,7 @@ def create_app(engine: Engine, settings: Settings, clock: Clock) -> FastAPI:
     used by anybody else but in the thread that runs the application.
     """
     clients = EventClients(
-        settings.sse_clients,
+        places(settings.sse_clients),
         settings.sse_clients_each,
         settings.sse_ping,
         settings.sse_send_timeout,

@@ -25,6 +25,8 @@ SEND_BUFFER = 64 * 1024
 """Bytes that the kernel holds of what a client does not take (it reckons with twice that)."""
 HEARTBEAT = b": ping\n"
 """A comment without an empty line: a reader that dispatches empty messages stays quiet."""
+DROPPED = 1.0
+"""Seconds in which a connection that was closed is known to be."""
 _FORGET = struct.pack("ii", 1, 0)
 """To linger for no time: what was not taken is forgotten when the connection closes."""
 
@@ -116,7 +118,10 @@ class EventStream(EventSourceResponse):
             if client.reason is None:
                 raise
             reason = client.reason
-            _drop(transport)
+            if transport is not None:
+                _drop(transport)
+                # The server, too, is to know that nobody waits for the end of the answer.
+                await asyncio.wait([leaving], timeout=DROPPED)
         except asyncio.CancelledError:
             reason = "shutdown"
             raise
@@ -147,10 +152,10 @@ def _unbound(transport: asyncio.Transport | None) -> None:
         transport.set_write_buffer_limits()
 
 
-def _drop(transport: asyncio.Transport | None) -> None:
+def _drop(transport: asyncio.Transport) -> None:
     """Close a connection whose client does not take what it was sent, and forget that. Closed in
     the usual way it would stay for as long as the client likes."""
-    if transport is not None and not transport.is_closing():
+    if not transport.is_closing():
         peer: socket.socket | None = transport.get_extra_info("socket")
         if peer is not None:
             peer.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _FORGET)

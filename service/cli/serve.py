@@ -15,6 +15,7 @@ from ...engine.engine import Engine
 from ...engine.loading import load_processes
 from ...streams.compiled import compile_all
 from ..app import create_app
+from ..descriptors import raise_limit
 from ..logs import configure
 from ..server import bind, run, url_of
 from ..settings import Settings
@@ -54,6 +55,7 @@ def serve(
             f"cannot listen at {settings.host}:{settings.port}: {error.strerror or error}",
             "choose another --port",
         ) from error
+    raise_limit()
     watchdog = Watchdog()
     engine = Engine(settings.data, now=time.time_ns(), runner=watchdog)
     app = create_app(engine, settings, time.time_ns)
