@@ -16,6 +16,8 @@ from ..streams.time import Clock
 from . import problems
 from .body import BodyLimit
 from .context import Service
+from .descriptors import places
+from .event_clients import EventClients
 from .keeper import Keeper
 from .live import LiveBodies
 from .logs import log
@@ -85,7 +87,15 @@ def create_app(engine: Engine | RecordedEngine, settings: Settings, clock: Clock
         recorded, engine = engine, engine.engine
     troubles: dict[str, str] = {}
     keeper = Keeper(engine, recorded, troubles)
-    feeds = Feeds(engine, settings.sse_cache)
+    clients = EventClients(
+        places(settings.sse_clients),
+        settings.sse_clients_each,
+        settings.sse_ping,
+        settings.sse_send_timeout,
+    )
+    feeds = Feeds(engine, settings.sse_cache, clients, recorded=keeper.is_recording)
+    if keeper.is_recording:
+        keeper.show_to(feeds)
     service = Service(
         engine,
         settings,

@@ -34,8 +34,11 @@ class Audience(Protocol):
     def mark(self) -> object:
         """What there is to be seen now."""
 
-    def show(self, mark: object) -> None:
+    def show(self, mark: Any) -> None:
         """Let them see what there was at ``mark``."""
+
+    def keep_unseen(self, mark: Any) -> None:
+        """What there was at ``mark`` is not kept yet."""
 
     @property
     def has_news(self) -> bool:
@@ -56,6 +59,7 @@ class Keeper:
         self._troubles = troubles
         self._audience: Audience | None = None
         self._commit: asyncio.Task[None] | None = None
+        self._hastening: set[asyncio.Task[None]] = set()
         self._thread = ThreadPoolExecutor(1, "dyknow-journal")
         self._written = 0
         """Bytes of the log at the last checkpoint."""
@@ -102,19 +106,37 @@ class Keeper:
             # One that has begun may have begun before the last of it was done.
             await self._committed()
 
+    def hasten(self) -> None:
+        """Begin to keep what is done, for those who look on: nobody waits for it."""
+        if not self.is_kept and self._commit is None:
+            task = asyncio.get_running_loop().create_task(self._hastened())
+            self._hastening.add(task)
+            task.add_done_callback(self._hastening.discard)
+
+    async def _hastened(self) -> None:
+        try:
+            await self.kept()
+        except JournalError as error:
+            # In `troubles`; the next tick tries again.
+            log().debug("not kept yet", reason=str(error))
+
     async def _committed(self) -> None:
         if self._commit is None:
             self._commit = asyncio.get_running_loop().create_task(self._commit_once())
+            # Those who wait hear of an error; if they have gone, `troubles` tells it.
+            self._commit.add_done_callback(lambda done: done.cancelled() or done.exception())
         await asyncio.shield(self._commit)
 
     async def _commit_once(self) -> None:
         assert self._recorded is not None
         loop = asyncio.get_running_loop()
         begun = loop.time()
+        mark = None if self._audience is None else self._audience.mark()
         try:
-            mark = None if self._audience is None else self._audience.mark()
             await loop.run_in_executor(self._thread, self._recorded.log.commit)
         except JournalError as error:
+            if self._audience is not None:
+                self._audience.keep_unseen(mark)
             self._fail(JOURNAL, error)
             raise
         finally:

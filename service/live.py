@@ -77,6 +77,7 @@ class LiveSamples(ABC):
             raise mixed_times(line)
         batch = Publish(self._name, kind, body, self._clock())
         self.accepted += self._keeper.do(batch, incoming)
+        self._keeper.hasten()
         self._stamped = incoming.stamped
 
     def _placed(self, error: WireError) -> WireError:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import asyncio
 import socket
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import uvicorn
 from fastapi import FastAPI
 
 from .context import Service
+from .event_response import TRANSPORT
 from .settings import Settings
 
 GRACE = 5
@@ -30,6 +33,20 @@ class Server(uvicorn.Server):
         await super().shutdown(sockets)
 
 
+def telling_transport(protocol: Any) -> Any:
+    """The server's ``protocol``, whose requests know the transport of their connection: what is
+    sent for hours has to see to it that little of it waits (`EventStream`)."""
+
+    class Telling(protocol):  # type: ignore[misc]
+        app_state: dict[str, Any]
+
+        def connection_made(self, transport: asyncio.Transport) -> None:
+            super().connection_made(transport)
+            self.app_state = {**self.app_state, TRANSPORT: transport}
+
+    return Telling
+
+
 def make_server(app: FastAPI) -> Server:
     """A server for an application of `create_app`, not yet running."""
     service: Service = app.state.service
@@ -41,6 +58,8 @@ def make_server(app: FastAPI) -> Server:
         timeout_graceful_shutdown=GRACE,
         server_header=False,
     )
+    config.load()
+    config.http_protocol_class = telling_transport(config.http_protocol_class)
     return Server(config, service.leave)
 
 

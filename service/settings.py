@@ -44,6 +44,11 @@ class Settings(BaseSettings):
     """How many samples one history answer holds when the request does not say."""
     sse_cache: int = Field(default=64 * MEBIBYTE, gt=0)
     """Encoded messages kept for all clients together."""
+    sse_clients: int = Field(default=10_000, gt=0)
+    """Clients of event streams together; beyond it they are refused with 503 and Retry-After."""
+    sse_clients_each: int = Field(default=8_000, gt=0)
+    """Those of one address, or token, alone; beyond it with 429. Less than all together: nobody
+    alone takes every place. Behind a proxy all have one address."""
     sse_ping: float = Field(default=15.0, ge=0)
     """A comment is sent to idle clients this often; 0 sends none."""
     sse_send_timeout: float = Field(default=30.0, gt=0)

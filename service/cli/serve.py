@@ -19,6 +19,7 @@ from ...journal.log import Durability
 from ...ontology.errors import OntologyError
 from ...streams.compiled import compile_all
 from ..app import create_app
+from ..descriptors import raise_limit
 from ..logs import configure
 from ..server import bind, run, url_of
 from ..settings import Settings
@@ -61,6 +62,7 @@ def serve(
             f"cannot listen at {settings.host}:{settings.port}: {error.strerror or error}",
             "choose another --port",
         ) from error
+    raise_limit()
     watchdog = Watchdog()
     engine = _engine(settings, watchdog)
     app = create_app(engine, settings, time.time_ns)

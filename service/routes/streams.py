@@ -115,7 +115,7 @@ async def end_stream(name: str, service: Context) -> Response:
     return Response(status_code=204)
 
 
-@router.get("/streams/{name}/events", responses={**EVENTS, **responses(404, 406)})
+@router.get("/streams/{name}/events", responses={**EVENTS, **responses(404, 406, 429, 503)})
 async def follow_stream(
     name: str,
     request: Request,
@@ -128,28 +128,20 @@ async def follow_stream(
     (samples that are no longer kept), `end` (the stream has ended or was removed; the answer
     ends with it).
     """
-    return follow(service, request, name, since)
+    return await follow(service, request, name, since)
 
 
-def follow(
+async def follow(
     service: Service,
     request: Request,
     name: str,
     since: str | None,
     switches: Sequence[Rematch] | None = None,
 ) -> Response:
-    """The event stream of ``name``, with the service's settings; ``switches`` as `event_stream`
-    takes them."""
-    settings = service.settings
-    return event_stream(
-        service.feeds,
-        request,
-        name,
-        since,
-        switches=switches,
-        ping=settings.sse_ping,
-        timeout=settings.sse_send_timeout,
-    )
+    """The event stream of ``name``; ``switches`` as `event_stream` takes them."""
+    key = service.client_key(request)
+    await service.settled()
+    return event_stream(service.feeds, request, key, name, since, switches)
 
 
 def _known(service: Service, name: str) -> bool:

@@ -76,7 +76,7 @@ async def list_rematches(id: str, service: Context) -> list[RematchModel]:
     return [RematchModel.of(switch) for switch in service.engine.rematches(id)]
 
 
-@router.get("/subscriptions/{id}/events", responses={**REMATCHED, **responses(404, 406)})
+@router.get("/subscriptions/{id}/events", responses={**REMATCHED, **responses(404, 406, 429, 503)})
 async def follow_subscription(
     id: str,
     request: Request,
@@ -90,7 +90,7 @@ async def follow_subscription(
     """
     view = service.engine.subscription(id)
     switches = None if view.adaptive is None else service.engine.rematches(id)
-    return follow(service, request, view.stream, since, switches)
+    return await follow(service, request, view.stream, since, switches)
 
 
 def _command(wanted: SubscriptionIn) -> Subscribe | SubscribeToFeature:
