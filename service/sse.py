@@ -339,17 +339,19 @@ class Feeds:
     def review(self) -> None:
         """Tell the clients of streams that are no longer there, and of switches. Called at each
         tick."""
-        for name, feed in list(self._feeds.items()):
-            try:
-                gone = self._engine.generator(name) is not feed.generator
-            except UnknownStream:
-                gone = True
-            if gone:
-                del self._feeds[name]
+        for feed in tuple(self._feeds.values()):
+            if not self._is_removed(feed):
+                feed.look()
+            elif not feed.is_removed:
+                del self._feeds[feed.name]
                 feed.is_removed = True
                 feed.wake()
-            else:
-                feed.look()
+
+    def _is_removed(self, feed: Feed) -> bool:
+        try:
+            return self._engine.generator(feed.name) is not feed.generator
+        except UnknownStream:
+            return True
 
     def close(self) -> None:
         """Let all clients go: the service stops. They resume when it is back."""
@@ -372,6 +374,8 @@ class Feeds:
     def show(self, mark: Sequence[tuple[Feed, Shown]]) -> None:
         """Let clients see it: it is kept."""
         for feed, shown in mark:
+            # A stream that is removed ends before: its clients are told the one reason.
+            feed.is_removed = feed.is_removed or self._is_removed(feed)
             feed.show(shown)
 
     def keep_unseen(self, mark: Sequence[tuple[Feed, Shown]]) -> None:
