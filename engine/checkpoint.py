@@ -21,6 +21,7 @@ from pathlib import Path
 from types import CellType, CodeType, FunctionType, MappingProxyType, ModuleType
 from typing import Any, TypeVar
 
+import numpy as np
 import pyoxigraph
 from pyoxigraph import RdfFormat, Store
 
@@ -179,7 +180,33 @@ def _store(quads: bytes) -> Store:
     return store
 
 
-def _reduce_view(value: MappingProxyType[Any, Any]) -> Any:
+def _reduce_array(value: np.ndarray[Any, Any]) -> Any:
+    """A part of another array stays a part of it: who writes into the one writes into the other."""
+    whole = value.base
+    if type(whole) is not np.ndarray or not whole.flags.c_contiguous:
+        return NotImplemented
+    if not value.size or value.dtype.hasobject:
+        return NotImplemented
+    # Of a dimension of one the stride says nothing, and may be any.
+    strides = tuple(
+        stride if count > 1 else value.itemsize
+        for stride, count in zip(value.strides, value.shape, strict=True)
+    )
+    start = value.__array_interface__["data"][0] - whole.__array_interface__["data"][0]
+    return _part, (whole, start, value.shape, strides, value.dtype)
+
+
+def _part(
+    whole: np.ndarray[Any, Any],
+    start: int,
+    shape: tuple[int, ...],
+    strides: tuple[int, ...],
+    dtype: np.dtype[Any],
+) -> np.ndarray[Any, Any]:
+    return np.ndarray(shape, dtype, whole, start, strides)
+
+
+def _reduce_mapping(value: MappingProxyType[Any, Any]) -> Any:
     return MappingProxyType, (dict(value),)
 
 
@@ -192,7 +219,8 @@ _REDUCERS: dict[type, Callable[[Any], Any]] = {
     CellType: _reduce_cell,
     _COMPILED: _reduce_compiled,
     Store: _reduce_store,
-    MappingProxyType: _reduce_view,
+    MappingProxyType: _reduce_mapping,
+    np.ndarray: _reduce_array,
     ModuleType: _reduce_module,
 }
 

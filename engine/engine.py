@@ -312,8 +312,12 @@ class Engine:
         arrival where samples brought their own available times, and the other way round: the one
         would make all of the other late.
         """
-        self._now = max(self._now, now)
-        accepted = self._intake.publish(name, incoming, now, idempotency_key, digest)
+        before, self._now = self._now, max(self._now, now)
+        try:
+            accepted = self._intake.publish(name, incoming, now, idempotency_key, digest)
+        except Exception:
+            self._now = before
+            raise
         generator = self._configuration.stream(name)
         self._idleness.came(generator, self._now)
         self._rematching.came(generator.name, self._now)
