@@ -151,9 +151,10 @@ def _within(code: CodeType) -> Iterator[CodeType]:
 
 
 def _reduce_cell(value: CellType) -> Any:
-    # Filled when it is there already: a function may be within its own cell.
+    # Filled when it is there already: a function may be within its own cell. In a tuple, since
+    # None would mean that there is nothing to fill it with.
     try:
-        return _cell, (), value.cell_contents, None, None, _set_cell
+        return _cell, (), (value.cell_contents,), None, None, _set_cell
     except ValueError:
         return _cell, ()
 
@@ -162,8 +163,8 @@ def _cell() -> CellType:
     return CellType()
 
 
-def _set_cell(value: CellType, contents: object) -> None:
-    value.cell_contents = contents
+def _set_cell(value: CellType, contents: tuple[object]) -> None:
+    (value.cell_contents,) = contents
 
 
 def _reduce_compiled(value: Any) -> str:

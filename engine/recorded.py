@@ -79,6 +79,7 @@ class RecordedEngine:
         self._runner = runner
         self._standing = Standing()
         self._within = False
+        self._asked_for: list[str] = []
         self._directory = DataDirectory(path, disk)
         try:
             self._checkpoints = Checkpoints(self._directory.checkpoints, disk)
@@ -112,8 +113,14 @@ class RecordedEngine:
         try:
             with self.log.entry(written(command)):
                 found = done(self.engine, command, incoming)
+        except Exception:
+            # What was refused is not done again, but what it asked for on the way is there.
+            for stream in self._asked_for:
+                self.log.append(written(OpenStream(stream)))
+            raise
         finally:
             self._within = False
+            self._asked_for.clear()
         self._standing.note(command, found)
         return found
 
@@ -144,7 +151,9 @@ class RecordedEngine:
     def _opened(self, stream: str) -> None:
         """Somebody has asked for a stream that is there only now. Within a command, doing that
         again opens it again."""
-        if not self._within:
+        if self._within:
+            self._asked_for.append(stream)
+        else:
             self.log.append(written(OpenStream(stream)))
 
     def _recovered(self, now: int, progress: Callable[[int, int], None] | None) -> Engine:

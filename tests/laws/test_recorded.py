@@ -4,12 +4,11 @@ import random
 import shutil
 from pathlib import Path
 
-import pytest
 from commanding import REFUSALS, life, state
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dyknow.engine.commands import done, read, written
+from dyknow.engine.commands import done
 from dyknow.engine.engine import Engine
 from dyknow.engine.recorded import RecordedEngine
 from dyknow.journal.log import Durability

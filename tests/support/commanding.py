@@ -27,7 +27,8 @@ AGGREGATE {(?average, AVG, {?speed}) FILTER (?average > ?limit)}
 WINDOW [RANGE 3s STEP 1s]"""
 TURN = """REGISTER TEMPLATE dyknow:TurnEvent(?o, ?least) AS
 PREFIX dyknow: <http://www.ida.liu.se/dyknow/>
-SELECT ?o ?h ?s WHERE { ?o dyknow:heading ?h . OPTIONAL { ?o dyknow:speed ?s } FILTER (?h > ?least) }
+SELECT ?o ?h ?s
+WHERE { ?o dyknow:heading ?h . OPTIONAL { ?o dyknow:speed ?s } FILTER (?h > ?least) }
 WINDOW [RANGE 2s STEP 1s]"""
 SORTS = """@prefix dyknow: <http://www.ida.liu.se/dyknow/> .
 @prefix rdfs: <http://www.w3.org/2000/01/rdf-schema#> .
@@ -44,7 +45,8 @@ _S, _T = f"<{IRI}s.trdf>", f"<{IRI}t.trdf>"
 _COUNT, _EACH = "(COUNT(?v) AS ?n)", "?o (MIN(?v) AS ?low) (MAX(?v) AS ?high)"
 QUERIES = (
     f"SELECT {_COUNT} FROM STREAM {_S} [RANGE 3s STEP 1s] WHERE {{ ?o dyknow:speed ?v }}",
-    f"SELECT {_EACH} FROM STREAM {_S} [RANGE 4s STEP 2s] WHERE {{ ?o dyknow:speed ?v }} GROUP BY ?o",
+    f"SELECT {_EACH} FROM STREAM {_S} [RANGE 4s STEP 2s] WHERE {{ ?o dyknow:speed ?v }} "
+    "GROUP BY ?o",
     f"SELECT ?o (AVG(?v) AS ?a) FROM STREAM {_S} [RANGE 3s STEP 1s] WHERE {{ ?o dyknow:speed ?v }} "
     "GROUP BY ?o HAVING (AVG(?v) > 2)",
     f"SELECT ?o ?v FROM STREAM {_S} [TRIPLES 3 STEP 2] WHERE {{ ?o dyknow:speed ?v }}",
@@ -52,7 +54,7 @@ QUERIES = (
     "WHERE { ?o dyknow:speed ?v . ?o dyknow:heading ?h }",
     f"SELECT ?p ?v FROM STREAM {_S} [RANGE 2s STEP 1s] "
     "WHERE { ?o (dyknow:speed|dyknow:heading) ?v . BIND (STR(?o) AS ?p) }",
-    f"SELECT ?o (SUM(?v) AS ?sum) FROM STREAM {_S} [RANGE LANDMARK STEP 2s] "
+    f"SELECT ?o (SUM(?v) AS ?sum) FROM STREAM {_S} [LANDMARK STEP 2s] "
     "WHERE { ?o dyknow:speed ?v } GROUP BY ?o",
     f"CONSTRUCT {{ ?o dyknow:speed ?w }} FROM <{IRI}ontology.rdf> FROM STREAM {_S} "
     "[RANGE 2s STEP 1s] WHERE { ?o a dyknow:UAV . ?o dyknow:speed ?v . BIND (?v * 2 AS ?w) }",
@@ -65,12 +67,13 @@ QUERIES = (
     f"SELECT ?x WHERE {{ ?x dyknow:speed }} FROM STREAM {_S}",
 )
 ISTREAM = (
-    f"REGISTER ISTREAM <news> AS SELECT ?o ?v FROM NAMED WINDOW <w> ON {_S} [RANGE PT3S STEP PT1S] "
-    "WHERE { WINDOW <w> { ?o dyknow:speed ?v } }"
+    f"REGISTER ISTREAM <news> AS SELECT ?o ?v FROM NAMED WINDOW <{IRI}w> ON {_S} "
+    f"[RANGE PT3S STEP PT1S] WHERE {{ WINDOW <{IRI}w> {{ ?o dyknow:speed ?v }} }}"
 )
 KPL = (
-    "stream slow = s with sample every 2s, max delay 1s",
-    "stream ordered = t with monotone order, max delay 2s",
+    "source float k\nstrmgen g = k\nstream slow = g with sample every 2s, max delay 1s",
+    "stream ordered = g with monotone order, max delay 2s",
+    "source float k\nstrmgen g = k\nstream ordered = g with sample change 2, max delay 1s",
     "stream nothing = nowhere",
 )
 POLICIES = ("", "sample every 1s", "monotone order, max delay 1s", "any order", "no policy")
@@ -112,7 +115,8 @@ class _Life:
             *(lambda: self._batch(pick.choice("sst")),) * 6,
             *(self._tick,) * 2,
             *(self._request,) * 2,
-            lambda: self._query(),
+            self._query,
+            self._query,
             lambda: c.RemoveQuery(f"q{pick.randrange(len(QUERIES))}"),
             lambda: c.CancelEvent(f"event{pick.randrange(1, 6)}"),
             lambda: c.Subscribe(
@@ -125,6 +129,7 @@ class _Life:
             ),
             lambda: c.Unsubscribe(f"subscription{pick.randrange(1, 5)}"),
             lambda: c.AddKpl(pick.choice(KPL)),
+            self._values,
             lambda: c.RemoveKpl(pick.choice(("slow", "ordered")), pick.random() < 0.5),
             lambda: c.Annotate(pick.choice(ANNOTATIONS)),
             lambda: c.OpenStream(pick.choice(("s_late", "t_late", "slow_violations"))),
@@ -159,6 +164,12 @@ class _Life:
         kind = self._random.choice(("STREAM", "QUERY"))
         text = f"REGISTER {kind} q{number} AS {QUERIES[number]}"
         return c.RegisterQuery(text, since=self._random.choice(tuple(Since)))
+
+    def _values(self) -> c.Command:
+        """For the source of KPL."""
+        self._last += SECOND
+        row = {"valid": self._last, "available": self._last, "value": float(self._last % 7)}
+        return c.Publish("k", "ndjson", json.dumps(row).encode(), self._now)
 
     def _batch(self, stream: str) -> c.Command:
         pick = self._random

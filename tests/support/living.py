@@ -1,6 +1,6 @@
 """One part of an engine's life, in a process of its own, which then is killed.
 
-    python living.py DIR SEED FIRST LAST      the commands FIRST … LAST - 1 of the life, then SIGKILL
+    python living.py DIR SEED FIRST LAST      the commands FIRST … LAST - 1 of it, then SIGKILL
     python living.py DIR SEED FIRST end       the rest of them, then all that can be seen, as text
 
 With ``-`` for DIR nothing is kept: FIRST is 0 then.
