@@ -28,7 +28,7 @@ from pyoxigraph import RdfFormat, Store
 from ..ontology.ontology import quads_of
 from .engine import Engine
 from .processes import Processes
-from .supervision import Runner
+from .supervision import Instance, Runner
 
 T = TypeVar("T")
 
@@ -58,16 +58,23 @@ def program() -> str:
     return f"dyknow {version('dyknow')}, Python {python}, {digest.hexdigest()[:16]}"
 
 
-def state_of(engine: Engine, more: object, processes: Processes, runner: Runner) -> bytes:
+def state_of(
+    engine: Engine,
+    more: object,
+    processes: Processes,
+    runner: Runner,
+    unkept: list[str] | None = None,
+) -> bytes:
     """The state of ``engine``, and ``more`` that belongs to it. The ``processes`` and ``runner``
-    that the engine was made with stay outside.
+    that the engine was made with stay outside. ``unkept`` is told of user-written processes whose
+    state cannot be written: they start again without it.
 
     Raises `CheckpointError` where something in it cannot be written.
     """
     target = io.BytesIO()
     outside = {id(processes): "processes", id(runner): "runner"}
     try:
-        _deep(lambda: _Writer(target, outside).dump((engine, more)))
+        _deep(lambda: _Writer(target, outside, unkept).dump((engine, more)))
     except (pickle.PicklingError, TypeError, AttributeError, RecursionError) as error:
         raise CheckpointError(f"the state cannot be written: {error}") from error
     return target.getvalue()
@@ -88,14 +95,24 @@ def engine_of(state: bytes, processes: Processes, runner: Runner) -> tuple[Engin
 
 
 class _Writer(pickle.Pickler):
-    def __init__(self, target: io.BytesIO, outside: dict[int, str]) -> None:
+    def __init__(
+        self, target: io.BytesIO, outside: dict[int, str], unkept: list[str] | None
+    ) -> None:
         super().__init__(target, protocol=5)
         self._outside = outside
+        self._unkept = unkept
 
     def persistent_id(self, value: Any) -> str | None:
         return self._outside.get(id(value))
 
     def reducer_override(self, value: Any) -> Any:
+        if type(value) is Instance and value.is_made:
+            try:
+                pickle.dumps(value.get())
+            except Exception as error:  # noqa: BLE001  user code, and there is something to tell
+                if self._unkept is not None:
+                    self._unkept.append(f"{type(value.get()).__name__}: {error}")
+                return Instance, (value.make,)
         reduce = _REDUCERS.get(type(value))
         return NotImplemented if reduce is None else reduce(value)
 
