@@ -112,6 +112,12 @@ class Configuration:
         into being by being asked for."""
         return self._there(name) or self._violations_of(name) or self.late.open(name)
 
+    def comes_on_demand(self, name: str) -> bool:
+        """Whether `find` would make a stream of this name."""
+        if self._there(name) is not None:
+            return False
+        return self.late.is_name(name) or self._violating(name) is not None
+
     def _there(self, name: str) -> StreamGenerator | None:
         return self.streams.get(self.aliases.get(name, name))
 
@@ -127,10 +133,13 @@ class Configuration:
 
     def _violations_of(self, name: str) -> StreamGenerator | None:
         """Somebody asks for the violations of a policy that has none yet."""
+        violations = self._violating(name)
+        return None if violations is None else violations.stream
+
+    def _violating(self, name: str) -> Violations | None:
+        """Whose stream would be called ``name``, if that of violations is meant."""
         unit = self.units.get(name.removesuffix(SUFFIX)) if name.endswith(SUFFIX) else None
-        if not isinstance(unit, PolicyUnit) or unit.violations is None:
-            return None
-        return unit.violations.stream
+        return unit.violations if isinstance(unit, PolicyUnit) else None
 
     def violations(self, name: str, retention: Retention | None) -> Violations:
         """Where the unit that makes stream ``name`` tells what its policy refused."""

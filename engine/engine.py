@@ -76,6 +76,7 @@ from .views import (
     StreamView,
     SubscriptionView,
     TemplateView,
+    Totals,
 )
 
 
@@ -257,6 +258,15 @@ class Engine:
     def stream(self, name: str) -> StreamView:
         """One stream; raises `UnknownStream`."""
         return self._view(self._configuration.stream(name))
+
+    def has_stream(self, name: str) -> bool:
+        """Whether there is a stream of this name already; none is made by asking."""
+        return self._configuration.has(name)
+
+    def comes_on_demand(self, name: str) -> bool:
+        """Whether there is no stream ``name`` yet and asking for it makes one: of late samples, of
+        violations."""
+        return self._configuration.comes_on_demand(name)
 
     def generator(self, name: str) -> StreamGenerator:
         """The generator behind a stream, to read and subscribe; raises `UnknownStream`."""
@@ -586,6 +596,19 @@ class Engine:
         if query is not None:
             return self.queries.explain(query)
         raise BadArguments("explain needs an event, a template or a query")
+
+    def totals(self) -> Totals:
+        """How much there is of what people make. Cost: O(1)."""
+        configuration = self._configuration
+        return Totals(
+            len(configuration.streams) - len(configuration.units),
+            len(self._templates),
+            len(self._requests)
+            + len(self._subscriptions)
+            + len(self.queries)
+            + len(self._specifications),
+            len(self._kpl),
+        )
 
     # -- within ------------------------------------------------------------------------------
 

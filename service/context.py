@@ -10,6 +10,7 @@ from fastapi import Depends, Request
 
 from ..engine.engine import Engine
 from ..streams.time import Clock
+from .access import Gate
 from .live import LiveBodies
 from .metrics import Metrics
 from .settings import Settings
@@ -28,6 +29,7 @@ class Service:
     metrics: Metrics
     sparql_slots: anyio.CapacityLimiter
     started: int
+    gate: Gate
     failure: str | None = None
     """Why the engine's last tick failed; None while all is well."""
 
