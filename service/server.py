@@ -4,26 +4,43 @@ from __future__ import annotations
 
 import socket
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Any, cast
 
 import uvicorn
 from fastapi import FastAPI
 
+from .bounds import Bounds, protocol
 from .context import Service
 from .settings import Settings
 
 GRACE = 5
 """Seconds that open requests have to end when the service stops."""
+REVIEW = 5
+"""Connections are looked at once in so many of the server's ticks, which are 0.1 s apart."""
+HEADERS = [
+    ("X-Content-Type-Options", "nosniff"),
+    ("Cross-Origin-Resource-Policy", "same-origin"),
+]
+"""Of every answer, also those that never come to the application: no page elsewhere may show or run
+what is answered here."""
 
 
 class Server(uvicorn.Server):
     """Lets those go first when it stops whose requests have no end of their own: clients of event
     streams, senders of live samples."""
 
-    def __init__(self, config: uvicorn.Config, leave: Callable[[], None]) -> None:
+    def __init__(self, config: uvicorn.Config, leave: Callable[[], None], bounds: Bounds) -> None:
         super().__init__(config)
         self._leave = leave
+        self._bounds = bounds
+
+    async def on_tick(self, counter: int) -> bool:
+        if counter % REVIEW == 0:
+            self._bounds.review(tuple(self.server_state.connections), time.monotonic())
+        return await super().on_tick(counter)
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         self._leave()
@@ -33,6 +50,7 @@ class Server(uvicorn.Server):
 def make_server(app: FastAPI) -> Server:
     """A server for an application of `create_app`, not yet running."""
     service: Service = app.state.service
+    bounds = Bounds(service.settings, service.metrics.refused)
     config = uvicorn.Config(
         app,
         log_config=None,
@@ -40,8 +58,11 @@ def make_server(app: FastAPI) -> Server:
         lifespan="on",
         timeout_graceful_shutdown=GRACE,
         server_header=False,
+        http=cast(Any, protocol(bounds)),
+        ws="none",
+        headers=HEADERS,
     )
-    return Server(config, service.leave)
+    return Server(config, service.leave, bounds)
 
 
 def bind(settings: Settings) -> socket.socket:

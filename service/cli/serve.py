@@ -18,6 +18,7 @@ from ..app import create_app
 from ..logs import configure
 from ..server import bind, run, url_of
 from ..settings import Settings
+from ..tokens import Scope, Tokens, TokensError
 from ..watchdog import Watchdog
 from .demo import STREAM
 from .demo import flights as play_flights
@@ -34,6 +35,12 @@ def serve(
         list[str] | None,
         typer.Option(help="A module or .py file with user-written processes. May be repeated."),
     ] = None,
+    tokens: Annotated[
+        Path | None,
+        typer.Option(
+            help="File of who may do what; a line a token (dyknow token).", dir_okay=False
+        ),
+    ] = None,
     log_level: Annotated[str | None, typer.Option(help="debug, info, warning, error.")] = None,
     flights: Annotated[
         bool, typer.Option("--flights", help="Play the recorded flights, again and again.")
@@ -42,8 +49,13 @@ def serve(
     """Run the service. Every setting can also be given as DYKNOW_<NAME>."""
     given: dict[str, Any] = {"host": host, "port": port, "data": data, "log_level": log_level}
     given["processes"] = processes or None
+    given["tokens_file"] = tokens
     settings = Settings(**{key: value for key, value in given.items() if value is not None})
     configure(settings.log_level, settings.log_json)
+    try:
+        known = Tokens.of(settings)
+    except TokensError as error:
+        raise fail(error.message, error.hint) from error
     if settings.data is not None:
         settings.data.mkdir(parents=True, exist_ok=True)
     load(settings.processes)
@@ -56,14 +68,16 @@ def serve(
         ) from error
     watchdog = Watchdog()
     engine = Engine(settings.data, now=time.time_ns(), runner=watchdog)
-    app = create_app(engine, settings, time.time_ns)
+    token = known.issue("flights", Scope.ADMIN) if flights and known.required else ""
+    app = create_app(engine, settings, time.time_ns, known)
     url = url_of(listener)
     err().print(f"DyKnow serves at {url} (documentation: {url}/docs)", markup=False)
     # Beside the start: the first query and the first large batch should not wait for compilers.
     threading.Thread(target=warm, name="warm", daemon=True).start()
     stopping = threading.Event()
     if flights:
-        player = threading.Thread(target=play_flights, args=(url, stopping.is_set), daemon=True)
+        playing = (url, stopping.is_set, token)
+        player = threading.Thread(target=play_flights, args=playing, daemon=True)
         player.start()
         err().print(f"The recorded flights play into stream {STREAM}, as if they flew now.")
     try:
