@@ -135,10 +135,9 @@ class Rules:
         for route, scope in _most_frequent_first(needed.items()):
             method, _, path = route.partition(" ")
             rule = Rule(route, scope)
-            if "{" in path:
-                expression = compile_path(path)[0]
-                self._by_method.setdefault(method, []).append((expression, rule))
-            else:
+            expression = compile_path(path)[0]
+            self._by_method.setdefault(method, []).append((expression, rule))
+            if "{" not in path:
                 self._fixed[method, path] = rule
 
     def find(self, method: str, path: str) -> tuple[Rule, dict[str, str]]:
