@@ -87,6 +87,8 @@ class Configuration:
         self.named: set[str] = set()
         self.late = LateStreams(self._there, self.units, self._add_late)
         """The streams of late samples that somebody asked for."""
+        self.before_demand: Callable[[], None] = _no_objection
+        """Called before a stream is made because somebody asks for it; may raise."""
         self._on_change = on_change
         self._next_reserved = first_reserved
         self._next_unit = 1
@@ -109,14 +111,13 @@ class Configuration:
 
     def find(self, name: str) -> StreamGenerator | None:
         """The same; None if there is no such stream. One of violations or of late samples comes
-        into being by being asked for."""
-        return self._there(name) or self._violations_of(name) or self.late.open(name)
-
-    def comes_on_demand(self, name: str) -> bool:
-        """Whether `find` would make a stream of this name."""
-        if self._there(name) is not None:
-            return False
-        return self.late.is_name(name) or self._violating(name) is not None
+        into being by being asked for, if ``before_demand`` does not object."""
+        there = self._there(name)
+        if there is not None:
+            return there
+        if self._violating(name) is not None or self.late.is_name(name):
+            self.before_demand()
+        return self._violations_of(name) or self.late.open(name)
 
     def _there(self, name: str) -> StreamGenerator | None:
         return self.streams.get(self.aliases.get(name, name))
@@ -501,3 +502,7 @@ class Configuration:
 
     def _failed(self, unit: ComputationalUnit) -> None:
         self.tell(ChangeKind.UNIT_FAILED, unit, unit.failure or "")
+
+
+def _no_objection() -> None:
+    """Streams come into being whenever they are asked for."""

@@ -7,7 +7,7 @@ Time comes in as an argument (`publish`, `tick`); nothing here reads a clock.
 from __future__ import annotations
 
 import secrets
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from ..converters.to_triples import SampleConverter
@@ -263,10 +263,10 @@ class Engine:
         """Whether there is a stream of this name already; none is made by asking."""
         return self._configuration.has(name)
 
-    def comes_on_demand(self, name: str) -> bool:
-        """Whether there is no stream ``name`` yet and asking for it makes one: of late samples, of
-        violations."""
-        return self._configuration.comes_on_demand(name)
+    def before_demand(self, check: Callable[[], None]) -> None:
+        """Call ``check`` before a stream comes into being because somebody asks for it (of late
+        samples, of violations), in whatever way; what it raises is what who asks gets."""
+        self._configuration.before_demand = check
 
     def generator(self, name: str) -> StreamGenerator:
         """The generator behind a stream, to read and subscribe; raises `UnknownStream`."""

@@ -44,13 +44,7 @@ MAKES: Mapping[str, Collection[Quota]] = {
     "POST /specifications": (REQUESTS,),
     "POST /kpl": (DECLARATIONS, STREAMS),
 }
-"""What each route may make; POST /annotations asks with the names it has read."""
-NAMES_A_STREAM = (
-    "GET /streams/{name}",
-    "GET /streams/{name}/samples",
-    "GET /streams/{name}/events",
-)
-"""Routes that make a stream when its name is one of late samples or of violations."""
+"""What each route may make; POST /annotations asks with the names that it has read."""
 
 
 class Quotas:
@@ -58,6 +52,7 @@ class Quotas:
 
     def __init__(self, engine: Engine, settings: Settings) -> None:
         self._engine = engine
+        engine.before_demand(self.check_demand)
         self._limits = {
             quota: int(getattr(settings, quota.setting))
             for quota in (STREAMS, TEMPLATES, REQUESTS, DECLARATIONS)
@@ -69,16 +64,17 @@ class Quotas:
 
     def check(self, route: str, parameters: Mapping[str, str]) -> None:
         """Raises a 403 `Problem` if ``route`` would make one thing too many. Cost: O(1)."""
-        name = parameters.get("name", "")
-        if route in NAMES_A_STREAM:
-            if self._is_full(STREAMS) and self._engine.comes_on_demand(name):
-                raise self._reached(STREAMS)
-            return
         for quota in MAKES.get(route, ()):
             if self._is_full(quota):
                 there = self._there.get(route)
-                if there is None or not there(name):
+                if there is None or not there(parameters["name"]):
                     raise self._reached(quota)
+
+    def check_demand(self) -> None:
+        """Raises a 403 `Problem` if there may be no further stream. The engine asks, before it
+        makes one because a name means late samples or violations: names stand in many texts."""
+        if self._is_full(STREAMS):
+            raise self._reached(STREAMS)
 
     def has_room(self, streams: int) -> bool:
         """Whether there may be so many streams more."""

@@ -7,7 +7,7 @@ import pytest
 
 from dyknow.engine.engine import Engine
 from dyknow.service.client import Client, ServiceError
-from dyknow.service.quotas import MAKES, NAMES_A_STREAM
+from dyknow.service.quotas import MAKES
 from dyknow.service.scopes import NEEDED
 from dyknow.service.settings import Settings
 
@@ -58,7 +58,7 @@ def refused(problem: ServiceError, setting: str) -> bool:
 
 
 def test_what_makes_things_is_a_route() -> None:
-    assert {*MAKES, *NAMES_A_STREAM} <= set(NEEDED)
+    assert set(MAKES) <= set(NEEDED)
 
 
 def test_a_stream_too_many_is_refused_and_others_may_be_changed(full: Client) -> None:
@@ -76,6 +76,12 @@ def test_streams_on_demand_count(full: Client, http: httpx.Client, engine: Engin
         answer = http.get(path)
         assert answer.status_code == 403, path
         assert answer.json()["title"] == "quota reached"
+    with pytest.raises(ServiceError) as caught:
+        full.explain(query=QUERY.format(name="q").replace("s1.trdf", "s1_late.trdf"))
+    assert refused(caught.value, "max_streams")
+    with pytest.raises(ServiceError) as caught:
+        full.subscribe("s1_late")
+    assert refused(caught.value, "max_streams")
     assert not engine.has_stream("s1_late")
     assert http.get("/streams/nowhere").status_code == 404
     assert http.get("/streams/s2").status_code == 200
