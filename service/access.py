@@ -84,12 +84,27 @@ class Gate:
         rule, parameters = self.rules.find(scope["method"], scope["path"])
         if self.tokens.required and rule.scope is not None:
             caller = self._caller(scope, headers, place)
+            if caller is None:
+                raise _unknown(401, "this service wants a token")
             scope[CALLER] = caller
             if not caller.may(rule.scope):
                 raise _lacking(caller, rule)
         self.quotas.check(rule.route, parameters)
 
-    def _caller(self, scope: Scope, headers: _Headers, place: Place | None) -> Caller:
+    def who(self, scope: Scope) -> Caller | None:
+        """Who sends a request that has passed; None if it does not say. Raises a `Problem` for a
+        token that is not known."""
+        headers = _wanted(scope)
+        return self._caller(scope, headers, self.check_page(scope, headers))
+
+    def known(self, token: bytes) -> Caller:
+        """Whose ``token`` it is. Raises a 401 `Problem` if nobody's."""
+        caller = self.tokens.caller(token)
+        if caller is None:
+            raise _unknown(401, "the token is not known here", 'error="invalid_token"')
+        return caller
+
+    def _caller(self, scope: Scope, headers: _Headers, place: Place | None) -> Caller | None:
         given = headers.get(b"authorization", [])
         if len(given) > 1:
             raise _unknown(
@@ -97,15 +112,10 @@ class Gate:
             )
         kind, _, token = given[0].partition(b" ") if given else (b"", b"", b"")
         if kind.lower() == b"bearer":
-            caller = self.tokens.caller(token.strip())
-            if caller is None:
-                raise _unknown(401, "the token is not known here", 'error="invalid_token"')
-            return caller
+            return self.known(token.strip())
         if not given and b"cookie" in headers and self._is_own_page(scope, headers, place):
-            session = self.sessions.caller(b";".join(headers[b"cookie"]))
-            if session is not None:
-                return session
-        raise _unknown(401, "this service wants a token")
+            return self.sessions.caller(b";".join(headers[b"cookie"]))
+        return None
 
     def _is_own_page(self, scope: Scope, headers: _Headers, place: Place | None) -> bool:
         """Whether a cookie counts: the browser says that it is not another page that asks."""
@@ -129,10 +139,7 @@ class Access:
                 return
             await self._app(scope, receive, send)
             return
-        headers: _Headers = {}
-        for name, value in scope["headers"]:
-            if name in _READ:
-                headers.setdefault(name, []).append(value)
+        headers = _wanted(scope)
         gate = self._gate
         try:
             place = gate.check_page(scope, headers)
@@ -149,6 +156,15 @@ class Access:
             await problem.response()(scope, receive, send)
             return
         await self._app(scope, receive, send)
+
+
+def _wanted(scope: Scope) -> _Headers:
+    """The headers that are looked at here; each may be there several times."""
+    headers: _Headers = {}
+    for name, value in scope["headers"]:
+        if name in _READ:
+            headers.setdefault(name, []).append(value)
+    return headers
 
 
 def _fetch_metadata(headers: _Headers) -> FetchMetadata:

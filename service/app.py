@@ -34,6 +34,7 @@ from .routes import (
     publish,
     queries,
     samples,
+    session,
     sparql,
     specifications,
     status,
@@ -69,6 +70,7 @@ RESOURCES = (
     explain,
     status,
     health,
+    session,
     docs,
 )
 DESCRIPTION = """Semantic stream reasoning: say what you want to know, and the service finds or

@@ -23,6 +23,9 @@ OPEN = (
     "GET /docs",
     "GET /static/{name}",
     "GET /openapi.json",
+    "GET /session",
+    "POST /session",
+    "DELETE /session",
 )
 """Routes for everybody."""
 
