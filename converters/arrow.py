@@ -89,6 +89,16 @@ def joined(tables: Sequence[Any]) -> Any:
     return tables[0] if len(tables) == 1 else pyarrow_module().concat_tables(tables)
 
 
+def bytes_of_table(table: Any) -> bytes:
+    """A table as an IPC stream, for `decode_arrow`."""
+    pa = pyarrow_module()
+    sink = pa.BufferOutputStream()
+    with pa.ipc.new_stream(sink, table.schema) as writer:
+        writer.write_table(table)
+    found: bytes = sink.getvalue().to_pybytes()
+    return found
+
+
 def encode_arrow(batch: SampleBatch) -> bytes:
     """An IPC stream of one record batch; `decode_arrow` gives the batch back."""
     pa = pyarrow_module()

@@ -89,12 +89,17 @@ class Configuration:
         """The streams of late samples that somebody asked for."""
         self.before_demand: Callable[[], None] = _no_objection
         """Called before a stream is made because somebody asks for it; may raise."""
+        self.on_opened: Callable[[str], None] = _unheard
+        """Told of a stream that came into being by being asked for."""
         self._on_change = on_change
         self._next_reserved = first_reserved
         self._next_unit = 1
         self._shared: dict[Hashable, ComputationalUnit] = {}
         self._keys: dict[ComputationalUnit, Hashable] = {}
         self._specified: tuple[str | None, str] = (None, "")
+
+    def __getstate__(self) -> dict[str, object]:
+        return {**self.__dict__, "on_opened": _unheard, "before_demand": _no_objection}
 
     def stream(self, name: str) -> StreamGenerator:
         """The generator of ``name``, a stream or an alias of one; raises `UnknownStream`."""
@@ -112,12 +117,14 @@ class Configuration:
     def find(self, name: str) -> StreamGenerator | None:
         """The same; None if there is no such stream. One of violations or of late samples comes
         into being by being asked for, if ``before_demand`` does not object."""
-        there = self._there(name)
-        if there is not None:
-            return there
-        if self._violating(name) is not None or self.late.is_name(name):
-            self.before_demand()
-        return self._violations_of(name) or self.late.open(name)
+        found = self._there(name)
+        if found is None:
+            if self._violating(name) is not None or self.late.is_name(name):
+                self.before_demand()
+            found = self._violations_of(name) or self.late.open(name)
+            if found is not None:
+                self.on_opened(found.name)
+        return found
 
     def _there(self, name: str) -> StreamGenerator | None:
         return self.streams.get(self.aliases.get(name, name))
@@ -506,3 +513,7 @@ class Configuration:
 
 def _no_objection() -> None:
     """Streams come into being whenever they are asked for."""
+
+
+def _unheard(_name: str) -> None:
+    """Nobody wants to know."""

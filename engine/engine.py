@@ -86,7 +86,8 @@ class Engine:
     ``data`` is the directory of what outlives the process (None: in memory). ``epoch`` marks
     this run in event ids. ``first_reserved`` is the first N of ``dyknow_reserved<N>``. ``now`` is
     the time in ns until `publish` and `tick` bring a later one. ``processes`` are the user-written
-    ones that KPL may name, and ``runner`` calls them.
+    ones that KPL may name, and ``runner`` calls them. ``ontology`` is taken instead of one in
+    ``data``.
     """
 
     def __init__(
@@ -98,9 +99,12 @@ class Engine:
         now: int = 0,
         processes: Processes = PROCESSES,
         runner: Runner = DIRECT,
+        ontology: Ontology | None = None,
     ) -> None:
         self.epoch = epoch or secrets.token_hex(4)
-        self.ontology = Ontology.open(None if data is None else data / "ontology")
+        if ontology is None:
+            ontology = Ontology.open(None if data is None else data / "ontology")
+        self.ontology = ontology
         self.dictionary = TermDictionary()
         self._now = now
         self._counted = TIME_MIN
@@ -215,6 +219,11 @@ class Engine:
             self.queries.restore(self._annotations.restore_of)
         self.queries.tell_lost()
 
+    @property
+    def now(self) -> int:
+        """The latest time (ns) that it was told."""
+        return self._now
+
     # -- streams -----------------------------------------------------------------------------
 
     def declare(self, declaration: StreamDeclaration) -> StreamView:
@@ -268,6 +277,11 @@ class Engine:
         samples, of violations), in whatever way; what it raises is what who asks gets."""
         self._configuration.before_demand = check
 
+    def published(self) -> tuple[StreamGenerator, ...]:
+        """The streams that people publish to."""
+        there = self._configuration.streams.items()
+        return tuple(each for name, each in there if not self._configuration.is_made(name))
+
     def generator(self, name: str) -> StreamGenerator:
         """The generator behind a stream, to read and subscribe; raises `UnknownStream`."""
         return self._configuration.stream(name)
@@ -276,6 +290,11 @@ class Engine:
         """The generator of a stream that takes samples; raises `UnknownStream`, and `Refused` for
         a stream that the system makes."""
         return self._intake.accepting(name)
+
+    def on_opened(self, heard: Callable[[str], None]) -> None:
+        """Tell ``heard`` of streams that come into being by being asked for: of late samples, of
+        violations."""
+        self._configuration.on_opened = heard
 
     def remove_stream(self, name: str) -> None:
         """Forget a declared stream and its annotation, or one of late samples, which are then only
@@ -345,8 +364,7 @@ class Engine:
         self.dictionary.collect()
         if now - SECOND >= self._counted:
             self._counted = now
-            streams = self._configuration.streams.items()
-            self._manager.count_subscribers((name, each.subscribers) for name, each in streams)
+            self._count_subscribers()
 
     def measure(self) -> None:
         """Let SPARQL see the rates and subscribers there are: whoever asks calls this before.
@@ -359,7 +377,7 @@ class Engine:
         self._measured = self._now
         streams = tuple(self._configuration.streams.items())
         with uncollected(), self._manager.together():
-            self._manager.count_subscribers((name, each.subscribers) for name, each in streams)
+            self._count_subscribers()
             self._manager.measure_rates((name, rate_of(each)) for name, each in streams)
 
     def rdf_of(self, name: str, batch: SampleBatch) -> list[str]:
@@ -640,7 +658,14 @@ class Engine:
         annotation = self._manager.annotations.get(stream if source is None else source)
         return () if annotation is None else annotation.contents
 
+    def _count_subscribers(self) -> None:
+        streams = self._configuration.streams.items()
+        self._manager.count_subscribers(
+            (name, each.subscribers + each.listeners) for name, each in streams
+        )
+
     def _subscribers(self, name: str) -> int:
+        """Those within the engine: what is matched does not depend on who looks on."""
         generator = self._configuration.streams.get(name)
         return 0 if generator is None else generator.subscribers
 

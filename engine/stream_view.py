@@ -51,7 +51,7 @@ def stream_view(
         lag=last_available - last_valid if last_valid is not None else None,
         annotation=None if annotation is None else annotation.source,
         producer=producer,
-        subscribers=generator.subscribers,
+        subscribers=generator.subscribers + generator.listeners,
     )
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 from pyoxigraph import (
     BlankNode,
@@ -24,6 +24,7 @@ from pyoxigraph import (
     RdfFormat,
     Store,
     Triple,
+    parse,
     serialize,
 )
 
@@ -95,16 +96,40 @@ class Ontology:
         """
         if path is None:
             return cls(Store(), None)
-        try:
-            path.mkdir(parents=True, exist_ok=True)
-            store = Store(path)
-        except OSError as error:
-            reason = "is in use by another process" if "lock" in str(error).lower() else "is broken"
-            raise OntologyError(
-                f"the store {path} {reason}: {error}",
-                hint="stop the other process, or name another data folder",
-            ) from error
-        return cls(store, path)
+        return cls(_opened(path), path)
+
+    @classmethod
+    def copied(cls, path: Path) -> Ontology:
+        """One in memory with what the folder ``path`` keeps, which stays as it is. Raises
+        `OntologyError`."""
+        kept = _opened(path)
+        store = Store()
+        store.extend(kept)
+        return cls(store, None)
+
+    @classmethod
+    def of_quads(cls, quads: bytes) -> Ontology:
+        """One in memory with these N-Quads, of `quads`."""
+        store = Store()
+        store.extend(parse(quads, RdfFormat.N_QUADS))
+        return cls(store, None)
+
+    def quads(self) -> bytes:
+        """All there is as N-Quads, sorted."""
+        with self._lock:
+            return quads_of(self.store)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """As it is copied, if it is in memory: the lock is each one's own."""
+        assert self.path is None
+        kept = {**self.__dict__, "store": self.quads()}
+        del kept["_lock"], kept["_closed"]
+        return kept
+
+    def __setstate__(self, kept: dict[str, Any]) -> None:
+        store = Store()
+        store.extend(parse(kept["store"], RdfFormat.N_QUADS))
+        self.__dict__.update(kept, store=store, _lock=threading.RLock(), _closed=None)
 
     # -- ontologies -------------------------------------------------------------------------
 
@@ -458,6 +483,23 @@ class Ontology:
             for text in self.store.quads_for_pattern(quad.subject, _HAS_TEXT, None, graph):
                 found[_text(quad)] = _text(text)
         return found
+
+
+def quads_of(store: Store) -> bytes:
+    """All of a store as N-Quads, sorted: each quad a line, blank nodes by their names."""
+    return b"".join(sorted(f"{quad} .\n".encode() for quad in store))
+
+
+def _opened(path: Path) -> Store:
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        return Store(path)
+    except OSError as error:
+        reason = "is in use by another process" if "lock" in str(error).lower() else "is broken"
+        raise OntologyError(
+            f"the store {path} {reason}: {error}",
+            hint="stop the other process, or name another data folder",
+        ) from error
 
 
 def _ontology_graph(name: str) -> NamedNode:

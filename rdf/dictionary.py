@@ -154,6 +154,19 @@ class TermDictionary:
         where an id has no term now."""
         return self._terms[start:]
 
+    def __getstate__(self) -> dict[str, object]:
+        """As it is copied: with those who hold and follow it, as far as they live."""
+        kept = {name: getattr(self, name) for name in self.__slots__}
+        for name in ("_holders", "_tables"):
+            kept[name] = [value for known in kept[name] if (value := known()) is not None]
+        return kept
+
+    def __setstate__(self, kept: dict[str, Any]) -> None:
+        for name, value in kept.items():
+            setattr(self, name, value)
+        self._holders = {ref(holder) for holder in kept["_holders"]}
+        self._tables = {ref(table) for table in kept["_tables"]}
+
     def hold(self, holder: Holder) -> None:
         """Ask ``holder`` at each sweep what it has, as long as it lives."""
         self._holders.add(ref(holder, self._holders.discard))

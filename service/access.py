@@ -10,9 +10,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from starlette.requests import Request
 from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from .event_clients import address_of
 from .origins import FetchMetadata, Hosts, Origins, Place, is_same
 from .problems import Problem
 from .quotas import Quotas
@@ -122,6 +124,12 @@ class Gate:
         if origins := headers.get(b"origin"):
             return is_same(origins[0], scope["scheme"], place)
         return _fetch_metadata(headers).is_own
+
+
+def client_key(request: Request) -> str:
+    """Who a request's event stream is counted with: the token's, else those of the address."""
+    caller: Caller | None = request.scope.get(CALLER)
+    return address_of(request) if caller is None else f"token {caller.name}"
 
 
 class Access:

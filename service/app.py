@@ -10,11 +10,16 @@ from pydantic.json_schema import models_json_schema
 
 from .. import __version__
 from ..engine.engine import Engine
+from ..engine.recorded import RecordedEngine
+from ..journal.errors import JournalError
 from ..streams.time import Clock
 from . import problems
-from .access import Access, Gate
+from .access import Access, Gate, client_key
 from .body import BodyLimit
 from .context import Service
+from .descriptors import places
+from .event_clients import EventClients
+from .keeper import Keeper
 from .live import LiveBodies
 from .logs import log
 from .metrics import Metrics
@@ -73,21 +78,39 @@ RESOURCES = (
     session,
     docs,
 )
+TICK = "tick"
 DESCRIPTION = """Semantic stream reasoning: say what you want to know, and the service finds or
 builds the streams that answer it. Errors are `application/problem+json` (RFC 9457)."""
 
 
 def create_app(
-    engine: Engine, settings: Settings, clock: Clock, tokens: Tokens | None = None
+    engine: Engine | RecordedEngine,
+    settings: Settings,
+    clock: Clock,
+    tokens: Tokens | None = None,
 ) -> FastAPI:
     """The service over ``engine`` as an ASGI application.
 
     ``clock`` tells the time in ns; the lifespan ticks the engine with it. The engine must not be
-    used by anybody else but in the thread that runs the application. ``tokens`` are those of the
-    settings, unless they have been read before; raises `TokensError` where they cannot be used.
+    used by anybody else but in the thread that runs the application. One that is recorded is closed
+    when the application ends. ``tokens`` are those of the settings, unless they have been read
+    before; raises `TokensError` where they cannot be used.
     """
     tokens = Tokens.of(settings) if tokens is None else tokens
-    feeds = Feeds(engine, settings.sse_cache)
+    recorded: RecordedEngine | None = None
+    if isinstance(engine, RecordedEngine):
+        recorded, engine = engine, engine.engine
+    troubles: dict[str, str] = {}
+    keeper = Keeper(engine, recorded, troubles)
+    clients = EventClients(
+        places(settings.sse_clients),
+        settings.sse_clients_each,
+        settings.sse_ping,
+        settings.sse_send_timeout,
+    )
+    feeds = Feeds(engine, settings.sse_cache, clients, recorded=keeper.is_recording)
+    if keeper.is_recording:
+        keeper.show_to(feeds)
     service = Service(
         engine,
         settings,
@@ -98,6 +121,9 @@ def create_app(
         anyio.CapacityLimiter(settings.sparql_workers),
         clock(),
         Gate.of(settings, tokens, Sessions(clock), Quotas(engine, settings)),
+        keeper,
+        troubles,
+        client_key,
     )
 
     @asynccontextmanager
@@ -107,6 +133,7 @@ def create_app(
             yield
             service.leave()
             tasks.cancel_scope.cancel()
+        keeper.close()
 
     app = FastAPI(
         title="DyKnow",
@@ -145,9 +172,13 @@ async def _tick(service: Service) -> None:
     while True:
         try:
             service.tick()
-            service.failure = None
+            service.troubles.pop(TICK, None)
+            await service.keeper.tend(service.settings)
+        except JournalError as error:
+            service.troubles[TICK] = str(error)
+            service.metrics.tick_failures.inc()
         except Exception as error:  # noqa: BLE001 - told by log, metric and /readyz
-            service.failure = f"{type(error).__name__}: {error}"
+            service.troubles[TICK] = f"{type(error).__name__}: {error}"
             service.metrics.tick_failures.inc()
             log().exception("tick failed")
         await anyio.sleep(service.settings.tick)

@@ -13,13 +13,13 @@ import ipaddress
 from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from functools import partial
 from http import HTTPStatus
 from typing import Any
 
 from uvicorn.protocols.http.auto import AutoHTTPProtocol
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
+from .descriptors import places
 from .problems import Problem
 from .settings import Settings
 
@@ -40,7 +40,7 @@ class Bounds:
     def __init__(self, settings: Settings, refused: Callable[[str], None]) -> None:
         self.refused = refused
         self.count = 0
-        self._most = min(settings.max_connections, _descriptors())
+        self._most = places(settings.max_connections, SPARE)
         self._most_of_one = settings.max_connections_per_client
         self._timeout = settings.head_timeout
         self._of: Counter[str] = Counter()
@@ -195,10 +195,15 @@ class Refused(asyncio.Protocol):
         self._patience.cancel()
 
 
-def protocol(bounds: Bounds) -> Callable[..., asyncio.Protocol]:
-    """Makes the protocols of a server's connections; what `uvicorn.Config` takes as ``http``."""
+def protocol(bounds: Bounds) -> type[Bounded]:
+    """The class of a server's connections; what `uvicorn.Config` takes as ``http``."""
     made = Bounded if issubclass(AutoHTTPProtocol, H11Protocol) else BoundedHttptools
-    return partial(made, bounds)
+
+    class Admitted(made):  # type: ignore[misc, valid-type]
+        def __init__(self, **arguments: Any) -> None:
+            super().__init__(bounds, **arguments)
+
+    return Admitted
 
 
 def address_of(peer: Any) -> str:
@@ -220,13 +225,3 @@ def encoded(problem: Problem) -> bytes:
     head = [b"HTTP/1.1 %d %s" % (status, status.phrase.encode()), b"connection: close"]
     head += [name + b": " + value for name, value in response.raw_headers]
     return b"\r\n".join([*head, b"", bytes(response.body)])
-
-
-def _descriptors() -> int:
-    """How many connections the process may hold open."""
-    try:
-        import resource
-    except ImportError:  # Windows has no such limit
-        return 1 << 31
-    soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
-    return (1 << 31) if soft == resource.RLIM_INFINITY else max(1, soft - SPARE)

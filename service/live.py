@@ -17,15 +17,17 @@ from fastapi import Request
 from starlette.requests import ClientDisconnect
 from starlette.types import Message
 
-from ..converters.arrow import ArrowMissing, joined, samples_of_table
+from ..converters.arrow import ArrowMissing, bytes_of_table, joined, samples_of_table
 from ..converters.arrow_messages import ArrowMessages
 from ..converters.errors import WireError
 from ..converters.ndjson import decode_ndjson, mixed_times
 from ..converters.wire import BOM, Incoming
+from ..engine.commands import BatchKind, Publish
 from ..engine.engine import Engine
 from ..streams.generator import StreamGenerator
 from ..streams.time import Clock
 from .body import HELD, Held
+from .keeper import Keeper
 from .problems import Problem
 
 _LINE = re.compile(rb"[^\n]*\n|[^\n]+")
@@ -41,9 +43,10 @@ class LiveSamples(ABC):
     body's beginning. What was published before stays; ``accepted`` counts it.
     """
 
-    def __init__(self, engine: Engine, name: str, clock: Clock) -> None:
+    def __init__(self, engine: Engine, keeper: Keeper, name: str, clock: Clock) -> None:
         self.accepted = 0
         self._engine = engine
+        self._keeper = keeper
         self._name = name
         self._clock = clock
         self._before = 0
@@ -67,11 +70,14 @@ class LiveSamples(ABC):
         """Asked each time: the stream may have been declared anew, or removed, meanwhile."""
         return self._engine.accepting(self._name)
 
-    def _publish(self, incoming: Incoming, line: int) -> None:
-        """``line`` is the first one's: available times are in all samples of a body or in none."""
+    def _publish(self, incoming: Incoming, kind: BatchKind, body: bytes, line: int) -> None:
+        """``incoming`` is what ``body`` says. ``line`` is the first one's: available times are in
+        all samples of a body or in none."""
         if self._stamped not in (None, incoming.stamped):
             raise mixed_times(line)
-        self.accepted += self._engine.publish(self._name, incoming, self._clock())
+        batch = Publish(self._name, kind, body, self._clock())
+        self.accepted += self._keeper.do(batch, incoming)
+        self._keeper.hasten()
         self._stamped = incoming.stamped
 
     def _placed(self, error: WireError) -> WireError:
@@ -86,8 +92,8 @@ class LiveLines(LiveSamples):
     Cost: as `decode_ndjson`; a part with a bad line is decoded once more up to it.
     """
 
-    def __init__(self, engine: Engine, name: str, clock: Clock) -> None:
-        super().__init__(engine, name, clock)
+    def __init__(self, engine: Engine, keeper: Keeper, name: str, clock: Clock) -> None:
+        super().__init__(engine, keeper, name, clock)
         self._rest = bytearray()
 
     @property
@@ -143,15 +149,15 @@ class LiveLines(LiveSamples):
             raise WireError(1, "not JSON: a byte order mark", "send one JSON object a line")
         incoming = decode_ndjson(text, generator.schema, generator.stream.pools)
         blank = len(text) - len(text.lstrip())
-        self._publish(incoming, 1 + text.count(b"\n", 0, blank))
+        self._publish(incoming, "ndjson", text, 1 + text.count(b"\n", 0, blank))
 
 
 class LiveTables(LiveSamples):
     """An Arrow IPC stream, or several one after the other: a record batch is taken whole or refused
     whole."""
 
-    def __init__(self, engine: Engine, name: str, clock: Clock) -> None:
-        super().__init__(engine, name, clock)
+    def __init__(self, engine: Engine, keeper: Keeper, name: str, clock: Clock) -> None:
+        super().__init__(engine, keeper, name, clock)
         self._messages = ArrowMessages()
 
     @property
@@ -181,7 +187,8 @@ class LiveTables(LiveSamples):
         generator = self._target()
         try:
             incoming = samples_of_table(table, generator.schema, generator.stream.pools)
-            self._publish(incoming, 1)
+            body = bytes_of_table(table) if self._keeper.is_recording else b""
+            self._publish(incoming, "arrow", body, 1)
         except WireError as error:
             if len(tables) == 1:
                 raise self._placed(error) from None

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 from ..engine.adaptive import Rematch
 
@@ -12,12 +12,19 @@ from ..engine.adaptive import Rematch
 class Marks:
     """What one client is still to be told of ``switches``, which grow while it listens.
 
-    Those before sample ``position`` are its past. Of switches that are no longer kept nothing is
+    Those before sample ``position`` are its past; of the newest it hears when they are shown
+    (``is_shown``: if one is, those before it are). Of switches that are no longer kept nothing is
     said. Cost: O(1) a switch. Memory: the switches that wait for their sample.
     """
 
-    def __init__(self, switches: Sequence[Rematch], position: int) -> None:
+    def __init__(
+        self,
+        switches: Sequence[Rematch],
+        position: int,
+        is_shown: Callable[[Rematch], bool] = lambda _: True,
+    ) -> None:
         self._switches = switches
+        self._is_shown = is_shown
         self._from = position
         self._read: Rematch | None = None
         self._waiting: deque[Rematch] = deque()
@@ -42,6 +49,8 @@ class Marks:
         for switch in reversed(self._switches):
             if switch is self._read:
                 break
-            new.append(switch)
-        self._read = self._switches[-1]
+            if new or self._is_shown(switch):
+                new.append(switch)
+        if new:
+            self._read = new[0]
         self._waiting.extend(each for each in reversed(new) if each.position >= self._from)

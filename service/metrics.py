@@ -92,6 +92,32 @@ class _Streams(Collector):
         yield GaugeMetricFamily(
             "dyknow_event_requests", "Event requests that run", value=len(self._engine.events())
         )
+        yield from self._clients()
+
+    def _clients(self) -> Iterable[Metric]:
+        clients = self._feeds.all
         yield GaugeMetricFamily(
-            "dyknow_event_stream_clients", "Clients of event streams", value=self._feeds.clients
+            "dyknow_event_stream_clients", "Clients of event streams", value=len(clients)
         )
+        yield GaugeMetricFamily(
+            "dyknow_event_stream_blocked",
+            "Clients of event streams that have not taken what they were sent",
+            value=clients.blocked,
+        )
+        yield CounterMetricFamily(
+            "dyknow_event_stream_bytes", "Bytes of events sent to clients", value=clients.sent
+        )
+        ends = CounterMetricFamily(
+            "dyknow_event_stream_ends", "Event streams that ended, by reason", labels=["reason"]
+        )
+        for reason, count in clients.ends.items():
+            ends.add_metric([reason], count)
+        yield ends
+        refused = CounterMetricFamily(
+            "dyknow_event_stream_refusals",
+            "Clients for whom there was no place, by the limit",
+            labels=["limit"],
+        )
+        for limit, count in clients.refused.items():
+            refused.add_metric([limit], count)
+        yield refused

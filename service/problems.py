@@ -21,6 +21,7 @@ from ..converters.arrow import ArrowMissing
 from ..converters.errors import ConversionError, WireError
 from ..engine import errors as engine_errors
 from ..engine.errors import DyknowError, NoPlan
+from ..journal.errors import JournalError, JournalFull
 from ..languages.errors import LanguageError
 from ..ontology.errors import OntologyError, QueryRefused
 from ..ontology.units import UnitError
@@ -153,6 +154,12 @@ def problem_of(error: Exception) -> Problem:
                 line=error.line,
                 column=error.column,
             )
+        case JournalFull():
+            return Problem(
+                507, "no room", error.message, hint=error.hint, headers={"Retry-After": "5"}
+            )
+        case JournalError():
+            return Problem(503, "journal broken", error.message, hint=error.hint)
         case UnitError():
             return Problem(400, "bad unit", str(error))
         case RequestValidationError():
@@ -184,6 +191,7 @@ def install(app: FastAPI) -> None:
         SampleError,
         OntologyError,
         UnitError,
+        JournalError,
         Exception,
     ):
         app.add_exception_handler(kind, answer)

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import asyncio
 import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any, cast
+from typing import Any
 
 import uvicorn
 from fastapi import FastAPI
 
 from .bounds import Bounds, protocol
 from .context import Service
+from .event_response import TRANSPORT
 from .settings import Settings
 
 GRACE = 5
@@ -47,6 +49,20 @@ class Server(uvicorn.Server):
         await super().shutdown(sockets)
 
 
+def telling_transport(protocol: Any) -> Any:
+    """The server's ``protocol``, whose requests know the transport of their connection: what is
+    sent for hours has to see to it that little of it waits (`EventStream`)."""
+
+    class Telling(protocol):  # type: ignore[misc]
+        app_state: dict[str, Any]
+
+        def connection_made(self, transport: asyncio.Transport) -> None:
+            super().connection_made(transport)
+            self.app_state = {**self.app_state, TRANSPORT: transport}
+
+    return Telling
+
+
 def make_server(app: FastAPI) -> Server:
     """A server for an application of `create_app`, not yet running."""
     service: Service = app.state.service
@@ -58,7 +74,7 @@ def make_server(app: FastAPI) -> Server:
         lifespan="on",
         timeout_graceful_shutdown=GRACE,
         server_header=False,
-        http=cast(Any, protocol(bounds)),
+        http=telling_transport(protocol(bounds)),
         ws="none",
         headers=HEADERS,
     )

@@ -7,6 +7,8 @@ from pathlib import Path
 from pydantic import Field, SecretStr
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
+from ..journal.log import Durability
+
 MEBIBYTE = 1 << 20
 
 
@@ -19,6 +21,13 @@ class Settings(BaseSettings):
     port: int = Field(default=8000, ge=0, le=65535)
     data: Path | None = None
     """Where ontology, templates and annotations are kept; None keeps them in memory."""
+    durability: Durability = Durability.FSYNC
+    """With ``data``: an acknowledged change survives a loss of power (fsync), or the end of the
+    process (write)."""
+    checkpoint_interval: float = Field(default=300.0, gt=0)
+    """With ``data``: the state is written down this often, so that a start is quick."""
+    checkpoint_bytes: int = Field(default=256 * MEBIBYTE, gt=0)
+    """And whenever the log has grown by so much."""
     processes: list[str] = []
     """Modules or .py files with user-written processes, loaded at the start."""
     body_limit: int = Field(default=8 * MEBIBYTE, gt=0)
@@ -41,9 +50,9 @@ class Settings(BaseSettings):
     """So is one that comes more slowly than so many bytes a second; 0 asks for no rate."""
     head_timeout: float = Field(default=15.0, gt=0)
     """A connection on which no request comes to be for so long is closed."""
-    max_connections: int = Field(default=10_000, gt=0)
+    max_connections: int = Field(default=12_000, gt=0)
     """Further connections are refused with 503."""
-    max_connections_per_client: int = Field(default=6_000, gt=0)
+    max_connections_per_client: int = Field(default=10_000, gt=0)
     """The same, of one address."""
     max_streams: int = Field(default=10_000, gt=0)
     """While there are so many streams, what makes further ones is refused with 403."""
@@ -61,6 +70,11 @@ class Settings(BaseSettings):
     """How many samples one history answer holds when the request does not say."""
     sse_cache: int = Field(default=64 * MEBIBYTE, gt=0)
     """Encoded messages kept for all clients together."""
+    sse_clients: int = Field(default=10_000, gt=0)
+    """Clients of event streams together; beyond it they are refused with 503 and Retry-After."""
+    sse_clients_each: int = Field(default=8_000, gt=0)
+    """Those of one address, or token, alone; beyond it with 429. Less than all together: nobody
+    alone takes every place. Behind a proxy all have one address."""
     sse_ping: float = Field(default=15.0, ge=0)
     """A comment is sent to idle clients this often; 0 sends none."""
     sse_send_timeout: float = Field(default=30.0, gt=0)

@@ -1,27 +1,23 @@
 """Streams as server-sent events: one ring a stream, a cursor a client (docs/api.md, DESIGN §3).
 
 The ring is the stream's own history; a client is the number of the next sample it wants. Samples
-are encoded when somebody listens, once for all clients, and kept in a bounded cache. A client
-that comes back after a gap in the history is told the gap. Of an adaptive subscription the switches
-stand between the samples (`marks`): what is sent in one go ends there.
+are encoded when somebody listens, once for all clients, and kept in a bounded cache
+(event_messages). A client that comes back after a gap in the history is told the gap. Of an
+adaptive subscription the switches stand between the samples (`marks`): what is sent in one go ends
+there. Who is woken when, and how an answer is sent, is event_clients and event_response.
 
-Cost: a publish wakes the waiting clients (O(clients), nothing a sample); encoding is per sample,
-once. Memory: the cache's limit, and one piece a client. There is no queue a client.
+Cost: a publish O(1), then a look of each client; encoding is per sample, once. Memory: the cache's
+limit, and what a client has not taken (`EventStream`). There is no queue a client.
 """
 
 from __future__ import annotations
 
-import asyncio
-from collections import OrderedDict
-from collections.abc import AsyncIterator, Iterator, Sequence
-from dataclasses import dataclass
-from itertools import count
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import msgspec
 from fastapi import Request
 from fastapi.responses import Response
-from sse_starlette import EventSourceResponse
 
 from ..engine.adaptive import Rematch
 from ..engine.engine import Engine
@@ -29,156 +25,158 @@ from ..engine.errors import UnknownStream
 from ..streams.generator import StreamGenerator
 from ..streams.sample import SampleBatch
 from ..streams.time import format_time
+from .event_clients import EventClient, EventClients
+from .event_messages import PIECE_BYTES, Block, Blocks, MessageCache
+from .event_response import EventStream, Messages
 from .marks import Marks
 from .models import RematchModel
 from .negotiation import EVENT_STREAM, accepted
 from .observe import HEAD
 from .problems import Problem
 
-PIECE = 256
-"""At most so many samples are encoded and sent in one go: nobody waits long for another's."""
-READ = 4096
-"""At most so many samples are taken from the history at once."""
 POSITION = "Dyknow-Position"
 """The header of an answer that says after which id it begins."""
+OPENING = b": dyknow\n"
+"""Sent at once, so that a client knows that it is connected."""
 
 
 @dataclass(frozen=True, slots=True)
-class Piece:
-    """Encoded messages of the samples ``first`` … : ``bounds[i]`` is where the i-th begins."""
+class Shown:
+    """Of one stream: the number of the newest sample, whether it has ended, and when (ns) the last
+    switch of its subscription was."""
 
-    first: int
-    data: bytes
-    bounds: tuple[int, ...]
-
-    def since(self, number: int) -> bytes:
-        """The messages from sample ``number`` on."""
-        return self.data if number == self.first else self.data[self.bounds[number - self.first] :]
-
-    def part(self, number: int, last: int) -> bytes:
-        """The messages from sample ``number`` to sample ``last``, both included."""
-        begin, end = number - self.first, last + 1 - self.first
-        stop = self.bounds[end] if end < len(self.bounds) else len(self.data)
-        return self.data[self.bounds[begin] : stop]
-
-
-class PieceCache:
-    """Pieces by feed and last sample's number; the least recently sent go when it is full."""
-
-    def __init__(self, limit: int) -> None:
-        self._limit = limit
-        self._size = 0
-        self._pieces: OrderedDict[tuple[int, int], Piece] = OrderedDict()
-
-    def get(self, feed: int, last: int, number: int) -> Piece | None:
-        """The piece that ends with sample ``last``, if it reaches back to ``number``."""
-        piece = self._pieces.get((feed, last))
-        if piece is None or piece.first > number:
-            return None
-        self._pieces.move_to_end((feed, last))
-        return piece
-
-    def put(self, feed: int, last: int, piece: Piece) -> None:
-        """Keep ``piece``, in place of one that reached back less far."""
-        old = self._pieces.pop((feed, last), None)
-        self._size += len(piece.data) - (len(old.data) if old else 0)
-        self._pieces[(feed, last)] = piece
-        while self._size > self._limit and self._pieces:
-            _, gone = self._pieces.popitem(last=False)
-            self._size -= len(gone.data)
-
-    def forget(self, feed: int) -> None:
-        """Drop the pieces of a feed that nobody listens to."""
-        for key in [key for key in self._pieces if key[0] == feed]:
-            self._size -= len(self._pieces.pop(key).data)
+    newest: int
+    is_ended: bool
+    switched: int | None
 
 
 class Feed:
-    """A stream that somebody listens to: a receiver of its generator that wakes the cursors."""
+    """A stream that somebody listens to: wakes its clients when its generator has more.
+
+    Of one that is recorded they see what is kept: up to `Shown`, which `Feeds` moves on.
+    """
 
     def __init__(
-        self, serial: int, engine: Engine, generator: StreamGenerator, cache: PieceCache
+        self,
+        engine: Engine,
+        generator: StreamGenerator,
+        cache: MessageCache,
+        clients: EventClients,
+        unseen: dict[Feed, None] | None,
     ) -> None:
-        self.serial = serial
         self.generator = generator
         self.name = generator.name
-        self.clients = 0
-        self.removed = False
-        self.changed = asyncio.Event()
+        self.clients: dict[EventClient, None] = {}
+        self.is_removed = False
         self.switches: Sequence[Rematch] = ()
         """Those of the subscription whose stream this is."""
-        self._newest: Rematch | None = None
+        self._told: Rematch | None = None
         self._engine = engine
-        self._cache = cache
+        self._all = clients
+        self._blocks = Blocks(cache)
         self._encoder = msgspec.json.Encoder()
+        self._unseen = unseen
+        self.shown: Shown | None = None
+        """What clients may see; None: all there is."""
+
+    @property
+    def newest(self) -> int:
+        """The number of the newest sample that clients may see: so far cursors may read."""
+        last = self.generator.stream.last_number
+        return last if self.shown is None else min(last, self.shown.newest)
+
+    def look_now(self) -> Shown:
+        """What there is to be seen, kept or not."""
+        generator = self.generator
+        latest = self.switches[-1].time if self.switches else None
+        return Shown(generator.stream.last_number, generator.is_ended, latest)
+
+    @property
+    def oldest(self) -> int:
+        """The number of the oldest sample that is kept."""
+        return self.generator.stream.first_number
+
+    @property
+    def over(self) -> str | None:
+        """Why nothing comes after `newest`; None while something may."""
+        if self.is_removed:
+            return "removed"
+        all_seen = self.newest == self.generator.stream.last_number
+        is_told = self.shown is None or self.shown.is_ended
+        return "ended" if self.generator.is_ended and is_told and all_seen else None
 
     def receive(self, source: StreamGenerator, batch: SampleBatch) -> None:
-        self.wake()
-
-    def advance(self, source: StreamGenerator, watermark: int) -> None:
-        """A watermark is of no interest to clients."""
+        self._news()
 
     def ended(self, source: StreamGenerator) -> None:
+        self._news()
+
+    def _news(self) -> None:
+        if self._unseen is None:
+            self.wake()
+        else:
+            self._unseen[self] = None
+
+    def show(self, shown: Shown) -> None:
+        """Clients may see so much from now on."""
+        self.shown = shown
         self.wake()
 
-    def resumed(self, source: StreamGenerator) -> None:
-        """Clients were told of the end and have left."""
-
-    def idleness_changed(self, source: StreamGenerator) -> None:
-        """Nobody waits here for one stream with another."""
-
     def wake(self) -> None:
-        """Let every waiting cursor look again. Several wakes before they run are one."""
-        self.changed.set()
-        self.changed = asyncio.Event()
+        """Let every client look again. Several wakes before they do are one."""
+        self._all.rounds.add(self)
 
     def look(self) -> None:
-        """Wake the cursors where there is a switch that they may not have heard of: it need not
+        """Wake the clients where there is a switch that they may not have heard of: it need not
         come with a sample."""
-        if self.switches and self.switches[-1] is not self._newest:
-            self._newest = self.switches[-1]
-            self.wake()
+        if self.switches and self.switches[-1] is not self._told:
+            self._told = self.switches[-1]
+            self._news()
 
-    def messages(self, number: int, until: int | None = None) -> Iterator[tuple[int, bytes]]:
-        """The kept samples from ``number`` on, up to ``until`` (included), in pieces: last sample's
-        number and messages."""
-        for segment in self.generator.stream.since(number, READ):
-            first = segment.first
-            while first <= segment.last:
-                # Pieces end at multiples of PIECE, so that clients at different places share them.
-                last = min(segment.last, (first // PIECE + 1) * PIECE - 1)
-                piece = self._cache.get(self.serial, last, first)
-                if piece is None:
-                    rows = slice(first - segment.first, last + 1 - segment.first)
-                    piece = self._encode(first, segment.batch.take(rows))
-                    self._cache.put(self.serial, last, piece)
-                if until is not None and until <= last:
-                    yield until, piece.part(first, until)
-                    return
-                yield last, piece.since(first)
-                first = last + 1
+    def messages(self, number: int, until: int) -> tuple[int, bytes]:
+        """Messages from sample ``number`` on, as many as are sent in one go, none of a sample after
+        ``until``: the last one's number, and the bytes. Contract: ``number`` is kept."""
+        block = self._blocks.find(number) or self._encoded(number)
+        return block.part(number, until)
 
-    def _encode(self, first: int, batch: SampleBatch) -> Piece:
-        epoch = self._engine.epoch
-        parts: list[bytes] = []
-        bounds: list[int] = []
+    def close(self) -> None:
+        """The last client has left."""
+        self.generator.leave(self)
+        self._blocks.clear()
+
+    def _encoded(self, number: int) -> Block:
+        """The block that has sample ``number`` from now on, and some that follow it."""
+        block, room = self._blocks.place(number)
+        room = min(room, self.newest + 1 - number)
+        batch = self.generator.stream.since(number, room)[0].batch
+        self._blocks.extend(block, self._encode(number, batch.take(slice(0, room))))
+        return block
+
+    def _encode(self, first: int, batch: SampleBatch) -> list[bytes]:
+        """The messages of the samples ``first`` …, at least one, as many as are sent in one go."""
+        rows: list[tuple[int, int, msgspec.Raw]] = []
         size = 0
-        rdf = self._rdf(batch)
-        for i, (available, valid, values) in enumerate(batch.rows()):
+        for available, valid, values in batch.rows():
+            encoded = self._encoder.encode(values)
+            rows.append((available, valid, msgspec.Raw(encoded)))
+            size += len(encoded)
+            if size > PIECE_BYTES:
+                break
+        rdf = self._rdf(batch.take(slice(0, len(rows))))
+        epoch = self._engine.epoch.encode()
+        messages = []
+        for i, (available, valid, raw) in enumerate(rows):
             sample = {
                 "stream": self.name,
                 "sequence": first + i,
                 "available": format_time(available),
                 "valid": format_time(valid),
-                "values": values,
+                "values": raw,
                 "rdf": rdf[i],
             }
             data = self._encoder.encode(sample)
-            message = b"id: %s-%d\nevent: sample\ndata: %s\n\n" % (epoch.encode(), first + i, data)
-            bounds.append(size)
-            size += len(message)
-            parts.append(message)
-        return Piece(first, b"".join(parts), tuple(bounds))
+            messages.append(b"id: %s-%d\nevent: sample\ndata: %s\n\n" % (epoch, first + i, data))
+        return messages
 
     def _rdf(self, batch: SampleBatch) -> list[str]:
         try:
@@ -196,15 +194,82 @@ class Start:
     opening: bytes = b""
 
 
+class Cursor:
+    """How far one client has got in one stream; `Messages`, which it `take`s one after the other.
+
+    Law (tests/laws): what is taken from a start on, cut anywhere and taken up again after the last
+    whole sample, is every sample once and in order, and before what is not kept a ``gap``.
+    """
+
+    def __init__(
+        self, feeds: Feeds, name: str, start: Start, switches: Sequence[Rematch] | None = None
+    ) -> None:
+        self.name = name
+        self.number = start.number
+        """The next sample's."""
+        self.over: str | None = None
+        self._feeds = feeds
+        self._feed: Feed | None = None
+        self._opening = start.opening
+        self._switches = switches
+        self._marks = Marks(() if switches is None else switches, start.number - 1, self._is_shown)
+
+    def join(self, client: EventClient) -> None:
+        """``client`` is to be woken when there is something. Raises `UnknownStream`."""
+        self._feed = self._feeds.join(self.name, self.number - 1, client)
+        if self._switches is not None:
+            self._feed.switches = self._switches
+
+    def _is_shown(self, switch: Rematch) -> bool:
+        shown = None if self._feed is None else self._feed.shown
+        return shown is None or (shown.switched is not None and switch.time <= shown.switched)
+
+    def leave(self, client: EventClient) -> None:
+        """It is not there any more."""
+        if self._feed is not None:
+            self._feeds.leave(self._feed, client)
+
+    def take(self) -> bytes | None:
+        """What comes next; None while there is nothing. Contract: after `join`."""
+        feed, number = self._feed, self.number
+        assert feed is not None
+        if self._opening:
+            opening, self._opening = self._opening, b""
+            return opening
+        switch = next(self._marks.before(number), None)
+        if switch is not None:
+            return message("rematched", RematchModel.of(switch).model_dump())
+        oldest = feed.oldest
+        if number < oldest:
+            self.number = oldest
+            return _gap(feed.name, number, oldest - 1)
+        newest = feed.newest
+        if number <= newest:
+            mark = self._marks.next
+            until = newest if mark is None else min(newest, mark)
+            last, data = feed.messages(number, until)
+            self.number = last + 1
+            self.over = None  # it may have ended and gone on since
+            return data
+        if self.over is None and feed.over is not None:
+            self.over = feed.over
+            end = {"stream": feed.name, "sequence": number - 1, "reason": self.over}
+            return message("end", end)
+        return None
+
+
 class Feeds:
     """All streams that clients listen to."""
 
-    def __init__(self, engine: Engine, cache_limit: int) -> None:
+    def __init__(
+        self, engine: Engine, cache_limit: int, clients: EventClients, *, recorded: bool = False
+    ) -> None:
+        self.all = clients
+        """All clients, whatever they listen to."""
         self._engine = engine
-        self._cache = PieceCache(cache_limit)
+        self._cache = MessageCache(cache_limit)
         self._feeds: dict[str, Feed] = {}
-        self._serials = count()
-        self._closing = False
+        self._unseen: dict[Feed, None] | None = {} if recorded else None
 
     @property
     def epoch(self) -> str:
@@ -214,156 +279,163 @@ class Feeds:
     @property
     def clients(self) -> int:
         """How many clients listen."""
-        return sum(feed.clients for feed in self._feeds.values())
+        return len(self.all)
 
     def start(self, name: str, since: str | None) -> Start:
         """Where a client begins: now, at the ``start`` of what is kept, or after an id.
 
         Raises `UnknownStream`, or a 400 `Problem` for an id that is none.
         """
-        stream = self._engine.generator(name).stream
         if since is None:
-            return Start(stream.last_number + 1)
+            return Start(self._newest(name) + 1, OPENING)
         if since == "start":
-            return Start(stream.first_number)
+            return Start(self._engine.generator(name).stream.first_number, OPENING)
         epoch, _, digits = since.rpartition("-")
-        if not epoch or not digits.isascii() or not digits.isdigit() or len(digits) > 18:
-            raise Problem(
-                400,
-                "bad event id",
-                f"{since!r} is no id of a sample",
-                hint="send the id of the last message, or since=start",
-            )
-        number = int(digits) + 1
-        if epoch == self._engine.epoch and number <= stream.last_number + 1:
-            return Start(number)
+        if not epoch or not is_number(digits):
+            raise bad_id(since)
+        return self.after(name, epoch, int(digits))
+
+    def after(self, name: str, epoch: str, number: int) -> Start:
+        """Where a client begins that has had sample ``number`` of the life ``epoch``.
+
+        Raises `UnknownStream`.
+        """
+        number += 1
+        newest = self._newest(name)
+        if epoch == self._engine.epoch and number <= newest + 1:
+            return Start(number, OPENING)
         if epoch != self._engine.epoch:
             reason = "the service has begun anew since: numbers count from 1 again"
         else:
             reason = "the stream has begun anew since: numbers count from 1 again"
         lost = {"stream": name, "from": number, "to": None, "epoch": epoch, "reason": reason}
-        return Start(1, _message("gap", lost))
+        return Start(1, OPENING + message("gap", lost))
 
-    async def listen(
-        self, name: str, start: Start, switches: Sequence[Rematch] | None = None
-    ) -> AsyncIterator[bytes]:
-        """The messages for one client, from ``start`` until the stream's end, with the
-        ``switches`` that stand after the sample before it, or later."""
-        feed = self._join(name)
-        number = start.number
-        marks = Marks(() if switches is None else switches, number - 1)
-        if switches is not None:
-            feed.switches = switches
-        try:
-            yield b": dyknow\n" + start.opening
-            while not self._leaving():
-                # Taken before looking, so that a wake in between is not lost.
-                changed = feed.changed
-                stream = feed.generator.stream
-                for switch in marks.before(number):
-                    yield _message("rematched", RematchModel.of(switch).model_dump())
-                if number < stream.first_number:
-                    yield _gap(name, number, stream.first_number - 1)
-                    number = stream.first_number
-                    continue
-                for last, data in feed.messages(number, marks.next):
-                    yield data
-                    number = last + 1
-                    # A fast client must not keep the loop from everybody else.
-                    await asyncio.sleep(0)
-                    if self._leaving():
-                        return
-                waiting = marks.next
-                if number <= stream.last_number or (waiting is not None and waiting < number):
-                    continue
-                if feed.removed or feed.generator.is_ended:
-                    reason = "removed" if feed.removed else "ended"
-                    end = {"stream": name, "sequence": number - 1, "reason": reason}
-                    yield _message("end", end)
-                    return
-                await changed.wait()
-        finally:
-            self._leave(feed)
+    def join(self, name: str, start: int, client: EventClient) -> Feed:
+        """``client`` listens to a stream, and has seen what is kept of it up to sample ``start``.
+        Raises `UnknownStream`."""
+        generator = self._engine.generator(name)
+        feed = self._feeds.get(name)
+        if feed is None or feed.generator is not generator:
+            feed = Feed(self._engine, generator, self._cache, self.all, self._unseen)
+            if self._unseen is not None:
+                # The next mark shows what has come since the client looked where to begin.
+                feed.shown = replace(feed.look_now(), newest=start)
+                self._unseen[feed] = None
+            generator.listen(feed)
+            self._feeds[name] = feed
+        feed.clients[client] = None
+        return feed
+
+    def leave(self, feed: Feed, client: EventClient) -> None:
+        """It does so no longer."""
+        del feed.clients[client]
+        if feed.clients:
+            return
+        feed.close()
+        if self._feeds.get(feed.name) is feed:
+            del self._feeds[feed.name]
 
     def review(self) -> None:
         """Tell the clients of streams that are no longer there, and of switches. Called at each
         tick."""
-        for name, feed in list(self._feeds.items()):
-            try:
-                gone = self._engine.generator(name) is not feed.generator
-            except UnknownStream:
-                gone = True
-            if gone:
-                del self._feeds[name]
-                feed.removed = True
-                feed.wake()
-            else:
+        for feed in tuple(self._feeds.values()):
+            if not self._is_removed(feed):
                 feed.look()
+            elif not feed.is_removed:
+                del self._feeds[feed.name]
+                feed.is_removed = True
+                feed.wake()
+
+    def _is_removed(self, feed: Feed) -> bool:
+        try:
+            return self._engine.generator(feed.name) is not feed.generator
+        except UnknownStream:
+            return True
 
     def close(self) -> None:
         """Let all clients go: the service stops. They resume when it is back."""
-        self._closing = True
-        for feed in self._feeds.values():
-            feed.wake()
+        self.all.close()
 
-    def _leaving(self) -> bool:
-        return self._closing
+    # -- what is kept (`Audience`) -----------------------------------------------------------
 
-    def _join(self, name: str) -> Feed:
-        generator = self._engine.generator(name)
+    @property
+    def has_news(self) -> bool:
+        """Whether there is more to be seen than is shown."""
+        return bool(self._unseen)
+
+    def mark(self) -> Sequence[tuple[Feed, Shown]]:
+        """What there is to be seen of what has changed since the last mark."""
+        assert self._unseen is not None
+        marked = [(feed, feed.look_now()) for feed in self._unseen]
+        self._unseen.clear()
+        return marked
+
+    def show(self, mark: Sequence[tuple[Feed, Shown]]) -> None:
+        """Let clients see it: it is kept."""
+        for feed, shown in mark:
+            # A stream that is removed ends before: its clients are told the one reason.
+            feed.is_removed = feed.is_removed or self._is_removed(feed)
+            feed.show(shown)
+
+    def keep_unseen(self, mark: Sequence[tuple[Feed, Shown]]) -> None:
+        """It is not kept yet: it is for the next mark."""
+        assert self._unseen is not None
+        self._unseen.update((feed, None) for feed, _ in mark)
+
+    def _newest(self, name: str) -> int:
         feed = self._feeds.get(name)
-        if feed is None or feed.generator is not generator:
-            feed = Feed(next(self._serials), self._engine, generator, self._cache)
-            generator.subscribe(feed)
-            self._feeds[name] = feed
-        feed.clients += 1
-        return feed
-
-    def _leave(self, feed: Feed) -> None:
-        feed.clients -= 1
-        if feed.clients:
-            return
-        feed.generator.unsubscribe(feed)
-        self._cache.forget(feed.serial)
-        if self._feeds.get(feed.name) is feed:
-            del self._feeds[feed.name]
+        return self._engine.generator(name).stream.last_number if feed is None else feed.newest
 
 
 def event_stream(
     feeds: Feeds,
     request: Request,
+    key: str,
     name: str,
     since: str | None,
-    *,
     switches: Sequence[Rematch] | None = None,
-    ping: float,
-    timeout: float,
 ) -> Response:
     """The response that is a stream's events, with ``switches`` between them if it is an adaptive
-    subscription's; ``Last-Event-ID`` goes before ``since``."""
+    subscription's; ``Last-Event-ID`` goes before ``since``. Clients of one ``key`` are counted
+    together (`EventClients.admit`)."""
     accepted(request, [EVENT_STREAM])
     start = feeds.start(name, request.headers.get("last-event-id") or since)
-    headers = {POSITION: f"{feeds.epoch}-{start.number - 1}"}
+    position = f"{feeds.epoch}-{start.number - 1}"
+    return respond(feeds, request, key, Cursor(feeds, name, start, switches), position)
+
+
+def respond(
+    feeds: Feeds, request: Request, key: str, messages: Messages, position: str
+) -> Response:
+    """The response that sends ``messages`` after the id ``position``. Raises `Problem` 429 and 503
+    when there is no place."""
+    headers = {POSITION: position}
     if request.scope.get(HEAD):
         return Response(headers=headers, media_type=EVENT_STREAM)
-    return EventSourceResponse(
-        feeds.listen(name, start, switches),
-        headers=headers,
-        ping=ping,
-        # A comment without an empty line: a reader that dispatches empty messages stays quiet.
-        ping_message_factory=_ping,
-        send_timeout=timeout,
+    return EventStream(feeds.all, feeds.all.admit(key), messages, headers)
+
+
+def message(event: str, data: dict[str, object]) -> bytes:
+    """A message that is no sample: it has no id, a client that resumes does so after a sample."""
+    return b"event: %s\ndata: %s\n\n" % (event.encode(), msgspec.json.encode(data))
+
+
+def is_number(digits: str) -> bool:
+    """Whether it is the number of a sample, or 0."""
+    return digits.isascii() and digits.isdigit() and len(digits) <= 18
+
+
+def bad_id(since: str) -> Problem:
+    """The refusal of what is no id."""
+    return Problem(
+        400,
+        "bad event id",
+        f"{since!r} is no id of a sample",
+        hint="send the id of the last message, or since=start",
     )
-
-
-def _ping() -> Any:
-    return b": ping\n"
 
 
 def _gap(name: str, first: int, last: int) -> bytes:
     reason = "these samples are no longer kept"
-    return _message("gap", {"stream": name, "from": first, "to": last, "reason": reason})
-
-
-def _message(event: str, data: dict[str, object]) -> bytes:
-    return b"event: %s\ndata: %s\n\n" % (event.encode(), msgspec.json.encode(data))
+    return message("gap", {"stream": name, "from": first, "to": last, "reason": reason})

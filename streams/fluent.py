@@ -130,6 +130,12 @@ class FluentStream:
         """The greatest available time ever appended, None before the first sample."""
         return self._last_available
 
+    def go_on(self, batch: SampleBatch, first: int) -> None:
+        """Be as one that kept ``batch``, whose first sample has number ``first``. Contract: nothing
+        was appended yet."""
+        self._first = self._next = first
+        self.append(batch)
+
     def append(self, batch: SampleBatch) -> Segment | None:
         """Continue the stream; returns where the batch went, None if it was empty."""
         if not len(batch):

@@ -18,7 +18,7 @@ from typing import Protocol
 import numpy as np
 
 from .fluent import FluentStream, Retention
-from .sample import Field, SampleBatch, SampleError, Schema, Times, concatenate
+from .sample import Field, SampleBatch, SampleError, Schema, Times, concatenate, empty_batch
 from .strings import StringPool
 from .time import TIME_MAX, TIME_MIN
 
@@ -40,6 +40,17 @@ class Receiver(Protocol):
 
     def idleness_changed(self, source: StreamGenerator) -> None:
         """``source`` has fallen idle, or speaks again (told before its samples): its `is_idle`."""
+
+
+class Listener(Protocol):
+    """Whoever looks on from outside: what is made does not depend on it, and a copy of a generator
+    has none."""
+
+    def receive(self, source: StreamGenerator, batch: SampleBatch) -> None:
+        """Samples continue the stream."""
+
+    def ended(self, source: StreamGenerator) -> None:
+        """``source`` has come to its end (it may be taken up again by a later sample)."""
 
 
 @dataclass(slots=True)
@@ -101,6 +112,10 @@ class StreamGenerator:
         self.on_followed: Callable[[bool], None] | None = None
         """Told before the first subscription (True), and when the last has ended (False)."""
         self._receivers: list[Receiver] = []
+        self._listeners: list[Listener] = []
+
+    def __getstate__(self) -> dict[str, object]:
+        return {**self.__dict__, "_listeners": []}
 
     @property
     def schema(self) -> Schema:
@@ -131,6 +146,19 @@ class StreamGenerator:
         """How many subscriptions the generator serves."""
         return len(self._receivers)
 
+    @property
+    def listeners(self) -> int:
+        """How many listen from outside."""
+        return len(self._listeners)
+
+    def listen(self, listener: Listener) -> None:
+        """Tell ``listener`` of what comes from now on."""
+        self._listeners.append(listener)
+
+    def leave(self, listener: Listener) -> None:
+        """Tell ``listener`` no longer."""
+        self._listeners.remove(listener)
+
     def subscribe(self, receiver: Receiver) -> None:
         """Serve ``receiver`` from now on; it is told the watermark that holds already, and whether
         the stream is idle."""
@@ -147,6 +175,35 @@ class StreamGenerator:
         self._receivers.remove(receiver)
         if self.on_followed is not None and not self._receivers:
             self.on_followed(False)
+
+    @property
+    def pending(self) -> SampleBatch:
+        """What is held back within the lateness."""
+        if self._pending is None:
+            return empty_batch(self.schema, self.stream.pools)
+        return self._pending
+
+    def go_on(
+        self,
+        batch: SampleBatch,
+        first: int,
+        pending: int,
+        counters: Counters,
+        *,
+        stamped: bool | None,
+        watermark: int | None,
+        is_ended: bool,
+    ) -> None:
+        """Be what another was that kept ``batch``, whose first sample has number ``first`` and of
+        which the last ``pending`` ones were held back. Contract: nobody has used this one yet."""
+        count = len(batch) - pending
+        self.stream.go_on(batch.take(slice(0, count)), first)
+        self.counters, self.stamped = counters, stamped
+        self.watermark, self.is_ended = watermark, is_ended
+        self._greatest = self.stream.last_available
+        if pending:
+            self._pending = batch.take(slice(count, None))
+            self._greatest = int(self._pending.available[-1])
 
     def offer(self, batch: SampleBatch, now: int | None = None) -> int:
         """Take a process's samples; returns how many were accepted (all of them).
@@ -195,6 +252,8 @@ class StreamGenerator:
         self.is_ended, self.is_idle = True, False
         for receiver in tuple(self._receivers):
             receiver.ended(self)
+        for listener in tuple(self._listeners):
+            listener.ended(self)
         if self.late_stream is not None:
             self.late_stream.end()
 
@@ -349,6 +408,8 @@ class StreamGenerator:
         )
         for receiver in tuple(self._receivers):
             receiver.receive(self, batch)
+        for listener in tuple(self._listeners):
+            listener.receive(self, batch)
         self._announce(int(batch.available[-1]))
 
     def _announce(self, watermark: int) -> None:

@@ -12,6 +12,7 @@ from sweeping import WAYS, at_every_chance
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--sweeps", choices=WAYS, help="forget terms at every chance")
+    parser.addoption("--recorded", action="store_true", help="services with a data directory")
     parser.addoption("--share", type=float, default=1.0, help="how much of all examples to draw")
 
 

@@ -13,8 +13,13 @@ import typer
 
 from ...engine.engine import Engine
 from ...engine.loading import load_processes
+from ...engine.recorded import RecordedEngine
+from ...journal.errors import JournalError
+from ...journal.log import Durability
+from ...ontology.errors import OntologyError
 from ...streams.compiled import compile_all
 from ..app import create_app
+from ..descriptors import raise_limit
 from ..logs import configure
 from ..server import bind, run, url_of
 from ..settings import Settings
@@ -41,6 +46,10 @@ def serve(
             help="File of who may do what; a line a token (dyknow token).", dir_okay=False
         ),
     ] = None,
+    durability: Annotated[
+        Durability | None,
+        typer.Option(help="With --data: survive loss of power, or only of the process."),
+    ] = None,
     log_level: Annotated[str | None, typer.Option(help="debug, info, warning, error.")] = None,
     flights: Annotated[
         bool, typer.Option("--flights", help="Play the recorded flights, again and again.")
@@ -48,6 +57,7 @@ def serve(
 ) -> None:
     """Run the service. Every setting can also be given as DYKNOW_<NAME>."""
     given: dict[str, Any] = {"host": host, "port": port, "data": data, "log_level": log_level}
+    given["durability"] = durability
     given["processes"] = processes or None
     given["tokens_file"] = tokens
     settings = Settings(**{key: value for key, value in given.items() if value is not None})
@@ -56,8 +66,6 @@ def serve(
         known = Tokens.of(settings)
     except TokensError as error:
         raise fail(error.message, error.hint) from error
-    if settings.data is not None:
-        settings.data.mkdir(parents=True, exist_ok=True)
     load(settings.processes)
     try:
         listener = bind(settings)
@@ -66,9 +74,10 @@ def serve(
             f"cannot listen at {settings.host}:{settings.port}: {error.strerror or error}",
             "choose another --port",
         ) from error
+    raise_limit()
     watchdog = Watchdog()
-    engine = Engine(settings.data, now=time.time_ns(), runner=watchdog)
     token = known.issue("flights", Scope.ADMIN) if flights and known.required else ""
+    engine = _engine(settings, watchdog)
     app = create_app(engine, settings, time.time_ns, known)
     url = url_of(listener)
     err().print(f"DyKnow serves at {url} (documentation: {url}/docs)", markup=False)
@@ -85,6 +94,37 @@ def serve(
     finally:
         stopping.set()
         watchdog.close()
+
+
+def _engine(settings: Settings, watchdog: Watchdog) -> Engine | RecordedEngine:
+    """A new engine in memory, or that of the data directory as it was."""
+    if settings.data is None:
+        return Engine(now=time.time_ns(), runner=watchdog)
+
+    def progress(done: int, count: int) -> None:
+        err().print(f"  {done:,} of {count:,} commands done again", markup=False)
+
+    try:
+        engine = RecordedEngine(
+            settings.data,
+            now=time.time_ns(),
+            runner=watchdog,
+            durability=settings.durability,
+            progress=progress,
+        )
+    except (JournalError, OntologyError) as error:
+        raise fail(error.message, error.hint) from error
+    except OSError as error:
+        raise fail(f"{settings.data} cannot be used: {error}") from error
+    recovery = engine.recovery
+    for note in recovery.notes:
+        err().print(f"note: {note}", markup=False)
+    err().print(
+        f"{settings.data}: state of command {recovery.position:,}, "
+        f"{recovery.replayed:,} done again since",
+        markup=False,
+    )
+    return engine
 
 
 def warm() -> None:

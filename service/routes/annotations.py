@@ -8,6 +8,7 @@ from fastapi import APIRouter, Request
 from fastapi.responses import JSONResponse, PlainTextResponse, Response
 from pydantic import Field
 
+from ...engine.commands import Annotate, Describe
 from ...languages.ssl import parse_ssl
 from ...languages.ssl.ast import StreamDeclaration
 from ..context import Context
@@ -73,12 +74,12 @@ async def annotate(request: Request, service: Context) -> list[AnnotationModel]:
             quotas.check_streams(
                 [one.name for one in parse_ssl(text) if isinstance(one, StreamDeclaration)]
             )
-        found = service.engine.annotate(text)
+        found = await service.do(Annotate(text))
         return [AnnotationModel.of(annotation) for annotation in found]
     described: ContentsIn | list[ContentsIn] = json_value(body, Described)
     several = described if isinstance(described, list) else [described]
     service.gate.quotas.check_streams([each.stream for each in several])
-    made = service.engine.describe_all([each.described() for each in several])
+    made = await service.do(Describe(tuple(each.described() for each in several)))
     return [AnnotationModel.of(annotation) for annotation in made]
 
 

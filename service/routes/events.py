@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request, Response
 
+from ...engine.commands import CancelEvent, RequestEvent
 from ...engine.views import Since
 from ..context import Context
 from ..models import EventIn, EventModel, Strategy, schema_of, text_schema
@@ -59,12 +60,13 @@ async def request_event(
     engine = service.engine
     # A body that came without a type may be either; JSON begins with a brace.
     if kind == TEXT or not ("content-type" in request.headers or body.lstrip().startswith(b"{")):
-        parsed = engine.parse_request(utf8(body))
+        command = RequestEvent(utf8(body), strategy=strategy, since=since)
     else:
         wanted = json_value(body, EventIn)
-        parsed = engine.make_request(wanted.event, wanted.arguments)
-        strategy, since = wanted.strategy, wanted.since
-    view = engine.request_event(parsed, strategy, since)
+        command = RequestEvent(
+            None, wanted.event, tuple(wanted.arguments), wanted.strategy, wanted.since
+        )
+    view = await service.do(command)
     response.headers["Location"] = f"/events/{view.id}"
     return EventModel.of(view, engine.epoch)
 
@@ -85,6 +87,6 @@ async def read_event(id: str, service: Context) -> EventModel:
 @router.delete("/events/{id}", status_code=204, responses=responses(404))
 async def cancel_event(id: str, service: Context) -> Response:
     """Give a request up. A unit stops with its last user."""
-    service.engine.cancel_event(id)
+    await service.do(CancelEvent(id))
     service.feeds.review()
     return Response(status_code=204)

@@ -20,10 +20,11 @@ async def healthz() -> HealthModel:
 @router.get("/readyz", responses={503: {"model": HealthModel}})
 async def readyz(service: Context, response: Response) -> HealthModel:
     """The engine works: 503 with the reason while its tick fails."""
-    if service.failure is None:
+    if not service.troubles:
         return HealthModel(status="ok")
     response.status_code = 503
-    return HealthModel(status="failing", reason=service.failure)
+    reason = "; ".join(f"{what}: {why}" for what, why in service.troubles.items())
+    return HealthModel(status="failing", reason=reason)
 
 
 @router.get(

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 from fastapi import APIRouter, Query, Request
 from fastapi.responses import JSONResponse, PlainTextResponse, Response
 
+from ...engine.commands import AddKpl, RemoveKpl
 from ..context import Context
 from ..models import DeclarationModel, OneDeclarationModel, RemovedModel, text_schema
 from ..negotiation import JSON, TEXT, accepted, text_body
@@ -40,7 +41,7 @@ async def declare(request: Request, service: Context, unit: Unit = "ms") -> list
     words before changes nothing.
     """
     text = await text_body(request, (TEXT,))
-    return [DeclarationModel.of(view) for view in service.engine.add_kpl(text, unit)]
+    return [DeclarationModel.of(view) for view in await service.do(AddKpl(text, unit))]
 
 
 @router.get(
@@ -74,6 +75,6 @@ async def remove_declaration(
     409 where others need it, without ``cascade``, and where something outside of KPL reads one of
     the streams.
     """
-    removed = service.engine.remove_kpl(name, cascade=cascade)
+    removed = await service.do(RemoveKpl(name, cascade))
     service.feeds.review()
     return RemovedModel(removed=list(removed))

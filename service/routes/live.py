@@ -55,12 +55,13 @@ async def publish_live(
         return Response(status_code=400)  # nobody reads it
     except Exception as error:
         raise _refusal(error, live) from error
+    await service.keeper.kept()
     return AcceptedModel(accepted=live.accepted)
 
 
 def _samples(name: str, kind: str, service: Service) -> LiveSamples:
     make = LiveLines if kind == NDJSON else LiveTables
-    return make(service.engine, name, service.clock)
+    return make(service.engine, service.keeper, name, service.clock)
 
 
 def _refusal(error: Exception, live: LiveSamples) -> Exception:

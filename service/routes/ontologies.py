@@ -9,6 +9,7 @@ import anyio.to_thread
 from fastapi import APIRouter, Query, Request
 from pyoxigraph import NamedNode
 
+from ...engine.commands import LoadOntology
 from ...ontology.graphs import ontology_graph
 from ...ontology.reading import TextFormat, read_triples
 from ...rdf.namespaces import OWL, RDF_TYPE, shorten
@@ -64,7 +65,7 @@ async def load_ontology(
     text = utf8(await request.body())
     if name is None:
         name = _own_name(text, format)
-    service.engine.load_ontology(text, name=name, format=format)
+    await service.do(LoadOntology(text, name, format))
     return OntologyModel(name=ontology_graph(name).value)
 
 

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Coroutine
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Header, Request, Response
 from fastapi.routing import APIRoute
 
-from ...converters.arrow import decode_arrow
-from ...converters.ndjson import decode_ndjson
-from ...converters.wire import Incoming
-from ...streams.generator import StreamGenerator
+from ...engine.commands import Publish
 from ..context import Context
 from ..models import AcceptedModel
 from ..negotiation import ARROW, JSON, NDJSON, content_type
@@ -83,16 +79,8 @@ async def publish_samples(
     kind = content_type(request, (NDJSON, ARROW))
     body = await request.body()
     # Asked again: the stream may have been declared anew while the body came.
-    incoming = _decode(kind, body, service.engine.accepting(name))
-    # Only what comes under a key is ever compared.
-    digest = b"" if idempotency_key is None else hashlib.blake2b(body, digest_size=16).digest()
-    count = service.engine.publish(
-        name, incoming, service.clock(), idempotency_key=idempotency_key, digest=digest
+    batch = Publish(
+        name, "ndjson" if kind == NDJSON else "arrow", body, service.clock(), idempotency_key
     )
-    return AcceptedModel(accepted=count)
-
-
-def _decode(kind: str, body: bytes, generator: StreamGenerator) -> Incoming:
-    pools = generator.stream.pools
-    decode = decode_ndjson if kind == NDJSON else decode_arrow
-    return decode(body, generator.schema, pools)
+    incoming = batch.decode(service.engine)
+    return AcceptedModel(accepted=await service.do(batch, incoming))

@@ -9,6 +9,7 @@ from fastapi import APIRouter, Path, Query, Request, Response
 from fastapi.responses import JSONResponse, PlainTextResponse
 
 from ...continuous.options import Bounds, Report, Semantics
+from ...engine.commands import RegisterQuery, RemoveQuery
 from ...engine.views import Since
 from ...streams.time import format_time
 from ..context import Context
@@ -85,14 +86,9 @@ async def register_query(
     """
     text = await text_body(request, TEXTS)
     engine = service.engine
-    view = engine.queries.register(
-        text,
-        semantics=semantics,
-        bounds=bounds,
-        origin=time_of(origin, "origin") or 0,
-        report=report,
-        strategy=strategy,
-        since=since,
+    origin_time = time_of(origin, "origin") or 0
+    view = await service.do(
+        RegisterQuery(text, semantics, bounds, origin_time, report, strategy, since)
     )
     service.feeds.review()
     body = QueryModel.of(view, engine.epoch).model_dump(mode="json")
@@ -128,7 +124,7 @@ async def read_query(
 async def remove_query(name: Name, service: Context) -> Response:
     """Give a query up. It stops with its last user; 409 for that one while others read its
     stream."""
-    service.engine.queries.remove(name)
+    await service.do(RemoveQuery(name))
     service.feeds.review()
     return Response(status_code=204)
 

@@ -6,6 +6,7 @@ from typing import Any
 
 from fastapi import APIRouter, Request, Response
 
+from ...engine.commands import ApplySpecification
 from ..context import Context
 from ..models import InsertionModel, SpecificationModel, text_schema
 from ..negotiation import TEXT_XML, XML, content_type
@@ -43,7 +44,7 @@ async def apply(request: Request, service: Context) -> SpecificationModel:
     """
     content_type(request, KINDS)
     # Bytes: the text says itself how it is encoded.
-    view = service.engine.apply_specification(await request.body())
+    view = await service.do(ApplySpecification(await request.body()))
     service.feeds.review()
     return SpecificationModel.of(view)
 

@@ -33,11 +33,11 @@ async def read_status(service: Context) -> StatusModel:
     )
 
 
-@router.get("/status/events", responses={**EVENTS, **responses(406)})
+@router.get("/status/events", responses={**EVENTS, **responses(406, 429, 503)})
 async def follow_status(
     request: Request,
     service: Context,
     since: str | None = Query(None, description="`start` of what is kept, or the id of a sample"),
 ) -> Response:
     """Every change of the stream space as server-sent events: the stream `status`."""
-    return follow(service, request, "status", since)
+    return await follow(service, request, "status", since)

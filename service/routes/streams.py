@@ -8,6 +8,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Depends, Path, Query, Request, Response
 
 from ...engine.adaptive import Rematch
+from ...engine.commands import DeclareStream, EndStream, RemoveStream, SetQuality
 from ...engine.errors import UnknownStream
 from ..context import Context, Service
 from ..models import QualityIn, StreamIn, StreamModel
@@ -72,7 +73,7 @@ async def declare_stream(
     """
     known = _known(service, name)
     samples = service.settings.retention_samples
-    view = service.engine.declare(declaration.declaration(name, samples))
+    view = await service.do(DeclareStream(declaration.declaration(name, samples)))
     if not known:
         response.status_code = 201
         response.headers["Location"] = f"/streams/{view.name}"
@@ -86,7 +87,7 @@ async def remove_stream(name: str, service: Context) -> Response:
     Also a stream of late samples, which are only counted from then on. 403 for other streams of the
     system; 409 while units or requests read it.
     """
-    service.engine.remove_stream(name)
+    await service.do(RemoveStream(name))
     service.feeds.review()
     return Response(status_code=204)
 
@@ -100,7 +101,7 @@ async def remove_stream(name: str, service: Context) -> Response:
 async def set_quality(name: str, known: QualityIn, service: Context) -> Response:
     """How good the stream is from now on, 0 to 1: matching by quality looks at it, and adaptive
     subscriptions that want more than it has switch."""
-    service.engine.set_quality(name, known.quality)
+    await service.do(SetQuality(name, known.quality))
     return Response(status_code=204)
 
 
@@ -110,11 +111,11 @@ async def end_stream(name: str, service: Context) -> Response:
 
     A sample that comes later takes the stream up again.
     """
-    service.engine.end(name)
+    await service.do(EndStream(name))
     return Response(status_code=204)
 
 
-@router.get("/streams/{name}/events", responses={**EVENTS, **responses(404, 406)})
+@router.get("/streams/{name}/events", responses={**EVENTS, **responses(404, 406, 429, 503)})
 async def follow_stream(
     name: str,
     request: Request,
@@ -127,28 +128,20 @@ async def follow_stream(
     (samples that are no longer kept), `end` (the stream has ended or was removed; the answer
     ends with it).
     """
-    return follow(service, request, name, since)
+    return await follow(service, request, name, since)
 
 
-def follow(
+async def follow(
     service: Service,
     request: Request,
     name: str,
     since: str | None,
     switches: Sequence[Rematch] | None = None,
 ) -> Response:
-    """The event stream of ``name``, with the service's settings; ``switches`` as `event_stream`
-    takes them."""
-    settings = service.settings
-    return event_stream(
-        service.feeds,
-        request,
-        name,
-        since,
-        switches=switches,
-        ping=settings.sse_ping,
-        timeout=settings.sse_send_timeout,
-    )
+    """The event stream of ``name``; ``switches`` as `event_stream` takes them."""
+    key = service.client_key(request)
+    await service.settled()
+    return event_stream(service.feeds, request, key, name, since, switches)
 
 
 def _known(service: Service, name: str) -> bool:

@@ -7,8 +7,8 @@ from typing import Any
 
 from fastapi import APIRouter, Depends, Query, Request, Response
 
-from ...engine.views import SubscriptionView
-from ..context import Context, Service
+from ...engine.commands import Subscribe, SubscribeToFeature, Unsubscribe
+from ..context import Context
 from ..models import RematchModel, SubscriptionIn, SubscriptionModel
 from ..negotiation import EVENT_STREAM
 from ..problems import Problem, responses
@@ -42,7 +42,7 @@ async def subscribe(
     nothing gives the feature. 400 with line and column for a policy that is none; 404 for an
     unknown stream, feature or sort.
     """
-    view = _subscribed(wanted, service)
+    view = await service.do(_command(wanted))
     response.headers["Location"] = f"/subscriptions/{view.id}"
     return SubscriptionModel.of(view)
 
@@ -65,7 +65,7 @@ async def cancel_subscription(id: str, service: Context) -> Response:
 
     Its stream goes with the last of those that share it.
     """
-    service.engine.unsubscribe(id)
+    await service.do(Unsubscribe(id))
     service.feeds.review()
     return Response(status_code=204)
 
@@ -76,7 +76,7 @@ async def list_rematches(id: str, service: Context) -> list[RematchModel]:
     return [RematchModel.of(switch) for switch in service.engine.rematches(id)]
 
 
-@router.get("/subscriptions/{id}/events", responses={**REMATCHED, **responses(404, 406)})
+@router.get("/subscriptions/{id}/events", responses={**REMATCHED, **responses(404, 406, 429, 503)})
 async def follow_subscription(
     id: str,
     request: Request,
@@ -90,12 +90,11 @@ async def follow_subscription(
     """
     view = service.engine.subscription(id)
     switches = None if view.adaptive is None else service.engine.rematches(id)
-    return follow(service, request, view.stream, since, switches)
+    return await follow(service, request, view.stream, since, switches)
 
 
-def _subscribed(wanted: SubscriptionIn, service: Service) -> SubscriptionView:
+def _command(wanted: SubscriptionIn) -> Subscribe | SubscribeToFeature:
     """Raises a 400 `Problem` for what is neither or both, and for parts of the other one."""
-    engine = service.engine
     if (wanted.stream is None) == (wanted.feature is None):
         which = "neither" if wanted.stream is None else "both"
         told = f"a stream or a feature is subscribed to, not {which}"
@@ -105,12 +104,12 @@ def _subscribed(wanted: SubscriptionIn, service: Service) -> SubscriptionView:
         if more:
             told = f"{', '.join(more)}: only with a feature"
             raise Problem(400, "wrong arguments", told, hint=FORM)
-        return engine.subscribe(wanted.stream, wanted.policy, wanted.unit, wanted.since)
+        return Subscribe(wanted.stream, wanted.policy, wanted.unit, wanted.since)
     assert wanted.feature is not None
-    return engine.subscribe_to_feature(
+    return SubscribeToFeature(
         wanted.feature,
         sort=wanted.sort,
-        objects=wanted.objects,
+        objects=tuple(wanted.objects),
         strategy=wanted.strategy,
         policy=wanted.policy,
         unit=wanted.unit,

@@ -8,6 +8,7 @@ from urllib.parse import quote
 from fastapi import APIRouter, Header, Path, Request, Response
 from fastapi.responses import JSONResponse, PlainTextResponse
 
+from ...engine.commands import RegisterTemplate, RemoveTemplate
 from ...engine.errors import UnknownTemplate
 from ...engine.views import TemplateView
 from ...languages.csparql import parse_template
@@ -48,7 +49,7 @@ IfNoneMatch = Annotated[str | None, Header()]
 )
 async def register_template(request: Request, service: Context) -> Response:
     """Register a template. It becomes a property of its event concept and survives a restart."""
-    view = service.engine.register_template(await text_body(request, TEXTS))
+    view = await service.do(RegisterTemplate(await text_body(request, TEXTS)))
     return _answer(view, 201)
 
 
@@ -103,7 +104,7 @@ async def put_template(
         )
     old = _existing(service, name)
     _check(old, if_match, if_none_match)
-    view = service.engine.register_template(text, replace=True)
+    view = await service.do(RegisterTemplate(text, replace=True))
     return _answer(view, 201 if old is None else 200)
 
 
@@ -112,7 +113,7 @@ async def remove_template(name: Name, service: Context, if_match: IfMatch = None
     """Remove a template and its event concept. 409 while a request for the event runs."""
     if if_match is not None:
         _check(service.engine.template(name), if_match, None)
-    service.engine.remove_template(name)
+    await service.do(RemoveTemplate(name))
     return Response(status_code=204)
 
 

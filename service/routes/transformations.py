@@ -7,9 +7,14 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Path, Request, Response
 
+from ...engine.commands import (
+    ChangeTransformation,
+    RegisterAnnotatedTransformation,
+    RegisterTransformations,
+    RemoveTransformation,
+)
 from ...engine.describing import DescribedTransformation
 from ...engine.errors import UnknownTransformation
-from ...engine.registered import TransformationView
 from ...engine.turtle_descriptions import read_transformations
 from ...languages.ssl import parse_ssl
 from ..context import Context, Service
@@ -68,7 +73,7 @@ async def register_transformations(
     name that is taken, or code that takes or gives otherwise. Turtle is answered with a list.
     """
     wanted = await _read(request)
-    views = _register(service, wanted)
+    views = await service.do(_command(wanted))
     if len(views) == 1:
         response.headers["Location"] = f"/transformations/{views[0].name}"
     found = [TransformationModel.of(view) for view in views]
@@ -109,7 +114,7 @@ async def put_transformation(
             hint="PUT one transformation to the address of its name",
         )
     is_new = not _is_known(service, name)
-    (view,) = _register(service, wanted, replace=True)
+    (view,) = await service.do(_command(wanted, replace=True))
     if is_new:
         response.status_code = 201
         response.headers["Location"] = f"/transformations/{name}"
@@ -125,15 +130,14 @@ async def change_transformation(
     name: Name, worth: WorthIn, service: Context
 ) -> TransformationModel:
     """The cost or quality of a transformation has changed; who reads a unit of it may switch."""
-    transformations = service.engine.transformations
-    transformations.change(name, cost=worth.cost, quality=worth.quality)
-    return TransformationModel.of(transformations.view(name))
+    command = ChangeTransformation(name, worth.cost, worth.quality)
+    return TransformationModel.of(await service.do(command))
 
 
 @router.delete("/transformations/{name}", status_code=204, responses=responses(404, 409))
 async def remove_transformation(name: Name, service: Context) -> Response:
     """Forget a transformation. 409 while a unit of it runs, and for those of the system."""
-    service.engine.transformations.remove(name)
+    await service.do(RemoveTransformation(name))
     return Response(status_code=204)
 
 
@@ -154,23 +158,21 @@ async def _read(request: Request) -> Wanted:
     return wanted
 
 
-def _register(
-    service: Service, wanted: Wanted, *, replace: bool = False
-) -> tuple[TransformationView, ...]:
-    transformations = service.engine.transformations
+def _command(
+    wanted: Wanted, *, replace: bool = False
+) -> RegisterTransformations | RegisterAnnotatedTransformation:
     if not isinstance(wanted, TransformationIn):
-        return transformations.register_all(wanted, replace=replace)
+        return RegisterTransformations(tuple(wanted), replace)
     if wanted.annotation is None:
-        return transformations.register_all([wanted.described()], replace=replace)
-    view = transformations.register_annotated(
+        return RegisterTransformations((wanted.described(),), replace)
+    return RegisterAnnotatedTransformation(
         wanted.annotation,
-        implementation=wanted.implementation,
-        parameters=wanted.texts,
-        cost=wanted.cost,
-        quality=wanted.quality,
-        replace=replace,
+        wanted.implementation,
+        wanted.texts,
+        wanted.cost,
+        wanted.quality,
+        replace,
     )
-    return (view,)
 
 
 def _names(wanted: Wanted) -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import httpx
@@ -10,6 +11,8 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from dyknow.engine.engine import Engine
+from dyknow.engine.recorded import RecordedEngine
+from dyknow.journal.log import Durability
 from dyknow.service.app import create_app
 from dyknow.service.cli import app
 from dyknow.service.client import Client
@@ -42,14 +45,26 @@ def settings() -> Settings:
 
 
 @pytest.fixture
-def engine() -> Engine:
-    return Engine(epoch="e1")
+def recorded(request: pytest.FixtureRequest, tmp_path: Path) -> RecordedEngine | None:
+    """With ``--recorded`` (tests/conftest.py) every service has a data directory."""
+    if not request.config.getoption("--recorded"):
+        return None
+    found = RecordedEngine(tmp_path / "data", now=0, durability=Durability.WRITE)
+    found.engine.epoch = "e1"
+    return found
 
 
 @pytest.fixture
-def url(engine: Engine, settings: Settings, clock: HandClock) -> Iterator[str]:
+def engine(recorded: RecordedEngine | None) -> Engine:
+    return Engine(epoch="e1") if recorded is None else recorded.engine
+
+
+@pytest.fixture
+def url(
+    engine: Engine, recorded: RecordedEngine | None, settings: Settings, clock: HandClock
+) -> Iterator[str]:
     """A live service in a thread, at a free port of this machine."""
-    with running(create_app(engine, settings, clock), settings) as address:
+    with running(create_app(recorded or engine, settings, clock), settings) as address:
         yield address
 
 

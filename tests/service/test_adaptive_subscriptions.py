@@ -15,9 +15,9 @@ from dyknow.engine.adaptive import Rematch
 from dyknow.engine.engine import Engine
 from dyknow.service.cli import app as commands
 from dyknow.service.client import Client, Event
+from dyknow.service.event_messages import BLOCK_SAMPLES
 from dyknow.service.marks import Marks
 from dyknow.service.settings import Settings
-from dyknow.service.sse import PIECE
 from dyknow.streams.time import SECOND
 
 LINES = {"Content-Type": "application/x-ndjson"}
@@ -287,10 +287,10 @@ def test_pieces_are_cut_where_a_switch_stands(http: httpx.Client, client: Client
     """Around the ends of pieces, by a client that reads alone and by one that shares them."""
     annotate(http, "s1", "s2")
     view = subscribe(http, **QUALITY)
-    places = (1, PIECE - 2, PIECE - 1, PIECE, 2 * PIECE + 7)
+    places = (1, BLOCK_SAMPLES - 2, BLOCK_SAMPLES - 1, BLOCK_SAMPLES, 2 * BLOCK_SAMPLES + 7)
     expected: list[Any] = [["s1"]]
     done, now, other = 0, "s1", "s2"
-    for place in (*places, 3 * PIECE):
+    for place in (*places, 3 * BLOCK_SAMPLES):
         publish(http, now, *range(done + 1, place + 1))
         expected += [float(i) for i in range(done + 1, place + 1)]
         quality(http, other, 1.0)
@@ -299,7 +299,7 @@ def test_pieces_are_cut_where_a_switch_stands(http: httpx.Client, client: Client
         expected.append([now])
     publish(http, now, done + 1)
     expected.append(float(done + 1))
-    for begin in (0, 1, PIECE - 1, PIECE, PIECE + 1):
+    for begin in (0, 1, BLOCK_SAMPLES - 1, BLOCK_SAMPLES, BLOCK_SAMPLES + 1):
         events = client.subscription_events(view["id"], since=f"e1-{begin}")
         place = 0 if begin == 0 else expected.index(float(begin)) + 1
         assert until(events, float(done + 1)) == expected[place:]

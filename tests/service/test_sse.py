@@ -13,9 +13,11 @@ import pytest
 from dyknow.engine.engine import Engine
 from dyknow.service.app import create_app
 from dyknow.service.client import Client, Event, ServiceError
+from dyknow.service.event_clients import EventClients
+from dyknow.service.event_messages import BLOCK_SAMPLES, PIECE_BYTES, Blocks, MessageCache
 from dyknow.service.server import GRACE, running
 from dyknow.service.settings import Settings
-from dyknow.service.sse import PIECE, Feeds, Piece, PieceCache
+from dyknow.service.sse import Feeds
 from dyknow.streams.sample import SampleBatch
 from dyknow.streams.time import Clock
 
@@ -101,13 +103,13 @@ def test_last_event_id_goes_before_since(client: Client, http: httpx.Client, str
 
 
 def test_large_history_comes_in_order_through_all_pieces(client: Client, stream: str) -> None:
-    count = 3 * PIECE + 17
+    count = 3 * BLOCK_SAMPLES + 17
     client.publish(stream, samples(1, count - 100))
     client.publish(stream, samples(count - 99, 100))
     client.end(stream)
     assert numbers(list(client.events(stream, since="start"))) == list(range(1, count + 1))
-    middle = f"e1-{PIECE + 3}"
-    assert numbers(list(client.events(stream, since=middle)))[0] == PIECE + 4
+    middle = f"e1-{BLOCK_SAMPLES + 3}"
+    assert numbers(list(client.events(stream, since=middle)))[0] == BLOCK_SAMPLES + 4
 
 
 def test_a_gap_is_told_exactly(client: Client) -> None:
@@ -247,16 +249,45 @@ def test_a_wrong_address_is_an_error_at_once() -> None:
 
 
 def test_cache_stays_within_its_limit(engine: Engine) -> None:
-    cache = PieceCache(100)
-    for i in range(50):
-        cache.put(0, i, Piece(i, b"x" * 30, (0,)))
-    assert cache.get(0, 49, 49) is not None
-    assert cache.get(0, 46, 46) is None
-    cache.forget(0)
-    assert cache.get(0, 49, 49) is None
+    cache = MessageCache(100)
+    blocks = Blocks(cache)
+    for i in range(1, 51):
+        block, _ = blocks.place(2 * i)  # every other one: each is a block of its own
+        blocks.extend(block, [b"x" * 30])
+    assert cache.size == 90
+    kept = [i for i in range(1, 101) if blocks.find(i)]
+    assert kept == [96, 98, 100]
+    assert blocks.find(96)
+    blocks.extend(blocks.place(1)[0], [b"x" * 30])
+    assert [i for i in range(1, 101) if blocks.find(i)] == [1, 96, 100]  # 98 was read last
+    blocks.clear()
+    assert (cache.size, blocks.find(100)) == (0, None)
+
+
+def test_a_message_longer_than_the_cache_goes_out_and_is_not_kept() -> None:
+    cache = MessageCache(10)
+    blocks = Blocks(cache)
+    block, _ = blocks.place(5)
+    blocks.extend(block, [b"x" * 30])
+    assert block.part(5, 9) == (5, b"x" * 30)
+    assert (cache.size, blocks.find(5)) == (0, None)
+
+
+def test_what_is_sent_in_one_go_is_bounded_in_bytes() -> None:
+    blocks = Blocks(MessageCache(1 << 30))
+    block, room = blocks.place(1)
+    assert room == BLOCK_SAMPLES
+    blocks.extend(block, [b"%2d" % i + b"x" * (PIECE_BYTES // 4) for i in range(10)])
+    sizes, number = [], 1
+    while number <= 10:
+        number, data = block.part(number, 8 if number <= 8 else 10)
+        assert data.startswith(b"%2d" % (number - len(data) // (PIECE_BYTES // 4)))
+        sizes.append(len(data) // (PIECE_BYTES // 4))
+        number += 1
+    assert sizes == [3, 3, 2, 2]  # nothing after 8 was asked for at first
 
 
 def test_feeds_start_from_now(engine: Engine) -> None:
-    feeds = Feeds(engine, 1000)
+    feeds = Feeds(engine, 1000, EventClients(10, 10, 0, 30))
     last = engine.generator("status").stream.last_number
     assert feeds.start("status", None).number == last + 1

@@ -1,0 +1,222 @@
+"""The whole state of an engine as bytes, and an engine out of them
+(docs/design/0007-the-journal.md).
+
+An engine is a graph of objects; this is its pickle, with what pickle cannot do by itself: functions
+within functions, compiled loops, stores, locks. It is for the very program that wrote it: who keeps
+a checkpoint keeps `program` beside it, and reads none of another.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import io
+import pickle
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from types import CellType, CodeType, FunctionType, MappingProxyType, ModuleType
+from typing import Any, TypeVar
+
+import pyoxigraph
+from pyoxigraph import RdfFormat, Store
+
+from ..ontology.ontology import quads_of
+from .engine import Engine
+from .processes import Processes
+from .supervision import Runner
+
+T = TypeVar("T")
+
+_ROOT = Path(__file__).parent.parent
+_DEEP = 100_000
+"""Frames: units that read each other's streams are a chain of objects as long as their chain."""
+_STACK = 512 << 20
+_COMPILED = type(importlib.import_module("numba").njit(lambda: None))
+
+
+class CheckpointError(Exception):
+    """The state cannot be written, or not be read by this program."""
+
+
+@cache
+def program() -> str:
+    """What a checkpoint is for: this version of the program and of Python, by its very text."""
+    digest = hashlib.sha256()
+    for path in sorted(_ROOT.rglob("*.py")):
+        place = path.relative_to(_ROOT)
+        if (
+            place.parts[0] not in ("tests", "bench", "docs", "examples")
+            and ".venv" not in place.parts
+        ):
+            digest.update(str(place).encode() + b"\0" + path.read_bytes())
+    python = ".".join(map(str, sys.version_info[:3]))
+    return f"dyknow {version('dyknow')}, Python {python}, {digest.hexdigest()[:16]}"
+
+
+def state_of(engine: Engine, more: object, processes: Processes, runner: Runner) -> bytes:
+    """The state of ``engine``, and ``more`` that belongs to it. The ``processes`` and ``runner``
+    that the engine was made with stay outside.
+
+    Raises `CheckpointError` where something in it cannot be written.
+    """
+    target = io.BytesIO()
+    outside = {id(processes): "processes", id(runner): "runner"}
+    try:
+        _deep(lambda: _Writer(target, outside).dump((engine, more)))
+    except (pickle.PicklingError, TypeError, AttributeError, RecursionError) as error:
+        raise CheckpointError(f"the state cannot be written: {error}") from error
+    return target.getvalue()
+
+
+def engine_of(state: bytes, processes: Processes, runner: Runner) -> tuple[Engine, Any]:
+    """The engine that had ``state``, and what came with it. Contract: this very program has written
+    it; a pickle may do anything.
+
+    Raises `CheckpointError` for what cannot be read.
+    """
+    outside = {"processes": processes, "runner": runner}
+    try:
+        engine, more = _deep(lambda: _Reader(io.BytesIO(state), outside).load())
+    except Exception as error:  # a pickle that is not whole may raise whatever it names
+        raise CheckpointError(f"the state cannot be read: {error}") from error
+    return engine, more
+
+
+class _Writer(pickle.Pickler):
+    def __init__(self, target: io.BytesIO, outside: dict[int, str]) -> None:
+        super().__init__(target, protocol=5)
+        self._outside = outside
+
+    def persistent_id(self, value: Any) -> str | None:
+        return self._outside.get(id(value))
+
+    def reducer_override(self, value: Any) -> Any:
+        reduce = _REDUCERS.get(type(value))
+        return NotImplemented if reduce is None else reduce(value)
+
+
+class _Reader(pickle.Unpickler):
+    def __init__(self, source: io.BytesIO, outside: dict[str, object]) -> None:
+        super().__init__(source)
+        self._outside = outside
+
+    def persistent_load(self, name: str) -> object:
+        return self._outside[name]
+
+
+def _reduce_function(value: FunctionType) -> Any:
+    """A function within a function, or without a name: its place in the source, and its cells."""
+    if "<" not in value.__qualname__:
+        return NotImplemented
+    code = value.__code__
+    places = _codes(value.__module__)[code.co_qualname]
+    cells = value.__closure__ or ()
+    state = (value.__defaults__, value.__kwdefaults__, value.__dict__)
+    made = (value.__module__, code.co_qualname, places.index(code), cells)
+    return _function, made, state, None, None, _set_function
+
+
+def _function(module: str, name: str, place: int, cells: tuple[CellType, ...]) -> FunctionType:
+    code = _codes(module)[name][place]
+    found = importlib.import_module(module)
+    return FunctionType(code, vars(found), code.co_name, None, cells)
+
+
+def _set_function(value: FunctionType, state: tuple[Any, Any, dict[str, Any]]) -> None:
+    value.__defaults__, value.__kwdefaults__ = state[:2]
+    value.__dict__.update(state[2])
+
+
+@cache
+def _codes(module: str) -> dict[str, list[CodeType]]:
+    """The code of every function in a module, by its qualified name, in order of the source."""
+    spec = importlib.util.find_spec(module)
+    code = None if spec is None else spec.loader.get_code(module)  # type: ignore[union-attr]
+    found: dict[str, list[CodeType]] = {}
+    for each in () if code is None else _within(code):
+        found.setdefault(each.co_qualname, []).append(each)
+    return found
+
+
+def _within(code: CodeType) -> Iterator[CodeType]:
+    for constant in code.co_consts:
+        if isinstance(constant, CodeType):
+            yield constant
+            yield from _within(constant)
+
+
+def _reduce_cell(value: CellType) -> Any:
+    # Filled when it is there already: a function may be within its own cell.
+    try:
+        return _cell, (), value.cell_contents, None, None, _set_cell
+    except ValueError:
+        return _cell, ()
+
+
+def _cell() -> CellType:
+    return CellType()
+
+
+def _set_cell(value: CellType, contents: object) -> None:
+    value.cell_contents = contents
+
+
+def _reduce_compiled(value: Any) -> str:
+    return str(value.py_func.__qualname__)
+
+
+def _reduce_store(value: Store) -> Any:
+    return _store, (quads_of(value),)
+
+
+def _store(quads: bytes) -> Store:
+    store = Store()
+    store.extend(pyoxigraph.parse(quads, RdfFormat.N_QUADS))
+    return store
+
+
+def _reduce_view(value: MappingProxyType[Any, Any]) -> Any:
+    return MappingProxyType, (dict(value),)
+
+
+def _reduce_module(value: ModuleType) -> Any:
+    return importlib.import_module, (value.__name__,)
+
+
+_REDUCERS: dict[type, Callable[[Any], Any]] = {
+    FunctionType: _reduce_function,
+    CellType: _reduce_cell,
+    _COMPILED: _reduce_compiled,
+    Store: _reduce_store,
+    MappingProxyType: _reduce_view,
+    ModuleType: _reduce_module,
+}
+
+
+def _deep(work: Callable[[], T]) -> T:
+    """``work`` with room for deep recursion, on a thread that ends with it."""
+    found: list[T] = []
+    failed: list[Exception] = []
+
+    def run() -> None:
+        try:
+            found.append(work())
+        except Exception as error:  # noqa: BLE001  raised again where it is waited for
+            failed.append(error)
+
+    limit, stack = sys.getrecursionlimit(), threading.stack_size(_STACK)
+    sys.setrecursionlimit(max(limit, _DEEP))
+    try:
+        thread = threading.Thread(target=run, name="dyknow-checkpoint")
+        thread.start()
+        thread.join()
+    finally:
+        sys.setrecursionlimit(limit)
+        threading.stack_size(stack)
+    if failed:
+        raise failed[0]
+    return found[0]

@@ -1,0 +1,393 @@
+"""What can be done to an engine, as values: each can be written down, and done again.
+
+An engine is a function of its commands: the same ones in the same order make the same streams with
+the same samples under the same numbers, in another process, too. That is what the journal rests on
+(docs/design/0007-the-journal.md). So a command holds all that it depends on, time included, in the
+forms in which people say it: texts, and batches as they came.
+
+The written form (MessagePack, a map with the member ``do``) is a promise: members are added with
+defaults, and never change their meaning. tests/cases/journal has one of each.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from typing import Any, Literal, TypeAlias
+
+import msgspec
+
+from ..continuous.options import Bounds, Report, Semantics
+from ..converters.arrow import decode_arrow
+from ..converters.ndjson import decode_ndjson
+from ..converters.wire import Incoming
+from ..languages.ssl.annotation import CheckedAnnotation, StreamAnnotation
+from ..ontology.reading import TextFormat
+from ..streams.time import SECOND
+from .describing import DescribedStream, DescribedTransformation
+from .engine import Engine
+from .registered import TransformationView
+from .views import (
+    DeclarationView,
+    EventView,
+    QueryView,
+    Since,
+    SpecificationView,
+    StreamDeclaration,
+    StreamView,
+    SubscriptionView,
+    TemplateView,
+)
+
+BatchKind: TypeAlias = Literal["ndjson", "arrow"]
+
+
+class Command(
+    msgspec.Struct, frozen=True, tag_field="do", omit_defaults=True, forbid_unknown_fields=True
+):
+    """Something to do. `apply` raises what the engine does; then nothing was done."""
+
+    def apply(self, engine: Engine) -> Any:
+        raise NotImplementedError
+
+
+class Tick(Command, frozen=True, tag="tick"):
+    """The time is ``now`` (ns)."""
+
+    now: int
+
+    def apply(self, engine: Engine) -> None:
+        engine.tick(self.now)
+
+
+class Publish(Command, frozen=True, tag="publish"):
+    """A batch for a stream, as it came at ``now`` (ns)."""
+
+    stream: str
+    kind: BatchKind
+    body: bytes
+    now: int
+    key: str | None = None
+    """The Idempotency-Key."""
+
+    def apply(self, engine: Engine) -> int:
+        return self.apply_decoded(engine, self.decode(engine))
+
+    def decode(self, engine: Engine) -> Incoming:
+        """The batch, by the fields that the stream has now. Raises `WireError`."""
+        generator = engine.accepting(self.stream)
+        decode = decode_ndjson if self.kind == "ndjson" else decode_arrow
+        return decode(self.body, generator.schema, generator.stream.pools)
+
+    def apply_decoded(self, engine: Engine, incoming: Incoming) -> int:
+        """`apply`, for who has decoded it already."""
+        # Only what comes under a key is ever compared.
+        digest = b"" if self.key is None else hashlib.blake2b(self.body, digest_size=16).digest()
+        return engine.publish(self.stream, incoming, self.now, self.key, digest)
+
+
+class Begin(Command, frozen=True, tag="begin"):
+    """The life of an engine begins at ``now`` (ns), by a ``program``. The first of all commands.
+
+    Of its ``epoch`` the ids of events are.
+    """
+
+    epoch: str
+    now: int
+    program: str
+
+    def apply(self, engine: Engine) -> None:
+        engine.epoch = self.epoch
+
+
+class EndStream(Command, frozen=True, tag="end stream"):
+    stream: str
+
+    def apply(self, engine: Engine) -> None:
+        engine.end(self.stream)
+
+
+class DeclareStream(Command, frozen=True, tag="declare stream"):
+    declaration: StreamDeclaration
+
+    def apply(self, engine: Engine) -> StreamView:
+        return engine.declare(self.declaration)
+
+
+class RemoveStream(Command, frozen=True, tag="remove stream"):
+    stream: str
+
+    def apply(self, engine: Engine) -> None:
+        engine.remove_stream(self.stream)
+
+
+class OpenStream(Command, frozen=True, tag="open stream"):
+    """Somebody asked for a stream that is there from then on: late samples, violations."""
+
+    stream: str
+
+    def apply(self, engine: Engine) -> None:
+        engine.generator(self.stream)
+
+
+class SetQuality(Command, frozen=True, tag="set quality"):
+    stream: str
+    quality: float
+
+    def apply(self, engine: Engine) -> None:
+        engine.set_quality(self.stream, self.quality)
+
+
+class Annotate(Command, frozen=True, tag="annotate"):
+    ssl: str
+
+    def apply(self, engine: Engine) -> tuple[CheckedAnnotation, ...]:
+        return engine.annotate(self.ssl)
+
+
+class Describe(Command, frozen=True, tag="describe"):
+    described: tuple[DescribedStream, ...]
+
+    def apply(self, engine: Engine) -> tuple[StreamAnnotation, ...]:
+        return engine.describe_all(self.described)
+
+
+class RegisterTemplate(Command, frozen=True, tag="register template"):
+    text: str
+    replace: bool = False
+
+    def apply(self, engine: Engine) -> TemplateView:
+        return engine.register_template(self.text, replace=self.replace)
+
+
+class RemoveTemplate(Command, frozen=True, tag="remove template"):
+    name: str
+
+    def apply(self, engine: Engine) -> None:
+        engine.remove_template(self.name)
+
+
+class RequestEvent(Command, frozen=True, tag="request event"):
+    """By its ``text``; or by its name and arguments, each as text."""
+
+    text: str | None = None
+    event: str = ""
+    arguments: tuple[str, ...] = ()
+    strategy: str = "fast"
+    since: Since = Since.NOW
+
+    def apply(self, engine: Engine) -> EventView:
+        if self.text is None:
+            request = engine.make_request(self.event, self.arguments)
+        else:
+            request = engine.parse_request(self.text)
+        return engine.request_event(request, self.strategy, self.since)
+
+
+class CancelEvent(Command, frozen=True, tag="cancel event"):
+    id: str
+
+    def apply(self, engine: Engine) -> None:
+        engine.cancel_event(self.id)
+
+
+class Subscribe(Command, frozen=True, tag="subscribe"):
+    stream: str
+    policy: str = ""
+    unit: str = "ms"
+    since: Since = Since.NOW
+
+    def apply(self, engine: Engine) -> SubscriptionView:
+        return engine.subscribe(self.stream, self.policy, self.unit, self.since)
+
+
+class SubscribeToFeature(Command, frozen=True, tag="subscribe to feature"):
+    """Durations in ns."""
+
+    feature: str
+    sort: str | None = None
+    objects: tuple[str, ...] = ()
+    strategy: str = "fast"
+    policy: str = ""
+    unit: str = "ms"
+    since: Since = Since.NOW
+    staleness: int | None = None
+    quality: float = 0.0
+    hold_off: int = 2 * SECOND
+
+    def apply(self, engine: Engine) -> SubscriptionView:
+        return engine.subscribe_to_feature(
+            self.feature,
+            sort=self.sort,
+            objects=self.objects,
+            strategy=self.strategy,
+            policy=self.policy,
+            unit=self.unit,
+            since=self.since,
+            staleness=self.staleness,
+            quality=self.quality,
+            hold_off=self.hold_off,
+        )
+
+
+class Unsubscribe(Command, frozen=True, tag="unsubscribe"):
+    id: str
+
+    def apply(self, engine: Engine) -> None:
+        engine.unsubscribe(self.id)
+
+
+class RegisterQuery(Command, frozen=True, tag="register query"):
+    text: str
+    semantics: Semantics | None = None
+    bounds: Bounds = "(]"
+    origin: int = 0
+    report: Report = "non-empty"
+    strategy: str = "fast"
+    since: Since = Since.NOW
+
+    def apply(self, engine: Engine) -> QueryView:
+        return engine.queries.register(
+            self.text,
+            semantics=self.semantics,
+            bounds=self.bounds,
+            origin=self.origin,
+            report=self.report,
+            strategy=self.strategy,
+            since=self.since,
+        )
+
+
+class RemoveQuery(Command, frozen=True, tag="remove query"):
+    name: str
+
+    def apply(self, engine: Engine) -> None:
+        engine.queries.remove(self.name)
+
+
+class AddKpl(Command, frozen=True, tag="add kpl"):
+    text: str
+    unit: str = "ms"
+
+    def apply(self, engine: Engine) -> tuple[DeclarationView, ...]:
+        return engine.add_kpl(self.text, self.unit)
+
+
+class RemoveKpl(Command, frozen=True, tag="remove kpl"):
+    name: str
+    cascade: bool = False
+
+    def apply(self, engine: Engine) -> tuple[str, ...]:
+        return engine.remove_kpl(self.name, cascade=self.cascade)
+
+
+class ApplySpecification(Command, frozen=True, tag="apply specification"):
+    text: bytes
+
+    def apply(self, engine: Engine) -> SpecificationView:
+        return engine.apply_specification(self.text)
+
+
+class LoadOntology(Command, frozen=True, tag="load ontology"):
+    text: str
+    name: str
+    format: TextFormat = "turtle"
+
+    def apply(self, engine: Engine) -> None:
+        engine.load_ontology(self.text, name=self.name, format=self.format)
+
+
+class RegisterTransformations(Command, frozen=True, tag="register transformations"):
+    described: tuple[DescribedTransformation, ...]
+    replace: bool = False
+
+    def apply(self, engine: Engine) -> tuple[TransformationView, ...]:
+        return engine.transformations.register_all(self.described, replace=self.replace)
+
+
+class RegisterAnnotatedTransformation(
+    Command, frozen=True, tag="register annotated transformation"
+):
+    ssl: str
+    implementation: str | None = None
+    parameters: dict[str, str] | None = None
+    cost: float = 1.0
+    quality: float = 1.0
+    replace: bool = False
+
+    def apply(self, engine: Engine) -> tuple[TransformationView, ...]:
+        view = engine.transformations.register_annotated(
+            self.ssl,
+            implementation=self.implementation,
+            parameters=self.parameters,
+            cost=self.cost,
+            quality=self.quality,
+            replace=self.replace,
+        )
+        return (view,)
+
+
+class ChangeTransformation(Command, frozen=True, tag="change transformation"):
+    name: str
+    cost: float | None = None
+    quality: float | None = None
+
+    def apply(self, engine: Engine) -> TransformationView:
+        engine.transformations.change(self.name, cost=self.cost, quality=self.quality)
+        return engine.transformations.view(self.name)
+
+
+class RemoveTransformation(Command, frozen=True, tag="remove transformation"):
+    name: str
+
+    def apply(self, engine: Engine) -> None:
+        engine.transformations.remove(self.name)
+
+
+AnyCommand: TypeAlias = (
+    Begin
+    | Tick
+    | Publish
+    | EndStream
+    | DeclareStream
+    | RemoveStream
+    | OpenStream
+    | SetQuality
+    | Annotate
+    | Describe
+    | RegisterTemplate
+    | RemoveTemplate
+    | RequestEvent
+    | CancelEvent
+    | Subscribe
+    | SubscribeToFeature
+    | Unsubscribe
+    | RegisterQuery
+    | RemoveQuery
+    | AddKpl
+    | RemoveKpl
+    | ApplySpecification
+    | LoadOntology
+    | RegisterTransformations
+    | RegisterAnnotatedTransformation
+    | ChangeTransformation
+    | RemoveTransformation
+)
+_ENCODER = msgspec.msgpack.Encoder()
+_DECODER: msgspec.msgpack.Decoder[AnyCommand] = msgspec.msgpack.Decoder(AnyCommand)
+
+
+def done(engine: Engine, command: Command, incoming: Incoming | None = None) -> Any:
+    """Do ``command``; with ``incoming``, what its batch was decoded to. Gives what it gives."""
+    if incoming is not None and isinstance(command, Publish):
+        return command.apply_decoded(engine, incoming)
+    return command.apply(engine)
+
+
+def written(command: Command) -> bytes:
+    """The command as bytes; the inverse of `read`."""
+    return _ENCODER.encode(command)
+
+
+def read(data: bytes) -> Command:
+    """The command that was written. Raises ``msgspec.DecodeError``."""
+    return _DECODER.decode(data)

@@ -1,0 +1,191 @@
+"""What of an engine's state any version of the program can go on from.
+
+Definitions (ontologies, templates, annotations, declarations, KPL, specifications, queries) are in
+the triples of the ontology; what was asked for without a name is in `Standing`; and streams that
+people publish to keep their samples, counters and numbers. What is not in it is computed anew:
+windows that were open, and the streams that units make, whose numbers begin again. So it is not the
+same life of the engine, and the ids of its events say so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from ..ontology.ontology import Ontology
+from ..streams.generator import Counters, StreamGenerator
+from ..streams.sample import Column, Field, FieldType, SampleBatch, Schema, concatenate
+from ..streams.strings import StringPool
+from .commands import (
+    AnyCommand,
+    CancelEvent,
+    Command,
+    RegisterQuery,
+    RemoveQuery,
+    RequestEvent,
+    Subscribe,
+    SubscribeToFeature,
+    Unsubscribe,
+)
+from .engine import Engine
+from .errors import DyknowError
+from .processes import Processes
+from .supervision import Runner
+
+
+class KeptColumn(msgspec.Struct):
+    """Values of one field, little-endian as numpy has them; of text codes of the ``texts``."""
+
+    type: FieldType
+    values: bytes
+    null: bytes | None
+    texts: list[str] | None = None
+
+
+class KeptStream(msgspec.Struct):
+    """A stream that people publish to. ``first`` is the number of its oldest sample kept; the last
+    ``pending`` rows are held back within the lateness. Times in ns, little-endian int64."""
+
+    name: str
+    fields: list[Field]
+    first: int
+    pending: int
+    available: bytes
+    valid: bytes
+    columns: dict[str, KeptColumn]
+    counters: Counters
+    stamped: bool | None
+    watermark: int | None
+    is_ended: bool
+
+
+class Portable(msgspec.Struct):
+    """``quads``: N-Quads. ``standing``: what was asked for and has no name, oldest first."""
+
+    format: int
+    now: int
+    quads: bytes
+    streams: list[KeptStream]
+    standing: list[AnyCommand]
+
+
+@dataclass(slots=True)
+class Standing:
+    """The commands whose results have no name by which the ontology would keep them: requests,
+    subscriptions, queries without a name; by their ids, oldest first."""
+
+    commands: dict[str, Command]
+
+    def __init__(self, commands: Iterable[tuple[str, Command]] = ()) -> None:
+        self.commands = dict(commands)
+
+    def note(self, command: Command, found: Any) -> None:
+        """``command`` was done, and gave ``found``."""
+        match command:
+            case RequestEvent() | Subscribe() | SubscribeToFeature():
+                self.commands[found.id] = command
+            case CancelEvent(id=id) | Unsubscribe(id=id):
+                self.commands.pop(id, None)
+            case RegisterQuery():
+                self.commands.setdefault(found.name, command)
+            case RemoveQuery(name=name):
+                self.commands.pop(name, None)
+
+
+def portable_of(engine: Engine, standing: Standing) -> Portable:
+    """What of ``engine`` any version understands. Cost: O(samples kept)."""
+    kept = [each for each in engine.published() if each.schema.fields]
+    named = engine.ontology.queries()
+    return Portable(
+        1,
+        engine.now,
+        engine.ontology.quads(),
+        [_kept(each) for each in kept],
+        [command for name, command in standing.commands.items() if name not in named],  # type: ignore[misc]
+    )
+
+
+def engine_from(
+    portable: Portable, now: int, processes: Processes, runner: Runner
+) -> tuple[Engine, Standing, list[str]]:
+    """An engine that goes on from there in a life of its own, what stands in it, and what could not
+    be had again."""
+    engine = Engine(
+        now=max(now, portable.now),
+        processes=processes,
+        runner=runner,
+        ontology=Ontology.of_quads(portable.quads),
+    )
+    lost = []
+    there = {each.name: each for each in engine.published()}
+    for kept in portable.streams:
+        generator = there.get(kept.name)
+        if generator is None:
+            lost.append(f"stream {kept.name}: nobody declares it any more")
+        else:
+            _restore(generator, kept)
+    standing = Standing()
+    for command in portable.standing:
+        try:
+            standing.note(command, command.apply(engine))
+        except DyknowError as error:
+            lost.append(f"{command}: {error}")
+    return engine, standing, lost
+
+
+def _kept(generator: StreamGenerator) -> KeptStream:
+    stream, pending = generator.stream, generator.pending
+    batch = concatenate([stream.all(), pending]) if len(pending) else stream.all()
+    return KeptStream(
+        generator.name,
+        list(generator.schema.fields),
+        stream.first_number,
+        len(pending),
+        batch.available.tobytes(),
+        batch.valid.tobytes(),
+        {name: _column(column) for name, column in batch.columns.items()},
+        generator.counters,
+        generator.stamped,
+        generator.watermark,
+        generator.is_ended,
+    )
+
+
+def _column(column: Column) -> KeptColumn:
+    null = None if column.null is None else column.null.tobytes()
+    if column.pool is None:
+        return KeptColumn(column.type, column.values.tobytes(), null)
+    own = column.recoded(StringPool())
+    assert own.pool is not None
+    return KeptColumn(column.type, own.values.tobytes(), null, list(own.pool.strings()))
+
+
+def _restore(generator: StreamGenerator, kept: KeptStream) -> None:
+    """Let ``generator``, that nobody has used yet, go on from what was kept."""
+    schema = Schema(tuple(kept.fields))
+    if generator.is_open:
+        pools = {f.name: StringPool() for f in schema.fields if f.type is FieldType.STRING}
+        generator.adopt(schema, pools)
+    elif generator.schema != schema:
+        return
+    columns = {}
+    for name, column in kept.columns.items():
+        values = np.frombuffer(column.values, column.type.dtype)
+        null = None if column.null is None else np.frombuffer(column.null, np.bool_)
+        pool = None if column.texts is None else StringPool(column.texts)
+        found = Column(column.type, values, null, pool)
+        columns[name] = found if pool is None else found.recoded(generator.stream.pools[name])
+    available, valid = (np.frombuffer(each, np.int64) for each in (kept.available, kept.valid))
+    generator.go_on(
+        SampleBatch(available, valid, columns),
+        kept.first,
+        kept.pending,
+        kept.counters,
+        stamped=kept.stamped,
+        watermark=kept.watermark,
+        is_ended=kept.is_ended,
+    )

@@ -1,0 +1,259 @@
+"""An engine whose commands are written down before they are done, and done again at the next start
+(docs/design/0007-the-journal.md).
+
+A data directory holds the log of commands, and checkpoints of the engine between them. At a start
+the engine of the newest checkpoint does again what the log has after it. What comes of it are the
+same streams: the same samples under the same numbers, byte by byte.
+"""
+
+from __future__ import annotations
+
+import secrets
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from ..converters.errors import ConversionError, WireError
+from ..converters.wire import Incoming
+from ..journal.checkpoints import Checkpoint, Checkpoints
+from ..journal.directory import DataDirectory
+from ..journal.disk import DISK, Disk
+from ..journal.errors import JournalDamaged
+from ..journal.log import SEGMENT, Durability, Log
+from ..languages.errors import LanguageError
+from ..ontology.errors import OntologyError
+from ..ontology.ontology import Ontology
+from .checkpoint import CheckpointError, engine_of, program, state_of
+from .commands import Begin, Command, OpenStream, done, read, written
+from .engine import Engine
+from .errors import DyknowError
+from .portable import Portable, Standing, engine_from, portable_of
+from .processes import PROCESSES, Processes
+from .supervision import DIRECT, Runner
+
+
+@dataclass(slots=True)
+class Recovery:
+    """What a start has found. ``notes``: what people should know, worst first."""
+
+    position: int = 0
+    """The checkpoint's position; 0: there was none."""
+    replayed: int = 0
+    """So many commands were done again."""
+    is_continued: bool = True
+    """Whether numbers and ids go on from where they were."""
+    notes: list[str] = field(default_factory=list)
+
+
+class RecordedEngine:
+    """The engine of a data directory. Called from one thread; `log` may be committed in another.
+
+    Law (tests/laws): opened again after any command, with any part of what was not committed, the
+    engine goes on as one that did the same commands and was never closed.
+
+    What is done by `do` is kept when `Log.commit` has returned, not before: who tells others of it,
+    or shows them what came of it, waits for that.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        *,
+        now: int,
+        processes: Processes = PROCESSES,
+        runner: Runner = DIRECT,
+        durability: Durability = Durability.FSYNC,
+        segment: int = SEGMENT,
+        disk: Disk = DISK,
+        progress: Callable[[int, int], None] | None = None,
+    ) -> None:
+        """Raises `JournalError`: the directory is in use, of another format or damaged.
+
+        ``progress`` is told now and then how many commands are done again, and of how many.
+        """
+        self.recovery = Recovery()
+        self._processes = processes
+        self._runner = runner
+        self._standing = Standing()
+        self._within = False
+        self._directory = DataDirectory(path, disk)
+        try:
+            self._checkpoints = Checkpoints(self._directory.checkpoints, disk)
+            self.log = Log(
+                self._directory.journal, durability=durability, segment=segment, disk=disk
+            )
+            if self.log.torn is not None:
+                self.recovery.notes.append(
+                    f"{self.log.torn}: cut off; nothing that was acknowledged is in it"
+                )
+            self.engine = self._recovered(now, progress)
+            self.engine.on_opened(self._opened)
+            self.log.commit()
+            if self._directory.old_store is not None:
+                self.checkpoint().write()
+                self._directory.forget_old_store()
+        except BaseException:
+            self._directory.close()
+            raise
+
+    # -- doing -------------------------------------------------------------------------------
+
+    def do(self, command: Command, incoming: Incoming | None = None) -> Any:
+        """Write ``command`` down, and do it; gives what it gives. With ``incoming``, what its batch
+        was decoded to.
+
+        Raises `JournalFull` and `JournalBroken`, and what the command does: nothing is written
+        down then, and nothing done.
+        """
+        self._within = True
+        try:
+            with self.log.entry(written(command)):
+                found = done(self.engine, command, incoming)
+        finally:
+            self._within = False
+        self._standing.note(command, found)
+        return found
+
+    def checkpoint(self) -> Unwritten:
+        """The state as it is now, to be written by `Unwritten.write`, in any thread.
+
+        Raises `CheckpointError` where something cannot be written down. Cost: O(state).
+        """
+        position = self.log.position
+        state = state_of(self.engine, self._standing, self._processes, self._runner)
+        portable = msgspec.msgpack.encode(portable_of(self.engine, self._standing))
+        found = Checkpoint(position, program(), portable, state)
+        return Unwritten(found, self.log, self._checkpoints)
+
+    def close(self, *, checkpoint: bool = True) -> None:
+        """Commit what there is; with ``checkpoint`` the next start has nothing to do again."""
+        try:
+            if checkpoint:
+                self.checkpoint().write()
+        finally:
+            try:
+                self.log.close()
+            finally:
+                self._directory.close()
+
+    # -- within ------------------------------------------------------------------------------
+
+    def _opened(self, stream: str) -> None:
+        """Somebody has asked for a stream that is there only now. Within a command, doing that
+        again opens it again."""
+        if not self._within:
+            self.log.append(written(OpenStream(stream)))
+
+    def _recovered(self, now: int, progress: Callable[[int, int], None] | None) -> Engine:
+        found = self._from_checkpoint(now)
+        if found is None:
+            found = self._from_nothing(now)
+        engine, done = found
+        count = self.log.position - done
+        for position, data in self.log.read(done):
+            self._again(engine, position, data)
+            self.recovery.replayed += 1
+            if progress is not None and self.recovery.replayed % 1000 == 0:
+                progress(self.recovery.replayed, count)
+        if not self.recovery.is_continued:
+            begin = Begin(secrets.token_hex(4), now, program())
+            self.log.append(written(begin))
+            begin.apply(engine)
+        return engine
+
+    def _from_checkpoint(self, now: int) -> tuple[Engine, int] | None:
+        """The engine of the newest checkpoint that is sound, and its position."""
+        for position in self._checkpoints.positions():
+            try:
+                kept = self._checkpoints.read(position)
+                found = self._from(kept, now)
+            except (JournalDamaged, CheckpointError) as error:
+                self.recovery.notes.append(f"a checkpoint is passed over: {error}")
+                continue
+            if position > self.log.position or position + 1 < self.log.first:
+                raise JournalDamaged(
+                    f"the checkpoint is of record {position}, the log has records "
+                    f"{self.log.first} to {self.log.position}",
+                    "restore the folder from a backup (dyknow restore)",
+                )
+            self.recovery.position = position
+            return found, position
+        return None
+
+    def _from(self, kept: Checkpoint, now: int) -> Engine:
+        """The engine of a checkpoint; raises `CheckpointError`."""
+        if kept.program == program():
+            engine, standing = engine_of(kept.state, self._processes, self._runner)
+            assert isinstance(engine, Engine)
+            self._standing = standing
+            return engine
+        portable = msgspec.msgpack.decode(kept.portable, type=Portable)
+        engine, self._standing, lost = engine_from(portable, now, self._processes, self._runner)
+        self._begin_anew(f"the directory was written by {kept.program}, this is {program()}")
+        self.recovery.notes += lost
+        return engine
+
+    def _from_nothing(self, now: int) -> tuple[Engine, int]:
+        """The engine where there is no checkpoint, and the position after which commands are to be
+        done."""
+        store = self._directory.old_store
+        ontology = None if store is None else Ontology.copied(store)
+        if not self.log.position:
+            self.log.append(written(Begin(secrets.token_hex(4), now, program())))
+            self.log.commit()
+            if store is not None:
+                self.recovery.notes.append(
+                    f"{self._directory.path} was written by an earlier version: definitions are "
+                    "taken over, samples were not kept"
+                )
+        elif self.log.first > 1:
+            raise JournalDamaged(
+                f"there is no sound checkpoint, and the log begins with record {self.log.first}",
+                "restore the folder from a backup (dyknow restore)",
+            )
+        begin = next(read(data) for _, data in self.log.read(0))
+        if not isinstance(begin, Begin):
+            raise JournalDamaged(f"the log begins with {type(begin).__name__}")
+        if begin.program != program():
+            self._begin_anew(f"the directory was written by {begin.program}, this is {program()}")
+        engine = Engine(
+            epoch=begin.epoch,
+            now=begin.now,
+            processes=self._processes,
+            runner=self._runner,
+            ontology=ontology,
+        )
+        return engine, 1
+
+    def _begin_anew(self, reason: str) -> None:
+        self.recovery.is_continued = False
+        self.recovery.notes.append(f"{reason}: numbers of samples and ids of events begin anew")
+
+    def _again(self, engine: Engine, position: int, data: bytes) -> None:
+        """Do a command again. One that was done once is done now: where it is not, this is another
+        program or an error in it."""
+        try:
+            command = read(data)
+            self._standing.note(command, command.apply(engine))
+        except (DyknowError, LanguageError, ConversionError, WireError, OntologyError) as error:
+            self._begin_anew(f"record {position} could not be done again: {error}")
+
+
+@dataclass(frozen=True, slots=True)
+class Unwritten:
+    """A checkpoint that is not on the disk yet."""
+
+    checkpoint: Checkpoint
+    log: Log
+    checkpoints: Checkpoints
+
+    def write(self) -> None:
+        """Write it, and forget of the log what no checkpoint needs. Raises `JournalError`."""
+        # Never ahead of the log: its numbers would be given twice.
+        if self.log.durable < self.checkpoint.position:
+            self.log.commit()
+        self.checkpoints.write(self.checkpoint)
+        self.log.drop(min(self.checkpoints.positions()))

@@ -1,0 +1,201 @@
+"""Doing commands, and waiting until they are kept: the service's way to change its engine.
+
+    found = service.keeper.do(command)     # at once: the engine has done it
+    await service.keeper.kept()            # then it may be told: it survives
+
+Requests that wait together share one write and sync of the log. What came of commands that are not
+kept yet is shown to nobody: `Audience`. Without a data directory all of this costs nothing.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, Protocol
+
+from ..converters.wire import Incoming
+from ..engine.checkpoint import CheckpointError
+from ..engine.commands import Command, done
+from ..engine.engine import Engine
+from ..engine.recorded import RecordedEngine
+from ..journal.errors import JournalError
+from .logs import log
+from .settings import Settings
+
+JOURNAL = "journal"
+CHECKPOINT = "checkpoint"
+_LATEST = 1.0
+"""Seconds until what nobody waits for is kept."""
+
+
+class Audience(Protocol):
+    """Those who look on from outside, and see only what is kept."""
+
+    def mark(self) -> object:
+        """What there is to be seen now."""
+
+    def show(self, mark: Any) -> None:
+        """Let them see what there was at ``mark``."""
+
+    def keep_unseen(self, mark: Any) -> None:
+        """What there was at ``mark`` is not kept yet."""
+
+    @property
+    def has_news(self) -> bool:
+        """Whether there is more to be seen than is shown."""
+
+
+class Keeper:
+    """Does the commands of the service, one at a time, in the thread of its event loop.
+
+    ``troubles``: why it keeps nothing at present, for people, by what fails; empty: all is well.
+    """
+
+    def __init__(
+        self, engine: Engine, recorded: RecordedEngine | None, troubles: dict[str, str]
+    ) -> None:
+        self._engine = engine
+        self._recorded = recorded
+        self._troubles = troubles
+        self._audience: Audience | None = None
+        self._commit: asyncio.Task[None] | None = None
+        self._hastening: set[asyncio.Task[None]] = set()
+        self._thread = ThreadPoolExecutor(1, "dyknow-journal")
+        self._written = 0
+        """Bytes of the log at the last checkpoint."""
+        self._begun: float | None = None
+        self._tended = float("-inf")
+        self.commits = 0
+        self.commit_seconds = 0.0
+        self.checkpoints = 0
+
+    @property
+    def is_recording(self) -> bool:
+        """Whether anything is kept."""
+        return self._recorded is not None
+
+    @property
+    def position(self) -> int:
+        """How many commands were written down."""
+        return 0 if self._recorded is None else self._recorded.log.position
+
+    @property
+    def is_kept(self) -> bool:
+        """Whether all that was done is kept."""
+        recorded = self._recorded
+        return recorded is None or recorded.log.durable == recorded.log.position
+
+    def show_to(self, audience: Audience) -> None:
+        """Whom to show what is kept."""
+        self._audience = audience
+
+    def do(self, command: Command, incoming: Incoming | None = None) -> Any:
+        """Do ``command``; see `RecordedEngine.do`."""
+        if self._recorded is not None:
+            return self._recorded.do(command, incoming)
+        return done(self._engine, command, incoming)
+
+    async def kept(self) -> None:
+        """Return when all that is done by now is kept. Raises `JournalError`: then it may not be,
+        and the same sent again under its Idempotency-Key does no harm."""
+        if self._recorded is None:
+            return
+        log_ = self._recorded.log
+        until = log_.position
+        while log_.durable < until:
+            # One that has begun may have begun before the last of it was done.
+            await self._committed()
+
+    def hasten(self) -> None:
+        """Begin to keep what is done, for those who look on: nobody waits for it."""
+        if not self.is_kept and self._commit is None:
+            task = asyncio.get_running_loop().create_task(self._hastened())
+            self._hastening.add(task)
+            task.add_done_callback(self._hastening.discard)
+
+    async def _hastened(self) -> None:
+        try:
+            await self.kept()
+        except JournalError as error:
+            # In `troubles`; the next tick tries again.
+            log().debug("not kept yet", reason=str(error))
+
+    async def _committed(self) -> None:
+        if self._commit is None:
+            self._commit = asyncio.get_running_loop().create_task(self._commit_once())
+            # Those who wait hear of an error; if they have gone, `troubles` tells it.
+            self._commit.add_done_callback(lambda done: done.cancelled() or done.exception())
+        await asyncio.shield(self._commit)
+
+    async def _commit_once(self) -> None:
+        assert self._recorded is not None
+        loop = asyncio.get_running_loop()
+        begun = loop.time()
+        mark = None if self._audience is None else self._audience.mark()
+        try:
+            await loop.run_in_executor(self._thread, self._recorded.log.commit)
+        except JournalError as error:
+            if self._audience is not None:
+                self._audience.keep_unseen(mark)
+            self._fail(JOURNAL, error)
+            raise
+        finally:
+            self._commit = None
+        self.commits += 1
+        self.commit_seconds += loop.time() - begun
+        self._recover(JOURNAL)
+        if self._audience is not None:
+            self._audience.show(mark)
+
+    async def tend(self, settings: Settings) -> None:
+        """What is to be done now and then: keep what nobody waits for, if somebody is to see it or
+        a second has passed; write a checkpoint when it is time. Raises `JournalError`."""
+        recorded = self._recorded
+        if recorded is None:
+            return
+        now = asyncio.get_running_loop().time()
+        if self._begun is None:
+            self._begun = now
+        if not self.is_kept and (self._has_news() or now - self._tended >= _LATEST):
+            self._tended = now
+            await self.kept()
+        written = recorded.log.written - self._written
+        is_old = now - self._begun >= settings.checkpoint_interval and written > 0
+        if is_old or written >= settings.checkpoint_bytes:
+            self._begun = now
+            await self._checkpoint(recorded)
+
+    def _has_news(self) -> bool:
+        return self._audience is not None and self._audience.has_news
+
+    async def _checkpoint(self, recorded: RecordedEngine) -> None:
+        """One that fails is told in ``troubles``, and tried again when it is time again."""
+        try:
+            unwritten = recorded.checkpoint()
+            await self.kept()
+            await asyncio.get_running_loop().run_in_executor(self._thread, unwritten.write)
+        except (JournalError, CheckpointError, OSError) as error:
+            self._fail(CHECKPOINT, error)
+            return
+        self._written = recorded.log.written
+        self.checkpoints += 1
+        self._recover(CHECKPOINT)
+
+    def close(self) -> None:
+        """Keep all there is, with a checkpoint, and let the directory go."""
+        self._thread.shutdown()
+        if self._recorded is not None:
+            try:
+                self._recorded.close()
+            except (JournalError, CheckpointError, OSError) as error:
+                # What was acknowledged is in the log: the next start does it again.
+                log().error("no checkpoint at the end", reason=str(error))
+
+    def _fail(self, what: str, error: Exception) -> None:
+        if self._troubles.get(what) != str(error):
+            log().error(f"{what} failed", reason=str(error))
+        self._troubles[what] = str(error)
+
+    def _recover(self, what: str) -> None:
+        if self._troubles.pop(what, None) is not None:
+            log().warning(f"{what} works again")
