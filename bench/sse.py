@@ -100,7 +100,9 @@ class Load:
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, receive)
         connection.connect(self.address)
         resume = b"Last-Event-ID: %b\r\n" % after if after else b""
-        connection.sendall(b"GET %b HTTP/1.1\r\nHost: x\r\n%b\r\n" % (self.path.encode(), resume))
+        connection.sendall(
+            b"GET %b HTTP/1.1\r\nHost: localhost\r\n%b\r\n" % (self.path.encode(), resume)
+        )
         return connection
 
     def _add(self, listener: Listener) -> None:

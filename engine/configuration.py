@@ -87,6 +87,8 @@ class Configuration:
         self.named: set[str] = set()
         self.late = LateStreams(self._there, self.units, self._add_late)
         """The streams of late samples that somebody asked for."""
+        self.before_demand: Callable[[], None] = _no_objection
+        """Called before a stream is made because somebody asks for it; may raise."""
         self.on_opened: Callable[[str], None] = _unheard
         """Told of a stream that came into being by being asked for."""
         self._on_change = on_change
@@ -97,7 +99,7 @@ class Configuration:
         self._specified: tuple[str | None, str] = (None, "")
 
     def __getstate__(self) -> dict[str, object]:
-        return {**self.__dict__, "on_opened": _unheard}
+        return {**self.__dict__, "on_opened": _unheard, "before_demand": _no_objection}
 
     def stream(self, name: str) -> StreamGenerator:
         """The generator of ``name``, a stream or an alias of one; raises `UnknownStream`."""
@@ -114,9 +116,11 @@ class Configuration:
 
     def find(self, name: str) -> StreamGenerator | None:
         """The same; None if there is no such stream. One of violations or of late samples comes
-        into being by being asked for."""
+        into being by being asked for, if ``before_demand`` does not object."""
         found = self._there(name)
         if found is None:
+            if self._violating(name) is not None or self.late.is_name(name):
+                self.before_demand()
             found = self._violations_of(name) or self.late.open(name)
             if found is not None:
                 self.on_opened(found.name)
@@ -137,10 +141,13 @@ class Configuration:
 
     def _violations_of(self, name: str) -> StreamGenerator | None:
         """Somebody asks for the violations of a policy that has none yet."""
+        violations = self._violating(name)
+        return None if violations is None else violations.stream
+
+    def _violating(self, name: str) -> Violations | None:
+        """Whose stream would be called ``name``, if that of violations is meant."""
         unit = self.units.get(name.removesuffix(SUFFIX)) if name.endswith(SUFFIX) else None
-        if not isinstance(unit, PolicyUnit) or unit.violations is None:
-            return None
-        return unit.violations.stream
+        return unit.violations if isinstance(unit, PolicyUnit) else None
 
     def violations(self, name: str, retention: Retention | None) -> Violations:
         """Where the unit that makes stream ``name`` tells what its policy refused."""
@@ -502,6 +509,10 @@ class Configuration:
 
     def _failed(self, unit: ComputationalUnit) -> None:
         self.tell(ChangeKind.UNIT_FAILED, unit, unit.failure or "")
+
+
+def _no_objection() -> None:
+    """Streams come into being whenever they are asked for."""
 
 
 def _unheard(_name: str) -> None:

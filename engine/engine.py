@@ -76,6 +76,7 @@ from .views import (
     StreamView,
     SubscriptionView,
     TemplateView,
+    Totals,
 )
 
 
@@ -266,6 +267,15 @@ class Engine:
     def stream(self, name: str) -> StreamView:
         """One stream; raises `UnknownStream`."""
         return self._view(self._configuration.stream(name))
+
+    def has_stream(self, name: str) -> bool:
+        """Whether there is a stream of this name already; none is made by asking."""
+        return self._configuration.has(name)
+
+    def before_demand(self, check: Callable[[], None]) -> None:
+        """Call ``check`` before a stream comes into being because somebody asks for it (of late
+        samples, of violations), in whatever way; what it raises is what who asks gets."""
+        self._configuration.before_demand = check
 
     def published(self) -> tuple[StreamGenerator, ...]:
         """The streams that people publish to."""
@@ -608,6 +618,19 @@ class Engine:
         if query is not None:
             return self.queries.explain(query)
         raise BadArguments("explain needs an event, a template or a query")
+
+    def totals(self) -> Totals:
+        """How much there is of what people make. Cost: O(1)."""
+        configuration = self._configuration
+        return Totals(
+            len(configuration.streams) - len(configuration.units),
+            len(self._templates),
+            len(self._requests)
+            + len(self._subscriptions)
+            + len(self.queries)
+            + len(self._specifications),
+            len(self._kpl),
+        )
 
     # -- within ------------------------------------------------------------------------------
 

@@ -21,6 +21,18 @@ class Since(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
+class Totals:
+    """How much there is of what people make: ``streams`` that no unit makes, ``templates``,
+    ``requests`` (of events, subscriptions, registered queries, inserted units), ``declarations``
+    in KPL."""
+
+    streams: int
+    templates: int
+    requests: int
+    declarations: int
+
+
+@dataclass(frozen=True, slots=True)
 class StreamDeclaration:
     """What a stream is to be: its fields, how late samples may be (ns), how much is kept, the
     namespace of the objects that its id fields name, and after how long (ns) without samples nobody

@@ -14,6 +14,7 @@ from ..engine.recorded import RecordedEngine
 from ..journal.errors import JournalError
 from ..streams.time import Clock
 from . import problems
+from .access import Access, Gate, client_key
 from .body import BodyLimit
 from .context import Service
 from .descriptors import places
@@ -24,6 +25,7 @@ from .logs import log
 from .metrics import Metrics
 from .models import READ_BY_ROUTES
 from .observe import Observe
+from .quotas import Quotas
 from .routes import (
     annotations,
     docs,
@@ -37,6 +39,7 @@ from .routes import (
     publish,
     queries,
     samples,
+    session,
     sparql,
     specifications,
     status,
@@ -45,8 +48,12 @@ from .routes import (
     templates,
     transformations,
 )
+from .scopes import scope_of_operation
+from .sessions import Sessions
 from .settings import Settings
+from .slow_bodies import SlowBodies
 from .sse import Feeds
+from .tokens import Tokens
 
 # Looked through in this order for each request: batches of samples are the most frequent ones.
 RESOURCES = (
@@ -68,6 +75,7 @@ RESOURCES = (
     explain,
     status,
     health,
+    session,
     docs,
 )
 TICK = "tick"
@@ -75,13 +83,20 @@ DESCRIPTION = """Semantic stream reasoning: say what you want to know, and the s
 builds the streams that answer it. Errors are `application/problem+json` (RFC 9457)."""
 
 
-def create_app(engine: Engine | RecordedEngine, settings: Settings, clock: Clock) -> FastAPI:
+def create_app(
+    engine: Engine | RecordedEngine,
+    settings: Settings,
+    clock: Clock,
+    tokens: Tokens | None = None,
+) -> FastAPI:
     """The service over ``engine`` as an ASGI application.
 
     ``clock`` tells the time in ns; the lifespan ticks the engine with it. The engine must not be
     used by anybody else but in the thread that runs the application. One that is recorded is closed
-    when the application ends.
+    when the application ends. ``tokens`` are those of the settings, unless they have been read
+    before; raises `TokensError` where they cannot be used.
     """
+    tokens = Tokens.of(settings) if tokens is None else tokens
     recorded: RecordedEngine | None = None
     if isinstance(engine, RecordedEngine):
         recorded, engine = engine, engine.engine
@@ -105,8 +120,10 @@ def create_app(engine: Engine | RecordedEngine, settings: Settings, clock: Clock
         Metrics(engine, feeds),
         anyio.CapacityLimiter(settings.sparql_workers),
         clock(),
+        Gate.of(settings, tokens, Sessions(clock), Quotas(engine, settings)),
         keeper,
         troubles,
+        client_key,
     )
 
     @asynccontextmanager
@@ -128,13 +145,19 @@ def create_app(engine: Engine | RecordedEngine, settings: Settings, clock: Clock
         redirect_slashes=False,
         strict_content_type=False,
         # The engine's errors have a model of their own, so FastAPI's default 422 is not told.
-        responses=problems.responses(400),
+        responses=problems.responses(400, 401, 403, 421),
     )
     app.state.service = service
     problems.install(app)
     for resource in RESOURCES:
         app.include_router(resource.router)
-    app.add_middleware(BodyLimit, limit=settings.body_limit, total=settings.bodies_limit)
+    app.add_middleware(
+        BodyLimit,
+        limit=settings.body_limit,
+        total=settings.bodies_limit,
+        slow=SlowBodies(settings.body_timeout, settings.body_rate, service.metrics.refused),
+    )
+    app.add_middleware(Access, gate=service.gate, refused=service.metrics.refused)
     app.add_middleware(Observe, metrics=service.metrics)
     app.openapi = lambda: _openapi(app)  # type: ignore[method-assign]
     return app
@@ -180,8 +203,13 @@ def _openapi(app: FastAPI) -> dict[str, object]:
         for name, body in bodies["$defs"].items():
             components.setdefault(name, body)
         components["ProblemModel"] = problems.ProblemModel.model_json_schema()
-        for path in schema["paths"].values():
-            for operation in path.values():
+        components["securitySchemes"] = {"token": {"type": "http", "scheme": "bearer"}}
+        for path, operations in schema["paths"].items():
+            for method, operation in operations.items():
+                scope = scope_of_operation(method, path)
+                operation["security"] = [] if scope is None else [{"token": [str(scope)]}]
+                if "requestBody" in operation:
+                    operation["responses"] |= {"408": problems.responses(408)[408]}
                 if "422" in operation["responses"]:
                     operation["responses"]["422"] = problems.responses(422)[422]
         app.openapi_schema = schema

@@ -10,6 +10,7 @@ from __future__ import annotations
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from .problems import Problem
+from .slow_bodies import SlowBodies
 
 HELD = "dyknow.held"
 """In the scope of a request: the `Held` of its body."""
@@ -42,11 +43,15 @@ class Held:
 class BodyLimit:
     """Refuses bodies over ``limit`` bytes, and further ones while ``total`` bytes are under way.
 
-    Of a live body the limit is for what is not worked off yet: a line, a record batch.
+    Of a live body the limit is for what is not worked off yet: a line, a record batch. ``slow``
+    lets those go that do not come in time.
     """
 
-    def __init__(self, app: ASGIApp, limit: int, total: int) -> None:
+    def __init__(
+        self, app: ASGIApp, limit: int, total: int, slow: SlowBodies | None = None
+    ) -> None:
         self.held = 0
+        self._slow = slow
         self._app = app
         self._limit = limit
         self._total = total
@@ -64,8 +69,12 @@ class BodyLimit:
             await self._too_many().response()(scope, receive, send)
             return
 
+        next_message = receive
+        if self._slow is not None and not body.live:
+            next_message = self._slow.in_time(receive, scope["method"])
+
         async def counted() -> Message:
-            message = await receive()
+            message = await next_message()
             if message["type"] == "http.request":
                 body.add(len(message.get("body", b"")))
             return message

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -16,6 +17,8 @@ from .negotiation import JSON
 from .sse import POSITION
 
 URL = "http://127.0.0.1:8000"
+TOKEN = "DYKNOW_TOKEN"
+"""The environment variable with the token of whoever runs this program."""
 RETRY_FIRST = 0.2
 RETRY_LONGEST = 5.0
 SILENCE = 60.0
@@ -89,14 +92,16 @@ class Event:
 class Connection:
     """One HTTP connection pool to a service. Not for several threads at once.
 
-    ``transport`` and ``sleep`` are for tests. Every method raises `ServiceError` for a refusal
-    and ``httpx.TransportError`` when there is no service at ``url``.
+    ``token`` says who asks, where the service wants to know; without it that of the environment
+    variable ``DYKNOW_TOKEN``. ``transport`` and ``sleep`` are for tests. Every method raises
+    `ServiceError` for a refusal and ``httpx.TransportError`` when there is no service at ``url``.
     """
 
     def __init__(
         self,
         url: str = URL,
         *,
+        token: str | None = None,
         timeout: float = 30.0,
         transport: httpx.BaseTransport | None = None,
         sleep: Callable[[float], None] = time.sleep,
@@ -104,9 +109,14 @@ class Connection:
         self.url = url.rstrip("/")
         self._sleep = sleep
         self._timeout = timeout
+        token = os.environ.get(TOKEN, "") if token is None else token
         # An address on this machine is not reached through a proxy of the environment.
         self._http = httpx.Client(
-            base_url=self.url, timeout=timeout, transport=transport, trust_env=False
+            base_url=self.url,
+            headers={"Authorization": f"Bearer {token.strip()}"} if token else {},
+            timeout=timeout,
+            transport=transport,
+            trust_env=False,
         )
 
     def __enter__(self) -> Self:

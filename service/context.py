@@ -13,6 +13,7 @@ from ..engine.commands import Command, Tick
 from ..engine.engine import Engine
 from ..journal.errors import JournalError
 from ..streams.time import Clock
+from .access import Gate
 from .event_clients import ClientKey, address_of
 from .keeper import Keeper
 from .live import LiveBodies
@@ -34,6 +35,7 @@ class Service:
     metrics: Metrics
     sparql_slots: anyio.CapacityLimiter
     started: int
+    gate: Gate
     keeper: Keeper
     troubles: dict[str, str]
     """Why the service is not ready, for people, by what fails; empty while all is well."""

@@ -59,4 +59,6 @@ def configure(level: str, as_json: bool) -> None:
 def _rendering(as_json: bool) -> list[structlog.types.Processor]:
     if as_json:
         return [structlog.processors.format_exc_info, structlog.processors.JSONRenderer()]
-    return [structlog.dev.ConsoleRenderer(colors=sys.stderr.isatty())]
+    # The usual formatter prints the variables of every frame, headers with tokens among them.
+    plain = structlog.dev.plain_traceback
+    return [structlog.dev.ConsoleRenderer(colors=sys.stderr.isatty(), exception_formatter=plain)]

@@ -33,6 +33,12 @@ class Metrics:
             ["route"],
             registry=self._registry,
         )
+        self._refusals = Counter(
+            "dyknow_refusals",
+            "Requests and connections refused, by the title of the problem",
+            ["reason"],
+            registry=self._registry,
+        )
         self.tick_failures = Counter(
             "dyknow_tick_failures", "Ticks that failed", registry=self._registry
         )
@@ -42,6 +48,10 @@ class Metrics:
         self._requests.labels(method, route, str(status)).inc()
         if seconds is not None:
             self._seconds.labels(route).observe(seconds)
+
+    def refused(self, reason: str) -> None:
+        """Count a refusal by what the service protects itself from."""
+        self._refusals.labels(reason).inc()
 
     def text(self) -> bytes:
         """All metrics in the text format of Prometheus."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import socket
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -12,21 +13,36 @@ from typing import Any
 import uvicorn
 from fastapi import FastAPI
 
+from .bounds import Bounds, protocol
 from .context import Service
 from .event_response import TRANSPORT
 from .settings import Settings
 
 GRACE = 5
 """Seconds that open requests have to end when the service stops."""
+REVIEW = 5
+"""Connections are looked at once in so many of the server's ticks, which are 0.1 s apart."""
+HEADERS = [
+    ("X-Content-Type-Options", "nosniff"),
+    ("Cross-Origin-Resource-Policy", "same-origin"),
+]
+"""Of every answer, also those that never come to the application: no page elsewhere may show or run
+what is answered here."""
 
 
 class Server(uvicorn.Server):
     """Lets those go first when it stops whose requests have no end of their own: clients of event
     streams, senders of live samples."""
 
-    def __init__(self, config: uvicorn.Config, leave: Callable[[], None]) -> None:
+    def __init__(self, config: uvicorn.Config, leave: Callable[[], None], bounds: Bounds) -> None:
         super().__init__(config)
         self._leave = leave
+        self._bounds = bounds
+
+    async def on_tick(self, counter: int) -> bool:
+        if counter % REVIEW == 0:
+            self._bounds.review(tuple(self.server_state.connections), time.monotonic())
+        return await super().on_tick(counter)
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         self._leave()
@@ -50,6 +66,7 @@ def telling_transport(protocol: Any) -> Any:
 def make_server(app: FastAPI) -> Server:
     """A server for an application of `create_app`, not yet running."""
     service: Service = app.state.service
+    bounds = Bounds(service.settings, service.metrics.refused)
     config = uvicorn.Config(
         app,
         log_config=None,
@@ -57,10 +74,11 @@ def make_server(app: FastAPI) -> Server:
         lifespan="on",
         timeout_graceful_shutdown=GRACE,
         server_header=False,
+        http=telling_transport(protocol(bounds)),
+        ws="none",
+        headers=HEADERS,
     )
-    config.load()
-    config.http_protocol_class = telling_transport(config.http_protocol_class)
-    return Server(config, service.leave)
+    return Server(config, service.leave, bounds)
 
 
 def bind(settings: Settings) -> socket.socket:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pydantic import Field
+from pydantic import Field, SecretStr
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from ..journal.log import Durability
@@ -36,6 +36,32 @@ class Settings(BaseSettings):
     """Bodies under way together; beyond it requests are refused with 429 and Retry-After."""
     live_timeout: float = Field(default=60.0, gt=0)
     """A sender of live samples from whom nothing comes for so long is let go, with 408."""
+    tokens: SecretStr = SecretStr("")
+    """Who may do what: lines of service/tokens with ``;`` between."""
+    tokens_file: Path | None = None
+    """The same as a file, a line a token."""
+    trusted_hosts: str = ""
+    """Further names of this service in a Host header, with commas between; ``*`` trusts all."""
+    trusted_origins: str = ""
+    """Origins of pages elsewhere that may use this service, with commas between."""
+    body_timeout: float = Field(default=30.0, gt=0)
+    """A body that is not there after so long is refused with 408 (live bodies: live_timeout)."""
+    body_rate: int = Field(default=500, ge=0)
+    """So is one that comes more slowly than so many bytes a second; 0 asks for no rate."""
+    head_timeout: float = Field(default=15.0, gt=0)
+    """A connection on which no request comes to be for so long is closed."""
+    max_connections: int = Field(default=12_000, gt=0)
+    """Further connections are refused with 503."""
+    max_connections_per_client: int = Field(default=10_000, gt=0)
+    """The same, of one address."""
+    max_streams: int = Field(default=10_000, gt=0)
+    """While there are so many streams, what makes further ones is refused with 403."""
+    max_templates: int = Field(default=1_000, gt=0)
+    """The same, of event templates."""
+    max_requests: int = Field(default=100_000, gt=0)
+    """The same, of event requests, subscriptions and registered queries together."""
+    max_declarations: int = Field(default=10_000, gt=0)
+    """The same, of declarations in KPL."""
     tick: float = Field(default=0.1, gt=0)
     """How often the engine is told the time."""
     retention_samples: int = Field(default=100_000, gt=0)

@@ -16,6 +16,7 @@ from ...ontology.errors import OntologyError
 from ...streams.sample import SampleError
 from ..client import ServiceError
 from ..problems import problem_of
+from .access import take_tokens
 from .demo import demo
 from .events import events
 from .follow import follow
@@ -30,6 +31,7 @@ from .serve import serve
 from .specifications import specification
 from .streams import annotate, streams
 from .templates import template
+from .token import token
 from .transformations import transformation
 
 RECURSION_LIMIT = 20_000
@@ -54,6 +56,10 @@ class Commands(TyperGroup):
         try:
             return super().invoke(ctx)
         except ServiceError as error:
+            if error.status == 401:
+                hint = "give one with --token, or in DYKNOW_TOKEN"
+                problem = {**error.problem, "hint": hint}
+                raise fail(f"{error.title}: {error.detail}", hint, problem=problem) from error
             raise fail(str(error), problem=error.problem) from error
         except httpx.ConnectError as error:
             raise fail(
@@ -100,6 +106,7 @@ def _options(
 
 
 app.command()(serve)
+app.command()(token)
 app.command()(demo)
 app.command()(replay)
 app.add_typer(template, name="template")
@@ -116,6 +123,7 @@ app.command()(match)
 app.command()(explain)
 app.command()(run)
 app.add_typer(kpl, name="kpl")
+take_tokens(app)
 
 
 def main() -> None:

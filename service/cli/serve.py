@@ -23,6 +23,7 @@ from ..descriptors import raise_limit
 from ..logs import configure
 from ..server import bind, run, url_of
 from ..settings import Settings
+from ..tokens import Scope, Tokens, TokensError
 from ..watchdog import Watchdog
 from .demo import STREAM
 from .demo import flights as play_flights
@@ -39,6 +40,12 @@ def serve(
         list[str] | None,
         typer.Option(help="A module or .py file with user-written processes. May be repeated."),
     ] = None,
+    tokens: Annotated[
+        Path | None,
+        typer.Option(
+            help="File of who may do what; a line a token (dyknow token).", dir_okay=False
+        ),
+    ] = None,
     durability: Annotated[
         Durability | None,
         typer.Option(help="With --data: survive loss of power, or only of the process."),
@@ -52,8 +59,13 @@ def serve(
     given: dict[str, Any] = {"host": host, "port": port, "data": data, "log_level": log_level}
     given["durability"] = durability
     given["processes"] = processes or None
+    given["tokens_file"] = tokens
     settings = Settings(**{key: value for key, value in given.items() if value is not None})
     configure(settings.log_level, settings.log_json)
+    try:
+        known = Tokens.of(settings)
+    except TokensError as error:
+        raise fail(error.message, error.hint) from error
     load(settings.processes)
     try:
         listener = bind(settings)
@@ -64,15 +76,17 @@ def serve(
         ) from error
     raise_limit()
     watchdog = Watchdog()
+    token = known.issue("flights", Scope.ADMIN) if flights and known.required else ""
     engine = _engine(settings, watchdog)
-    app = create_app(engine, settings, time.time_ns)
+    app = create_app(engine, settings, time.time_ns, known)
     url = url_of(listener)
     err().print(f"DyKnow serves at {url} (documentation: {url}/docs)", markup=False)
     # Beside the start: the first query and the first large batch should not wait for compilers.
     threading.Thread(target=warm, name="warm", daemon=True).start()
     stopping = threading.Event()
     if flights:
-        player = threading.Thread(target=play_flights, args=(url, stopping.is_set), daemon=True)
+        playing = (url, stopping.is_set, token)
+        player = threading.Thread(target=play_flights, args=playing, daemon=True)
         player.start()
         err().print(f"The recorded flights play into stream {STREAM}, as if they flew now.")
     try:
