@@ -36,8 +36,6 @@ from .problems import Problem
 
 POSITION = "Dyknow-Position"
 """The header of an answer that says after which id it begins."""
-OPENING = b": dyknow\n"
-"""Sent at once, so that a client knows that it is connected."""
 
 
 def newest(generator: StreamGenerator) -> int:
@@ -254,9 +252,9 @@ class Feeds:
         Raises `UnknownStream`, or a 400 `Problem` for an id that is none.
         """
         if since is None:
-            return Start(self._newest(name) + 1, OPENING)
+            return Start(self._newest(name) + 1)
         if since == "start":
-            return Start(self._engine.generator(name).stream.first_number, OPENING)
+            return Start(self._engine.generator(name).stream.first_number)
         epoch, _, digits = since.rpartition("-")
         if not epoch or not is_number(digits):
             raise bad_id(since)
@@ -270,13 +268,13 @@ class Feeds:
         number += 1
         newest = self._newest(name)
         if epoch == self._engine.epoch and number <= newest + 1:
-            return Start(number, OPENING)
+            return Start(number)
         if epoch != self._engine.epoch:
             reason = "the service has begun anew since: numbers count from 1 again"
         else:
             reason = "the stream has begun anew since: numbers count from 1 again"
         lost = {"stream": name, "from": number, "to": None, "epoch": epoch, "reason": reason}
-        return Start(1, OPENING + message("gap", lost))
+        return Start(1, message("gap", lost))
 
     def join(self, name: str, client: EventClient) -> Feed:
         """``client`` listens to a stream. Raises `UnknownStream`."""
