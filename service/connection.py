@@ -131,7 +131,7 @@ class Connection:
         last: str | None = None
         # The switches since the last sample: the service tells them again when a client resumes.
         told: list[Event] = []
-        running = set(streams)
+        ended: set[str] = set()
         wait = RETRY_FIRST
         timeout = httpx.Timeout(self._timeout, read=SILENCE)
         while True:
@@ -158,15 +158,15 @@ class Connection:
                         if event.kind == "sample":
                             last = event.id
                             told.clear()
-                            running.add(str(event.data.get("stream")))
+                            ended.discard(str(event.data.get("stream")))
                         elif event.kind == "rematched":
                             if event in told:
                                 continue
                             told.append(event)
                         yield event
                         if event.kind == "end":
-                            running.discard(str(event.data.get("stream")))
-                            if not running or not streams:
+                            ended.add(str(event.data.get("stream")))
+                            if len(ended) >= len(set(streams)):
                                 return
                 if not resume:
                     return

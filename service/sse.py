@@ -279,11 +279,12 @@ class Feeds:
     def join(self, name: str, client: EventClient) -> Feed:
         """``client`` listens to a stream. Raises `UnknownStream`."""
         generator = self._engine.generator(name)
-        feed = self._feeds.get(name)
+        # A stream may have several names; all who follow it are woken together.
+        feed = self._feeds.get(generator.name)
         if feed is None or feed.generator is not generator:
             feed = Feed(self._engine, generator, self._cache, self.all)
             generator.subscribe(feed)
-            self._feeds[name] = feed
+            self._feeds[generator.name] = feed
         feed.clients[client] = None
         return feed
 

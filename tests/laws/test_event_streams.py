@@ -278,3 +278,27 @@ def _remove(service: Service) -> None:
     """As DELETE does it: a client of events holds no stream."""
     service.engine.remove_stream("s")
     service.feeds.review()
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.lists(st.tuples(counts, st.integers(0, 6), st.integers(0, 6)), min_size=1, max_size=4))
+def test_a_stream_that_is_declared_anew_never_uses_an_id_twice(
+    lives: list[tuple[int, int, int]],
+) -> None:
+    """Else a client that resumes would miss the first samples of the new one, and not know."""
+    service = Service(Retention(10_000))
+    reader = Reader(service)
+    for i, (count, read, unseen) in enumerate(lives):
+        if i:
+            _remove(service)
+            service.engine.declare(StreamDeclaration("s", SCHEMA.fields, 0, service.retention))
+            reader.cursor.leave(reader.client)
+            reader._connect()
+        service.publish(count, 3)
+        reader.read(read)
+        service.publish(unseen, 3)
+    reader.cut(0.0)
+    reader.read(10_000)
+    kept = range(service.kept, service.published + 1)
+    assert len(kept) == lives[-1][0] + lives[-1][2]
+    assert set(kept) <= set(reader.numbers)
