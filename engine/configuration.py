@@ -19,6 +19,7 @@ from ..streams.fluent import Retention
 from ..streams.generator import StreamGenerator
 from ..streams.sample import FieldType, Schema
 from ..streams.strings import StringPool
+from .busy import BusyTime
 from .changes import Change, ChangeKind
 from .errors import AlreadyExists, UnknownStream
 from .late_streams import LateStreams
@@ -77,6 +78,7 @@ class Configuration:
         self,
         on_change: Callable[[Change], None],
         first_reserved: int = 1,
+        busy_time: BusyTime | None = None,
     ) -> None:
         self.streams: dict[str, StreamGenerator] = {}
         self.units: dict[str, ComputationalUnit] = {}
@@ -90,6 +92,7 @@ class Configuration:
         self.late = LateStreams(self._there, self.units, self._add_late)
         """The streams of late samples that somebody asked for."""
         self._on_change = on_change
+        self._busy_time = busy_time
         self._next_reserved = first_reserved
         self._next_unit = 1
         self._removed: OrderedDict[str, int] = OrderedDict()
@@ -417,6 +420,7 @@ class Configuration:
     ) -> None:
         """Connect a unit to its inputs, and tell; see `ComputationalUnit.start`."""
         self.units[unit.output.name] = unit
+        unit.busy_time = self._busy_time
         self._use(unit.inputs)
         text = ", ".join(f"{key}={value}" for key, value in unit.parameters.items())
         specification = self._specified[1] or specification or f"{unit.transformation}({text})"

@@ -35,6 +35,7 @@ from . import explain as explanations
 from .adaptive import Rematch, Wish
 from .annotations import Annotations
 from .application import Application
+from .busy import BusyTime, Stopwatch
 from .changes import Change, ChangeKind, KnownTransformation
 from .configuration import C_SPARQL, Configuration
 from .declared import DeclaredStreams
@@ -64,6 +65,7 @@ from .stream_view import rate_of, stream_view
 from .subscriptions import Subscriptions
 from .supervision import DIRECT, Runner
 from .transformations import Transformations
+from .unit import ComputationalUnit
 from .users import Users
 from .views import (
     DeclarationView,
@@ -85,7 +87,8 @@ class Engine:
     ``data`` is the directory of what outlives the process (None: in memory). ``epoch`` marks
     this run in event ids. ``first_reserved`` is the first N of ``dyknow_reserved<N>``. ``now`` is
     the time in ns until `publish` and `tick` bring a later one. ``processes`` are the user-written
-    ones that KPL may name, and ``runner`` calls them.
+    ones that KPL may name, and ``runner`` calls them. With a ``stopwatch`` the work of units is
+    measured.
     """
 
     def __init__(
@@ -97,6 +100,7 @@ class Engine:
         now: int = 0,
         processes: Processes = PROCESSES,
         runner: Runner = DIRECT,
+        stopwatch: Stopwatch | None = None,
     ) -> None:
         self.epoch = epoch or secrets.token_hex(4)
         self.ontology = Ontology.open(None if data is None else data / "ontology")
@@ -107,7 +111,8 @@ class Engine:
         status = StatusStream(lambda: self._now)
         self._changed = status.tell
         self._transformations = Transformations(self.ontology.vocabulary, processes)
-        self._configuration = Configuration(self._changed, first_reserved)
+        busy_time = None if stopwatch is None else BusyTime(stopwatch)
+        self._configuration = Configuration(self._changed, first_reserved, busy_time)
         self._manager = SemanticsManager(self.ontology, self._subscribers)
         self._intake = Intake(self._configuration)
         self._idleness = Idleness()
@@ -257,6 +262,14 @@ class Engine:
     def stream(self, name: str) -> StreamView:
         """One stream; raises `UnknownStream`."""
         return self._view(self._configuration.stream(name))
+
+    def generators(self) -> tuple[StreamGenerator, ...]:
+        """What is behind all streams: for who wants less of each than a view. Cost: O(streams)."""
+        return tuple(self._configuration.streams.values())
+
+    def units(self) -> tuple[ComputationalUnit, ...]:
+        """All units that run, to read what they count. Cost: O(units)."""
+        return tuple(self._configuration.units.values())
 
     def generator(self, name: str) -> StreamGenerator:
         """The generator behind a stream, to read and subscribe; raises `UnknownStream`."""

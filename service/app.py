@@ -1,5 +1,6 @@
 """The application: routes, errors, limits and the clock's tick, put together."""
 
+import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
@@ -12,7 +13,7 @@ from .. import __version__
 from ..engine.engine import Engine
 from ..streams.time import Clock
 from . import problems
-from .body import BodyLimit
+from .body import BodyLimit, UnderWay
 from .context import Service
 from .descriptors import places
 from .event_clients import EventClients
@@ -86,13 +87,14 @@ def create_app(engine: Engine, settings: Settings, clock: Clock) -> FastAPI:
         settings.sse_send_timeout,
     )
     feeds = Feeds(engine, settings.sse_cache, clients)
+    bodies = UnderWay()
     service = Service(
         engine,
         settings,
         clock,
         feeds,
         LiveBodies(),
-        Metrics(engine, feeds),
+        Metrics(engine, feeds, bodies, clock),
         anyio.CapacityLimiter(settings.sparql_workers),
         clock(),
     )
@@ -121,8 +123,10 @@ def create_app(engine: Engine, settings: Settings, clock: Clock) -> FastAPI:
     problems.install(app)
     for resource in RESOURCES:
         app.include_router(resource.router)
-    app.add_middleware(BodyLimit, limit=settings.body_limit, total=settings.bodies_limit)
-    app.add_middleware(Observe, metrics=service.metrics)
+    app.add_middleware(
+        BodyLimit, limit=settings.body_limit, total=settings.bodies_limit, under_way=bodies
+    )
+    app.add_middleware(Observe, metrics=service.metrics, slow=settings.slow_request)
     app.openapi = lambda: _openapi(app)  # type: ignore[method-assign]
     return app
 
@@ -133,15 +137,20 @@ async def _tick(service: Service) -> None:
     A tick that fails is logged and makes the service not ready; the next one is tried, since an
     engine that is told no time would let every stamped stream stand still.
     """
+    metrics, pause = service.metrics, service.settings.tick
     while True:
+        begun = time.monotonic()
         try:
             service.tick()
             service.failure = None
         except Exception as error:  # noqa: BLE001 - told by log, metric and /readyz
             service.failure = f"{type(error).__name__}: {error}"
-            service.metrics.tick_failures.inc()
+            metrics.tick_failures.inc()
             log().exception("tick failed")
-        await anyio.sleep(service.settings.tick)
+        service.ticked = ended = time.monotonic()
+        metrics.tick_seconds.observe(ended - begun)
+        await anyio.sleep(pause)
+        metrics.loop_lag.observe(max(0.0, time.monotonic() - ended - pause))
 
 
 def _openapi(app: FastAPI) -> dict[str, object]:

@@ -31,6 +31,8 @@ class Service:
     started: int
     failure: str | None = None
     """Why the engine's last tick failed; None while all is well."""
+    ticked: float | None = None
+    """When the last tick ended, by the monotonic clock (s); None before the first."""
     client_key: ClientKey = address_of
     """Whose event streams are counted together (`Settings.sse_clients_each`)."""
 

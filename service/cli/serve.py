@@ -57,7 +57,9 @@ def serve(
         ) from error
     raise_limit()
     watchdog = Watchdog()
-    engine = Engine(settings.data, now=time.time_ns(), runner=watchdog)
+    engine = Engine(
+        settings.data, now=time.time_ns(), runner=watchdog, stopwatch=time.perf_counter_ns
+    )
     app = create_app(engine, settings, time.time_ns)
     url = url_of(listener)
     err().print(f"DyKnow serves at {url} (documentation: {url}/docs)", markup=False)

@@ -33,4 +33,4 @@ async def readyz(service: Context, response: Response) -> HealthModel:
 )
 async def metrics(service: Context) -> Response:
     """Metrics in the text format of Prometheus."""
-    return Response(service.metrics.text(), media_type=CONTENT_TYPE)
+    return Response(await service.metrics.text(), media_type=CONTENT_TYPE)
