@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import time
+from dataclasses import dataclass, field
 from typing import Annotated
 
 import anyio
@@ -15,6 +16,9 @@ from .live import LiveBodies
 from .metrics import Metrics
 from .settings import Settings
 from .sse import Feeds
+
+LATE = 5.0
+"""Seconds without a tick after which the service is not ready: something holds its loop up."""
 
 
 @dataclass(slots=True)
@@ -36,10 +40,31 @@ class Service:
     client_key: ClientKey = address_of
     """Whose event streams are counted together (`Settings.sse_clients_each`)."""
 
+    troubles: dict[str, str] = field(default_factory=dict)
+    """What keeps the service from being ready, by whom: each puts its own here, and takes it away
+    when it is over (`reasons`)."""
+
+    def reasons(self) -> list[str]:
+        """Why the service is not ready: nothing if it is."""
+        found = [f"{who}: {what}" for who, what in self.troubles.items()]
+        if self.failure is not None:
+            found.append(f"the engine's tick fails: {self.failure}")
+        if self.ticked is None:
+            found.append("starting: the engine has not been told the time yet")
+        else:
+            late = time.monotonic() - self.ticked
+            if late > max(LATE, 10 * self.settings.tick):
+                found.append(f"the engine's tick is late: the last one was {late:.1f} s ago")
+        return found
+
+    def stop(self) -> None:
+        """The service is told to stop: it is not ready any more."""
+        self.troubles["stopping"] = "the service stops"
+
     def leave(self) -> None:
-        """The service stops: let those go whose requests have no end of their own."""
-        self.feeds.close()
+        """Let those go whose requests have no end of their own."""
         self.bodies.close()
+        self.feeds.close()
 
     def tick(self) -> None:
         """Tell the engine the time, and event stream clients which streams are gone."""

@@ -67,7 +67,7 @@ class _Body:
         if not self._begun:
             self._begun = self._goes_on = True
             return OPENING + (self._messages.take() or b"")
-        while not self._clients.is_closing:
+        while True:
             data = self._messages.take()
             if data is not None:
                 if self._goes_on:
@@ -76,7 +76,8 @@ class _Body:
                 self._goes_on = True
                 self._clients.sent += len(data)
                 return data
-            if self._messages.over is not None:
+            # When the service stops, everybody gets what there is.
+            if self._messages.over is not None or self._clients.is_closing:
                 break
             self._goes_on = False
             if not await self._client.wait():

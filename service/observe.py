@@ -14,7 +14,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from .body import HELD, Held
 from .logs import log
-from .problems import REQUEST_ID, problem_of
+from .problems import REQUEST_ID, problem_of, stopping
 
 HEAD = "dyknow.head"
 """Set in the scope of a GET that came as HEAD: an endless body need not be begun."""
@@ -34,8 +34,8 @@ class RequestCount(Protocol):
 class Observe:
     """Logs and counts every request; answers HEAD wherever GET is, and failures with a 500.
 
-    A request has the id that its client gave it (``X-Request-Id``), or a new one; the answer has it,
-    too. Who takes longer than ``slow`` s is a warning in the log.
+    A request has the id that its client gave it (``X-Request-Id``), or a new one; the answer has
+    it, too. Who takes longer than ``slow`` s is a warning in the log.
     """
 
     def __init__(self, app: ASGIApp, metrics: RequestCount, slow: float = 1.0) -> None:
@@ -85,6 +85,8 @@ class Observe:
             # a failure of ours.
             status = 503
             log().warning("request broken off", method=method, path=scope["path"], request=id)
+            if not started:
+                await stopping().response(id)(scope, receive, observed)
         except Exception as error:
             log().exception("request failed", method=method, path=scope["path"], request=id)
             # Raised further, it would make the server break the connection that the client means

@@ -174,6 +174,17 @@ def problem_of(error: Exception) -> Problem:
             return Problem(500, "internal error", "the service failed; its log says why")
 
 
+def stopping() -> Problem:
+    """The answer to who is let go because the service stops."""
+    return Problem(
+        503,
+        "the service stops",
+        "the request was not worked off to its end",
+        hint="send it again when the service is back; samples with the same Idempotency-Key",
+        headers={"Retry-After": "5"},
+    )
+
+
 def install(app: FastAPI) -> None:
     """Answer every error of ``app`` as a problem."""
 

@@ -11,12 +11,13 @@ from typing import Annotated, Any
 
 import typer
 
+from ... import __version__
 from ...engine.engine import Engine
 from ...engine.loading import load_processes
 from ...streams.compiled import compile_all
 from ..app import create_app
 from ..descriptors import raise_limit
-from ..logs import configure
+from ..logs import configure, log
 from ..server import bind, run, url_of
 from ..settings import Settings
 from ..watchdog import Watchdog
@@ -70,11 +71,16 @@ def serve(
         player = threading.Thread(target=play_flights, args=(url, stopping.is_set), daemon=True)
         player.start()
         err().print(f"The recorded flights play into stream {STREAM}, as if they flew now.")
+    values = settings.model_dump(mode="json", exclude_defaults=True)
+    log().info("serving", version=__version__, url=url, epoch=engine.epoch, settings=values)
     try:
-        run(app, listener)
+        ended = run(app, listener)
     finally:
         stopping.set()
         watchdog.close()
+    log().info("stopped", by_force=not ended)
+    if not ended:
+        raise typer.Exit(1)
 
 
 def warm() -> None:

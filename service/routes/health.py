@@ -19,11 +19,13 @@ async def healthz() -> HealthModel:
 
 @router.get("/readyz", responses={503: {"model": HealthModel}})
 async def readyz(service: Context, response: Response) -> HealthModel:
-    """The engine works: 503 with the reason while its tick fails."""
-    if service.failure is None:
+    """The service takes requests: 503 with the reasons while it starts or stops, while the engine's
+    tick fails or is late, and while something else keeps it from its work."""
+    reasons = service.reasons()
+    if not reasons:
         return HealthModel(status="ok")
     response.status_code = 503
-    return HealthModel(status="failing", reason=service.failure)
+    return HealthModel(status="failing", reason="; ".join(reasons), reasons=reasons)
 
 
 @router.get(
