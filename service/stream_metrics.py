@@ -17,6 +17,7 @@ from ..streams.time import SECOND
 
 SLICE = 200
 """So many streams are written before the event loop looks at anything else."""
+_LINES = 10_000
 _FATES: Final = ("accepted", "used", "late", "duplicate", "expired")
 _STREAMS: Final = (
     ("dyknow_samples_total", "counter", "Samples by fate"),
@@ -44,7 +45,7 @@ async def stream_metrics(engine: Engine, now: int) -> bytes:
         _add_unit(units, unit)
         if i % SLICE == 0:
             await asyncio.sleep(0)
-    return "".join([*_text(_STREAMS, streams), *_text(_UNITS, units)]).encode()
+    return await _text(_STREAMS, streams) + await _text(_UNITS, units)
 
 
 def _add_stream(families: list[list[str]], generator: StreamGenerator, now: int) -> None:
@@ -73,12 +74,15 @@ def _add_unit(families: list[list[str]], unit: ComputationalUnit) -> None:
     windows.append(f"{label} {unit.windows}.0")
 
 
-def _text(names: Sequence[tuple[str, str, str]], families: list[list[str]]) -> list[str]:
+async def _text(names: Sequence[tuple[str, str, str]], families: list[list[str]]) -> bytes:
     parts = []
     for (name, kind, text), lines in zip(names, families, strict=True):
-        parts.append(f"# HELP {name} {text}\n# TYPE {name} {kind}\n")
-        parts.extend(f"{name}{line}\n" for line in lines)
-    return parts
+        parts.append(f"# HELP {name} {text}\n# TYPE {name} {kind}\n".encode())
+        for first in range(0, len(lines), _LINES):
+            part = lines[first : first + _LINES]
+            parts.append("".join([f"{name}{line}\n" for line in part]).encode())
+            await asyncio.sleep(0)
+    return b"".join(parts)
 
 
 def escaped(value: str) -> str:
