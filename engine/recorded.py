@@ -26,6 +26,7 @@ from ..journal.log import SEGMENT, Durability, Log
 from ..languages.errors import LanguageError
 from ..ontology.errors import OntologyError
 from ..ontology.ontology import Ontology
+from .busy import Stopwatch
 from .checkpoint import CheckpointError, engine_of, program, state_of
 from .commands import Begin, Command, OpenStream, Tick, done, read, written
 from .engine import Engine
@@ -82,6 +83,7 @@ class RecordedEngine:
         now: int,
         processes: Processes = PROCESSES,
         runner: Runner = DIRECT,
+        stopwatch: Stopwatch | None = None,
         durability: Durability = Durability.FSYNC,
         segment: int = SEGMENT,
         disk: Disk = DISK,
@@ -93,6 +95,7 @@ class RecordedEngine:
         """
         self.recovery = Recovery()
         self._processes = processes
+        self._stopwatch = stopwatch
         self._runner = RecordedRunner(runner)
         self._standing = Standing()
         self._within = False
@@ -224,7 +227,9 @@ class RecordedEngine:
             self._standing = standing
             return engine
         portable = msgspec.msgpack.decode(kept.portable, type=Portable)
-        engine, self._standing, lost = engine_from(portable, now, self._processes, self._runner)
+        engine, self._standing, lost = engine_from(
+            portable, now, self._processes, self._runner, self._stopwatch
+        )
         self._begin_anew(f"the directory was written by {kept.program}, this is {program()}")
         self.recovery.notes += lost
         return engine
@@ -257,6 +262,7 @@ class RecordedEngine:
             now=begin.now,
             processes=self._processes,
             runner=self._runner,
+            stopwatch=self._stopwatch,
             ontology=ontology,
         )
         return engine, 1
