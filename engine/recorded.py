@@ -86,12 +86,15 @@ class RecordedEngine:
                 self._directory.journal, durability=durability, segment=segment, disk=disk
             )
             if self.log.torn is not None:
-                self.recovery.notes.append(
-                    f"{self.log.torn}: cut off; nothing that was acknowledged is in it"
-                )
+                self.recovery.notes.append(f"cut off, an unfinished write: {self.log.torn}")
+            if self.log.lost:
+                self._begin_anew(f"the last {self.log.lost} commands that were kept are lost")
+            if self._directory.repaired is not None:
+                self._begin_anew(f"the directory was repaired: {self._directory.repaired}")
             self.engine = self._recovered(now, progress)
             self.engine.on_opened(self._opened)
             self.log.commit()
+            self._directory.forget_repair()
             if self._directory.old_store is not None:
                 self.checkpoint().write()
                 self._directory.forget_old_store()
@@ -253,7 +256,7 @@ class Unwritten:
     def write(self) -> None:
         """Write it, and forget of the log what no checkpoint needs. Raises `JournalError`."""
         # Never ahead of the log: its numbers would be given twice.
-        if self.log.durable < self.checkpoint.position:
-            self.log.commit()
+        if self.log.synced < self.checkpoint.position:
+            self.log.sync()
         self.checkpoints.write(self.checkpoint)
         self.log.drop(min(self.checkpoints.positions()))
