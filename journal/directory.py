@@ -4,6 +4,7 @@
     DIR/lock               held by the process that runs
     DIR/journal/           the log: 00000000000000000001.log …
     DIR/checkpoints/       states at positions of the log
+    DIR/restoring          a restore has begun and not ended
     DIR/repaired           what dyknow repair has cut off, until the next start
     DIR/ontology/          format 1: an Oxigraph store, read once; kept as ontology.format1
 
@@ -25,6 +26,7 @@ from .errors import DirectoryInUse, JournalDamaged, UnknownFormat
 
 FORMAT: Final = 2
 REPAIRED: Final = "repaired"
+RESTORING: Final = "restoring"
 
 
 class _Format(msgspec.Struct):
@@ -92,24 +94,34 @@ class DataDirectory:
     def _adopt(self) -> Path | None:
         """Check the format, or say it in a new directory; gives the store of format 1, if that is
         all there is."""
+        if (self.path / RESTORING).exists():
+            raise JournalDamaged(
+                f"a restore into {self.path} was not finished", "empty it and restore again"
+            )
         if format_of(self.path) is None:
-            self._write("format.json", msgspec.json.encode(_Format(FORMAT)) + b"\n")
+            write_whole(self._disk, self.path / "format.json", format_bytes())
         old = self.path / "ontology"
         return old if old.is_dir() else None
 
-    def _write(self, name: str, data: bytes) -> None:
-        path = self.path / name
-        part = path.with_suffix(".part")
-        if part.exists():
-            self._disk.remove(part)
-        file = self._disk.open(part, new=True)
-        try:
-            self._disk.write(file, data, 0)
-            self._disk.sync(file)
-        finally:
-            self._disk.close(file)
-        self._disk.rename(part, path)
-        self._disk.sync_folder(self.path)
+
+def format_bytes() -> bytes:
+    """What format.json says."""
+    return msgspec.json.encode(_Format(FORMAT)) + b"\n"
+
+
+def write_whole(disk: Disk, path: Path, data: bytes) -> None:
+    """A file that is there with all of ``data``, on the disk, or not at all."""
+    part = path.with_name(f"{path.name}.part")
+    if part.exists():
+        disk.remove(part)
+    file = disk.open(part, new=True)
+    try:
+        disk.write(file, data, 0)
+        disk.sync(file)
+    finally:
+        disk.close(file)
+    disk.rename(part, path)
+    disk.sync_folder(path.parent)
 
 
 def format_of(path: Path) -> int | None:
@@ -152,3 +164,18 @@ def locked(path: Path) -> int:
         os.close(file)
         raise
     return file
+
+
+def holder_of(path: Path) -> str | None:
+    """The process that has the data directory ``path`` open, as it is told; None: none has."""
+    named = path / "lock"
+    if not named.exists():
+        return None
+    file = os.open(named, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except OSError:
+        return os.pread(file, 32, 0).decode(errors="replace").strip() or "unknown"
+    finally:
+        os.close(file)
+    return None

@@ -43,8 +43,9 @@ def files_of(folder: Path) -> list[Path]:
 
 def examine(folder: Path) -> Examination:
     """Look at the log in ``folder``. Raises `UnknownFormat` and ``OSError``. Cost: reads all."""
-    scans = tuple(scan(path) for path in files_of(folder))
+    # First: whoever writes meanwhile, the files say more than a mark of before.
     mark = read_mark(folder)
+    scans = tuple(scan(path) for path in files_of(folder))
     known = mark or Mark()
     whole, torn, overlap = 0, None, None
     first = known.first

@@ -27,6 +27,8 @@ FORMAT: Final = 1
 _MAGIC: Final = b"DYKNOWLG"
 _HEADER: Final = struct.Struct("<8sIIQ")
 _RECORD: Final = struct.Struct("<IIQQ")
+HEAD: Final = _RECORD.size
+"""Bytes of a record before its payload."""
 _CHECKED: Final = struct.Struct("<IQQ")
 _POSITION: Final = 8
 """Where the position stands in a record."""

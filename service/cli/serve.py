@@ -64,7 +64,11 @@ def serve(
         ) from error
     raise_limit()
     watchdog = Watchdog()
-    engine = _engine(settings, watchdog)
+    try:
+        engine = _engine(settings, watchdog)
+    except BaseException:
+        listener.close()
+        raise
     app = create_app(engine, settings, time.time_ns)
     url = url_of(listener)
     err().print(f"DyKnow serves at {url} (documentation: {url}/docs)", markup=False)

@@ -22,10 +22,10 @@ def test_what_a_process_left_that_is_gone_does_not_hold_it(tmp_path):
 
 
 def test_a_new_directory_says_its_format_whatever_a_crash_left(tmp_path):
-    (tmp_path / "format.part").write_text('{"for')
+    (tmp_path / "format.json.part").write_text('{"for')
     DataDirectory(tmp_path).close()
     assert (tmp_path / "format.json").read_text() == '{"format":2}\n'
-    assert not (tmp_path / "format.part").exists()
+    assert not (tmp_path / "format.json.part").exists()
 
 
 def test_a_later_format_is_refused_with_what_to_do_and_let_go(tmp_path):
