@@ -21,7 +21,7 @@ from ..converters.wire import Incoming
 from ..journal.checkpoints import Checkpoint, Checkpoints
 from ..journal.directory import DataDirectory
 from ..journal.disk import DISK, Disk
-from ..journal.errors import JournalDamaged
+from ..journal.errors import JournalDamaged, JournalError
 from ..journal.log import SEGMENT, Durability, Log
 from ..languages.errors import LanguageError
 from ..ontology.errors import OntologyError
@@ -79,6 +79,8 @@ class RecordedEngine:
         self._runner = runner
         self._standing = Standing()
         self._within = False
+        self._unwritten: list[OpenStream] = []
+        """Streams that were opened while the log took nothing."""
         self._directory = DataDirectory(path, disk)
         try:
             self._checkpoints = Checkpoints(self._directory.checkpoints, disk)
@@ -111,6 +113,7 @@ class RecordedEngine:
         Raises `JournalFull` and `JournalBroken`, and what the command does: nothing is written
         down then, and nothing done.
         """
+        self._write_opened()
         self._within = True
         try:
             with self.log.entry(written(command)):
@@ -147,8 +150,19 @@ class RecordedEngine:
     def _opened(self, stream: str) -> None:
         """Somebody has asked for a stream that is there only now. Within a command, doing that
         again opens it again."""
-        if not self._within:
-            self.log.append(written(OpenStream(stream)))
+        if self._within:
+            return
+        self._unwritten.append(OpenStream(stream))
+        try:
+            self._write_opened()
+        except JournalError:
+            # Who reads need not hear of it: it is written down before the next command is done.
+            return
+
+    def _write_opened(self) -> None:
+        while self._unwritten:
+            self.log.append(written(self._unwritten[0]))
+            del self._unwritten[0]
 
     def _recovered(self, now: int, progress: Callable[[int, int], None] | None) -> Engine:
         found = self._from_checkpoint(now)

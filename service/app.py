@@ -70,6 +70,8 @@ RESOURCES = (
     health,
     docs,
 )
+ASKING = ("/match", "/sparql")
+"""Paths to which questions are posted: they change nothing."""
 TICK = "tick"
 DESCRIPTION = """Semantic stream reasoning: say what you want to know, and the service finds or
 builds the streams that answer it. Errors are `application/problem+json` (RFC 9457)."""
@@ -150,14 +152,21 @@ async def _tick(service: Service) -> None:
         try:
             service.tick()
             service.troubles.pop(TICK, None)
-            await service.keeper.tend(service.settings)
         except JournalError as error:
-            service.troubles[TICK] = str(error)
+            # The keeper has told it, once. Time stands still until there is room.
             service.metrics.tick_failures.inc()
+            log().debug("no tick", reason=str(error))
         except Exception as error:  # noqa: BLE001 - told by log, metric and /readyz
             service.troubles[TICK] = f"{type(error).__name__}: {error}"
             service.metrics.tick_failures.inc()
             log().exception("tick failed")
+        try:
+            await service.keeper.tend(service.settings)
+        except JournalError as error:
+            log().debug("not kept yet", reason=str(error))
+        except Exception as error:  # noqa: BLE001 - told by log and /readyz
+            service.troubles[TICK] = f"{type(error).__name__}: {error}"
+            log().exception("tending failed")
         await anyio.sleep(service.settings.tick)
 
 
@@ -180,8 +189,10 @@ def _openapi(app: FastAPI) -> dict[str, object]:
         for name, body in bodies["$defs"].items():
             components.setdefault(name, body)
         components["ProblemModel"] = problems.ProblemModel.model_json_schema()
-        for path in schema["paths"].values():
-            for operation in path.values():
+        for name, path in schema["paths"].items():
+            for method, operation in path.items():
+                if method != "get" and name not in ASKING:
+                    operation["responses"] |= problems.written_responses()
                 if "422" in operation["responses"]:
                     operation["responses"]["422"] = problems.responses(422)[422]
         app.openapi_schema = schema
