@@ -33,6 +33,7 @@ from ..languages.csparql.tokens import Kind as TokenKind
 from ..languages.csparql.tokens import closing, tokenize
 from ..rdf.dictionary import Term
 from ..rdf.namespaces import RDF, RDF_TYPE, XSD
+from ..rdf.sparql import check_sparql
 from ..rdf.timed import TimedTriples, TripleRows, from_terms
 from ..streams.time import format_time
 from .bag import HIDDEN, copy_graph, counting
@@ -212,7 +213,7 @@ def _is_node(term: Any) -> TypeGuard[NamedNode | BlankNode]:
 def _parsed(sparql: str) -> None:
     """Raises ``ValueError`` for a text that Oxigraph does not take: now, not at some window."""
     try:
-        Store().query(sparql, custom_functions=UNCALLED)
+        check_sparql(sparql, {}, UNCALLED)
     except SyntaxError as error:
         raise ValueError(f"Oxigraph refuses the query: {error}") from error
 

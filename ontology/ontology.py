@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeAlias
 
@@ -35,6 +36,7 @@ from .entailment import Change, Entailments, Rules
 from .errors import OntologyError, QueryRefused
 from .query_guard import check_user_query
 from .reading import TextFormat, read_triples
+from .replicas import ChangeLog, as_nquads
 from .shipped import shipped_ontologies, text_hash
 from .turtle import ALL_PREFIXES
 from .units import UnitError
@@ -67,6 +69,16 @@ _GRAPHS = {
 }
 
 
+@dataclass(frozen=True, slots=True)
+class StoreChanges:
+    """What a copy of the store lacks, as N-Quads; ``whole`` replaces all that it has."""
+
+    position: int
+    whole: bytes | None
+    added: bytes
+    removed: bytes
+
+
 class Ontology:
     """The loaded ontologies with what they entail, and the live stream space.
 
@@ -83,6 +95,7 @@ class Ontology:
         self.version = 0
         self._lock = threading.RLock()
         self._closed: tuple[int, Store] | None = None
+        self._log = ChangeLog()
         self._start()
 
     @classmethod
@@ -277,6 +290,17 @@ class Ontology:
         check_user_query(sparql)
         return self.store.query(sparql, prefixes=ALL_PREFIXES)
 
+    def changes_since(self, position: int | None) -> StoreChanges:
+        """What a copy of the store lacks that was made or brought up to date at ``position``; None:
+        one that has nothing. Cost: O(changes), or a dump of the store."""
+        with self._lock:
+            found = None if position is None else self._log.since(position)
+            if found is None:
+                whole = self.store.dump(format=RdfFormat.N_QUADS)
+                return StoreChanges(self._log.position, _bytes(whole), b"", b"")
+            came, went = found
+            return StoreChanges(self._log.position, None, as_nquads(came), as_nquads(went))
+
     def query_rows(self, sparql: str) -> tuple[tuple[str, ...], list[tuple[Term | None, ...]]]:
         """Variables and rows of a SELECT; None is unbound. `QueryRefused` for another form."""
         results = self.query(sparql)
@@ -402,6 +426,7 @@ class Ontology:
         }
         if not added and not removed:
             return
+        self._log.note(added, removed)
         if not removed:
             self.store.extend(added)  # all at once, and without a text to be parsed
         elif any(_has_blank(quad) for quad in removed | added):

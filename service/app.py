@@ -14,6 +14,7 @@ from ..streams.time import Clock
 from . import problems
 from .body import BodyLimit
 from .context import Service
+from .isolation.services import Isolation
 from .live import LiveBodies
 from .logs import log
 from .metrics import Metrics
@@ -83,7 +84,7 @@ def create_app(engine: Engine, settings: Settings, clock: Clock) -> FastAPI:
         feeds,
         LiveBodies(),
         Metrics(engine, feeds),
-        anyio.CapacityLimiter(settings.sparql_workers),
+        Isolation(settings, engine.ontology),
         clock(),
     )
 
@@ -93,6 +94,7 @@ def create_app(engine: Engine, settings: Settings, clock: Clock) -> FastAPI:
             tasks.start_soon(_tick, service)
             yield
             service.leave()
+            service.isolation.close()
             tasks.cancel_scope.cancel()
 
     app = FastAPI(

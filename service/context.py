@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-import anyio
 from fastapi import Depends, Request
 
 from ..engine.engine import Engine
 from ..streams.time import Clock
+from .isolation.services import Isolation
 from .live import LiveBodies
 from .metrics import Metrics
 from .settings import Settings
@@ -26,7 +26,7 @@ class Service:
     feeds: Feeds
     bodies: LiveBodies
     metrics: Metrics
-    sparql_slots: anyio.CapacityLimiter
+    isolation: Isolation
     started: int
     failure: str | None = None
     """Why the engine's last tick failed; None while all is well."""

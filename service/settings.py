@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 from pydantic import Field
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 MEBIBYTE = 1 << 20
+
+
+def _workers() -> int:
+    return max(2, min(4, os.cpu_count() or 1))
 
 
 class Settings(BaseSettings):
@@ -41,8 +46,16 @@ class Settings(BaseSettings):
     """A client that takes nothing for so long is let go; it may resume."""
     sparql_deadline: float = Field(default=10.0, gt=0)
     """A SPARQL query without an answer after this time is answered with 503."""
-    sparql_workers: int = Field(default=4, gt=0)
-    """How many SPARQL queries are evaluated at once."""
+    sparql_workers: int = Field(default_factory=_workers, gt=0)
+    """How many SPARQL queries are evaluated at once, each in a process of its own."""
+    sparql_waiting: int = Field(default=32, ge=0)
+    """How many more may wait; beyond it queries are answered with 503 and Retry-After."""
+    sparql_rows: int = Field(default=100_000, gt=0)
+    """A result of more rows or triples is refused with 422."""
+    sparql_bytes: int = Field(default=64 * MEBIBYTE, gt=0)
+    """A result of more bytes is refused with 422."""
+    worker_memory: int = Field(default=512 * MEBIBYTE, ge=16 * MEBIBYTE)
+    """What one worker process may take beside its program."""
     log_level: str = Field(default="info", pattern="^(debug|info|warning|error)$")
     log_json: bool = False
     """One JSON object a log line instead of text for people."""
