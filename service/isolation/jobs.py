@@ -34,9 +34,9 @@ from .formats import GRAPHS, TABLES
 from .messages import (
     Answer,
     Ask,
-    Changes,
     Entail,
     Failed,
+    Follow,
     Query,
     Read,
     Refused,
@@ -61,7 +61,7 @@ class Worker:
     def warm(self) -> None:
         """Do each kind of work once: what is imported or opened when it is first needed is there
         before files cannot be opened any more."""
-        self.answer(Query("SELECT * { ?s ?p ?o }", "text/csv", Changes(), 1, 1000))
+        self.answer(Query("SELECT * { ?s ?p ?o }", "text/csv", 1, 1000))
         text = "<urn:a> a owl:Class ; rdfs:label 'a'@en, '1'^^xsd:integer ."
         read = self.answer(Read(text, "turtle", "urn:b", 10))
         assert isinstance(read, Table)
@@ -69,10 +69,12 @@ class Worker:
         assert isinstance(closed, Table)
         self.answer(Ask("SELECT", "", None, b"", [], 1, 1))
 
-    def answer(self, work: Query | Ask | Read | Entail) -> Answer:
+    def answer(self, work: Follow | Query | Ask | Read | Entail) -> Answer:
         """The answer to a job; errors that it may have are answers too."""
         try:
             match work:
+                case Follow():
+                    return self._follow(work)
                 case Query():
                     return self._query(work)
                 case Ask():
@@ -93,13 +95,16 @@ class Worker:
             # What the store finds while it evaluates, after the text has passed the check.
             return Failed(str(error))
 
-    def _query(self, work: Query) -> Answer:
-        if work.changes.all is not None:
+    def _follow(self, work: Follow) -> Answer:
+        if work.whole is not None:
             self._store = Store()
-            self._store.bulk_extend(_quads(work.changes.all))
-        for quad in _quads(work.changes.removed):
+            self._store.bulk_extend(_quads(work.whole))
+        for quad in _quads(work.removed):
             self._store.remove(quad)
-        self._store.extend(_quads(work.changes.added))
+        self._store.extend(_quads(work.added))
+        return Truth(True)
+
+    def _query(self, work: Query) -> Answer:
         check_user_query(work.text)
         if not work.format:
             return Truth(True)

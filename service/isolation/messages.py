@@ -23,23 +23,22 @@ PREFIX = 8
 _IRI, _BLANK, _TYPED, _TAGGED = range(4)
 
 
-class Changes(msgspec.Struct, frozen=True):
-    """What a copy of the ontology lacks, as N-Quads: all of it, or what came and what went."""
+class Follow(msgspec.Struct, tag="follow", frozen=True):
+    """What the copy of the ontology lacks, as N-Quads: all of it, or what came and what went."""
 
-    all: bytes | None = None
-    added: bytes = b""
-    removed: bytes = b""
+    whole: bytes | None
+    added: bytes
+    removed: bytes
 
 
 class Query(msgspec.Struct, tag="query", frozen=True):
-    """A user's SPARQL text over the copy of the ontology, after ``changes``.
+    """A user's SPARQL text over the copy of the ontology.
 
     ``format`` is a media type of `formats`, empty if the text is to be checked only.
     """
 
     text: str
     format: str
-    changes: Changes
     rows: int
     size: int
 
@@ -78,7 +77,7 @@ class Entail(msgspec.Struct, tag="entail", frozen=True):
 class Job(msgspec.Struct, frozen=True):
     """What is to be done, and how many seconds of a processor it may take."""
 
-    work: Query | Ask | Read | Entail
+    work: Follow | Query | Ask | Read | Entail
     seconds: float
 
 

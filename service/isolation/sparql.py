@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from ...ontology.ontology import Ontology
-from .messages import Answer, Changes, Job, Query
+from .messages import Answer, Follow, Job, Query
 from .pool import Pool
 from .worker import Worker
 
@@ -35,13 +35,11 @@ class IsolatedQueries:
 
         def work(worker: Worker) -> Answer:
             lacks = self._ontology.changes_since(worker.position)
-            changes = Changes(lacks.whole, lacks.added, lacks.removed)
-            query = Query(text, format, changes, self._rows, self._size)
-            much = lacks.whole is not None
-            answer = worker.call(
-                Job(query, self._seconds), self._size + OVERHEAD, CATCHING_UP if much else 0.0
-            )
-            worker.position = lacks.position
-            return answer
+            if worker.position != lacks.position:
+                follow = Follow(lacks.whole, lacks.added, lacks.removed)
+                worker.call(Job(follow, CATCHING_UP), OVERHEAD)
+                worker.position = lacks.position
+            query = Query(text, format, self._rows, self._size)
+            return worker.call(Job(query, self._seconds), self._size + OVERHEAD)
 
         return await self._pool.run(work, self._seconds)

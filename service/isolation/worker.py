@@ -87,14 +87,13 @@ class Worker:
     def is_alive(self) -> bool:
         return self._process.poll() is None
 
-    def call(self, job: Job, most: int, allowance: float = 0.0) -> Answer:
-        """The answer to ``job``, of at most ``most`` bytes; ``allowance`` are seconds more than
-        those of the job, for what it has to be given first.
+    def call(self, job: Job, most: int) -> Answer:
+        """The answer to ``job``, of at most ``most`` bytes.
 
         Raises `WorkerError`; then the process is gone.
         """
         self.jobs += 1
-        until = time.monotonic() + job.seconds + allowance
+        until = time.monotonic() + job.seconds
         message = encode(job)
 
         def exchange() -> bytes:
