@@ -10,6 +10,7 @@ import secrets
 from collections.abc import Sequence
 from pathlib import Path
 
+from ..continuous.budget import UNLIMITED, Budget
 from ..converters.to_triples import SampleConverter
 from ..converters.wire import Incoming
 from ..languages.csparql import parse_argument, parse_event_request
@@ -85,7 +86,8 @@ class Engine:
     ``data`` is the directory of what outlives the process (None: in memory). ``epoch`` marks
     this run in event ids. ``first_reserved`` is the first N of ``dyknow_reserved<N>``. ``now`` is
     the time in ns until `publish` and `tick` bring a later one. ``processes`` are the user-written
-    ones that KPL may name, and ``runner`` calls them.
+    ones that KPL may name, and ``runner`` calls them. ``budget`` is what a window of a continuous
+    query may cost.
     """
 
     def __init__(
@@ -97,6 +99,7 @@ class Engine:
         now: int = 0,
         processes: Processes = PROCESSES,
         runner: Runner = DIRECT,
+        budget: Budget = UNLIMITED,
     ) -> None:
         self.epoch = epoch or secrets.token_hex(4)
         self.ontology = Ontology.open(None if data is None else data / "ontology")
@@ -140,6 +143,7 @@ class Engine:
             self._manager.space,
             self._changed,
             runner,
+            budget,
         )
         status.listen(self._plans.heard)
         self._requests = EventRequests(

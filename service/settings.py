@@ -54,6 +54,12 @@ class Settings(BaseSettings):
     """A result of more rows or triples is refused with 422."""
     sparql_bytes: int = Field(default=64 * MEBIBYTE, gt=0)
     """A result of more bytes is refused with 422."""
+    query_rows: int = Field(default=5_000_000, gt=0)
+    """Rows that one operator of a continuous query may make of one window."""
+    query_results: int = Field(default=100_000, gt=0)
+    """Solutions that a continuous query may have of one window."""
+    query_deadline: float = Field(default=1.0, gt=0)
+    """Seconds that Oxigraph may take for one window, where columns cannot evaluate it."""
     worker_memory: int = Field(default=512 * MEBIBYTE, ge=16 * MEBIBYTE)
     """What one worker process may take beside its program."""
     log_level: str = Field(default="info", pattern="^(debug|info|warning|error)$")

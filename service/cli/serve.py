@@ -15,6 +15,7 @@ from ...engine.engine import Engine
 from ...engine.loading import load_processes
 from ...streams.compiled import compile_all
 from ..app import create_app
+from ..isolation.services import Windows
 from ..logs import configure
 from ..server import bind, run, url_of
 from ..settings import Settings
@@ -55,12 +56,15 @@ def serve(
             "choose another --port",
         ) from error
     watchdog = Watchdog()
-    engine = Engine(settings.data, now=time.time_ns(), runner=watchdog)
+    windows = Windows(settings)
+    engine = Engine(settings.data, now=time.time_ns(), runner=watchdog, budget=windows.budget)
     app = create_app(engine, settings, time.time_ns)
     url = url_of(listener)
     err().print(f"DyKnow serves at {url} (documentation: {url}/docs)", markup=False)
     # Beside the start: the first query and the first large batch should not wait for compilers.
     threading.Thread(target=warm, name="warm", daemon=True).start()
+    for isolated in (windows, app.state.service.isolation):
+        threading.Thread(target=isolated.warm, name="warm-workers", daemon=True).start()
     stopping = threading.Event()
     if flights:
         player = threading.Thread(target=play_flights, args=(url, stopping.is_set), daemon=True)
@@ -71,6 +75,7 @@ def serve(
     finally:
         stopping.set()
         watchdog.close()
+        windows.close()
 
 
 def warm() -> None:

@@ -2,10 +2,39 @@
 
 from __future__ import annotations
 
+from typing import Final
+
+from ...continuous.budget import Budget
 from ...ontology.ontology import Ontology
-from ..settings import Settings
+from ..settings import MEBIBYTE, Settings
+from .asking import IsolatedAsking
 from .pool import Pool
 from .sparql import IsolatedQueries
+
+WINDOW_BYTES: Final = 8 * MEBIBYTE
+"""Text that Oxigraph may answer about a window."""
+
+
+class Windows:
+    """The worker for continuous queries: the engine waits for it, one window at a time.
+
+    ``budget`` is for the engine, which has to have it before there is an application.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self._pool = Pool(1, settings.worker_memory)
+        asking = IsolatedAsking(
+            self._pool, settings.query_deadline, settings.query_results, WINDOW_BYTES
+        )
+        self.budget = Budget(settings.query_rows, settings.query_results, asking)
+
+    def warm(self) -> None:
+        """Start the worker."""
+        self._pool.warm()
+
+    def close(self) -> None:
+        """End it."""
+        self._pool.close()
 
 
 class Isolation:
