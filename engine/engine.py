@@ -18,7 +18,7 @@ from ..languages.csparql.ast import EventRequest, Template
 from ..languages.kpl import parse_policy
 from ..languages.ssl.annotation import CheckedAnnotation, Content, StreamAnnotation
 from ..matching.uncollected import uncollected
-from ..ontology.ontology import Ontology
+from ..ontology.ontology import Ontology, PreparedOntology
 from ..ontology.reading import TextFormat
 from ..rdf.dictionary import TermDictionary
 from ..rdf.namespaces import PREFIXES, shorten
@@ -547,7 +547,11 @@ class Engine:
     def load_ontology(self, text: str, *, name: str, format: TextFormat = "turtle") -> None:
         """Add a domain ontology, or replace the one called ``name`` (an IRI): its sorts, features
         and objects are known from now on, also to queries that run. Raises `OntologyError`."""
-        self.ontology.load(text, name=name, format=format)
+        self.take_ontology(self.ontology.prepare(text, name=name, format=format))
+
+    def take_ontology(self, prepared: PreparedOntology) -> None:
+        """The same with what `Ontology.prepare` made of a text, maybe in another thread."""
+        self.ontology.take(prepared)
         self._converters.clear()
         self._tell_templates()
         self._rematching.ontology_changed()

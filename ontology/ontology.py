@@ -35,7 +35,8 @@ from .closure import closure_key, entailed
 from .entailment import Change, Entailments, Rules
 from .errors import OntologyError, QueryRefused
 from .query_guard import check_user_query
-from .reading import TextFormat, read_triples
+from .reading import TextFormat
+from .reasoning import DIRECT, Reasoning
 from .replicas import ChangeLog, as_nquads
 from .shipped import shipped_ontologies, text_hash
 from .turtle import ALL_PREFIXES
@@ -77,6 +78,17 @@ class StoreChanges:
     whole: bytes | None
     added: bytes
     removed: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class PreparedOntology:
+    """An ontology that is read and reasoned about, and not loaded yet: ``hashes`` are those of all
+    texts that are loaded with it, ``implied`` is what they entail together."""
+
+    graph: NamedNode
+    triples: frozenset[Triple]
+    hashes: dict[str, str]
+    implied: frozenset[Triple]
 
 
 class Ontology:
@@ -129,11 +141,32 @@ class Ontology:
         text that cannot be read, contradicts the others, or gives a feature an unknown unit.
         Cost: a closure of all loaded ontologies.
         """
+        self.take(self.prepare(text, name=name, format=format))
+
+    def prepare(
+        self, text: str, *, name: str, format: TextFormat = "turtle", reasoning: Reasoning = DIRECT
+    ) -> PreparedOntology:
+        """All of `load` that takes time: nothing has changed when it returns. Any thread may call;
+        raises as `load`, and what ``reasoning`` raises."""
         graph = _ontology_graph(name)
-        triples = read_triples(text, format, graph)
+        triples = reasoning.read(text, format, graph)
         with self._lock:
             hashes = {**self._hashes(), graph.value: text_hash(f"{format}\n{text}")}
-            self._reload({graph: triples}, hashes)
+            asserted = self._asserted({graph: triples}, hashes)
+            known = self._kept_closure(closure_key(hashes))
+        implied = reasoning.entailed(asserted) if known is None else known
+        return PreparedOntology(graph, triples, hashes, implied)
+
+    def take(self, prepared: PreparedOntology) -> None:
+        """Load what was prepared. Raises `OntologyError` if it contradicts the vocabulary, or other
+        ontologies were loaded since."""
+        with self._lock:
+            graph = prepared.graph.value
+            if {**self._hashes(), graph: prepared.hashes[graph]} != prepared.hashes:
+                raise OntologyError(
+                    "another ontology was loaded meanwhile", hint="load this one again"
+                )
+            self._reload({prepared.graph: prepared.triples}, prepared.hashes, prepared.implied)
 
     def ontologies(self) -> tuple[str, ...]:
         """The IRIs of the loaded ontologies' graphs."""
@@ -356,14 +389,32 @@ class Ontology:
         self._apply(emptied)
         self._reload(new, hashes)
 
-    def _reload(self, new: dict[NamedNode, frozenset[Triple]], hashes: dict[str, str]) -> None:
-        """Replaces the graphs ``new`` and all that follows from the ontologies."""
+    def _asserted(
+        self, new: dict[NamedNode, frozenset[Triple]], hashes: dict[str, str]
+    ) -> frozenset[Triple]:
         loaded = {NamedNode(iri): self._graph(NamedNode(iri)) for iri in hashes} | new
-        asserted = frozenset().union(*loaded.values())
+        return frozenset().union(*loaded.values())
+
+    def _kept_closure(self, key: str) -> frozenset[Triple] | None:
+        """What the ontologies entail, if it was computed from these."""
+        is_kept = Triple(graphs.ENTAILMENTS, graphs.CLOSED, Literal(key)) in self._graph(
+            graphs.CATALOG
+        )
+        return self._graph(graphs.ENTAILMENTS) if is_kept else None
+
+    def _reload(
+        self,
+        new: dict[NamedNode, frozenset[Triple]],
+        hashes: dict[str, str],
+        implied: frozenset[Triple] | None = None,
+    ) -> None:
+        """Replaces the graphs ``new`` and all that follows from the ontologies."""
+        asserted = self._asserted(new, hashes)
         key = closure_key(hashes)
-        kept = self._graph(graphs.CATALOG)
-        is_kept = Triple(graphs.ENTAILMENTS, graphs.CLOSED, Literal(key)) in kept
-        implied = self._graph(graphs.ENTAILMENTS) if is_kept else entailed(asserted)
+        if implied is None:
+            implied = self._kept_closure(key)
+        if implied is None:
+            implied = entailed(asserted)
         try:
             vocabulary = Vocabulary.from_triples(asserted | implied)
         except UnitError as error:

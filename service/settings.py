@@ -60,6 +60,10 @@ class Settings(BaseSettings):
     """Solutions that a continuous query may have of one window."""
     query_deadline: float = Field(default=1.0, gt=0)
     """Seconds that Oxigraph may take for one window, where columns cannot evaluate it."""
+    ontology_deadline: float = Field(default=20.0, gt=0)
+    """Seconds for reading an ontology, and as many for what all of them entail."""
+    ontology_triples: int = Field(default=100_000, gt=0)
+    """Triples that the ontologies may have together, and as many that they may entail."""
     worker_memory: int = Field(default=512 * MEBIBYTE, ge=16 * MEBIBYTE)
     """What one worker process may take beside its program."""
     log_level: str = Field(default="info", pattern="^(debug|info|warning|error)$")

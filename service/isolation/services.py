@@ -8,6 +8,7 @@ from ...continuous.budget import Budget
 from ...ontology.ontology import Ontology
 from ..settings import MEBIBYTE, Settings
 from .asking import IsolatedAsking
+from .documents import IsolatedReasoning
 from .pool import Pool
 from .sparql import IsolatedQueries
 
@@ -51,11 +52,15 @@ class Isolation:
             settings.sparql_rows,
             settings.sparql_bytes,
         )
+        self._documents = Pool(1, settings.worker_memory)
+        self.documents = IsolatedReasoning(
+            self._documents, settings.ontology_deadline, settings.ontology_triples
+        )
 
     @property
     def ended(self) -> int:
         """How many workers came to their end in the middle of a job."""
-        return self._sparql.ended
+        return self._sparql.ended + self._documents.ended
 
     def warm(self) -> None:
         """Start all workers: the first who ask should not wait for them."""
@@ -64,3 +69,4 @@ class Isolation:
     def close(self) -> None:
         """End all workers."""
         self._sparql.close()
+        self._documents.close()
