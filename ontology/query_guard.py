@@ -107,8 +107,18 @@ def check_bounds(text: str) -> QueryForm | None:
 
 def check_size(text: str, patterns: int) -> None:
     """Raises `QueryRefused` for a SPARQL text with more triple patterns than ``patterns``, brackets
-    more than `DEEPEST` deep or more than `MOST_NEGATIONS` negations after each other."""
-    _check_size(text, list(_tokens(text)), patterns)
+    more than `DEEPEST` deep or more than `MOST_NEGATIONS` negations after each other. Steps and
+    alternatives of property paths count as triple patterns."""
+    tokens = list(_tokens(text))
+    _check_size(text, tokens, patterns)
+    for number, token in enumerate(t for t in tokens if _is_alternative(text, t)):
+        if number >= patterns:
+            raise _refusal(text, token, f"the query has more than {patterns} alternatives")
+
+
+def _is_alternative(text: str, token: _Token) -> bool:
+    around = text[max(0, token.start - 1) : token.start + 2]
+    return token.text == "|" and "||" not in around
 
 
 def _tokens(text: str) -> Iterator[_Token]:

@@ -27,6 +27,8 @@ from ..ontology.units import UnitError
 from ..streams.sample import SampleError
 
 MEDIA_TYPE = "application/problem+json"
+LONGEST = 4000
+"""Characters of a text in an error."""
 _NAMES = "urn:dyknow:problem:"
 
 
@@ -69,15 +71,23 @@ class Problem(HTTPException):
     def model(self) -> ProblemModel:
         kind = _NAMES + self.title.lower().replace(" ", "-")
         known: dict[str, Any] = {
-            key: value for key, value in self.members.items() if value or value == 0
+            key: _shown(value) for key, value in self.members.items() if value or value == 0
         }
+        detail = _shown(str(self.detail))
         return ProblemModel(
-            type=kind, title=self.title, status=self.status_code, detail=str(self.detail), **known
+            type=kind, title=self.title, status=self.status_code, detail=detail, **known
         )
 
     def response(self) -> Response:
         body = self.model().model_dump(exclude_none=True)
         return JSONResponse(body, self.status_code, self.headers, media_type=MEDIA_TYPE)
+
+
+def _shown(value: Any) -> Any:
+    """Who sent a long name or text need not get all of it back."""
+    if isinstance(value, str) and len(value) > LONGEST:
+        return f"{value[:LONGEST]}…"
+    return value
 
 
 _STATUS: tuple[tuple[type[DyknowError], int], ...] = (
