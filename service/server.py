@@ -137,7 +137,7 @@ def url_of(listener: socket.socket) -> str:
 
 
 def run(app: FastAPI, listener: socket.socket) -> bool:
-    """Serve until a signal stops it. Whether a second one came, and it could not end as it should."""
+    """Serve until a signal stops it. Whether a second one came and cut that short."""
     server = make_server(app)
     try:
         server.run(sockets=[listener])
