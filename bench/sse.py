@@ -223,6 +223,8 @@ def run(row: Row, seconds: float) -> tuple[str, float, bool]:
         load.connect(row.clients - row.cuts)
         load.connect(row.cuts, cuts=True)
         load.stall(row.stalled)
+        while client.status()["clients"] < row.clients + row.stalled:
+            load.read(time.monotonic() + 0.1)
         load.read(time.monotonic() + 0.5)
         each = (memory(process) - before) / (row.clients + row.stalled)
         publisher = Publisher(address, row.rate, row.size)
