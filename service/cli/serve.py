@@ -105,13 +105,13 @@ def serve(
     values = settings.model_dump(mode="json", exclude_defaults=True)
     log().info("serving", version=__version__, url=url, epoch=service.engine.epoch, settings=values)
     try:
-        ended = run(app, listener)
+        by_force = run(app, listener)
     finally:
         stopping.set()
         watchdog.close()
         windows.close()
-    log().info("stopped", by_force=not ended)
-    if not ended:
+    log().info("stopped", by_force=by_force)
+    if by_force:
         raise typer.Exit(1)
 
 
