@@ -262,6 +262,20 @@ def test_event_streams_are_for_readers(admin: Client, url: str) -> None:
     assert caught.value.status == 403
 
 
+def test_event_streams_are_counted_by_token(engine: Engine, clock: Clock) -> None:
+    """Not by address: behind a proxy all have one."""
+    settings = Settings(port=0, tokens=SecretStr(LINES), sse_clients_each=1)
+    with (
+        running(create_app(engine, settings, clock), settings) as url,
+        httpx.Client(base_url=url, trust_env=False, timeout=20) as http,
+        http.stream("GET", "/status/events", headers=bearer(READ)) as first,
+    ):
+        assert first.status_code == 200
+        assert http.get("/status/events", headers=bearer(READ)).status_code == 429
+        with http.stream("GET", "/status/events", headers=bearer(ADMIN)) as other:
+            assert other.status_code == 200
+
+
 def test_refusals_are_counted(http: httpx.Client) -> None:
     http.get("/streams")
     http.get("/streams", headers={"Host": "evil.example"})
