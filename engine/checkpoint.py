@@ -21,13 +21,14 @@ from pathlib import Path
 from types import CellType, CodeType, FunctionType, MappingProxyType, ModuleType
 from typing import Any, TypeVar
 
+import numpy as np
 import pyoxigraph
 from pyoxigraph import RdfFormat, Store
 
 from ..ontology.ontology import quads_of
 from .engine import Engine
 from .processes import Processes
-from .supervision import Runner
+from .supervision import Instance, Runner
 
 T = TypeVar("T")
 
@@ -57,16 +58,23 @@ def program() -> str:
     return f"dyknow {version('dyknow')}, Python {python}, {digest.hexdigest()[:16]}"
 
 
-def state_of(engine: Engine, more: object, processes: Processes, runner: Runner) -> bytes:
+def state_of(
+    engine: Engine,
+    more: object,
+    processes: Processes,
+    runner: Runner,
+    unkept: list[str] | None = None,
+) -> bytes:
     """The state of ``engine``, and ``more`` that belongs to it. The ``processes`` and ``runner``
-    that the engine was made with stay outside.
+    that the engine was made with stay outside. ``unkept`` is told of user-written processes whose
+    state cannot be written: they start again without it.
 
     Raises `CheckpointError` where something in it cannot be written.
     """
     target = io.BytesIO()
     outside = {id(processes): "processes", id(runner): "runner"}
     try:
-        _deep(lambda: _Writer(target, outside).dump((engine, more)))
+        _deep(lambda: _Writer(target, outside, unkept).dump((engine, more)))
     except (pickle.PicklingError, TypeError, AttributeError, RecursionError) as error:
         raise CheckpointError(f"the state cannot be written: {error}") from error
     return target.getvalue()
@@ -87,14 +95,24 @@ def engine_of(state: bytes, processes: Processes, runner: Runner) -> tuple[Engin
 
 
 class _Writer(pickle.Pickler):
-    def __init__(self, target: io.BytesIO, outside: dict[int, str]) -> None:
+    def __init__(
+        self, target: io.BytesIO, outside: dict[int, str], unkept: list[str] | None
+    ) -> None:
         super().__init__(target, protocol=5)
         self._outside = outside
+        self._unkept = unkept
 
     def persistent_id(self, value: Any) -> str | None:
         return self._outside.get(id(value))
 
     def reducer_override(self, value: Any) -> Any:
+        if type(value) is Instance and value.is_made:
+            try:
+                pickle.dumps(value.get())
+            except Exception as error:  # noqa: BLE001  user code, and there is something to tell
+                if self._unkept is not None:
+                    self._unkept.append(f"{type(value.get()).__name__}: {error}")
+                return Instance, (value.make,)
         reduce = _REDUCERS.get(type(value))
         return NotImplemented if reduce is None else reduce(value)
 
@@ -150,9 +168,10 @@ def _within(code: CodeType) -> Iterator[CodeType]:
 
 
 def _reduce_cell(value: CellType) -> Any:
-    # Filled when it is there already: a function may be within its own cell.
+    # Filled when it is there already: a function may be within its own cell. In a tuple, since
+    # None would mean that there is nothing to fill it with.
     try:
-        return _cell, (), value.cell_contents, None, None, _set_cell
+        return _cell, (), (value.cell_contents,), None, None, _set_cell
     except ValueError:
         return _cell, ()
 
@@ -161,8 +180,8 @@ def _cell() -> CellType:
     return CellType()
 
 
-def _set_cell(value: CellType, contents: object) -> None:
-    value.cell_contents = contents
+def _set_cell(value: CellType, contents: tuple[object]) -> None:
+    (value.cell_contents,) = contents
 
 
 def _reduce_compiled(value: Any) -> str:
@@ -179,7 +198,33 @@ def _store(quads: bytes) -> Store:
     return store
 
 
-def _reduce_view(value: MappingProxyType[Any, Any]) -> Any:
+def _reduce_array(value: np.ndarray[Any, Any]) -> Any:
+    """A part of another array stays a part of it: who writes into the one writes into the other."""
+    whole = value.base
+    if type(whole) is not np.ndarray or not whole.flags.c_contiguous:
+        return NotImplemented
+    if not value.size or value.dtype.hasobject:
+        return NotImplemented
+    # Of a dimension of one the stride says nothing, and may be any.
+    strides = tuple(
+        stride if count > 1 else value.itemsize
+        for stride, count in zip(value.strides, value.shape, strict=True)
+    )
+    start = value.__array_interface__["data"][0] - whole.__array_interface__["data"][0]
+    return _part, (whole, start, value.shape, strides, value.dtype)
+
+
+def _part(
+    whole: np.ndarray[Any, Any],
+    start: int,
+    shape: tuple[int, ...],
+    strides: tuple[int, ...],
+    dtype: np.dtype[Any],
+) -> np.ndarray[Any, Any]:
+    return np.ndarray(shape, dtype, whole, start, strides)
+
+
+def _reduce_mapping(value: MappingProxyType[Any, Any]) -> Any:
     return MappingProxyType, (dict(value),)
 
 
@@ -192,7 +237,8 @@ _REDUCERS: dict[type, Callable[[Any], Any]] = {
     CellType: _reduce_cell,
     _COMPILED: _reduce_compiled,
     Store: _reduce_store,
-    MappingProxyType: _reduce_view,
+    MappingProxyType: _reduce_mapping,
+    np.ndarray: _reduce_array,
     ModuleType: _reduce_module,
 }
 

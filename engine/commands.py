@@ -26,6 +26,7 @@ from ..streams.time import SECOND
 from .describing import DescribedStream, DescribedTransformation
 from .engine import Engine
 from .registered import TransformationView
+from .tape import Reading
 from .views import (
     DeclarationView,
     EventView,
@@ -51,9 +52,10 @@ class Command(
 
 
 class Tick(Command, frozen=True, tag="tick"):
-    """The time is ``now`` (ns)."""
+    """The time is ``now`` (ns). ``readings``: what sources said, once it is done."""
 
     now: int
+    readings: tuple[Reading, ...] = ()
 
     def apply(self, engine: Engine) -> None:
         engine.tick(self.now)

@@ -7,7 +7,7 @@ shares it, and it stops when the last user leaves. Every change is told to one l
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import OrderedDict, defaultdict
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from contextlib import contextmanager
@@ -19,6 +19,7 @@ from ..streams.fluent import Retention
 from ..streams.generator import StreamGenerator
 from ..streams.sample import FieldType, Schema
 from ..streams.strings import StringPool
+from .busy import BusyTime
 from .changes import Change, ChangeKind
 from .errors import AlreadyExists, UnknownStream
 from .late_streams import LateStreams
@@ -45,7 +46,9 @@ AnyUnit = TypeVar("AnyUnit", bound=ComputationalUnit)
 _NAMED = 20
 """So many streams are listed when an unknown one is asked for."""
 RESERVED = "dyknow_reserved"
-"""Names of streams that the system invents begin so (SPEC §5)."""
+"""Names of streams that the system invents begin so (SPEC §5); none is used twice."""
+_REMEMBERED = 10_000
+"""Of so many removed streams it is known how far their numbers went."""
 
 
 class Reader(Protocol):
@@ -75,6 +78,7 @@ class Configuration:
         self,
         on_change: Callable[[Change], None],
         first_reserved: int = 1,
+        busy_time: BusyTime | None = None,
     ) -> None:
         self.streams: dict[str, StreamGenerator] = {}
         self.units: dict[str, ComputationalUnit] = {}
@@ -92,8 +96,11 @@ class Configuration:
         self.on_opened: Callable[[str], None] = _unheard
         """Told of a stream that came into being by being asked for."""
         self._on_change = on_change
+        self._busy_time = busy_time
         self._next_reserved = first_reserved
         self._next_unit = 1
+        self._removed: OrderedDict[str, int] = OrderedDict()
+        """The last numbers of streams that were removed: one of the same name continues there."""
         self._shared: dict[Hashable, ComputationalUnit] = {}
         self._keys: dict[ComputationalUnit, Hashable] = {}
         self._specified: tuple[str | None, str] = (None, "")
@@ -179,7 +186,13 @@ class Configuration:
             if field.type is FieldType.STRING:
                 pools.setdefault(field.name, StringPool())
         generator = StreamGenerator(
-            name, schema, lateness=lateness, idle=idle, retention=retention, pools=pools
+            name,
+            schema,
+            lateness=lateness,
+            idle=idle,
+            retention=retention,
+            pools=pools,
+            first=self._removed.pop(name, 0) + 1,
         )
         self.streams[name] = generator
         self.namespaces[name] = namespace
@@ -199,6 +212,10 @@ class Configuration:
         if not generator.is_ended:
             generator.end()  # whoever follows it hears that nothing more comes
         generator.close()
+        if generator.stream.last_number and not name.startswith(RESERVED):
+            self._removed[name] = generator.stream.last_number
+            if len(self._removed) > _REMEMBERED:
+                self._removed.popitem(last=False)
         self._on_change(Change(ChangeKind.STREAM_REMOVED, name))
 
     def has(self, name: str) -> bool:
@@ -420,6 +437,7 @@ class Configuration:
     ) -> None:
         """Connect a unit to its inputs, and tell; see `ComputationalUnit.start`."""
         self.units[unit.output.name] = unit
+        unit.busy_time = self._busy_time
         self._use(unit.inputs)
         text = ", ".join(f"{key}={value}" for key, value in unit.parameters.items())
         specification = self._specified[1] or specification or f"{unit.transformation}({text})"

@@ -35,6 +35,7 @@ from . import explain as explanations
 from .adaptive import Rematch, Wish
 from .annotations import Annotations
 from .application import Application
+from .busy import BusyTime, Stopwatch
 from .changes import Change, ChangeKind, KnownTransformation
 from .configuration import C_SPARQL, Configuration
 from .declared import DeclaredStreams
@@ -64,6 +65,7 @@ from .stream_view import rate_of, stream_view
 from .subscriptions import Subscriptions
 from .supervision import DIRECT, Runner
 from .transformations import Transformations
+from .unit import ComputationalUnit
 from .users import Users
 from .views import (
     DeclarationView,
@@ -87,7 +89,7 @@ class Engine:
     this run in event ids. ``first_reserved`` is the first N of ``dyknow_reserved<N>``. ``now`` is
     the time in ns until `publish` and `tick` bring a later one. ``processes`` are the user-written
     ones that KPL may name, and ``runner`` calls them. ``ontology`` is taken instead of one in
-    ``data``.
+    ``data``. With a ``stopwatch`` the work of units is measured.
     """
 
     def __init__(
@@ -100,6 +102,7 @@ class Engine:
         processes: Processes = PROCESSES,
         runner: Runner = DIRECT,
         ontology: Ontology | None = None,
+        stopwatch: Stopwatch | None = None,
     ) -> None:
         self.epoch = epoch or secrets.token_hex(4)
         if ontology is None:
@@ -112,7 +115,8 @@ class Engine:
         status = StatusStream(lambda: self._now)
         self._changed = status.tell
         self._transformations = Transformations(self.ontology.vocabulary, processes)
-        self._configuration = Configuration(self._changed, first_reserved)
+        busy_time = None if stopwatch is None else BusyTime(stopwatch)
+        self._configuration = Configuration(self._changed, first_reserved, busy_time)
         self._manager = SemanticsManager(self.ontology, self._subscribers)
         self._intake = Intake(self._configuration)
         self._idleness = Idleness()
@@ -282,6 +286,14 @@ class Engine:
         there = self._configuration.streams.items()
         return tuple(each for name, each in there if not self._configuration.is_made(name))
 
+    def generators(self) -> tuple[StreamGenerator, ...]:
+        """What is behind all streams: for who wants less of each than a view. Cost: O(streams)."""
+        return tuple(self._configuration.streams.values())
+
+    def units(self) -> tuple[ComputationalUnit, ...]:
+        """All units that run, to read what they count. Cost: O(units)."""
+        return tuple(self._configuration.units.values())
+
     def generator(self, name: str) -> StreamGenerator:
         """The generator behind a stream, to read and subscribe; raises `UnknownStream`."""
         return self._configuration.stream(name)
@@ -322,8 +334,12 @@ class Engine:
         arrival where samples brought their own available times, and the other way round: the one
         would make all of the other late.
         """
-        self._now = max(self._now, now)
-        accepted = self._intake.publish(name, incoming, now, idempotency_key, digest)
+        before, self._now = self._now, max(self._now, now)
+        try:
+            accepted = self._intake.publish(name, incoming, now, idempotency_key, digest)
+        except Exception:
+            self._now = before
+            raise
         generator = self._configuration.stream(name)
         self._idleness.came(generator, self._now)
         self._rematching.came(generator.name, self._now)

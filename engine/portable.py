@@ -20,6 +20,7 @@ from ..ontology.ontology import Ontology
 from ..streams.generator import Counters, StreamGenerator
 from ..streams.sample import Column, Field, FieldType, SampleBatch, Schema, concatenate
 from ..streams.strings import StringPool
+from .busy import Stopwatch
 from .commands import (
     AnyCommand,
     CancelEvent,
@@ -110,7 +111,11 @@ def portable_of(engine: Engine, standing: Standing) -> Portable:
 
 
 def engine_from(
-    portable: Portable, now: int, processes: Processes, runner: Runner
+    portable: Portable,
+    now: int,
+    processes: Processes,
+    runner: Runner,
+    stopwatch: Stopwatch | None = None,
 ) -> tuple[Engine, Standing, list[str]]:
     """An engine that goes on from there in a life of its own, what stands in it, and what could not
     be had again."""
@@ -118,6 +123,7 @@ def engine_from(
         now=max(now, portable.now),
         processes=processes,
         runner=runner,
+        stopwatch=stopwatch,
         ontology=Ontology.of_quads(portable.quads),
     )
     lost = []

@@ -12,7 +12,7 @@ import secrets
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 
@@ -26,13 +26,31 @@ from ..journal.log import SEGMENT, Durability, Log
 from ..languages.errors import LanguageError
 from ..ontology.errors import OntologyError
 from ..ontology.ontology import Ontology
+from .busy import Stopwatch
 from .checkpoint import CheckpointError, engine_of, program, state_of
-from .commands import Begin, Command, OpenStream, done, read, written
+from .commands import Begin, Command, OpenStream, Tick, done, read, written
 from .engine import Engine
 from .errors import DyknowError
 from .portable import Portable, Standing, engine_from, portable_of
 from .processes import PROCESSES, Processes
 from .supervision import DIRECT, Runner
+from .tape import Tape
+
+T = TypeVar("T")
+
+_READINGS = 1 << 16
+"""Bytes that are kept free for what sources say in a tick, which is not known before."""
+
+
+class RecordedRunner:
+    """Calls as another runner does, and has a tape."""
+
+    def __init__(self, runner: Runner) -> None:
+        self.tape = Tape()
+        self._runner = runner
+
+    def run(self, work: Callable[[], T], deadline: int | None, progress: Callable[[], int]) -> T:
+        return self._runner.run(work, deadline, progress)
 
 
 @dataclass(slots=True)
@@ -65,6 +83,7 @@ class RecordedEngine:
         now: int,
         processes: Processes = PROCESSES,
         runner: Runner = DIRECT,
+        stopwatch: Stopwatch | None = None,
         durability: Durability = Durability.FSYNC,
         segment: int = SEGMENT,
         disk: Disk = DISK,
@@ -76,9 +95,11 @@ class RecordedEngine:
         """
         self.recovery = Recovery()
         self._processes = processes
-        self._runner = runner
+        self._stopwatch = stopwatch
+        self._runner = RecordedRunner(runner)
         self._standing = Standing()
         self._within = False
+        self._asked_for: list[str] = []
         self._directory = DataDirectory(path, disk)
         try:
             self._checkpoints = Checkpoints(self._directory.checkpoints, disk)
@@ -110,10 +131,20 @@ class RecordedEngine:
         """
         self._within = True
         try:
-            with self.log.entry(written(command)):
+            with self.log.entry(written(command), _READINGS) as entry:
+                self._runner.tape.record()
                 found = done(self.engine, command, incoming)
+                readings = self._runner.tape.taken()
+                if readings and isinstance(command, Tick):
+                    entry.payload = written(Tick(command.now, readings))
+        except Exception:
+            # What was refused is not done again, but what it asked for on the way is there.
+            for stream in self._asked_for:
+                self.log.append(written(OpenStream(stream)))
+            raise
         finally:
             self._within = False
+            self._asked_for.clear()
         self._standing.note(command, found)
         return found
 
@@ -123,10 +154,11 @@ class RecordedEngine:
         Raises `CheckpointError` where something cannot be written down. Cost: O(state).
         """
         position = self.log.position
-        state = state_of(self.engine, self._standing, self._processes, self._runner)
+        unkept: list[str] = []
+        state = state_of(self.engine, self._standing, self._processes, self._runner, unkept)
         portable = msgspec.msgpack.encode(portable_of(self.engine, self._standing))
         found = Checkpoint(position, program(), portable, state)
-        return Unwritten(found, self.log, self._checkpoints)
+        return Unwritten(found, self.log, self._checkpoints, tuple(unkept))
 
     def close(self, *, checkpoint: bool = True) -> None:
         """Commit what there is; with ``checkpoint`` the next start has nothing to do again."""
@@ -144,7 +176,9 @@ class RecordedEngine:
     def _opened(self, stream: str) -> None:
         """Somebody has asked for a stream that is there only now. Within a command, doing that
         again opens it again."""
-        if not self._within:
+        if self._within:
+            self._asked_for.append(stream)
+        else:
             self.log.append(written(OpenStream(stream)))
 
     def _recovered(self, now: int, progress: Callable[[int, int], None] | None) -> Engine:
@@ -153,11 +187,13 @@ class RecordedEngine:
             found = self._from_nothing(now)
         engine, done = found
         count = self.log.position - done
+        self._runner.tape.is_playing = True
         for position, data in self.log.read(done):
             self._again(engine, position, data)
             self.recovery.replayed += 1
             if progress is not None and self.recovery.replayed % 1000 == 0:
                 progress(self.recovery.replayed, count)
+        self._runner.tape.is_playing = False
         if not self.recovery.is_continued:
             begin = Begin(secrets.token_hex(4), now, program())
             self.log.append(written(begin))
@@ -191,7 +227,9 @@ class RecordedEngine:
             self._standing = standing
             return engine
         portable = msgspec.msgpack.decode(kept.portable, type=Portable)
-        engine, self._standing, lost = engine_from(portable, now, self._processes, self._runner)
+        engine, self._standing, lost = engine_from(
+            portable, now, self._processes, self._runner, self._stopwatch
+        )
         self._begin_anew(f"the directory was written by {kept.program}, this is {program()}")
         self.recovery.notes += lost
         return engine
@@ -224,6 +262,7 @@ class RecordedEngine:
             now=begin.now,
             processes=self._processes,
             runner=self._runner,
+            stopwatch=self._stopwatch,
             ontology=ontology,
         )
         return engine, 1
@@ -237,6 +276,8 @@ class RecordedEngine:
         program or an error in it."""
         try:
             command = read(data)
+            if isinstance(command, Tick):
+                self._runner.tape.play(command.readings)
             self._standing.note(command, command.apply(engine))
         except (DyknowError, LanguageError, ConversionError, WireError, OntologyError) as error:
             self._begin_anew(f"record {position} could not be done again: {error}")
@@ -249,6 +290,8 @@ class Unwritten:
     checkpoint: Checkpoint
     log: Log
     checkpoints: Checkpoints
+    unkept: tuple[str, ...]
+    """User-written processes whose state cannot be written down: what they are, and why."""
 
     def write(self) -> None:
         """Write it, and forget of the log what no checkpoint needs. Raises `JournalError`."""

@@ -147,6 +147,7 @@ class TemplateUnit(WindowUnit):
             instance.output.resume()
 
     def _emit(self, windows: Sequence[InstanceResults]) -> None:
+        self.windows += len(windows)
         for window in windows:
             answered = window.answered.tolist()
             for number in answered:

@@ -25,6 +25,7 @@ from ..ontology.units import Conversion
 from ..streams.generator import StreamGenerator
 from ..streams.sample import Column, FieldType, Mask, SampleBatch, Times
 from ..streams.time import TIME_MAX, TIME_MIN
+from .busy import BusyTime
 from .changes import Role
 from .stream_view import flow_of
 from .supervision import ErrorCounters
@@ -72,6 +73,11 @@ class ComputationalUnit(ABC):
         """The available time (ns) of the latest sample that it has processed."""
         self.late = 0
         """Samples that came after what they belong to was decided, and were left out."""
+        self.busy = 0
+        """How long it has worked (ns), if somebody measures it: without those it sets to work."""
+        self.busy_time: BusyTime | None = None
+        self.windows = 0
+        """How many windows it has evaluated."""
         self.late_streams: dict[StreamGenerator, StreamGenerator] = {}
         """Those that take the late samples of inputs, as far as somebody asked for them."""
         self._after: int | None = None
@@ -266,7 +272,10 @@ class ComputationalUnit(ABC):
         if self.failure is not None:
             return
         try:
-            work()
+            if self.busy_time is None:
+                work()
+            else:
+                self.busy_time.run(self, work)
         except Exception as error:  # noqa: BLE001  the unit is cut off and says why; others go on
             self.failure = f"{type(error).__name__}: {error}"
             self.counters.note(self.failure, None)
@@ -519,5 +528,6 @@ class QueryUnit(WindowUnit):
         super().finish(source)
 
     def _emit(self, windows: Sequence[WindowResult]) -> None:
+        self.windows += len(windows)
         for window in windows:
             self._answer.give(window)

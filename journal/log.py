@@ -10,6 +10,7 @@ import errno
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
@@ -30,6 +31,13 @@ class Durability(StrEnum):
     """The disk has it: it survives a loss of power."""
     WRITE = "write"
     """The operating system has it: it survives the end of the process."""
+
+
+@dataclass(slots=True)
+class Entry:
+    """What is about to be kept."""
+
+    payload: bytes
 
 
 class Log:
@@ -91,9 +99,10 @@ class Log:
         return sum(path_of(self._folder, first).stat().st_size for first in self._firsts)
 
     @contextmanager
-    def entry(self, payload: bytes) -> Iterator[None]:
+    def entry(self, payload: bytes, room: int = 0) -> Iterator[Entry]:
         """``payload`` (not empty) is kept with the next commit if the block ends without an error,
-        and never was if it raises.
+        and never was if it raises. The block may put another in its place that has up to ``room``
+        bytes more.
 
         Raises `JournalFull` when the disk has no room for it, and `JournalBroken`, before the block
         begins. Contract: one block at a time.
@@ -101,17 +110,25 @@ class Log:
         if self._broken is not None:
             raise JournalBroken(self._broken, _RESTART)
         position = self.position + 1
-        record = framed(position, payload)
+        entry = Entry(payload)
+        least = len(framed(position, payload)) + room
         with self._lock:
             try:
                 if not self._open or self._open[-1].end >= self._limit:
-                    self._begin(position, len(record))
+                    self._begin(position, least)
                 segment = self._open[-1]
-                segment.make_room(len(record))
+                segment.make_room(least)
             except OSError as error:
                 raise _refusal(error) from error
-        yield
+        yield entry
+        record = framed(position, entry.payload)
         with self._lock:
+            try:
+                segment.make_room(len(record))
+            except OSError as error:
+                # It is done, and cannot be taken back.
+                self._broken = f"what was done could not be written down: {error}"
+                raise JournalBroken(self._broken, _RESTART) from error
             segment.add(record)
             self.position = position
             self.written += len(record)

@@ -1,5 +1,6 @@
 """The application: routes, errors, limits and the clock's tick, put together."""
 
+import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
@@ -15,7 +16,7 @@ from ..journal.errors import JournalError
 from ..streams.time import Clock
 from . import problems
 from .access import Access, Gate, client_key
-from .body import BodyLimit
+from .body import BodyLimit, UnderWay
 from .context import Service
 from .descriptors import places
 from .event_clients import EventClients
@@ -31,6 +32,7 @@ from .routes import (
     docs,
     events,
     explain,
+    follow,
     health,
     kpl,
     live,
@@ -64,6 +66,7 @@ RESOURCES = (
     events,
     queries,
     streams,
+    follow,
     subscriptions,
     annotations,
     transformations,
@@ -111,19 +114,20 @@ def create_app(
     feeds = Feeds(engine, settings.sse_cache, clients, recorded=keeper.is_recording)
     if keeper.is_recording:
         keeper.show_to(feeds)
+    bodies = UnderWay()
     service = Service(
         engine,
         settings,
         clock,
         feeds,
         LiveBodies(),
-        Metrics(engine, feeds),
+        Metrics(engine, feeds, bodies, clock),
         anyio.CapacityLimiter(settings.sparql_workers),
         clock(),
         Gate.of(settings, tokens, Sessions(clock), Quotas(engine, settings)),
         keeper,
         troubles,
-        client_key,
+        client_key=client_key,
     )
 
     @asynccontextmanager
@@ -156,9 +160,10 @@ def create_app(
         limit=settings.body_limit,
         total=settings.bodies_limit,
         slow=SlowBodies(settings.body_timeout, settings.body_rate, service.metrics.refused),
+        under_way=bodies,
     )
     app.add_middleware(Access, gate=service.gate, refused=service.metrics.refused)
-    app.add_middleware(Observe, metrics=service.metrics)
+    app.add_middleware(Observe, metrics=service.metrics, slow=settings.slow_request)
     app.openapi = lambda: _openapi(app)  # type: ignore[method-assign]
     return app
 
@@ -169,7 +174,9 @@ async def _tick(service: Service) -> None:
     A tick that fails is logged and makes the service not ready; the next one is tried, since an
     engine that is told no time would let every stamped stream stand still.
     """
+    metrics, pause = service.metrics, service.settings.tick
     while True:
+        begun = time.monotonic()
         try:
             service.tick()
             service.troubles.pop(TICK, None)
@@ -179,9 +186,12 @@ async def _tick(service: Service) -> None:
             service.metrics.tick_failures.inc()
         except Exception as error:  # noqa: BLE001 - told by log, metric and /readyz
             service.troubles[TICK] = f"{type(error).__name__}: {error}"
-            service.metrics.tick_failures.inc()
+            metrics.tick_failures.inc()
             log().exception("tick failed")
-        await anyio.sleep(service.settings.tick)
+        service.ticked = ended = time.monotonic()
+        metrics.tick_seconds.observe(ended - begun)
+        await anyio.sleep(pause)
+        metrics.loop_lag.observe(max(0.0, time.monotonic() - ended - pause))
 
 
 def _openapi(app: FastAPI) -> dict[str, object]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Any, Self
@@ -134,17 +134,23 @@ class Connection:
         """Close the connections."""
         self._http.close()
 
-    def _follow(self, path: str, since: str | None, resume: bool) -> Iterator[Event]:
+    def _follow(
+        self, path: str, since: str | None, resume: bool, streams: Sequence[str] = ()
+    ) -> Iterator[Event]:
+        """The events of ``path``, until its end; of several ``streams`` until the last one's."""
         last: str | None = None
         # The switches since the last sample: the service tells them again when a client resumes.
         told: list[Event] = []
+        ended: set[str] = set()
         wait = RETRY_FIRST
         timeout = httpx.Timeout(self._timeout, read=SILENCE)
         while True:
             headers = {"Accept": "text/event-stream", "Cache-Control": "no-store"}
             if last is not None:
                 headers["Last-Event-ID"] = last
-            parameters = {} if since is None or last is not None else {"since": since}
+            parameters: dict[str, Any] = {"stream": list(streams)} if streams else {}
+            if since is not None and last is None:
+                parameters["since"] = since
             try:
                 with self._http.stream(
                     "GET", path, headers=headers, params=parameters, timeout=timeout
@@ -162,13 +168,16 @@ class Connection:
                         if event.kind == "sample":
                             last = event.id
                             told.clear()
+                            ended.discard(str(event.data.get("stream")))
                         elif event.kind == "rematched":
                             if event in told:
                                 continue
                             told.append(event)
                         yield event
                         if event.kind == "end":
-                            return
+                            ended.add(str(event.data.get("stream")))
+                            if len(ended) >= len(set(streams)):
+                                return
                 if not resume:
                     return
             except httpx.TransportError:

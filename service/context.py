@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -22,6 +23,9 @@ from .metrics import Metrics
 from .settings import Settings
 from .sse import Feeds
 
+LATE = 5.0
+"""Seconds without a tick after which the service is not ready: something holds its loop up."""
+
 
 @dataclass(slots=True)
 class Service:
@@ -38,14 +42,32 @@ class Service:
     gate: Gate
     keeper: Keeper
     troubles: dict[str, str]
-    """Why the service is not ready, for people, by what fails; empty while all is well."""
+    """What keeps the service from being ready, by whom: each puts its own here, and takes it away
+    when it is over (`reasons`)."""
+    ticked: float | None = None
+    """When the last tick ended, by the monotonic clock (s); None before the first."""
     client_key: ClientKey = address_of
     """Whose event streams are counted together (`Settings.sse_clients_each`)."""
 
+    def reasons(self) -> list[str]:
+        """Why the service is not ready: nothing if it is."""
+        found = [f"{who}: {what}" for who, what in self.troubles.items()]
+        if self.ticked is None:
+            found.append("starting: the engine has not been told the time yet")
+        else:
+            late = time.monotonic() - self.ticked
+            if late > max(LATE, 10 * self.settings.tick):
+                found.append(f"the engine's tick is late: the last one was {late:.1f} s ago")
+        return found
+
+    def stop(self) -> None:
+        """The service is told to stop: it is not ready any more."""
+        self.troubles["stopping"] = "the service stops"
+
     def leave(self) -> None:
-        """The service stops: let those go whose requests have no end of their own."""
-        self.feeds.close()
+        """Let those go whose requests have no end of their own."""
         self.bodies.close()
+        self.feeds.close()
 
     async def do(self, command: Command, incoming: Incoming | None = None) -> Any:
         """Do ``command`` at once; return what it gives when it is kept."""

@@ -65,6 +65,8 @@ class Keeper:
         """Bytes of the log at the last checkpoint."""
         self._begun: float | None = None
         self._tended = float("-inf")
+        self._unkept: set[str] = set()
+        """Processes of which it was told that their state is not kept."""
         self.commits = 0
         self.commit_seconds = 0.0
         self.checkpoints = 0
@@ -179,6 +181,9 @@ class Keeper:
             return
         self._written = recorded.log.written
         self.checkpoints += 1
+        for process in set(unwritten.unkept) - self._unkept:
+            self._unkept.add(process)
+            log().warning("the state of a process would not survive a restart", process=process)
         self._recover(CHECKPOINT)
 
     def close(self) -> None:

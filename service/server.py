@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from types import FrameType
 from typing import Any
 
 import uvicorn
@@ -28,15 +29,29 @@ HEADERS = [
 ]
 """Of every answer, also those that never come to the application: no page elsewhere may show or run
 what is answered here."""
+FINISH = 1.5
+"""Of these seconds so many are for requests that end by themselves; then nothing more comes that
+clients of event streams would have to hear of."""
+ABORT = 4.5
+"""After so many of them the connections are closed of those who still send or do not take."""
+_LOOK = 0.02
 
 
 class Server(uvicorn.Server):
-    """Lets those go first when it stops whose requests have no end of their own: clients of event
-    streams, senders of live samples."""
+    """Stops in bounded time, and without losing what it has acknowledged.
 
-    def __init__(self, config: uvicorn.Config, leave: Callable[[], None], bounds: Bounds) -> None:
+    Told to stop, the service is not ready any more, and goes on for ``drain`` seconds. Then nobody
+    can connect, idle connections close, and requests under way end; senders of live samples are
+    told what was taken. When all that is done, clients of event streams get what there is, and the
+    end of their answers. A second signal ends all this at once.
+    """
+
+    def __init__(
+        self, config: uvicorn.Config, service: Service, drain: float, bounds: Bounds
+    ) -> None:
         super().__init__(config)
-        self._leave = leave
+        self._service = service
+        self._drain = drain
         self._bounds = bounds
 
     async def on_tick(self, counter: int) -> bool:
@@ -45,8 +60,39 @@ class Server(uvicorn.Server):
         return await super().on_tick(counter)
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        self._leave()
-        await super().shutdown(sockets)
+        self._service.stop()
+        await self._until(lambda: False, self._drain)
+        going = asyncio.create_task(self._let_go())
+        try:
+            await super().shutdown(sockets)
+            if self.force_exit:
+                # uvicorn leaves it out then, and the application would be torn off.
+                await self.lifespan.shutdown()
+        finally:
+            going.cancel()
+
+    def handle_exit(self, sig: int, frame: FrameType | None) -> None:
+        """A signal. Not raised again at the end, as uvicorn would: who stops as told has not
+        failed."""
+        self.force_exit = self.should_exit
+        self.should_exit = True
+
+    async def _let_go(self) -> None:
+        """While the server waits for its connections to close: see to it that they can."""
+        self._service.bodies.close()
+        clients = self._service.feeds.all
+        await self._until(lambda: len(self.server_state.tasks) <= len(clients), FINISH)
+        self._service.leave()
+        await self._until(lambda: not self.server_state.connections, ABORT - FINISH)
+        for connection in list(self.server_state.connections):
+            if connection.transport is not None:
+                connection.transport.abort()
+
+    async def _until(self, done: Callable[[], bool], seconds: float) -> None:
+        """Wait at most so long."""
+        limit = time.monotonic() + seconds
+        while not (done() or self.force_exit) and time.monotonic() < limit:
+            await asyncio.sleep(_LOOK)
 
 
 def telling_transport(protocol: Any) -> Any:
@@ -78,7 +124,7 @@ def make_server(app: FastAPI) -> Server:
         ws="none",
         headers=HEADERS,
     )
-    return Server(config, service.leave, bounds)
+    return Server(config, service, service.settings.drain, bounds)
 
 
 def bind(settings: Settings) -> socket.socket:
@@ -109,12 +155,14 @@ def url_of(listener: socket.socket) -> str:
     return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
 
 
-def run(app: FastAPI, listener: socket.socket) -> None:
-    """Serve until a signal stops it; event-stream clients are let go first."""
+def run(app: FastAPI, listener: socket.socket) -> bool:
+    """Serve until a signal stops it. Whether it could end as it should: no second one came."""
+    server = make_server(app)
     try:
-        make_server(app).run(sockets=[listener])
+        server.run(sockets=[listener])
     finally:
         listener.close()
+    return not server.force_exit
 
 
 @contextmanager

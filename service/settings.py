@@ -83,6 +83,10 @@ class Settings(BaseSettings):
     """A SPARQL query without an answer after this time is answered with 503."""
     sparql_workers: int = Field(default=4, gt=0)
     """How many SPARQL queries are evaluated at once."""
+    slow_request: float = Field(default=1.0, gt=0)
+    """A request that takes longer is a warning in the log."""
+    drain: float = Field(default=0.0, ge=0)
+    """When the service is told to stop, it goes on for so long, and says that it is not ready."""
     log_level: str = Field(default="info", pattern="^(debug|info|warning|error)$")
     log_json: bool = False
     """One JSON object a log line instead of text for people."""

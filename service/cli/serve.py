@@ -11,6 +11,7 @@ from typing import Annotated, Any
 
 import typer
 
+from ... import __version__
 from ...engine.engine import Engine
 from ...engine.loading import load_processes
 from ...engine.recorded import RecordedEngine
@@ -19,8 +20,9 @@ from ...journal.log import Durability
 from ...ontology.errors import OntologyError
 from ...streams.compiled import compile_all
 from ..app import create_app
+from ..context import Service
 from ..descriptors import raise_limit
-from ..logs import configure
+from ..logs import configure, log
 from ..server import bind, run, url_of
 from ..settings import Settings
 from ..tokens import Scope, Tokens, TokensError
@@ -89,17 +91,23 @@ def serve(
         player = threading.Thread(target=play_flights, args=playing, daemon=True)
         player.start()
         err().print(f"The recorded flights play into stream {STREAM}, as if they flew now.")
+    service: Service = app.state.service
+    values = settings.model_dump(mode="json", exclude_defaults=True)
+    log().info("serving", version=__version__, url=url, epoch=service.engine.epoch, settings=values)
     try:
-        run(app, listener)
+        ended = run(app, listener)
     finally:
         stopping.set()
         watchdog.close()
+    log().info("stopped", by_force=not ended)
+    if not ended:
+        raise typer.Exit(1)
 
 
 def _engine(settings: Settings, watchdog: Watchdog) -> Engine | RecordedEngine:
     """A new engine in memory, or that of the data directory as it was."""
     if settings.data is None:
-        return Engine(now=time.time_ns(), runner=watchdog)
+        return Engine(now=time.time_ns(), runner=watchdog, stopwatch=time.perf_counter_ns)
 
     def progress(done: int, count: int) -> None:
         err().print(f"  {done:,} of {count:,} commands done again", markup=False)
@@ -109,6 +117,7 @@ def _engine(settings: Settings, watchdog: Watchdog) -> Engine | RecordedEngine:
             settings.data,
             now=time.time_ns(),
             runner=watchdog,
+            stopwatch=time.perf_counter_ns,
             durability=settings.durability,
             progress=progress,
         )
