@@ -27,8 +27,10 @@ HEAD_LIMIT = 64 * 1024
 """Bytes of a request's head, beyond what comes in one read."""
 PATIENCE = 1.0
 """Seconds in which a connection that is refused may say what it wants: then it hears why."""
-SPARE = 64
-"""So many descriptors are left for files, beside connections."""
+REFUSED = 32
+"""So many that are refused are heard at once; further ones are closed unheard."""
+SPARE = 128
+"""So many descriptors are left beside connections: for those that are refused, and for files."""
 
 
 class Bounds:
@@ -40,6 +42,8 @@ class Bounds:
     def __init__(self, settings: Settings, refused: Callable[[str], None]) -> None:
         self.refused = refused
         self.count = 0
+        self.refusing = 0
+        """Connections that are about to be told that they are too many."""
         self._most = places(settings.max_connections, SPARE)
         self._most_of_one = settings.max_connections_per_client
         self._timeout = settings.head_timeout
@@ -114,25 +118,32 @@ class Bounded(AutoHTTPProtocol):  # type: ignore[misc, valid-type]
             self._address = address
             super().connection_made(transport)
             return
-        self._bounds.refused("too many connections")
-        refusal = Refused(
-            transport,
-            Problem(
-                503,
-                "too many connections",
-                reason,
-                hint="close some, or try again after the seconds in Retry-After",
-                headers={"Retry-After": "5"},
-            ),
+        problem = Problem(
+            503,
+            "too many connections",
+            reason,
+            hint="close some, or try again after the seconds in Retry-After",
+            headers={"Retry-After": "5"},
         )
-        transport.set_protocol(refusal)
+        self._bounds.refused(problem.title)
+        if self._bounds.refusing < REFUSED:
+            transport.set_protocol(Refused(self._bounds, transport, problem))
+        else:
+            transport.abort()
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Make room for another one."""
         if self._address is not None:
             self._bounds.leave(self._address)
             self._address = None
-        super().connection_lost(exc)
+            super().connection_lost(exc)
+
+    def send_400_response(self, msg: str) -> None:
+        """uvicorn's answer to what is no HTTP, as a problem."""
+        problem = Problem(400, "bad request", "this is no HTTP that the service understands")
+        self._bounds.refused(problem.title)
+        self.transport.write(encoded(problem))
+        self.transport.close()
 
 
 class BoundedHttptools(Bounded):
@@ -146,6 +157,12 @@ class BoundedHttptools(Bounded):
     def on_headers_complete(self) -> None:
         """A head is there."""
         self._head, self._in_body = 0, True
+        if not self.url.startswith((b"/", b"*")):
+            # `GET http://host/path`: the host of the address goes before that of the header
+            # (RFC 9112, section 3.2.2), of which nothing else here would know.
+            place = self.url.partition(b"://")[2].partition(b"/")[0]
+            others = [header for header in self.headers if header[0] != b"host"]
+            self.headers[:] = [*others, (b"host", place)]
         super().on_headers_complete()
 
     def on_message_complete(self) -> None:
@@ -179,7 +196,9 @@ class Refused(asyncio.Protocol):
     Answered before anything of it is read, it would be reset and hear nothing.
     """
 
-    def __init__(self, transport: asyncio.Transport, problem: Problem) -> None:
+    def __init__(self, bounds: Bounds, transport: asyncio.Transport, problem: Problem) -> None:
+        bounds.refusing += 1
+        self._bounds = bounds
         self._transport = transport
         self._answer = encoded(problem)
         self._patience = asyncio.get_running_loop().call_later(PATIENCE, transport.close)
@@ -192,6 +211,7 @@ class Refused(asyncio.Protocol):
 
     def connection_lost(self, exc: Exception | None) -> None:
         """It is gone."""
+        self._bounds.refusing -= 1
         self._patience.cancel()
 
 

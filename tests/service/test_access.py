@@ -262,6 +262,20 @@ def test_event_streams_are_for_readers(admin: Client, url: str) -> None:
     assert caught.value.status == 403
 
 
+def test_event_streams_are_counted_by_token(engine: Engine, clock: Clock) -> None:
+    """Not by address: behind a proxy all have one."""
+    settings = Settings(port=0, tokens=SecretStr(LINES), sse_clients_each=1)
+    with (
+        running(create_app(engine, settings, clock), settings) as url,
+        httpx.Client(base_url=url, trust_env=False, timeout=20) as http,
+        http.stream("GET", "/status/events", headers=bearer(READ)) as first,
+    ):
+        assert first.status_code == 200
+        assert http.get("/status/events", headers=bearer(READ)).status_code == 429
+        with http.stream("GET", "/status/events", headers=bearer(ADMIN)) as other:
+            assert other.status_code == 200
+
+
 def test_refusals_are_counted(http: httpx.Client) -> None:
     http.get("/streams")
     http.get("/streams", headers={"Host": "evil.example"})
@@ -341,10 +355,16 @@ def test_several_hosts_or_none_are_none(open_http: httpx.Client) -> None:
     assert status_of(raw(url, b"GET /streams HTTP/1.0\r\n\r\n")) == 200
 
 
-def test_the_target_of_a_request_does_not_go_before_its_host(open_http: httpx.Client) -> None:
+def test_the_host_of_an_absolute_target_goes_before_the_header(open_http: httpx.Client) -> None:
+    """RFC 9112, section 3.2.2."""
     url = str(open_http.base_url)
-    absolute = b"GET http://localhost/streams HTTP/1.1\r\nHost: evil.example\r\n\r\n"
-    assert status_of(raw(url, absolute)) == 421
+    for target, host, status in (
+        ("http://evil.example/streams", "localhost", 421),
+        ("http://localhost/streams", "localhost", 200),
+        ("http://user@localhost/streams", "localhost", 400),
+    ):
+        request = f"GET {target} HTTP/1.1\r\nHost: {host}\r\n\r\n"
+        assert status_of(raw(url, request.encode())) == status, target
 
 
 def test_a_service_at_all_addresses_is_called_by_each(engine: Engine, clock: Clock) -> None:

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import httpx
 import pytest
 
 from dyknow.engine.engine import Engine
+from dyknow.engine.recorded import RecordedEngine
+from dyknow.service.app import create_app
 from dyknow.service.client import Client, ServiceError
 from dyknow.service.quotas import MAKES
 from dyknow.service.scopes import NEEDED
+from dyknow.service.server import running
 from dyknow.service.settings import Settings
 
 FIELDS = {"id": "string", "speed": "float"}
@@ -166,3 +171,25 @@ def test_refusals_are_counted(full: Client, http: httpx.Client) -> None:
     with pytest.raises(ServiceError):
         full.put_stream("s4", FIELDS)
     assert 'dyknow_refusals_total{reason="quota reached"} 1.0' in http.get("/metrics").text
+
+
+def test_a_service_that_is_recorded_has_quotas_too(tmp_path: Path, settings: Settings) -> None:
+    """What is refused is not written down, and what asks for room is no part of the state."""
+    recorded = RecordedEngine(tmp_path, now=1)
+    with (
+        running(create_app(recorded, settings, lambda: 1), settings) as url,
+        Client(url) as client,
+    ):
+        for name in ("s1", "s2", "s3"):
+            client.put_stream(name, FIELDS)
+        written = recorded.log.position
+        with pytest.raises(ServiceError) as caught:
+            client.subscribe("s1_late")
+        assert refused(caught.value, "max_streams")
+        client.remove_stream("s3")
+        client.subscribe("s1_late")
+    reopened = RecordedEngine(tmp_path, now=2)
+    assert reopened.recovery.position > written  # from a checkpoint
+    assert reopened.engine.has_stream("s1_late")
+    assert reopened.engine.totals().streams == settings.max_streams
+    reopened.close()

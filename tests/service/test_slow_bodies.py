@@ -15,8 +15,9 @@ import httpx
 import pytest
 
 from dyknow.engine.engine import Engine
+from dyknow.service import bounds
 from dyknow.service.app import create_app
-from dyknow.service.bounds import HEAD_LIMIT, Bounds, address_of
+from dyknow.service.bounds import HEAD_LIMIT, REFUSED, Bounds, address_of
 from dyknow.service.server import running
 from dyknow.service.settings import Settings
 from dyknow.service.slow_bodies import GRACE, SlowBodies, Wait
@@ -346,6 +347,33 @@ def wait_until(url: str, status: int) -> None:
     raise AssertionError(f"no {status} from {url}")
 
 
+def test_a_flood_of_connections_is_let_go(
+    url: str, http: httpx.Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Some are heard, the others closed at once: who is to be told so holds a descriptor."""
+    monkeypatch.setattr(bounds, "PATIENCE", 10 * LONG)
+    http.close()
+    with ExitStack() as stack:
+        held = [stack.enter_context(connected(url)) for _ in range(12)]
+        for connection in held:
+            connection.sendall(head("GET", "/status/events"))
+            assert connection.recv(16).startswith(b"HTTP/1.1 200")
+        flood = [stack.enter_context(connected(url)) for _ in range(2 * REFUSED)]
+        assert [rest(connection) for connection in flood[REFUSED:]] == [b""] * REFUSED
+        flood[0].sendall(head("GET", "/healthz"))
+        assert answer(flood[0])[0] == 503
+    wait_until(url, 200)
+
+
+def test_what_is_no_http_is_told_in_a_problem(url: str, http: httpx.Client) -> None:
+    with connected(url) as connection:
+        connection.sendall(b"\x16\x03\x01\x02\x00\x01\x00\r\n\r\n")
+        status, problem, headers = answer(connection)
+        assert (status, problem["title"]) == (400, "bad request")
+        assert headers["content-type"] == "application/problem+json"
+    assert refusals(http, "bad request") == 1
+
+
 def test_a_bound_that_is_reached_is_counted(url: str) -> None:
     with ExitStack() as stack:
         for _ in range(12):
@@ -368,20 +396,20 @@ def test_what_counts_as_one_client() -> None:
 
 def test_bounds_count_what_is_there() -> None:
     settings = Settings(max_connections=3, max_connections_per_client=2)
-    bounds = Bounds(settings, lambda _: None)
-    assert [bounds.admit(address) is None for address in ("a", "a", "a", "b", "c")] == [
+    counted = Bounds(settings, lambda _: None)
+    assert [counted.admit(address) is None for address in ("a", "a", "a", "b", "c")] == [
         True,
         True,
         False,
         True,
         False,
     ]
-    bounds.leave("a")
-    assert bounds.admit("c") is None
-    assert "the service has 3" in str(bounds.admit("d"))
+    counted.leave("a")
+    assert counted.admit("c") is None
+    assert "the service has 3" in str(counted.admit("d"))
     for address in ("a", "b", "c"):
-        bounds.leave(address)
-    assert bounds.count == 0
+        counted.leave(address)
+    assert counted.count == 0
 
 
 def test_a_stop_does_not_wait_for_silent_connections(
