@@ -21,7 +21,7 @@ from ..converters.wire import Incoming
 from ..journal.checkpoints import Checkpoint, Checkpoints
 from ..journal.directory import DataDirectory
 from ..journal.disk import DISK, Disk
-from ..journal.errors import JournalDamaged
+from ..journal.errors import JournalDamaged, JournalError
 from ..journal.log import SEGMENT, Durability, Log
 from ..languages.errors import LanguageError
 from ..ontology.errors import OntologyError
@@ -99,7 +99,10 @@ class RecordedEngine:
         self._runner = RecordedRunner(runner)
         self._standing = Standing()
         self._within = False
-        self._asked_for: list[str] = []
+        self._asked_for: list[OpenStream] = []
+        """Those that the command asked for that is done at present."""
+        self._unwritten: list[OpenStream] = []
+        """Streams that were opened while the log took nothing."""
         self._directory = DataDirectory(path, disk)
         try:
             self._checkpoints = Checkpoints(self._directory.checkpoints, disk)
@@ -107,12 +110,15 @@ class RecordedEngine:
                 self._directory.journal, durability=durability, segment=segment, disk=disk
             )
             if self.log.torn is not None:
-                self.recovery.notes.append(
-                    f"{self.log.torn}: cut off; nothing that was acknowledged is in it"
-                )
+                self.recovery.notes.append(f"cut off, an unfinished write: {self.log.torn}")
+            if self.log.lost:
+                self._begin_anew(f"the last {self.log.lost} commands that were kept are lost")
+            if self._directory.repaired is not None:
+                self._begin_anew(f"the directory was repaired: {self._directory.repaired}")
             self.engine = self._recovered(now, progress)
             self.engine.on_opened(self._opened)
             self.log.commit()
+            self._directory.forget_repair()
             if self._directory.old_store is not None:
                 self.checkpoint().write()
                 self._directory.forget_old_store()
@@ -129,6 +135,7 @@ class RecordedEngine:
         Raises `JournalFull` and `JournalBroken`, and what the command does: nothing is written
         down then, and nothing done.
         """
+        self._write_opened()
         self._within = True
         try:
             with self.log.entry(written(command), _READINGS) as entry:
@@ -139,8 +146,8 @@ class RecordedEngine:
                     entry.payload = written(Tick(command.now, readings))
         except Exception:
             # What was refused is not done again, but what it asked for on the way is there.
-            for stream in self._asked_for:
-                self.log.append(written(OpenStream(stream)))
+            self._unwritten += self._asked_for
+            self._write_what_can_be()
             raise
         finally:
             self._within = False
@@ -177,9 +184,22 @@ class RecordedEngine:
         """Somebody has asked for a stream that is there only now. Within a command, doing that
         again opens it again."""
         if self._within:
-            self._asked_for.append(stream)
+            self._asked_for.append(OpenStream(stream))
         else:
-            self.log.append(written(OpenStream(stream)))
+            self._unwritten.append(OpenStream(stream))
+            self._write_what_can_be()
+
+    def _write_what_can_be(self) -> None:
+        try:
+            self._write_opened()
+        except JournalError:
+            # Who reads need not hear of it: it is written down before the next command is done.
+            return
+
+    def _write_opened(self) -> None:
+        while self._unwritten:
+            self.log.append(written(self._unwritten[0]))
+            del self._unwritten[0]
 
     def _recovered(self, now: int, progress: Callable[[int, int], None] | None) -> Engine:
         found = self._from_checkpoint(now)
@@ -296,7 +316,7 @@ class Unwritten:
     def write(self) -> None:
         """Write it, and forget of the log what no checkpoint needs. Raises `JournalError`."""
         # Never ahead of the log: its numbers would be given twice.
-        if self.log.durable < self.checkpoint.position:
-            self.log.commit()
+        if self.log.synced < self.checkpoint.position:
+            self.log.sync()
         self.checkpoints.write(self.checkpoint)
         self.log.drop(min(self.checkpoints.positions()))

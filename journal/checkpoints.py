@@ -6,6 +6,7 @@ on the disk. The newest two are kept: where one is damaged, the other and more o
 
 from __future__ import annotations
 
+import errno
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,17 +15,19 @@ from typing import Final
 import msgspec
 
 from .disk import DISK, Disk
-from .errors import JournalDamaged, JournalFull, UnknownFormat
+from .errors import JournalBroken, JournalDamaged, JournalFull, UnknownFormat
 
 FORMAT: Final = 1
 KEPT: Final = 2
-_NAME: Final = ".checkpoint"
+NAME: Final = ".checkpoint"
+_FULL: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 class Head(msgspec.Struct, frozen=True):
     """What a checkpoint says of itself. ``position``: it is the state after this entry of the log.
 
     ``program`` is for which ``state`` is; ``portable`` bytes at its beginning are for any.
+    ``crc32`` is of the other members in this order, as UTF-8 with blanks between, then the bytes.
     """
 
     format: int
@@ -52,68 +55,98 @@ class Checkpoints:
     def __init__(self, folder: Path, disk: Disk = DISK) -> None:
         self._folder = folder
         self._disk = disk
-        folder.mkdir(parents=True, exist_ok=True)
+        disk.make_folder(folder)
         for left in folder.glob("*.part"):
-            left.unlink()
+            disk.remove(left)
 
     def positions(self) -> list[int]:
         """Of which positions there are checkpoints, newest first."""
-        found = (int(path.stem) for path in self._folder.glob(f"*{_NAME}"))
-        return sorted(found, reverse=True)
+        return positions_in(self._folder)
 
     def write(self, checkpoint: Checkpoint) -> None:
-        """Keep ``checkpoint``, and of the others the newest. Raises `JournalFull`; nothing is lost
-        then."""
-        body = checkpoint.portable + checkpoint.state
-        head = Head(
-            FORMAT,
-            checkpoint.position,
-            checkpoint.program,
-            len(body),
-            len(checkpoint.portable),
-            zlib.crc32(body),
-        )
+        """Keep ``checkpoint``, and of the others the newest. Raises `JournalFull` and
+        `JournalBroken`; nothing is lost then."""
         path = self._path(checkpoint.position)
         part = path.with_suffix(".part")
-        part.unlink(missing_ok=True)
-        file = self._disk.open(part, new=True)
+        if part.exists():
+            self._disk.remove(part)
         try:
-            line = msgspec.json.encode(head) + b"\n"
-            self._disk.allocate(file, 0, len(line) + len(body))
-            self._disk.write(file, line, 0)
-            self._disk.write(file, body, len(line))
-            self._disk.sync(file)
+            self._write_part(part, checkpoint)
+            self._disk.rename(part, path)
+            self._disk.sync_folder(self._folder)
         except OSError as error:
-            part.unlink(missing_ok=True)
-            raise JournalFull(
-                f"a checkpoint of {len(body)} bytes cannot be written: {error}",
-                "make room on the disk of the data directory",
-            ) from error
-        finally:
-            self._disk.close(file)
-        self._disk.rename(part, path)
-        self._disk.sync_folder(self._folder)
+            if part.exists():
+                self._disk.remove(part)
+            what = f"a checkpoint cannot be written: {error}"
+            if error.errno in _FULL:
+                raise JournalFull(what, "make room on the disk of the data directory") from error
+            raise JournalBroken(what, "see the logs of the disk") from error
         for old in self.positions()[KEPT:]:
             self._disk.remove(self._path(old))
 
     def read(self, position: int) -> Checkpoint:
         """The one of this position. Raises `JournalDamaged` and `UnknownFormat`."""
-        path = self._path(position)
-        data = path.read_bytes()
-        line, _, body = data.partition(b"\n")
+        return read_checkpoint(self._path(position))
+
+    def _write_part(self, part: Path, checkpoint: Checkpoint) -> None:
+        data = encoded(checkpoint)
+        file = self._disk.open(part, new=True)
         try:
-            head = msgspec.json.decode(line, type=Head)
-        except msgspec.DecodeError as error:
-            raise JournalDamaged(f"the head of {path.name} is damaged: {error}") from error
-        if head.format != FORMAT:
-            raise UnknownFormat(
-                f"{path.name} has format {head.format}, this program reads {FORMAT}"
-            )
-        if len(body) != head.bytes or zlib.crc32(body) != head.crc32:
-            raise JournalDamaged(f"{path.name} is damaged: its checksum is another")
-        if head.position != position:
-            raise JournalDamaged(f"{path.name} is of position {head.position}")
-        return Checkpoint(position, head.program, body[: head.portable], body[head.portable :])
+            self._disk.allocate(file, 0, len(data))
+            self._disk.write(file, data, 0)
+            self._disk.sync(file)
+        finally:
+            self._disk.close(file)
 
     def _path(self, position: int) -> Path:
-        return self._folder / f"{position:020d}{_NAME}"
+        return checkpoint_path(self._folder, position)
+
+
+def checkpoint_path(folder: Path, position: int) -> Path:
+    """The file of the checkpoint of this position."""
+    return folder / f"{position:020d}{NAME}"
+
+
+def positions_in(folder: Path) -> list[int]:
+    """Of which positions there are checkpoints in ``folder``, newest first."""
+    found = (int(path.stem) for path in folder.glob(f"*{NAME}") if path.stem.isdigit())
+    return sorted(found, reverse=True)
+
+
+def encoded(checkpoint: Checkpoint) -> bytes:
+    """``checkpoint`` as a file."""
+    body = checkpoint.portable + checkpoint.state
+    head = Head(
+        FORMAT,
+        checkpoint.position,
+        checkpoint.program,
+        len(body),
+        len(checkpoint.portable),
+        0,
+    )
+    head = msgspec.structs.replace(head, crc32=_checksum(head, body))
+    return msgspec.json.encode(head) + b"\n" + body
+
+
+def read_checkpoint(path: Path) -> Checkpoint:
+    """The checkpoint in a file. Raises `JournalDamaged`, `UnknownFormat` and ``OSError``."""
+    line, _, body = path.read_bytes().partition(b"\n")
+    try:
+        head = msgspec.json.decode(line, type=Head)
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise JournalDamaged(f"the head of {path.name} is damaged: {error}") from error
+    if len(body) != head.bytes or _checksum(head, body) != head.crc32:
+        raise JournalDamaged(f"{path.name} is damaged: its checksum is another")
+    if head.format != FORMAT:
+        raise UnknownFormat(
+            f"{path.name} has format {head.format}, this program reads {FORMAT}",
+            "use the version of DyKnow that wrote it, or a later one",
+        )
+    if int(path.stem) != head.position:
+        raise JournalDamaged(f"{path.name} is of position {head.position}")
+    return Checkpoint(head.position, head.program, body[: head.portable], body[head.portable :])
+
+
+def _checksum(head: Head, body: bytes) -> int:
+    told = f"{head.format} {head.position} {head.program} {head.bytes} {head.portable}"
+    return zlib.crc32(body, zlib.crc32(told.encode()))

@@ -4,6 +4,8 @@
     DIR/lock               held by the process that runs
     DIR/journal/           the log: 00000000000000000001.log …
     DIR/checkpoints/       states at positions of the log
+    DIR/restoring          a restore has begun and not ended
+    DIR/repaired           what dyknow repair has cut off, until the next start
     DIR/ontology/          format 1: an Oxigraph store, read once; kept as ontology.format1
 
 docs/data-directory.md says what each version of DyKnow does with each format.
@@ -23,6 +25,8 @@ from .disk import DISK, Disk
 from .errors import DirectoryInUse, JournalDamaged, UnknownFormat
 
 FORMAT: Final = 2
+REPAIRED: Final = "repaired"
+RESTORING: Final = "restoring"
 
 
 class _Format(msgspec.Struct):
@@ -35,10 +39,11 @@ class DataDirectory:
 
     def __init__(self, path: Path, disk: Disk = DISK) -> None:
         self.path = path
-        path.mkdir(parents=True, exist_ok=True)
-        self._lock = _locked(path)
+        self._disk = disk
+        disk.make_folder(path)
+        self._lock = locked(path)
         try:
-            self.old_store = self._adopt(disk)
+            self.old_store = self._adopt()
         except BaseException:
             os.close(self._lock)
             raise
@@ -51,10 +56,24 @@ class DataDirectory:
     def checkpoints(self) -> Path:
         return self.path / "checkpoints"
 
+    @property
+    def repaired(self) -> str | None:
+        """What a repair has cut off, and no start has heard of yet: numbers that were given then
+        must not be given again."""
+        path = self.path / REPAIRED
+        return path.read_text(errors="replace").strip() if path.exists() else None
+
+    def forget_repair(self) -> None:
+        """The log says now that numbers begin anew."""
+        if self.repaired is not None:
+            self._disk.remove(self.path / REPAIRED)
+            self._disk.sync_folder(self.path)
+
     def forget_old_store(self) -> None:
         """What it says is in a checkpoint now. It stays for who goes back to an earlier version."""
         if self.old_store is not None:
-            self.old_store.rename(self.path / "ontology.format1")
+            self._disk.rename(self.old_store, self.path / "ontology.format1")
+            self._disk.sync_folder(self.path)
             self.old_store = None
 
     def close(self) -> None:
@@ -72,38 +91,62 @@ class DataDirectory:
     ) -> None:
         self.close()
 
-    def _adopt(self, disk: Disk) -> Path | None:
+    def _adopt(self) -> Path | None:
         """Check the format, or say it in a new directory; gives the store of format 1, if that is
         all there is."""
-        path = self.path / "format.json"
-        if path.exists():
-            try:
-                known = msgspec.json.decode(path.read_bytes(), type=_Format)
-            except msgspec.DecodeError as error:
-                raise JournalDamaged(
-                    f"{path} is damaged: {error}", f'it should say {{"format": {FORMAT}}}'
-                ) from error
-            if known.format != FORMAT:
-                raise UnknownFormat(
-                    f"{self.path} has format {known.format}, this program writes {FORMAT}",
-                    "use the version of DyKnow that wrote it, or a later one",
-                )
-        else:
-            part = path.with_suffix(".part")
-            part.unlink(missing_ok=True)
-            file = disk.open(part, new=True)
-            try:
-                disk.write(file, msgspec.json.encode(_Format(FORMAT)) + b"\n", 0)
-                disk.sync(file)
-            finally:
-                disk.close(file)
-            disk.rename(part, path)
-            disk.sync_folder(self.path)
+        if (self.path / RESTORING).exists():
+            raise JournalDamaged(
+                f"a restore into {self.path} was not finished", "empty it and restore again"
+            )
+        if format_of(self.path) is None:
+            write_whole(self._disk, self.path / "format.json", format_bytes())
         old = self.path / "ontology"
         return old if old.is_dir() else None
 
 
-def _locked(path: Path) -> int:
+def format_bytes() -> bytes:
+    """What format.json says."""
+    return msgspec.json.encode(_Format(FORMAT)) + b"\n"
+
+
+def write_whole(disk: Disk, path: Path, data: bytes) -> None:
+    """A file that is there with all of ``data``, on the disk, or not at all."""
+    part = path.with_name(f"{path.name}.part")
+    if part.exists():
+        disk.remove(part)
+    file = disk.open(part, new=True)
+    try:
+        disk.write(file, data, 0)
+        disk.sync(file)
+    finally:
+        disk.close(file)
+    disk.rename(part, path)
+    disk.sync_folder(path.parent)
+
+
+def format_of(path: Path) -> int | None:
+    """The format of the data directory ``path``, if it says one: it is `FORMAT`. Raises
+    `UnknownFormat` and `JournalDamaged`."""
+    named = path / "format.json"
+    if not named.exists():
+        return None
+    try:
+        known = msgspec.json.decode(named.read_bytes(), type=_Format)
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise JournalDamaged(
+            f"{named} is damaged: {error}", f'it should say {{"format": {FORMAT}}}'
+        ) from error
+    if known.format != FORMAT:
+        raise UnknownFormat(
+            f"{path} has format {known.format}, this program reads {FORMAT}",
+            "use the version of DyKnow that wrote it, or a later one",
+        )
+    return known.format
+
+
+def locked(path: Path) -> int:
+    """The lock of a data directory, as an open file: close it to let another process have it.
+    Raises `DirectoryInUse` and ``OSError``."""
     file = os.open(path / "lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -114,6 +157,25 @@ def _locked(path: Path) -> int:
             f"{path} is in use by process {holder or 'unknown'}",
             "stop it first, or name another directory",
         ) from error
-    os.ftruncate(file, 0)
-    os.pwrite(file, f"{os.getpid()}\n".encode(), 0)
+    try:
+        # Written over, never made shorter: on a full disk there might be no room for it again.
+        os.pwrite(file, f"{os.getpid():<20}\n".encode(), 0)
+    except OSError:
+        os.close(file)
+        raise
     return file
+
+
+def holder_of(path: Path) -> str | None:
+    """The process that has the data directory ``path`` open, as it is told; None: none has."""
+    named = path / "lock"
+    if not named.exists():
+        return None
+    file = os.open(named, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except OSError:
+        return os.pread(file, 32, 0).decode(errors="replace").strip() or "unknown"
+    finally:
+        os.close(file)
+    return None

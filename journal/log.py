@@ -16,7 +16,9 @@ from pathlib import Path
 
 from .disk import DISK, Disk
 from .errors import JournalBroken, JournalDamaged, JournalFull
-from .segment import Damage, Scan, Segment, framed, path_of, scan
+from .examination import HINT, Examination, examine
+from .high_water import HighWater, Mark
+from .segment import Segment, path_of, size_of, walk
 
 SEGMENT = 64 << 20
 """A file takes so many bytes, and the record that passes them."""
@@ -41,7 +43,8 @@ class Entry:
 
 
 class Log:
-    """One log in a folder. `commit` may be called in another thread, one call at a time.
+    """One log in a folder. `commit`, `sync` and `drop` may be called in another thread, one call at
+    a time.
 
     Law (tests/laws): a log that is opened again holds a prefix of what was appended, and in it all
     that was committed, whatever of the rest the disk has kept; or it says where it is damaged.
@@ -57,36 +60,58 @@ class Log:
         segment: int = SEGMENT,
         disk: Disk = DISK,
     ) -> None:
-        """Raises `JournalDamaged` where something is damaged that others follow, ``OSError``."""
-        self.torn: Damage | None = None
-        """What was cut off: a write that the last run did not finish."""
+        """Raises `JournalDamaged` where something is damaged that was kept, ``OSError``."""
         self._folder = folder
         self._durability = durability
         self._limit = segment
         self._disk = disk
         self._lock = threading.Lock()
         self._broken: str | None = None
+        self._stuck = False
+        """What was taken could not be written: nothing more is taken before it is."""
         self._new_names = False
         self.written = 0
         """Bytes of records that this one has taken."""
-        folder.mkdir(parents=True, exist_ok=True)
-        found = scan_folder(folder)
-        for each in found:
-            if each.damage is not None and (each is not found[-1] or not each.damage.torn):
-                raise JournalDamaged(
-                    str(each.damage),
-                    "dyknow check shows it; dyknow repair cuts the log there and keeps the rest",
-                )
-        self._firsts = [each.first for each in found]
-        self.position = found[-1].last if found else 0
+        disk.make_folder(folder)
+        found = examine(folder)
+        if found.damage is not None:
+            raise JournalDamaged(found.damage, HINT)
+        self.torn = found.torn
+        """What was cut off: a write that the last run did not finish."""
+        self.lost = found.lost
+        """So many records were acknowledged, by durability ``write``, and are not there."""
+        self.position = found.position
         """That of the last payload appended."""
         self.durable = self.position
         """Up to here everything is committed."""
+        self.synced = self.position
+        """Up to here everything is on the disk."""
+        self._firsts = [each.first for each in found.scans[: found.whole]]
         self._open: list[Segment] = []
-        if found:
-            self.torn = found[-1].damage
-            path = path_of(folder, found[-1].first)
-            self._open.append(Segment.go_on(disk, found[-1], path))
+        self._go_on(found)
+
+    def _go_on(self, found: Examination) -> None:
+        """Let all that is good be on the disk, and nothing else."""
+        for each in found.scans[found.whole :]:
+            if each.is_empty:
+                self._disk.remove(each.path)
+            else:
+                self._disk.rename(each.path, each.path.with_name(f"{each.path.name}.torn"))
+        for each in found.scans[: found.whole]:
+            # A process that was killed may have left what it wrote to the operating system.
+            segment = Segment.go_on(self._disk, each)
+            if each is found.scans[found.whole - 1]:
+                self._open.append(segment)
+            else:
+                segment.close()
+        try:
+            self._mark = HighWater(self._folder, self._disk)
+            self._mark.keep(self._now())
+            self._disk.sync_folder(self._folder)
+        except OSError:
+            for segment in self._open:
+                segment.close()
+            raise
 
     @property
     def first(self) -> int:
@@ -96,7 +121,8 @@ class Log:
     @property
     def size(self) -> int:
         """Bytes of the files on the disk."""
-        return sum(path_of(self._folder, first).stat().st_size for first in self._firsts)
+        with self._lock:
+            return sum(path_of(self._folder, first).stat().st_size for first in self._firsts)
 
     @contextmanager
     def entry(self, payload: bytes, room: int = 0) -> Iterator[Entry]:
@@ -107,31 +133,35 @@ class Log:
         Raises `JournalFull` when the disk has no room for it, and `JournalBroken`, before the block
         begins. Contract: one block at a time.
         """
+        if not payload:
+            raise ValueError("a record is not empty")
         if self._broken is not None:
             raise JournalBroken(self._broken, _RESTART)
-        position = self.position + 1
-        entry = Entry(payload)
-        least = len(framed(position, payload)) + room
+        if self._stuck:
+            # Else what waits in memory would grow for as long as the disk is full.
+            raise _full()
+        position, entry = self.position + 1, Entry(payload)
+        least = size_of(payload) + room
         with self._lock:
             try:
-                if not self._open or self._open[-1].end >= self._limit:
+                if not self._open or self._is_full(self._open[-1]):
                     self._begin(position, least)
                 segment = self._open[-1]
                 segment.make_room(least)
             except OSError as error:
                 raise _refusal(error) from error
         yield entry
-        record = framed(position, entry.payload)
+        size = size_of(entry.payload)
         with self._lock:
             try:
-                segment.make_room(len(record))
+                segment.make_room(size)
             except OSError as error:
                 # It is done, and cannot be taken back.
                 self._broken = f"what was done could not be written down: {error}"
                 raise JournalBroken(self._broken, _RESTART) from error
-            segment.add(record)
+            segment.add(position, entry.payload)
             self.position = position
-            self.written += len(record)
+            self.written += size
 
     def append(self, payload: bytes) -> int:
         """Keep ``payload`` with the next commit; returns its position. Raises as `entry` does."""
@@ -142,9 +172,16 @@ class Log:
     def commit(self) -> int:
         """Return when all that is appended by now is kept; gives its position.
 
-        Raises `JournalFull`: then it is kept in memory, and the next commit tries again. Raises
-        `JournalBroken`: nobody knows what is kept.
+        Raises `JournalFull`: then it is kept in memory, nothing more is taken, and the next commit
+        tries again. Raises `JournalBroken`: nobody knows what is kept.
         """
+        return self._commit(self._durability is Durability.FSYNC)
+
+    def sync(self) -> int:
+        """As `commit`, and it is on the disk, whatever the durability."""
+        return self._commit(True)
+
+    def _commit(self, must_sync: bool) -> int:
         if self._broken is not None:
             raise JournalBroken(self._broken, _RESTART)
         with self._lock:
@@ -152,11 +189,11 @@ class Log:
             parts = [(segment, segment.waiting()) for segment in self._open]
         try:
             for segment, records in parts:
-                segment.write(records)
+                segment.write(records, self.synced)
         except OSError as error:
-            raise _refusal(error) from error
+            raise self._failed(error) from error
         try:
-            if self._durability is Durability.FSYNC:
+            if must_sync:
                 for segment, _ in parts:
                     segment.sync()
                 if new_names:
@@ -166,72 +203,95 @@ class Log:
             self._broken = f"the disk did not keep the log: {error}"
             raise JournalBroken(self._broken, _RESTART) from error
         with self._lock:
-            self._new_names = self._new_names and not new_names
             self.durable = until
-            for segment, _ in parts[:-1]:
-                segment.close()
-                self._open.remove(segment)
+            if must_sync:
+                self.synced = until
+                self._new_names = self._new_names and not new_names
+                for segment, _ in parts[:-1]:
+                    segment.close()
+                    self._open.remove(segment)
+        try:
+            self._mark.write(self._now())
+        except OSError as error:
+            raise self._failed(error) from error
+        self._stuck = False
         return until
 
     def read(self, after: int = 0) -> Iterator[tuple[int, bytes]]:
-        """Position and payload of what is committed, from ``after`` + 1 on. Raises
-        `JournalDamaged` when it is not as it was written."""
-        for i, first in enumerate(self._firsts):
-            if i + 1 < len(self._firsts) and self._firsts[i + 1] <= after + 1:
+        """Position and payload of what is committed by now, from ``after`` + 1 on. Raises
+        `JournalDamaged` when it is not as it was written, and ``OSError``."""
+        with self._lock:
+            firsts, until = tuple(self._firsts), self.durable
+        position = max(after, firsts[0] - 1) if firsts else until
+        for i, first in enumerate(firsts):
+            if i + 1 < len(firsts) and firsts[i + 1] <= position + 1:
                 continue
-            path = path_of(self._folder, first)
-            data = path.read_bytes()
-            found = scan(path, data)
-            for position, begin, length in found.records:
-                if after < position <= self.durable:
-                    yield position, data[begin : begin + length]
+            data = path_of(self._folder, first).read_bytes()
+            for found in walk(data, first):
+                if found.position == position + 1 and position < until:
+                    position = found.position
+                    yield position, data[found.begin : found.begin + found.length]
+        if position < until:
+            raise JournalDamaged(f"record {position + 1} is not as it was written", HINT)
 
     def drop(self, until: int) -> None:
-        """Forget files of which nothing after position ``until`` is needed. The last one stays."""
+        """Forget files of which nothing after position ``until`` is needed. The last one that is on
+        the disk stays. Raises ``OSError``."""
         with self._lock:
-            while len(self._firsts) > 1 and self._firsts[1] <= until + 1:
-                self._disk.remove(path_of(self._folder, self._firsts.pop(0)))
+            # One that follows and is not on the disk may not be there tomorrow.
+            most = min(until + 1, self.synced)
+            count = sum(first <= most for first in self._firsts[1:])
+            gone = self._firsts[:count]
+            del self._firsts[:count]
+        if gone:
+            self._mark.keep(self._now())
+        for first in gone:
+            self._disk.remove(path_of(self._folder, first))
+            # One by one: of several the disk might keep any.
+            self._disk.sync_folder(self._folder)
 
     def close(self) -> None:
         """Commit what there is, and let the files go."""
         try:
             if self._broken is None:
-                self.commit()
+                self.sync()
+                self._mark.keep(self._now())
         finally:
             for segment in self._open:
                 segment.close()
             self._open.clear()
+            self._mark.close()
+
+    def _is_full(self, segment: Segment) -> bool:
+        """One without a record has the name that the next one would have."""
+        return segment.end >= self._limit and segment.first <= self.position
 
     def _begin(self, first: int, room: int) -> None:
         self._open.append(Segment.begin(self._disk, self._folder, first, room))
         self._firsts.append(first)
         self._new_names = True
 
+    def _now(self) -> Mark:
+        return Mark(self.first, self.synced, self.durable)
 
-def scan_folder(folder: Path) -> list[Scan]:
-    """What every file of a log holds, in order. Raises `JournalDamaged` for a header or a file that
-    is missing. Cost: reads all of it."""
-    found: list[Scan] = []
-    for path in sorted(folder.glob("*.log")):
-        data = path.read_bytes()
-        if not data.strip(b"\0") and path == max(folder.glob("*.log")):
-            # The machine stopped before the header was written: no record was.
-            path.unlink()
-            break
-        each = scan(path, data)
-        if found and each.first != found[-1].last + 1:
-            raise JournalDamaged(
-                f"{path.name} does not follow record {found[-1].last}: a file is missing or cut",
-                "restore the folder from a backup (dyknow restore), or see dyknow repair",
-            )
-        found.append(each)
-    return found
+    def _failed(self, error: OSError) -> JournalFull | JournalBroken:
+        """What a write that failed means from now on."""
+        found = _refusal(error)
+        if isinstance(found, JournalBroken):
+            self._broken = found.message
+        else:
+            self._stuck = True
+        return found
 
 
 def _refusal(error: OSError) -> JournalFull | JournalBroken:
     if error.errno in _FULL:
-        return JournalFull(
-            "there is no room left on the disk of the data directory",
-            "make room; the service goes on by itself",
-        )
+        return _full()
     return JournalBroken(f"the disk of the data directory fails: {error}", "see its logs")
+
+
+def _full() -> JournalFull:
+    return JournalFull(
+        "there is no room left on the disk of the data directory",
+        "make room; the service goes on by itself",
+    )

@@ -1,32 +1,50 @@
 """One file of the log: a header, then records with checksums, then zeros.
 
-    header: "DYKNOWLG", format u32, crc32 u32 of the rest of the header, first position u64
-    record: length u32, crc32 u32 of position and payload, position u64, payload
+    header: "DYKNOWLG", format u32, crc32 u32 of format and first position, first position u64
+    record: length u32, crc32 u32, position u64, synced u64, payload
 
-Integers are little-endian. A length of zero ends the file: room is made before it is written to.
+Integers are little-endian. The checksum of a record is of the payload, then length, position and
+``synced``: up to which position the log was on the disk before this record was written. So records
+behind a damaged one tell whether that had been kept, or was part of an unfinished write. A length
+of zero ends the file: room is made before it is written to.
 """
 
 from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
+
+import numpy as np
 
 from .disk import Disk
-from .errors import JournalDamaged, UnknownFormat
+from .errors import UnknownFormat
 
 FORMAT: Final = 1
 _MAGIC: Final = b"DYKNOWLG"
 _HEADER: Final = struct.Struct("<8sIIQ")
-_RECORD: Final = struct.Struct("<IIQ")
-_POSITION: Final = struct.Struct("<Q")
-_AHEAD: Final = 4096
-"""Of so many positions after the last good one a record is looked for behind damage."""
+_RECORD: Final = struct.Struct("<IIQQ")
+HEAD: Final = _RECORD.size
+"""Bytes of a record before its payload."""
+_CHECKED: Final = struct.Struct("<IQQ")
+_POSITION: Final = 8
+"""Where the position stands in a record."""
+_LOOK: Final = 1 << 20
+"""So many places at once are looked at for a record behind damage."""
 _ROOM: Final = 4 << 20
-"""Room on the disk is made by so many bytes."""
+"""Room on the disk is made by so many bytes, if there are so many."""
+
+
+class Found(NamedTuple):
+    """A record in the bytes of a file: its payload begins at ``begin``."""
+
+    position: int
+    begin: int
+    length: int
+    synced: int
 
 
 def path_of(folder: Path, first: int) -> Path:
@@ -34,82 +52,140 @@ def path_of(folder: Path, first: int) -> Path:
     return folder / f"{first:020d}.log"
 
 
-def framed(position: int, payload: bytes) -> bytes:
+def header_of(first: int) -> bytes:
+    """What a file begins with."""
+    return _HEADER.pack(_MAGIC, FORMAT, _header_checksum(FORMAT, first), first)
+
+
+def framed(position: int, payload: bytes, synced: int) -> bytes:
     """``payload`` as a record."""
-    checksum = zlib.crc32(payload, zlib.crc32(_POSITION.pack(position)))
-    return _RECORD.pack(len(payload), checksum, position) + payload
+    return _framed(position, payload, zlib.crc32(payload), synced)
+
+
+def size_of(payload: bytes) -> int:
+    """How many bytes its record has."""
+    return _RECORD.size + len(payload)
+
+
+def _framed(position: int, payload: bytes, checksum: int, synced: int) -> bytes:
+    checksum = zlib.crc32(_CHECKED.pack(len(payload), position, synced), checksum)
+    return _RECORD.pack(len(payload), checksum, position, synced) + payload
 
 
 @dataclass(frozen=True, slots=True)
 class Damage:
-    """What of a file is no record: ``count`` bytes from ``start`` on.
+    """What of a file is no record: ``count`` bytes from ``start`` on, after record ``after``.
 
-    ``torn``: nothing that was written later follows it, as where the machine stopped amid a write.
+    ``behind``: good records that follow it in the file.
     """
 
     path: Path
     start: int
     count: int
-    torn: bool
     after: int
-    """The last position before it."""
+    behind: tuple[Found, ...]
 
     def __str__(self) -> str:
-        kind = "an unfinished write" if self.torn else "damage"
+        more = f", {len(self.behind)} good records behind it" if self.behind else ""
         return (
-            f"{kind} in {self.path.name}: {self.count} bytes from byte {self.start} on, "
-            f"after record {self.after}"
+            f"{self.path.name}: {self.count} bytes from byte {self.start} on, after record "
+            f"{self.after}{more}"
         )
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class Scan:
-    """What a file holds. ``records``: position, start of the payload, its length."""
+    """What a file holds: ``count`` good records from position ``first`` on, up to byte ``end``; 0,
+    if the header is not good either. ``synced`` is the greatest that any of its records tells."""
 
+    path: Path
     first: int
-    records: list[tuple[int, int, int]]
+    count: int
     end: int
+    size: int
+    synced: int
     damage: Damage | None
 
     @property
     def last(self) -> int:
-        return self.first + len(self.records) - 1
+        """The position of the last good record before damage; ``first`` - 1 if there is none."""
+        return self.first + self.count - 1
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether nothing but zeros is in it."""
+        return not self.end and self.damage is not None and not self.damage.count
 
 
-def scan(path: Path, data: bytes) -> Scan:
-    """Read a file as far as it is good. Raises `JournalDamaged` for a header that is not, and
-    `UnknownFormat`. Cost: O(bytes)."""
-    first = _first_of(path, data)
-    records: list[tuple[int, int, int]] = []
+def scan(path: Path) -> Scan:
+    """Read a file as far as it is good. Raises `UnknownFormat` and ``OSError``. Cost: O(bytes)."""
+    data = path.read_bytes()
+    first = int(path.stem)
+    count, end, synced = 0, 0, 0
+    if _has_header(path, data, first):
+        end = _HEADER.size
+        for record in walk(data, first):
+            count += 1
+            end = record.begin + record.length
+            synced = record.synced
+    damage = _damage(path, data, end, first + count)
+    if damage is not None:
+        synced = max([synced, *(each.synced for each in damage.behind)])
+    return Scan(path, first, count, end, len(data), synced, damage)
+
+
+def walk(data: bytes, first: int) -> Iterator[Found]:
+    """The good records of a file, from its first one on, up to what is none."""
     place, position = _HEADER.size, first
-    while place + _RECORD.size <= len(data):
-        length, checksum, found = _RECORD.unpack_from(data, place)
-        begin = place + _RECORD.size
-        if not length or found != position or begin + length > len(data):
-            break
-        payload = memoryview(data)[begin : begin + length]
-        if zlib.crc32(payload, zlib.crc32(_POSITION.pack(position))) != checksum:
-            break
-        records.append((position, begin, length))
-        place, position = begin + length, position + 1
-    return Scan(first, records, place, _damage(path, data, place, position))
+    while (found := _at(data, place)) is not None and found.position == position:
+        yield found
+        place, position = found.begin + found.length, position + 1
 
 
-def _first_of(path: Path, data: bytes) -> int:
+def found_in(data: bytes, start: int, position: int) -> Iterator[Found]:
+    """Good records anywhere from byte ``start`` on, of ``position`` or later ones, in order of
+    place. Cost: O(bytes)."""
+    least = max(1, position)
+    most = position + (len(data) - start) // _RECORD.size
+    passed = start
+    for begin in range(start + _POSITION, len(data) - 7, _LOOK):
+        count = min(_LOOK, len(data) - 7 - begin)
+        # Eight bytes from every place on, as they overlap.
+        numbers = np.ndarray((count,), "<u8", data, begin, (1,))
+        for at in np.flatnonzero((numbers >= least) & (numbers <= most)).tolist():
+            place = begin + at - _POSITION
+            found = _at(data, place) if place >= passed else None
+            if found is not None:
+                yield found
+                passed = found.begin + found.length
+
+
+def _at(data: bytes, place: int) -> Found | None:
+    """The good record that begins at byte ``place``."""
+    begin = place + _RECORD.size
+    if begin > len(data):
+        return None
+    length, checksum, position, synced = _RECORD.unpack_from(data, place)
+    if not length or begin + length > len(data):
+        return None
+    payload = memoryview(data)[begin : begin + length]
+    if zlib.crc32(_CHECKED.pack(length, position, synced), zlib.crc32(payload)) != checksum:
+        return None
+    return Found(position, begin, length, synced)
+
+
+def _has_header(path: Path, data: bytes, first: int) -> bool:
     if len(data) < _HEADER.size:
-        raise JournalDamaged(f"{path.name} has no header", "see dyknow check")
-    magic, version, checksum, first = _HEADER.unpack_from(data)
-    if magic != _MAGIC:
-        raise JournalDamaged(f"{path.name} is no log of DyKnow, or damaged", "see dyknow check")
-    if checksum != _header_checksum(version, first) or path.stem != f"{first:020d}":
-        raise JournalDamaged(f"the header of {path.name} is damaged", "see dyknow check")
+        return False
+    magic, version, checksum, position = _HEADER.unpack_from(data)
+    if magic != _MAGIC or checksum != _header_checksum(version, position):
+        return False
     if version != FORMAT:
         raise UnknownFormat(
             f"{path.name} has format {version}, this program reads {FORMAT}",
             "use the version of DyKnow that wrote it, or a later one",
         )
-    assert isinstance(first, int)
-    return first
+    return bool(position == first)
 
 
 def _header_checksum(version: int, first: int) -> int:
@@ -117,28 +193,21 @@ def _header_checksum(version: int, first: int) -> int:
 
 
 def _damage(path: Path, data: bytes, place: int, position: int) -> Damage | None:
-    """What there is from ``place`` on, where a record with ``position`` would be the next."""
-    rest = data[place:].rstrip(b"\0")
-    if not rest:
+    """What there is from ``place`` on, where a record with ``position`` would be the next. Without
+    a header there is always something wrong."""
+    rest = len(data[place:].rstrip(b"\0"))
+    if not rest and place:
         return None
-    torn = not any(_is_record(rest, later) for later in range(position, position + _AHEAD))
-    return Damage(path, place, len(rest), torn, position - 1)
+    return Damage(path, place, rest, position - 1, tuple(found_in(data, place, position)))
 
 
-def _is_record(data: bytes, position: int) -> bool:
-    """Whether a good record with this position is somewhere in ``data``."""
-    sought = _POSITION.pack(position)
-    found = data.find(sought)
-    while found >= 0:
-        start = found - 8
-        if start >= 0:
-            length, checksum, _ = _RECORD.unpack_from(data, start)
-            payload = data[start + _RECORD.size : start + _RECORD.size + length]
-            is_whole = length and len(payload) == length
-            if is_whole and zlib.crc32(payload, zlib.crc32(sought)) == checksum:
-                return True
-        found = data.find(sought, found + 1)
-    return False
+class Waiting(NamedTuple):
+    """A record that is to be written."""
+
+    position: int
+    payload: bytes
+    checksum: int
+    """Of the payload."""
 
 
 class Segment:
@@ -154,7 +223,7 @@ class Segment:
         self._written = end
         self._room = end
         self._unsynced = False
-        self._waiting: list[bytes] = []
+        self._waiting: list[Waiting] = []
 
     @classmethod
     def begin(cls, disk: Disk, folder: Path, first: int, room: int) -> Segment:
@@ -164,47 +233,55 @@ class Segment:
         try:
             segment = cls(disk, path, file, first, _HEADER.size)
             segment.make_room(room)
-            header = _HEADER.pack(_MAGIC, FORMAT, _header_checksum(FORMAT, first), first)
-            disk.write(file, header, 0)
+            disk.write(file, header_of(first), 0)
         except OSError:
             disk.close(file)
             disk.remove(path)
             raise
+        segment._unsynced = True
         return segment
 
     @classmethod
-    def go_on(cls, disk: Disk, found: Scan, path: Path) -> Segment:
+    def go_on(cls, disk: Disk, found: Scan) -> Segment:
         """A file that is there, without what follows its last good record: the room behind it is
         zeros again, where nothing old can be taken for a record."""
-        file = disk.open(path)
+        file = disk.open(found.path)
         try:
-            disk.cut(file, found.end)
+            if found.size != found.end:
+                disk.cut(file, found.end)
             disk.sync(file)
         except OSError:
             disk.close(file)
             raise
-        return cls(disk, path, file, found.first, found.end)
+        return cls(disk, found.path, file, found.first, found.end)
 
     def make_room(self, count: int) -> None:
         """So many bytes more can be written for sure."""
-        if self.end + count > self._room:
-            room = max(_ROOM, self.end + count - self._room)
+        least = self.end + count - self._room
+        if least <= 0:
+            return
+        try:
+            room = max(_ROOM, least)
             self._disk.allocate(self._file, self._room, room)
-            self._room += room
+        except OSError:
+            # Perhaps there is as much as is needed, and no more.
+            room = least
+            self._disk.allocate(self._file, self._room, room)
+        self._room += room
 
-    def add(self, record: bytes) -> None:
+    def add(self, position: int, payload: bytes) -> None:
         """A record to be written next; `make_room` was called for it."""
-        self._waiting.append(record)
-        self.end += len(record)
+        self._waiting.append(Waiting(position, payload, zlib.crc32(payload)))
+        self.end += size_of(payload)
 
-    def waiting(self) -> Sequence[bytes]:
+    def waiting(self) -> Sequence[Waiting]:
         """The records that are to be written by now."""
         return tuple(self._waiting)
 
-    def write(self, records: Sequence[bytes]) -> None:
+    def write(self, records: Sequence[Waiting], synced: int) -> None:
         """Write what `waiting` gave; if that fails it may be tried again."""
         if records:
-            data = b"".join(records)
+            data = b"".join(_framed(*each, synced) for each in records)
             self._disk.write(self._file, data, self._written)
             self._written += len(data)
             del self._waiting[: len(records)]

@@ -81,6 +81,8 @@ RESOURCES = (
     session,
     docs,
 )
+ASKING = ("/match", "/sparql")
+"""Paths to which questions are posted: they change nothing."""
 TICK = "tick"
 DESCRIPTION = """Semantic stream reasoning: say what you want to know, and the service finds or
 builds the streams that answer it. Errors are `application/problem+json` (RFC 9457)."""
@@ -180,14 +182,21 @@ async def _tick(service: Service) -> None:
         try:
             service.tick()
             service.troubles.pop(TICK, None)
-            await service.keeper.tend(service.settings)
         except JournalError as error:
-            service.troubles[TICK] = str(error)
+            # The keeper has told it, once. Time stands still until there is room.
             service.metrics.tick_failures.inc()
+            log().debug("no tick", reason=str(error))
         except Exception as error:  # noqa: BLE001 - told by log, metric and /readyz
             service.troubles[TICK] = f"{type(error).__name__}: {error}"
             metrics.tick_failures.inc()
             log().exception("tick failed")
+        try:
+            await service.keeper.tend(service.settings)
+        except JournalError as error:
+            log().debug("not kept yet", reason=str(error))
+        except Exception as error:  # noqa: BLE001 - told by log and /readyz
+            service.troubles[TICK] = f"{type(error).__name__}: {error}"
+            log().exception("tending failed")
         service.ticked = ended = time.monotonic()
         metrics.tick_seconds.observe(ended - begun)
         await anyio.sleep(pause)
@@ -220,6 +229,8 @@ def _openapi(app: FastAPI) -> dict[str, object]:
                 operation["security"] = [] if scope is None else [{"token": [str(scope)]}]
                 if "requestBody" in operation:
                     operation["responses"] |= {"408": problems.responses(408)[408]}
+                if method != "get" and path not in ASKING:
+                    operation["responses"] |= problems.written_responses()
                 if "422" in operation["responses"]:
                     operation["responses"]["422"] = problems.responses(422)[422]
         app.openapi_schema = schema

@@ -24,6 +24,8 @@ from .settings import Settings
 
 JOURNAL = "journal"
 CHECKPOINT = "checkpoint"
+_AGAIN = 10.0
+"""Seconds after a checkpoint that failed until the next one is tried."""
 _LATEST = 1.0
 """Seconds until what nobody waits for is kept."""
 
@@ -64,6 +66,8 @@ class Keeper:
         self._written = 0
         """Bytes of the log at the last checkpoint."""
         self._begun: float | None = None
+        self._not_before = float("-inf")
+        """No checkpoint is tried before."""
         self._tended = float("-inf")
         self._unkept: set[str] = set()
         """Processes of which it was told that their state is not kept."""
@@ -93,9 +97,13 @@ class Keeper:
 
     def do(self, command: Command, incoming: Incoming | None = None) -> Any:
         """Do ``command``; see `RecordedEngine.do`."""
-        if self._recorded is not None:
+        if self._recorded is None:
+            return done(self._engine, command, incoming)
+        try:
             return self._recorded.do(command, incoming)
-        return done(self._engine, command, incoming)
+        except JournalError as error:
+            self._fail(JOURNAL, error)
+            raise
 
     async def kept(self) -> None:
         """Return when all that is done by now is kept. Raises `JournalError`: then it may not be,
@@ -163,7 +171,7 @@ class Keeper:
             await self.kept()
         written = recorded.log.written - self._written
         is_old = now - self._begun >= settings.checkpoint_interval and written > 0
-        if is_old or written >= settings.checkpoint_bytes:
+        if now >= self._not_before and (is_old or written >= settings.checkpoint_bytes):
             self._begun = now
             await self._checkpoint(recorded)
 
@@ -178,6 +186,8 @@ class Keeper:
             await asyncio.get_running_loop().run_in_executor(self._thread, unwritten.write)
         except (JournalError, CheckpointError, OSError) as error:
             self._fail(CHECKPOINT, error)
+            # Each try costs as much as one that succeeds.
+            self._not_before = asyncio.get_running_loop().time() + _AGAIN
             return
         self._written = recorded.log.written
         self.checkpoints += 1

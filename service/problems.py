@@ -250,6 +250,11 @@ def responses(*statuses: int) -> dict[int | str, dict[str, Any]]:
     }
 
 
+def written_responses() -> dict[str, dict[str, Any]]:
+    """What every route documents that changes something: it could not be kept."""
+    return {str(status): each for status, each in responses(503, 507).items()}
+
+
 def _validation(errors: Sequence[Any]) -> Problem:
     details = [
         {"at": ".".join(str(part) for part in error["loc"]), "problem": error["msg"]}

@@ -34,6 +34,7 @@ READ = (
     "GET /streams/{name}",
     "GET /streams/{name}/samples",
     "GET /streams/{name}/events",
+    "GET /follow",
     "GET /templates",
     "GET /templates/{name:path}",
     "GET /events",

@@ -17,6 +17,8 @@ from ...streams.sample import SampleError
 from ..client import ServiceError
 from ..problems import problem_of
 from .access import take_tokens
+from .backups import backup, restore
+from .data_directory import check, log, repair
 from .demo import demo
 from .events import events
 from .follow import follow
@@ -123,6 +125,11 @@ app.command()(match)
 app.command()(explain)
 app.command()(run)
 app.add_typer(kpl, name="kpl")
+app.command()(check)
+app.command()(repair)
+app.command()(backup)
+app.command()(restore)
+app.command()(log)
 take_tokens(app)
 
 

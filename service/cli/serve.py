@@ -79,7 +79,11 @@ def serve(
     raise_limit()
     watchdog = Watchdog()
     token = known.issue("flights", Scope.ADMIN) if flights and known.required else ""
-    engine = _engine(settings, watchdog)
+    try:
+        engine = _engine(settings, watchdog)
+    except BaseException:
+        listener.close()
+        raise
     app = create_app(engine, settings, time.time_ns, known)
     url = url_of(listener)
     err().print(f"DyKnow serves at {url} (documentation: {url}/docs)", markup=False)

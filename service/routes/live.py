@@ -54,6 +54,8 @@ async def publish_live(
         log().info("live samples broken off", stream=name, accepted=live.accepted)
         return Response(status_code=400)  # nobody reads it
     except Exception as error:
+        # What the answer says of it holds.
+        await service.settled()
         raise _refusal(error, live) from error
     await service.keeper.kept()
     return AcceptedModel(accepted=live.accepted)

@@ -557,6 +557,7 @@ def test_no_token_comes_into_a_log(
     http: httpx.Client,
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
+    logger: logging.Logger,
 ) -> None:
     """Also where a request fails in the service, and its frames are printed."""
     logs.configure("debug", as_json=False)
@@ -568,9 +569,8 @@ def test_no_token_comes_into_a_log(
     assert http.get("/streams", headers=bearer(ADMIN)).status_code == 500
     http.get("/streams", params={"token": ADMIN})
     http.get("/streams", headers=bearer("wrong-0123456789-0123456789"))
-    for handler in logging.getLogger(logs.LOG_NAME).handlers:
+    for handler in logger.handlers:
         handler.flush()
-    logging.getLogger(logs.LOG_NAME).handlers = []
     text = capsys.readouterr().err
     assert "broken within" in text
     assert "0123456789" not in text

@@ -200,20 +200,15 @@ def test_slow_requests_are_warned_of(
     assert (line["level"], line["path"], line["status"]) == ("warning", "/status", 200)
 
 
-def test_json_lines_are_json(capsys: pytest.CaptureFixture[str]) -> None:
-    logger = logging.getLogger(LOG_NAME)
-    before = (logger.handlers, logger.propagate, logger.level)
+def test_json_lines_are_json(capsys: pytest.CaptureFixture[str], logger: logging.Logger) -> None:
+    configure("info", as_json=True)
+    assert isinstance(logger.handlers[0].formatter, ProcessorFormatter)
+    log().info("serving", url="http://x", settings={"port": 1})
     try:
-        configure("info", as_json=True)
-        assert isinstance(logger.handlers[0].formatter, ProcessorFormatter)
-        log().info("serving", url="http://x", settings={"port": 1})
-        try:
-            raise ValueError("why")
-        except ValueError:
-            log().exception("request failed", request="r1")
-        log().debug("not told")
-    finally:
-        logger.handlers, logger.propagate, logger.level = before
+        raise ValueError("why")
+    except ValueError:
+        log().exception("request failed", request="r1")
+    log().debug("not told")
     first, second = (json.loads(line) for line in capsys.readouterr().err.splitlines())
     assert (first["event"], first["level"], first["settings"]) == ("serving", "info", {"port": 1})
     assert re.fullmatch(r"\d{4}-\d\d-\d\dT[\d:.]+Z", first["timestamp"])
@@ -251,7 +246,7 @@ def test_starting_and_a_late_tick_are_reasons(
     service.ticked -= LATE + 1
     (reason,) = service.reasons()
     assert "late" in reason
-    service.failure = "ValueError: x"
+    service.troubles["tick"] = "ValueError: x"
     assert len(service.reasons()) == 2
 
 
@@ -261,7 +256,9 @@ def test_a_client_that_leaves_within_its_body_is_no_failure(
     client.put_stream("s5", {"n": "integer"})
     host, _, port = url.removeprefix("http://").rpartition(":")
     with socket.create_connection((host, int(port))) as gone:
-        gone.sendall(b"POST /streams/s5/samples HTTP/1.1\r\nHost: x\r\nContent-Length: 99\r\n\r\n{")
+        gone.sendall(
+            b"POST /streams/s5/samples HTTP/1.1\r\nHost: localhost\r\nContent-Length: 99\r\n\r\n{"
+        )
     limit = time.monotonic() + 20
     while not told(records, "client left"):
         assert time.monotonic() < limit

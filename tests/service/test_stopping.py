@@ -113,15 +113,19 @@ def test_under_load_all_that_was_acknowledged_is_delivered_and_the_status_is_0()
     with serving() as service:
         readers = [Reader(service.url, "/streams/s/events") for _ in range(3)]
         live = socket.create_connection(service.address.split(":"), timeout=20)
-        head = "POST /streams/s/samples/live HTTP/1.1\r\nHost: x\r\n"
+        head = "POST /streams/s/samples/live HTTP/1.1\r\nHost: localhost\r\n"
         head += "Content-Type: application/x-ndjson\r\nTransfer-Encoding: chunked\r\n\r\n"
         line = b'{"valid": 1, "n": 7}\n'
         live.sendall(head.encode() + b"%x\r\n%b\r\n" % (len(line), line))
         # A body that never comes to its end, and a client that takes nothing.
         stuck = socket.create_connection(service.address.split(":"), timeout=20)
-        stuck.sendall(b"POST /streams/s/samples HTTP/1.1\r\nHost: x\r\nContent-Length: 50\r\n\r\n{")
+        stuck.sendall(
+            b"POST /streams/s/samples HTTP/1.1\r\nHost: localhost\r\nContent-Length: 50\r\n\r\n{"
+        )
         half = socket.create_connection(service.address.split(":"), timeout=20)
-        half.sendall(b"POST /streams/s/samples HTTP/1.1\r\nHost: x\r\nContent-Length: 20\r\n\r\n{")
+        half.sendall(
+            b"POST /streams/s/samples HTTP/1.1\r\nHost: localhost\r\nContent-Length: 20\r\n\r\n{"
+        )
         stalled = connect(service.url, "/streams/s/events", receive=2048)
         publishers = [Publisher(service.address, number) for number in range(1, 4)]
         for one in publishers:

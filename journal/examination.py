@@ -1,0 +1,75 @@
+"""What a log's folder holds, and what is to be believed of it. Reads only.
+
+After a loss of power of what was written and not synced any part may be there: the last write is
+unfinished, and is cut off. What was synced is there, or the disk or somebody has damaged it: that
+is told, and nothing is done. Which of both it is tell the records behind the place (`Scan.synced`)
+and the high-water mark.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from .high_water import Mark, read_mark
+from .segment import Damage, Scan, scan
+
+HINT = "dyknow check shows it; dyknow repair keeps what is good, or restore a backup"
+
+
+@dataclass(frozen=True, slots=True)
+class Examination:
+    """``scans``: all files, in order. ``whole`` of them are good up to the end of the log, which
+    has records ``first`` to ``position``; what ``torn`` tells of follows it.
+
+    ``damage`` is what is wrong with what was kept; None: nothing is. ``lost`` is how many records
+    were acknowledged and are not there, and could be lost: the durability was ``write``.
+    """
+
+    scans: tuple[Scan, ...]
+    mark: Mark | None
+    whole: int
+    first: int
+    position: int
+    torn: Damage | None
+    damage: str | None
+    lost: int
+
+
+def files_of(folder: Path) -> list[Path]:
+    """The files of the log in ``folder``, in order."""
+    return sorted(path for path in folder.glob("*.log") if path.stem.isdigit())
+
+
+def examine(folder: Path) -> Examination:
+    """Look at the log in ``folder``. Raises `UnknownFormat` and ``OSError``. Cost: reads all."""
+    # First: whoever writes meanwhile, the files say more than a mark of before.
+    mark = read_mark(folder)
+    scans = tuple(scan(path) for path in files_of(folder))
+    known = mark or Mark()
+    whole, torn, overlap = 0, None, None
+    first = known.first
+    if scans:
+        # Without a mark nobody knows whether there was more before; with one, files before it are
+        # there if they were to be forgotten and the power went.
+        first = scans[0].first if mark is None else min(first, scans[0].first)
+    position = first - 1
+    for each in scans:
+        if each.first <= position:
+            overlap = f"{each.path.name} has records that the file before it has, too"
+        if each.first != position + 1:
+            torn = torn or Damage(each.path, 0, each.size, position, ())
+            break
+        # Where the next file goes on, what is no record at the end of this one is no loss.
+        torn = torn or each.damage
+        if not each.end:
+            break
+        whole += 1
+        position = each.last
+    synced = max([known.synced, *(each.synced for each in scans)])
+    damage = overlap
+    if position < synced:
+        what = "records are missing" if torn is None else f"damaged: {torn}"
+        damage = f"{what}; records up to {synced} were kept, and are good up to {position}"
+    lost = max(0, known.durable - position)
+    return Examination(scans, mark, whole, first, position, torn, damage, lost)

@@ -1,0 +1,134 @@
+"""What a data directory holds and what a start would make of it, found by reading only: for
+``dyknow check``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from .checkpoints import checkpoint_path, positions_in, read_checkpoint
+from .directory import REPAIRED, RESTORING, format_of, holder_of
+from .errors import JournalDamaged
+from .examination import Examination, examine
+
+_TRIES = 5
+"""So often what looks damaged is looked at again where a process writes meanwhile."""
+
+
+@dataclass(frozen=True, slots=True)
+class KnownCheckpoint:
+    """``damage``: why it cannot be read; None: it is sound."""
+
+    path: Path
+    position: int
+    size: int
+    program: str | None
+    damage: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class Inspection:
+    """A data directory. ``format`` 1: an Oxigraph store of an earlier version, nothing else.
+
+    ``damage``: what is wrong, worst first. ``start``: what a start would do, for people.
+    """
+
+    path: Path
+    format: int
+    holder: str | None
+    log: Examination
+    checkpoints: tuple[KnownCheckpoint, ...]
+    damage: tuple[str, ...]
+    start: str
+
+    @property
+    def is_sound(self) -> bool:
+        return not self.damage
+
+
+def inspect(path: Path, program: str) -> Inspection:
+    """Look at the data directory ``path``, that may be in use, for a start by ``program``.
+
+    Raises `JournalDamaged` where there is none, or its format cannot be read, `UnknownFormat`,
+    ``OSError``. Cost: reads all of it.
+    """
+    format = format_of(path) if path.is_dir() else None
+    if format is None:
+        if not (path / "ontology").is_dir():
+            raise JournalDamaged(f"{path} is no data directory", "it has no format.json")
+        format = 1
+    for tries in range(_TRIES):
+        holder = holder_of(path)
+        try:
+            found = _look(path, format, program, holder)
+        except FileNotFoundError:
+            # Forgotten by the process that has it, after it was listed.
+            if holder is None or tries == _TRIES - 1:
+                raise
+            continue
+        if found.is_sound or holder is None:
+            break
+    return found
+
+
+def _look(path: Path, format: int, program: str, holder: str | None) -> Inspection:
+    log = examine(path / "journal")
+    found = tuple(_checkpoint(path / "checkpoints", p) for p in positions_in(path / "checkpoints"))
+    damage = [] if log.damage is None else [log.damage]
+    if (path / RESTORING).exists():
+        damage.append("a restore was not finished")
+    damage += [each.damage for each in found if each.damage is not None]
+    sound = [each for each in found if each.damage is None]
+    refusal = misfit(log, [each.position for each in sound])
+    if refusal is not None and log.damage is None:
+        damage.insert(0, refusal)
+    start = _start(path, format, log, sound, program)
+    if log.damage is not None or refusal is not None:
+        start = "refuses to start: see dyknow repair, or restore a backup"
+    return Inspection(path, format, holder, log, found, tuple(damage), start)
+
+
+def misfit(log: Examination, positions: list[int]) -> str | None:
+    """Why log and sound checkpoints (newest first) do not make a state; None: they do."""
+    if not positions:
+        missing = log.first > 1
+        return f"no sound checkpoint, and the log begins with {log.first}" if missing else None
+    newest = positions[0]
+    if newest > log.position or newest + 1 < log.first:
+        return (
+            f"the newest checkpoint is of record {newest}, the log has records "
+            f"{log.first} to {log.position}"
+        )
+    return None
+
+
+def _checkpoint(folder: Path, position: int) -> KnownCheckpoint:
+    path = checkpoint_path(folder, position)
+    size = path.stat().st_size
+    try:
+        found = read_checkpoint(path)
+    except JournalDamaged as error:
+        return KnownCheckpoint(path, position, size, None, error.message)
+    return KnownCheckpoint(path, position, size, found.program, None)
+
+
+def _start(
+    path: Path, format: int, log: Examination, sound: list[KnownCheckpoint], program: str
+) -> str:
+    if format == 1:
+        return "takes over the definitions of an earlier version; samples were not kept"
+    begin = sound[0].position if sound else 0
+    count = log.position - begin
+    if not begin and not count:
+        return "begins with nothing"
+    told = f"goes on from {f'checkpoint {begin}' if begin else 'the beginning'}"
+    told += f", does {count} commands again"
+    named = path / REPAIRED
+    if named.exists():
+        return f"{told}; ids of events begin anew: {named.read_text().strip()}"
+    if sound and sound[0].program != program:
+        return (
+            f"takes over definitions and samples of checkpoint {begin}, written by "
+            f"{sound[0].program}, and does {count} commands again; ids of events begin anew"
+        )
+    return told

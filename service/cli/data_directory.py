@@ -1,0 +1,195 @@
+"""``dyknow check, repair, log``: what a data directory holds (docs/data-directory.md)."""
+
+from __future__ import annotations
+
+import base64
+import os
+from collections.abc import Iterator
+from itertools import islice
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+import typer
+
+from ...engine.checkpoint import program
+from ...journal.directory import format_of, locked
+from ...journal.errors import JournalError
+from ...journal.examination import files_of
+from ...journal.inspection import Inspection, inspect
+from ...journal.repair import repair as repair_directory
+from ...journal.segment import scan, walk
+from .output import Json, err, fail, out, show_json, show_table
+
+Directory = Annotated[Path, typer.Argument(help="A data directory.", metavar="DIR")]
+_BRIEF = 60
+"""Characters of a text or body that are shown."""
+
+
+def check(directory: Directory, json: Json = False) -> None:
+    """Look at a data directory, also of a running service: status 1 if it is damaged."""
+    found = _inspected(directory)
+    if json:
+        show_json(_told(found))
+    else:
+        _show(found)
+    if not found.is_sound:
+        raise typer.Exit(1)
+
+
+def repair(directory: Directory, json: Json = False) -> None:
+    """Keep what is good of a damaged data directory, and set the rest aside as *.damaged."""
+    try:
+        if format_of(directory) is None:
+            raise fail(f"{directory} has no format.json: there is nothing to repair")
+        lock = locked(directory)
+    except JournalError as error:
+        raise fail(error.message, error.hint) from error
+    try:
+        found = _inspected(directory)
+        if found.is_sound:
+            raise fail(f"{directory} is sound: there is nothing to repair", status=0)
+        done = repair_directory(found)
+    except JournalError as error:
+        raise fail(error.message, error.hint) from error
+    finally:
+        os.close(lock)
+    first, last = done.kept
+    if json:
+        aside = [str(path) for path in done.aside]
+        show_json({"first": first, "position": last, "lost": done.lost, "aside": aside})
+        return
+    show_table(["set aside"], [[str(path)] for path in done.aside])
+    kept = f"records {first} to {last}" if first <= last else "the checkpoint, and no record"
+    out().print(f"kept: {kept}", markup=False)
+    if done.lost is None:
+        out().print("lost: nothing")
+    else:
+        out().print(f"lost: {done.lost}; the next start begins new ids of events", markup=False)
+
+
+def log(
+    directory: Directory,
+    after: Annotated[int, typer.Option(help="Only what follows this position.", min=0)] = 0,
+    count: Annotated[int | None, typer.Option("-n", help="So many, no more.", min=1)] = None,
+    full: Annotated[bool, typer.Option("--full", help="Texts and bodies whole.")] = False,
+) -> None:
+    """Print the commands of a data directory's log, a line of JSON each, up to what is damaged."""
+    if not (directory / "journal").is_dir():
+        raise fail(f"{directory} has no log")
+    for position, data in islice(_records(directory, after), count):
+        command = msgspec.msgpack.decode(data)
+        show_json({"position": position, "bytes": len(data), **_plain(command, full)})
+
+
+def _records(directory: Path, after: int) -> Iterator[tuple[int, bytes]]:
+    """Those that are good, from one to the next; fails at what is not."""
+    position = None
+    files = files_of(directory / "journal")
+    for i, path in enumerate(files):
+        if i + 1 < len(files) and int(files[i + 1].stem) <= after + 1:
+            continue
+        data = path.read_bytes()
+        for found in walk(data, int(path.stem)):
+            if position not in (None, found.position - 1):
+                raise fail(f"after record {position} comes {found.position}", "see dyknow check")
+            position = found.position
+            if position > after:
+                yield position, data[found.begin : found.begin + found.length]
+        damage = scan(path).damage
+        if damage is not None:
+            err().print(f"no record: {damage}", markup=False)
+
+
+def _plain(command: dict[str, Any], full: bool) -> dict[str, Any]:
+    return {str(name): _value(value, full) for name, value in command.items() if value is not None}
+
+
+def _value(value: Any, full: bool) -> Any:
+    if isinstance(value, bytes):
+        try:
+            value = value.decode()
+        except UnicodeDecodeError:
+            value = base64.b64encode(value).decode()
+    if isinstance(value, str):
+        return value if full or len(value) <= _BRIEF else f"{value[:_BRIEF]}… ({len(value)})"
+    if isinstance(value, dict):
+        return _plain(value, full)
+    if isinstance(value, list):
+        return [_value(each, full) for each in value]
+    return value
+
+
+def _inspected(directory: Path) -> Inspection:
+    try:
+        return inspect(directory, program())
+    except JournalError as error:
+        raise fail(error.message, error.hint) from error
+
+
+def _told(found: Inspection) -> dict[str, Any]:
+    log_, mark = found.log, found.log.mark
+    return {
+        "directory": str(found.path),
+        "format": found.format,
+        "in_use_by": found.holder,
+        "first": log_.first,
+        "position": log_.position,
+        "log": [
+            {
+                "file": each.path.name,
+                "first": each.first,
+                "records": each.count,
+                "bytes": each.size,
+                "damage": None if each.damage is None else str(each.damage),
+            }
+            for each in log_.scans
+        ],
+        "unfinished": None if log_.torn is None else str(log_.torn),
+        "mark": None if mark is None else {"synced": mark.synced, "durable": mark.durable},
+        "checkpoints": [
+            {
+                "file": each.path.name,
+                "position": each.position,
+                "bytes": each.size,
+                "program": each.program,
+                "damage": each.damage,
+            }
+            for each in found.checkpoints
+        ],
+        "sound": found.is_sound,
+        "damage": list(found.damage),
+        "start": found.start,
+    }
+
+
+def _show(found: Inspection) -> None:
+    console = out()
+    console.print(f"{found.path}: format {found.format}", markup=False)
+    if found.holder is not None:
+        console.print(f"in use by process {found.holder}", markup=False)
+    if found.log.scans:
+        show_table(
+            ["log file", "first", "records", "bytes", ""],
+            [
+                [each.path.name, each.first, each.count, each.size, _state(each.damage)]
+                for each in found.log.scans
+            ],
+        )
+    if found.checkpoints:
+        show_table(
+            ["checkpoint", "bytes", "program", ""],
+            [
+                [each.position, each.size, each.program or "-", "damaged" if each.damage else "ok"]
+                for each in found.checkpoints
+            ],
+        )
+    if found.log.torn is not None and found.log.damage is None and found.holder is None:
+        console.print(f"an unfinished write, that a start cuts off: {found.log.torn}", markup=False)
+    for each in found.damage:
+        console.print(f"damage: {each}", markup=False)
+    console.print(f"a start {found.start}", markup=False)
+
+
+def _state(damage: object) -> str:
+    return "ok" if damage is None else "not whole"

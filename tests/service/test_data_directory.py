@@ -1,0 +1,370 @@
+"""``dyknow check, repair, backup, restore, log``: looking into a data directory."""
+
+import json
+import shutil
+from pathlib import Path
+
+import httpx
+import pytest
+from simulated_disk import Killed
+from typer.testing import CliRunner
+
+from dyknow.engine.checkpoint import program
+from dyknow.engine.commands import DeclareStream, Publish, RegisterTemplate, Tick
+from dyknow.engine.recorded import RecordedEngine
+from dyknow.engine.views import StreamDeclaration
+from dyknow.journal.checkpoints import Checkpoints
+from dyknow.journal.disk import Disk
+from dyknow.journal.inspection import inspect
+from dyknow.journal.repair import repair
+from dyknow.journal.segment import scan
+from dyknow.rdf.namespaces import DYKNOW
+from dyknow.service.app import create_app
+from dyknow.service.cli import app
+from dyknow.service.server import running
+from dyknow.service.settings import Settings
+from dyknow.streams.fluent import Retention
+from dyknow.streams.sample import Field, FieldType
+from dyknow.streams.time import SECOND
+
+SPEEDS = StreamDeclaration("s5", (Field("n", FieldType.INTEGER),), 0, Retention(), DYKNOW, None)
+TEMPLATE = "templates/library/high_speed.rq"
+
+
+def speed(n):
+    body = b'{"valid": %d, "available": %d, "n": %d}\n' % (n * SECOND, n * SECOND, n)
+    return Publish("s5", "ndjson", body, n * SECOND, f"key {n}")
+
+
+def published(recorded):
+    """The samples of the stream, by the numbers that were sent."""
+    return recorded.engine.generator("s5").stream.all().columns["n"].values.tolist()
+
+
+@pytest.fixture(scope="module")
+def original(tmp_path_factory):
+    """Samples 1 to 20, checkpoints after 5 and 12, a file of the log for about two commands; what
+    dropping would forget is kept."""
+    path = tmp_path_factory.mktemp("original") / "data"
+    recorded = RecordedEngine(path, now=0, segment=200)
+    recorded.do(DeclareStream(SPEEDS))
+    for n in range(1, 21):
+        recorded.do(speed(n))
+        recorded.log.commit()
+        if n in (5, 12):
+            unwritten = recorded.checkpoint()
+            Checkpoints(path / "checkpoints").write(unwritten.checkpoint)
+    recorded.close(checkpoint=False)
+    return path
+
+
+@pytest.fixture
+def data(original, tmp_path):
+    return shutil.copytree(original, tmp_path / "data")
+
+
+def run(*arguments, status=0):
+    result = CliRunner().invoke(app, [str(each) for each in arguments])
+    assert result.exit_code == status, (result.output, result.exception)
+    return result
+
+
+def checked(data, status=0):
+    return json.loads(run("check", data, "--json", status=status).stdout)
+
+
+def flip(path, place):
+    content = bytearray(path.read_bytes())
+    content[place] ^= 1
+    path.write_bytes(content)
+
+
+def file_with(data, position):
+    """The file of the log that has this record."""
+    return next(
+        path
+        for path in sorted((data / "journal").glob("*.log"))
+        if scan(path).first <= position <= scan(path).last
+    )
+
+
+def opened(data):
+    return RecordedEngine(data, now=30 * SECOND)
+
+
+def test_a_sound_directory_is_told_so_with_what_a_start_does(data):
+    before = {path: path.read_bytes() for path in data.rglob("*") if path.is_file()}
+    found = checked(data)
+    assert found["sound"]
+    assert (found["format"], found["position"], found["in_use_by"]) == (2, 22, None)
+    assert [each["position"] for each in found["checkpoints"]] == [14, 7]
+    assert sum(each["records"] for each in found["log"]) == 22
+    assert found["start"] == "goes on from checkpoint 14, does 8 commands again"
+    text = run("check", data).stdout
+    assert "14" in text
+    assert "goes on from checkpoint 14" in text
+    assert before == {path: path.read_bytes() for path in data.rglob("*") if path.is_file()}
+
+
+def test_check_and_repair_of_a_directory_in_use(data):
+    recorded = opened(data)
+    assert checked(data)["in_use_by"]
+    assert "in use by process" in run("repair", data, status=1).stderr
+    recorded.close()
+
+
+@pytest.mark.parametrize("command", [["check"], ["repair"], ["log"]])
+def test_what_is_no_data_directory_is_refused(tmp_path, command):
+    for path in (tmp_path, tmp_path / "none"):
+        result = run(*command, path, status=1)
+        assert result.stderr.startswith("error:")
+        assert result.stdout == ""
+
+
+def test_a_sound_directory_is_not_repaired(data):
+    before = sorted(data.rglob("*"))
+    run("repair", data)
+    assert sorted(data.rglob("*")) == before
+
+
+def test_damage_behind_the_checkpoint_is_cut_and_told_and_ids_begin_anew(data):
+    path = file_with(data, 18)
+    flip(path, scan(path).end - 3)
+    damage = checked(data, status=1)
+    assert not damage["sound"]
+    assert path.name in damage["damage"][0]
+    assert damage["start"].startswith("refuses")
+    assert "dyknow repair" in run("serve", "--data", data, "--port", "0", status=1).stderr
+    done = json.loads(run("repair", data, "--json").stdout)
+    assert (done["position"], done["lost"]) == (17, "records 18 to 22")
+    assert all(each.endswith(".damaged") for each in done["aside"])
+    # Every byte is still somewhere.
+    assert (path.parent / f"{path.name}.damaged").exists()
+    assert "begin anew: records 18 to 22 lost" in checked(data)["start"]
+    recorded = opened(data)
+    assert not recorded.recovery.is_continued
+    assert any("records 18 to 22" in note for note in recorded.recovery.notes)
+    assert published(recorded) == list(range(1, 16))
+    epoch = recorded.engine.epoch
+    # Sent again under its key, what was lost comes once.
+    recorded.do(speed(16))
+    recorded.close(checkpoint=False)
+    assert "anew" not in checked(data)["start"]
+    recorded = opened(data)
+    assert recorded.engine.epoch == epoch
+    assert published(recorded) == list(range(1, 17))
+    recorded.close()
+
+
+def test_damage_before_the_checkpoint_loses_nothing(data):
+    original = read_epoch(data)
+    flip(file_with(data, 9), 60)
+    checked(data, status=1)
+    done = json.loads(run("repair", data, "--json").stdout)
+    assert done["lost"] is None
+    assert done["position"] == 22
+    assert checked(data)["start"] == "goes on from checkpoint 14, does 8 commands again"
+    recorded = opened(data)
+    assert recorded.recovery.is_continued
+    assert recorded.engine.epoch == original
+    assert published(recorded) == list(range(1, 21))
+    recorded.close()
+
+
+def read_epoch(data):
+    first = run("log", data, "-n", "1").stdout
+    return json.loads(first)["epoch"]
+
+
+def test_a_missing_file_is_a_cut(data):
+    file_with(data, 17).unlink()
+    assert "records up to" in checked(data, status=1)["damage"][0]
+    done = json.loads(run("repair", data, "--json").stdout)
+    assert done["lost"].endswith("to 22")
+    recorded = opened(data)
+    assert published(recorded) == list(range(1, done["position"] - 1))
+    recorded.close()
+
+
+def test_a_damaged_checkpoint_is_set_aside_and_nothing_is_lost(data):
+    newest = max((data / "checkpoints").iterdir())
+    flip(newest, 500)
+    found = checked(data, status=1)
+    assert found["checkpoints"][0]["damage"]
+    assert found["start"] == "goes on from checkpoint 7, does 15 commands again"
+    # A start does without it.
+    recorded = opened(data)
+    assert published(recorded) == list(range(1, 21))
+    recorded.close(checkpoint=False)
+    done = json.loads(run("repair", data, "--json").stdout)
+    assert done["aside"] == [f"{newest}.damaged"]
+    assert done["lost"] is None
+    assert checked(data)["sound"]
+
+
+def test_without_any_log_the_newest_checkpoint_is_gone_on_from(data):
+    shutil.rmtree(data / "journal")
+    checked(data, status=1)
+    done = json.loads(run("repair", data, "--json").stdout)
+    assert done["lost"] == "what may have followed record 14"
+    recorded = opened(data)
+    assert published(recorded) == list(range(1, 13))
+    recorded.do(speed(13))
+    recorded.close(checkpoint=False)
+    recorded = opened(data)
+    assert published(recorded) == list(range(1, 14))
+    recorded.close()
+
+
+def test_where_nothing_can_be_gone_on_from_nothing_is_changed(data):
+    shutil.rmtree(data / "checkpoints")
+    file_with(data, 1).unlink()
+    before = sorted(data.rglob("*"))
+    assert "restore a backup" in run("repair", data, status=1).stderr
+    assert sorted(data.rglob("*")) == before
+
+
+class Stopping(Disk):
+    """The process is killed after so many changes of names."""
+
+    def __init__(self, limit):
+        self.limit = limit
+
+    def _count(self):
+        self.limit -= 1
+        if self.limit < 0:
+            raise Killed
+
+    def sync_folder(self, path):
+        super().sync_folder(path)
+        self._count()
+
+    def rename(self, path, target):
+        super().rename(path, target)
+        self._count()
+
+    def remove(self, path):
+        super().remove(path)
+        self._count()
+
+
+def test_repair_may_be_stopped_anywhere_and_called_again(data):
+    path = file_with(data, 18)
+    flip(path, scan(path).end - 3)
+    flip(file_with(data, 9), 60)
+    stopped = 0
+    for limit in range(12):
+        try:
+            repair(inspect(data, program()), Stopping(limit))
+        except Killed:
+            stopped += 1
+    assert stopped > 3
+    run("repair", data)
+    recorded = opened(data)
+    assert not recorded.recovery.is_continued
+    assert published(recorded) == list(range(1, 16))
+    recorded.close()
+
+
+@pytest.mark.parametrize("name", ["copy", "copy.tar"])
+def test_a_backup_is_restored(data, tmp_path, name):
+    copy, again = tmp_path / name, tmp_path / "again"
+    told = run("backup", data, copy).stdout
+    assert "up to record 22" in told
+    assert not (tmp_path / f"{name}.part").exists()
+    assert "is there already" in run("backup", data, copy, status=1).stderr
+    again.mkdir()
+    manifest = json.loads(run("restore", copy, again, "--json").stdout)
+    assert (manifest["checkpoint"], manifest["position"]) == (14, 22)
+    assert "not empty" in run("restore", copy, again, status=1).stderr
+    assert checked(again)["sound"]
+    recorded = opened(again)
+    assert published(recorded) == list(range(1, 21))
+    # The service that it was made of may have gone on with the same ids.
+    assert not recorded.recovery.is_continued
+    assert recorded.engine.epoch != read_epoch(data)
+    recorded.close()
+
+
+def test_a_damaged_backup_and_what_is_none_are_refused(data, tmp_path):
+    copy = tmp_path / "copy"
+    run("backup", data, copy)
+    flip(next((copy / "checkpoints").iterdir()), 1000)
+    assert "damaged" in run("restore", copy, tmp_path / "again", status=1).stderr
+    assert not (tmp_path / "again").exists()
+    assert "is no backup" in run("restore", data, tmp_path / "again", status=1).stderr
+    (tmp_path / "x.tar").write_bytes(b"none")
+    assert "is no backup" in run("restore", tmp_path / "x.tar", tmp_path / "again", status=1).stderr
+
+
+def test_a_restore_that_was_not_finished_is_not_started(data, tmp_path):
+    (data / "restoring").write_text("from copy\n")
+    assert "not finished" in run("serve", "--data", data, "--port", "0", status=1).stderr
+    assert not checked(data, status=1)["sound"]
+
+
+def test_a_damaged_directory_is_not_backed_up(data, tmp_path):
+    path = file_with(data, 18)
+    flip(path, scan(path).end - 3)
+    assert "not sound" in run("backup", data, tmp_path / "copy", status=1).stderr
+    assert not list(tmp_path.glob("copy*"))
+
+
+def test_a_backup_of_a_service_that_takes_samples_and_forgets_is_whole(tmp_path):
+    """While it publishes, writes checkpoints and drops what they need no more."""
+    data = tmp_path / "data"
+    recorded = RecordedEngine(data, now=0, segment=500)
+    settings = Settings(
+        port=0, tick=0.02, data=data, checkpoint_bytes=2000, checkpoint_interval=1000
+    )
+    acknowledged = []
+    with (
+        running(create_app(recorded, settings, lambda: SECOND), settings) as url,
+        httpx.Client(base_url=url, trust_env=False, timeout=20) as http,
+    ):
+        http.put("/streams/s5", json={"fields": {"n": "integer"}}).raise_for_status()
+        for i in range(4):
+            for n in range(i * 30 + 1, i * 30 + 31):
+                http.post("/streams/s5/samples", content=speed(n).body).raise_for_status()
+            run("backup", data, tmp_path / f"copy{i}")
+            acknowledged.append((i + 1) * 30)
+    for i, least in enumerate(acknowledged):
+        again = tmp_path / f"again{i}"
+        run("restore", tmp_path / f"copy{i}", again)
+        restored = RecordedEngine(again, now=SECOND)
+        found = published(restored)
+        assert found == list(range(1, len(found) + 1))
+        assert len(found) >= least
+        restored.close(checkpoint=False)
+
+
+def test_the_log_is_printed_for_people_who_look_for_a_cause(data):
+    lines = [json.loads(line) for line in run("log", data).stdout.splitlines()]
+    assert [line["position"] for line in lines] == list(range(1, 23))
+    assert [line["do"] for line in lines[:3]] == ["begin", "declare stream", "publish"]
+    assert lines[2]["key"] == "key 1"
+    assert lines[2]["body"] == speed(1).body.decode()
+    (last,) = run("log", data, "--after", "21", "--full").stdout.splitlines()
+    assert json.loads(last)["body"] == speed(20).body.decode()
+    assert len(run("log", data, "-n", "3").stdout.splitlines()) == 3
+
+
+def test_of_a_damaged_log_what_is_good_is_printed(data):
+    path = file_with(data, 18)
+    flip(path, scan(path).end - 3)
+    result = run("log", data, status=1)
+    assert len(result.stdout.splitlines()) == 17
+    assert "18" in result.stderr or path.name in result.stderr
+
+
+def test_long_texts_are_abbreviated(tmp_path):
+    recorded = RecordedEngine(tmp_path / "data", now=0)
+    text = Path(TEMPLATE).read_text()
+    recorded.do(RegisterTemplate(text))
+    recorded.do(Tick(5))
+    recorded.close(checkpoint=False)
+    lines = [json.loads(each) for each in run("log", tmp_path / "data").stdout.splitlines()]
+    assert f"… ({len(text)})" in lines[1]["text"]
+    assert lines[2] == {"position": 3, "bytes": lines[2]["bytes"], "do": "tick", "now": 5}
+    full = run("log", tmp_path / "data", "--full").stdout.splitlines()
+    assert json.loads(full[1])["text"] == text

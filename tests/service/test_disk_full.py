@@ -1,0 +1,284 @@
+"""A disk without room, or one that fails: writes are refused, reading goes on, nothing is lost."""
+
+import time
+from pathlib import Path
+
+import httpx
+import pytest
+from httpx_sse import connect_sse
+from simulated_disk import SimulatedDisk
+
+from dyknow.engine.recorded import RecordedEngine
+from dyknow.service.app import ASKING, create_app
+from dyknow.service.server import running
+from dyknow.streams.time import SECOND
+
+HIGH = "templates/library/high_speed.rq"
+QUERY = """REGISTER QUERY highest COMPUTE EVERY 1s AS SELECT ?o (MAX(?a) AS ?top)
+WHERE { ?o a dyknow:Aircraft ; dyknow:altitude ?a } GROUP BY ?o WINDOW [RANGE 10s STEP 1s]"""
+TEXT = {"content-type": "text/plain"}
+NDJSON = {"content-type": "application/x-ndjson"}
+TURTLE = {"content-type": "text/turtle"}
+SPECIFICATION = b"""<spec:specification xmlns:spec="http://www.dyknow.eu/ontology#Specification">
+<spec:insertions><spec:cu name="u" type="none"/></spec:insertions></spec:specification>"""
+
+
+@pytest.fixture
+def disk():
+    return SimulatedDisk()
+
+
+@pytest.fixture
+def recorded(disk, tmp_path):
+    return RecordedEngine(tmp_path / "data", now=0, disk=disk)
+
+
+@pytest.fixture
+def engine(recorded):
+    return recorded.engine
+
+
+def fill(disk, log):
+    """No room from now on, not even what the log has made before."""
+    disk.room = 0
+    with log._lock:
+        for segment in log._open:
+            segment._room = segment.end
+
+
+def until(found, seconds=20):
+    """Waits until it is so: the service works by its own clock."""
+    end = time.monotonic() + seconds
+    while not found():
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
+def sample(n):
+    return b'{"valid": %d, "available": %d, "n": %d}\n' % (n * SECOND, n * SECOND, n)
+
+
+def post(http, n, key=None):
+    headers = NDJSON | ({} if key is None else {"idempotency-key": key})
+    return http.post("/streams/s5/samples", content=sample(n), headers=headers)
+
+
+def kept(http):
+    lines = http.get("/streams/s5/samples").text.splitlines()
+    return [httpx.Response(200, content=line).json()["n"] for line in lines]
+
+
+def declare(http):
+    http.put("/streams/s5", json={"fields": {"n": "integer"}}).raise_for_status()
+
+
+WRITES = {
+    ("POST", "/streams/{name}/samples"): ("/streams/s5/samples", sample(9), NDJSON),
+    ("POST", "/streams/{name}/samples/live"): ("/streams/s5/samples/live", sample(9), NDJSON),
+    ("POST", "/templates"): ("/templates", "high", TEXT),
+    ("PUT", "/templates/{name}"): ("/templates/HighSpeedEvent", "high", TEXT),
+    ("DELETE", "/templates/{name}"): ("/templates/HighSpeedEvent", b"", {}),
+    ("POST", "/events"): ("/events", "dyknow:HighSpeedEvent(?o, dyknow:UAV, 100)", TEXT),
+    ("DELETE", "/events/{id}"): ("/events/event1", b"", {}),
+    ("POST", "/queries"): ("/queries", QUERY, TEXT),
+    ("DELETE", "/queries/{name}"): ("/queries/highest", b"", {}),
+    ("PUT", "/streams/{name}"): ("/streams/new", '{"fields": {"n": "integer"}}', {}),
+    ("DELETE", "/streams/{name}"): ("/streams/s5", b"", {}),
+    ("PUT", "/streams/{name}/quality"): ("/streams/s5/quality", '{"quality": 0.5}', {}),
+    ("POST", "/streams/{name}/end"): ("/streams/s5/end", b"", {}),
+    ("POST", "/subscriptions"): ("/subscriptions", '{"stream": "s5"}', {}),
+    ("DELETE", "/subscriptions/{id}"): ("/subscriptions/subscription1", b"", {}),
+    ("POST", "/annotations"): ("/annotations", "stream s5 contains speed(UAV) = n", TEXT),
+    ("POST", "/transformations"): ("/transformations", "transformation", {}),
+    ("PUT", "/transformations/{name}"): ("/transformations/t", "transformation", {}),
+    ("PATCH", "/transformations/{name}"): ("/transformations/t", '{"cost": 2}', {}),
+    ("DELETE", "/transformations/{name}"): ("/transformations/t", b"", {}),
+    ("POST", "/ontologies"): ("/ontologies?name=x", "<urn:a> <urn:b> <urn:c> .", TURTLE),
+    ("POST", "/kpl"): ("/kpl", "source float pos", TEXT),
+    ("DELETE", "/kpl/{name}"): ("/kpl/pos", b"", {}),
+    ("POST", "/specifications"): (
+        "/specifications",
+        SPECIFICATION,
+        {"content-type": "application/xml"},
+    ),
+}
+"""A request for each route that changes something."""
+
+
+def test_every_route_that_writes_is_refused_with_507_and_documents_it(http, disk, recorded):
+    declare(http)
+    http.post("/templates", content=_body("high"), headers=TEXT).raise_for_status()
+    schema = http.get("/openapi.json").json()
+    writing = {
+        (method.upper(), path)
+        for path, methods in schema["paths"].items()
+        for method in methods
+        if method != "get" and path not in ASKING
+    }
+    assert writing == set(WRITES)
+    fill(disk, recorded.log)
+    for (method, path), (target, body, headers) in WRITES.items():
+        answer = http.request(method, target, content=_body(body), headers=headers)
+        assert answer.status_code == 507, (method, path, answer.text)
+        assert answer.headers["content-type"] == "application/problem+json"
+        assert int(answer.headers["retry-after"]) > 0
+        assert "room" in answer.json()["detail"]
+        assert answer.json()["hint"]
+        documented = schema["paths"][path][method.lower()]["responses"]
+        assert {"503", "507"} <= set(documented)
+    assert len(http.get("/templates").json()) == 1
+
+
+def _body(body):
+    if body == "high":
+        return Path(HIGH).read_bytes()
+    if body == "transformation":
+        return b'{"annotation": "source t provides dyknow:altitude(self) [ft]"}'
+    return body
+
+
+def test_reading_goes_on_and_all_goes_on_when_there_is_room(http, disk, recorded):
+    declare(http)
+    assert post(http, 1).status_code == 202
+    with connect_sse(http, "GET", "/streams/s5/events?since=start") as source:
+        events = source.iter_sse()
+        assert next(events).json()["values"] == {"n": 1}
+        fill(disk, recorded.log)
+        assert post(http, 2, "two").status_code == 507
+        assert http.get("/healthz").status_code == 200
+        until(lambda: http.get("/readyz").status_code == 503)
+        assert "no room" in http.get("/readyz").json()["reason"]
+        assert kept(http) == [1]
+        assert (
+            http.post(
+                "/sparql", content=b"ASK {}", headers={"content-type": "application/sparql-query"}
+            ).status_code
+            == 200
+        )
+        # A stream that comes into being by being asked for is no write to who asks.
+        assert http.get("/streams/s5_late").status_code == 200
+        assert post(http, 2, "two").status_code == 507
+        with connect_sse(http, "GET", "/streams/s5/events?since=start") as again:
+            assert next(again.iter_sse()).json()["values"] == {"n": 1}
+        disk.room = None
+        until(lambda: http.get("/readyz").status_code == 200)
+        assert post(http, 2, "two").json() == {"accepted": 1}
+        assert post(http, 2, "two").json() == {"accepted": 1}
+        assert post(http, 3).status_code == 202
+        assert [next(events).json()["values"]["n"] for _ in range(2)] == [2, 3]
+    assert kept(http) == [1, 2, 3]
+
+
+def test_after_a_full_disk_and_a_kill_nothing_is_lost_and_nothing_doubled(
+    recorded, settings, clock, disk, tmp_path
+):
+    """Also what was written only when there was room again; and late streams that somebody asked
+    for meanwhile."""
+    with (
+        running(create_app(recorded, settings, clock), settings) as url,
+        httpx.Client(base_url=url, trust_env=False, timeout=20) as http,
+    ):
+        declare(http)
+        acknowledged = []
+        for n in range(1, 30):
+            if n % 10 == 4:
+                disk.full_writes = True  # what was taken cannot be written
+            if n % 10 == 6:
+                disk.full_writes = False
+            answer = post(http, n, f"key {n}")
+            if answer.status_code == 202:
+                acknowledged.append(n)
+                continue
+            assert answer.status_code == 507
+            if disk.full_writes:
+                http.get("/streams/s5_late").raise_for_status()
+                continue
+            until(lambda: http.get("/readyz").status_code == 200)
+            assert post(http, n, f"key {n}").status_code == 202
+            acknowledged.append(n)
+        seen = kept(http)
+        status = http.get("/streams/status/samples").text
+        # The process is gone, without a word; so is the power.
+        disk.stop_after = 0
+    disk.lose_power(lambda: False, lambda n: 0)
+    again = RecordedEngine(tmp_path / "data", now=0)
+    assert again.recovery.is_continued
+    stream = again.engine.generator("s5").stream
+    found = stream.all().columns["n"].values.tolist()
+    assert set(acknowledged) <= set(found)
+    assert len(found) == len(set(found))
+    assert found == seen
+    assert "s5_late" in status
+    assert len(again.engine.generator("status").stream.all()) >= len(status.splitlines())
+    again.close()
+
+
+def test_a_full_disk_is_logged_once(http, disk, recorded, capfd):
+    declare(http)
+    fill(disk, recorded.log)
+    until(lambda: http.get("/readyz").status_code == 503)
+    counted = "dyknow_tick_failures_total"
+    until(lambda: float(_metric(http, counted)) > 10)
+    disk.room = None
+    until(lambda: http.get("/readyz").status_code == 200)
+    told = capfd.readouterr()
+    told = told.out + told.err
+    assert "Traceback" not in told
+    assert told.count("journal failed") <= 1
+
+
+def _metric(http, name):
+    lines = http.get("/metrics").text.splitlines()
+    return next(line.split()[1] for line in lines if line.startswith(f"{name} "))
+
+
+def test_a_checkpoint_that_finds_no_room_is_told_and_costs_nothing_acknowledged(
+    recorded, settings, clock, disk, tmp_path
+):
+    small = settings.model_copy(update={"checkpoint_bytes": 1})
+    with (
+        running(create_app(recorded, small, clock), small) as url,
+        httpx.Client(base_url=url, trust_env=False, timeout=20) as http,
+    ):
+        declare(http)
+        until(lambda: list((tmp_path / "data" / "checkpoints").iterdir()))
+        disk.room = 4096
+        until(lambda: "checkpoint" in http.get("/readyz").text)
+        # The log has room that it made before.
+        assert post(http, 1).status_code == 202
+        disk.room = None
+    again = RecordedEngine(tmp_path / "data", now=0)
+    assert again.engine.generator("s5").stream.last_number == 1
+    again.close()
+
+
+def test_a_disk_that_fails_ends_writing_and_a_restart_recovers(
+    recorded, settings, clock, disk, tmp_path
+):
+    with (
+        running(create_app(recorded, settings, clock), settings) as url,
+        httpx.Client(base_url=url, trust_env=False, timeout=20) as http,
+    ):
+        declare(http)
+        assert post(http, 1, "one").status_code == 202
+        disk.broken = {"sync"}
+        answer = post(http, 2, "two")
+        assert answer.status_code == 503
+        assert answer.json()["type"] == "urn:dyknow:problem:journal-broken"
+        disk.broken.clear()
+        # What the failed sync has kept nobody knows: nothing more is taken.
+        assert post(http, 3, "three").status_code == 503
+        assert http.put("/streams/more", json={"fields": {"n": "integer"}}).status_code == 503
+        assert http.get("/healthz").status_code == 200
+        assert "restart" in http.get("/readyz").json()["reason"]
+        assert http.get("/readyz").status_code == 503
+        assert kept(http)[0] == 1
+    again = RecordedEngine(tmp_path / "data", now=0)
+    with (
+        running(create_app(again, settings, clock), settings) as url,
+        httpx.Client(base_url=url, trust_env=False, timeout=20) as http,
+    ):
+        assert http.get("/readyz").status_code == 200
+        for n, key in ((1, "one"), (2, "two"), (3, "three")):
+            assert post(http, n, key).json() == {"accepted": 1}
+        assert kept(http) == [1, 2, 3]
