@@ -22,11 +22,12 @@ from pyoxigraph import NamedNode
 
 from ..rdf.namespaces import RDF_TYPE
 from ..rdf.timed import Kind, ObjectColumn
+from .budget import BudgetExceeded
 from .columns import Relation, TermValues, canonical, decoded, decoded_terms
 from .expressions import Call, Const, Expression, Var, variables
 from .logical import Plan, Position, TypeScan, outputs
 from .pattern_kernels import BY_OBJECT, BY_SLOT, BY_SUBJECT, BY_TRIPLE, LOST
-from .pattern_match import CONSTANT, DOUBTFUL, VARIABLE, match
+from .pattern_match import CONSTANT, DOUBTFUL, OVERSPENT, VARIABLE, match
 from .pattern_parts import OPERATIONS, Slot, conditions, leaves, slot_of
 from .pattern_rows import PatternRows
 from .sources import StaticSide
@@ -133,10 +134,20 @@ class PatternJoin:
                 self._tags,
                 self._bits,
                 self._uniform,
+                self.terms.budget.looks,
             )
             if found == DOUBTFUL:
                 self.forget()
                 return None
+            if found == OVERSPENT:
+                self.forget()
+                looks = self.terms.budget.looks
+                raise BudgetExceeded(f"a join looks at more than {looks} rows for a window")
+            try:
+                self.terms.budget.check(found, "a join")
+            except BudgetExceeded:
+                self.forget()
+                raise
             if found <= self._bits.shape[1]:
                 break
             keeps = found <= most

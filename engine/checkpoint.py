@@ -15,6 +15,7 @@ import pickle
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass, fields
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -25,7 +26,9 @@ import numpy as np
 import pyoxigraph
 from pyoxigraph import RdfFormat, Store
 
+from ..continuous.budget import UNLIMITED, Budget
 from ..ontology.ontology import quads_of
+from .busy import Stopwatch
 from .engine import Engine
 from .processes import Processes
 from .supervision import Instance, Runner
@@ -37,6 +40,21 @@ _DEEP = 100_000
 """Frames: units that read each other's streams are a chain of objects as long as their chain."""
 _STACK = 512 << 20
 _COMPILED = type(importlib.import_module("numba").njit(lambda: None))
+
+
+@dataclass(frozen=True, slots=True)
+class Outside:
+    """What an engine works with that is no part of its state: the program's own, made anew with
+    each process."""
+
+    processes: Processes
+    runner: Runner
+    stopwatch: Stopwatch | None = None
+    budget: Budget = UNLIMITED
+
+    def given(self) -> dict[str, Any]:
+        """By the names of `Engine`'s arguments."""
+        return {each.name: getattr(self, each.name) for each in fields(self)}
 
 
 class CheckpointError(Exception):
@@ -59,36 +77,31 @@ def program() -> str:
 
 
 def state_of(
-    engine: Engine,
-    more: object,
-    processes: Processes,
-    runner: Runner,
-    unkept: list[str] | None = None,
+    engine: Engine, more: object, outside: Outside, unkept: list[str] | None = None
 ) -> bytes:
-    """The state of ``engine``, and ``more`` that belongs to it. The ``processes`` and ``runner``
-    that the engine was made with stay outside. ``unkept`` is told of user-written processes whose
+    """The state of ``engine``, and ``more`` that belongs to it. What is ``outside``, with which the
+    engine was made, stays there. ``unkept`` is told of user-written processes whose
     state cannot be written: they start again without it.
 
     Raises `CheckpointError` where something in it cannot be written.
     """
     target = io.BytesIO()
-    outside = {id(processes): "processes", id(runner): "runner"}
+    names = {id(value): name for name, value in outside.given().items() if value is not None}
     try:
-        _deep(lambda: _Writer(target, outside, unkept).dump((engine, more)))
+        _deep(lambda: _Writer(target, names, unkept).dump((engine, more)))
     except (pickle.PicklingError, TypeError, AttributeError, RecursionError) as error:
         raise CheckpointError(f"the state cannot be written: {error}") from error
     return target.getvalue()
 
 
-def engine_of(state: bytes, processes: Processes, runner: Runner) -> tuple[Engine, Any]:
+def engine_of(state: bytes, outside: Outside) -> tuple[Engine, Any]:
     """The engine that had ``state``, and what came with it. Contract: this very program has written
     it; a pickle may do anything.
 
     Raises `CheckpointError` for what cannot be read.
     """
-    outside = {"processes": processes, "runner": runner}
     try:
-        engine, more = _deep(lambda: _Reader(io.BytesIO(state), outside).load())
+        engine, more = _deep(lambda: _Reader(io.BytesIO(state), outside.given()).load())
     except Exception as error:  # a pickle that is not whole may raise whatever it names
         raise CheckpointError(f"the state cannot be read: {error}") from error
     return engine, more

@@ -21,6 +21,7 @@ from ..converters.arrow import decode_arrow
 from ..converters.ndjson import decode_ndjson
 from ..converters.wire import Incoming
 from ..languages.ssl.annotation import CheckedAnnotation, StreamAnnotation
+from ..ontology.ontology import PreparedOntology
 from ..ontology.reading import TextFormat
 from ..streams.time import SECOND
 from .describing import DescribedStream, DescribedTransformation
@@ -297,6 +298,10 @@ class LoadOntology(Command, frozen=True, tag="load ontology"):
     def apply(self, engine: Engine) -> None:
         engine.load_ontology(self.text, name=self.name, format=self.format)
 
+    def apply_prepared(self, engine: Engine, prepared: PreparedOntology) -> None:
+        """`apply`, for who has read the text already."""
+        engine.take_ontology(prepared)
+
 
 class RegisterTransformations(Command, frozen=True, tag="register transformations"):
     described: tuple[DescribedTransformation, ...]
@@ -378,11 +383,19 @@ _ENCODER = msgspec.msgpack.Encoder()
 _DECODER: msgspec.msgpack.Decoder[AnyCommand] = msgspec.msgpack.Decoder(AnyCommand)
 
 
-def done(engine: Engine, command: Command, incoming: Incoming | None = None) -> Any:
-    """Do ``command``; with ``incoming``, what its batch was decoded to. Gives what it gives."""
-    if incoming is not None and isinstance(command, Publish):
-        return command.apply_decoded(engine, incoming)
-    return command.apply(engine)
+ReadAlready: TypeAlias = Incoming | PreparedOntology
+"""What the batch or text of a command says, for who has read it already."""
+
+
+def done(engine: Engine, command: Command, known: ReadAlready | None = None) -> Any:
+    """Do ``command``, of which ``known`` is read already. Gives what it gives."""
+    match command, known:
+        case Publish(), Incoming():
+            return command.apply_decoded(engine, known)
+        case LoadOntology(), PreparedOntology():
+            return command.apply_prepared(engine, known)
+        case _:
+            return command.apply(engine)
 
 
 def written(command: Command) -> bytes:

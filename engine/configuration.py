@@ -526,7 +526,9 @@ class Configuration:
             self._shared.setdefault(key, unit)
 
     def _failed(self, unit: ComputationalUnit) -> None:
-        self.tell(ChangeKind.UNIT_FAILED, unit, unit.failure or "")
+        # What goes on has no `failure`: a single window was not evaluated.
+        reason = unit.failure or unit.counters.last_error or ""
+        self.tell(ChangeKind.UNIT_FAILED, unit, reason)
 
 
 def _no_objection() -> None:

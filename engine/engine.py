@@ -10,6 +10,7 @@ import secrets
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from ..continuous.budget import UNLIMITED, Budget
 from ..converters.to_triples import SampleConverter
 from ..converters.wire import Incoming
 from ..languages.csparql import parse_argument, parse_event_request
@@ -17,7 +18,7 @@ from ..languages.csparql.ast import EventRequest, Template
 from ..languages.kpl import parse_policy
 from ..languages.ssl.annotation import CheckedAnnotation, Content, StreamAnnotation
 from ..matching.uncollected import uncollected
-from ..ontology.ontology import Ontology
+from ..ontology.ontology import Ontology, PreparedOntology
 from ..ontology.reading import TextFormat
 from ..rdf.dictionary import TermDictionary
 from ..rdf.namespaces import PREFIXES, shorten
@@ -89,7 +90,8 @@ class Engine:
     this run in event ids. ``first_reserved`` is the first N of ``dyknow_reserved<N>``. ``now`` is
     the time in ns until `publish` and `tick` bring a later one. ``processes`` are the user-written
     ones that KPL may name, and ``runner`` calls them. ``ontology`` is taken instead of one in
-    ``data``. With a ``stopwatch`` the work of units is measured.
+    ``data``. With a ``stopwatch`` the work of units is measured. ``budget``
+    is what a window of a continuous query may cost.
     """
 
     def __init__(
@@ -103,6 +105,7 @@ class Engine:
         runner: Runner = DIRECT,
         ontology: Ontology | None = None,
         stopwatch: Stopwatch | None = None,
+        budget: Budget = UNLIMITED,
     ) -> None:
         self.epoch = epoch or secrets.token_hex(4)
         if ontology is None:
@@ -149,6 +152,7 @@ class Engine:
             self._manager.space,
             self._changed,
             runner,
+            budget,
         )
         status.listen(self._plans.heard)
         self._requests = EventRequests(
@@ -587,7 +591,11 @@ class Engine:
     def load_ontology(self, text: str, *, name: str, format: TextFormat = "turtle") -> None:
         """Add a domain ontology, or replace the one called ``name`` (an IRI): its sorts, features
         and objects are known from now on, also to queries that run. Raises `OntologyError`."""
-        self.ontology.load(text, name=name, format=format)
+        self.take_ontology(self.ontology.prepare(text, name=name, format=format))
+
+    def take_ontology(self, prepared: PreparedOntology) -> None:
+        """The same with what `Ontology.prepare` made of a text, maybe in another thread."""
+        self.ontology.take(prepared)
         self._converters.clear()
         self._tell_templates()
         self._rematching.ontology_changed()

@@ -16,8 +16,8 @@ from typing import Any, TypeVar
 
 import msgspec
 
+from ..continuous.budget import UNLIMITED, Budget
 from ..converters.errors import ConversionError, WireError
-from ..converters.wire import Incoming
 from ..journal.checkpoints import Checkpoint, Checkpoints
 from ..journal.directory import DataDirectory
 from ..journal.disk import DISK, Disk
@@ -27,8 +27,8 @@ from ..languages.errors import LanguageError
 from ..ontology.errors import OntologyError
 from ..ontology.ontology import Ontology
 from .busy import Stopwatch
-from .checkpoint import CheckpointError, engine_of, program, state_of
-from .commands import Begin, Command, OpenStream, Tick, done, read, written
+from .checkpoint import CheckpointError, Outside, engine_of, program, state_of
+from .commands import Begin, Command, OpenStream, ReadAlready, Tick, done, read, written
 from .engine import Engine
 from .errors import DyknowError
 from .portable import Portable, Standing, engine_from, portable_of
@@ -84,6 +84,7 @@ class RecordedEngine:
         processes: Processes = PROCESSES,
         runner: Runner = DIRECT,
         stopwatch: Stopwatch | None = None,
+        budget: Budget = UNLIMITED,
         durability: Durability = Durability.FSYNC,
         segment: int = SEGMENT,
         disk: Disk = DISK,
@@ -94,9 +95,8 @@ class RecordedEngine:
         ``progress`` is told now and then how many commands are done again, and of how many.
         """
         self.recovery = Recovery()
-        self._processes = processes
-        self._stopwatch = stopwatch
         self._runner = RecordedRunner(runner)
+        self._outside = Outside(processes, self._runner, stopwatch, budget)
         self._standing = Standing()
         self._within = False
         self._asked_for: list[OpenStream] = []
@@ -128,9 +128,9 @@ class RecordedEngine:
 
     # -- doing -------------------------------------------------------------------------------
 
-    def do(self, command: Command, incoming: Incoming | None = None) -> Any:
-        """Write ``command`` down, and do it; gives what it gives. With ``incoming``, what its batch
-        was decoded to.
+    def do(self, command: Command, known: ReadAlready | None = None) -> Any:
+        """Write ``command`` down, and do it; gives what it gives. ``known`` is what of it is
+        read already.
 
         Raises `JournalFull` and `JournalBroken`, and what the command does: nothing is written
         down then, and nothing done.
@@ -140,7 +140,7 @@ class RecordedEngine:
         try:
             with self.log.entry(written(command), _READINGS) as entry:
                 self._runner.tape.record()
-                found = done(self.engine, command, incoming)
+                found = done(self.engine, command, known)
                 readings = self._runner.tape.taken()
                 if readings and isinstance(command, Tick):
                     entry.payload = written(Tick(command.now, readings))
@@ -162,7 +162,7 @@ class RecordedEngine:
         """
         position = self.log.position
         unkept: list[str] = []
-        state = state_of(self.engine, self._standing, self._processes, self._runner, unkept)
+        state = state_of(self.engine, self._standing, self._outside, unkept)
         portable = msgspec.msgpack.encode(portable_of(self.engine, self._standing))
         found = Checkpoint(position, program(), portable, state)
         return Unwritten(found, self.log, self._checkpoints, tuple(unkept))
@@ -242,14 +242,12 @@ class RecordedEngine:
     def _from(self, kept: Checkpoint, now: int) -> Engine:
         """The engine of a checkpoint; raises `CheckpointError`."""
         if kept.program == program():
-            engine, standing = engine_of(kept.state, self._processes, self._runner)
+            engine, standing = engine_of(kept.state, self._outside)
             assert isinstance(engine, Engine)
             self._standing = standing
             return engine
         portable = msgspec.msgpack.decode(kept.portable, type=Portable)
-        engine, self._standing, lost = engine_from(
-            portable, now, self._processes, self._runner, self._stopwatch
-        )
+        engine, self._standing, lost = engine_from(portable, now, self._outside)
         self._begin_anew(f"the directory was written by {kept.program}, this is {program()}")
         self.recovery.notes += lost
         return engine
@@ -280,10 +278,8 @@ class RecordedEngine:
         engine = Engine(
             epoch=begin.epoch,
             now=begin.now,
-            processes=self._processes,
-            runner=self._runner,
-            stopwatch=self._stopwatch,
             ontology=ontology,
+            **self._outside.given(),
         )
         return engine, 1
 

@@ -14,6 +14,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from ..continuous.budget import Quarantined
 from ..continuous.evaluator import ContinuousEvaluator
 from ..continuous.flows import Flow
 from ..continuous.results import WindowResult
@@ -24,7 +25,7 @@ from ..converters.to_triples import SampleConverter
 from ..ontology.units import Conversion
 from ..streams.generator import StreamGenerator
 from ..streams.sample import Column, FieldType, Mask, SampleBatch, Times
-from ..streams.time import TIME_MAX, TIME_MIN
+from ..streams.time import TIME_MAX, TIME_MIN, format_time
 from .busy import BusyTime
 from .changes import Role
 from .stream_view import flow_of
@@ -463,6 +464,17 @@ class WindowUnit(ComputationalUnit):
         super().resume(source)
         self.evaluator.resume(source.name)
 
+    def judge(self) -> None:
+        """Tell of windows that needed more than they may. Raises `Quarantined` for too many of
+        them: then no more are evaluated, and the unit is cut off."""
+        overruns, self.evaluator.overruns = self.evaluator.overruns, []
+        for overrun in overruns:
+            text = f"the window that ends {format_time(overrun.end)} has no result"
+            self.counters.note(f"{text}: {overrun.reason}", overrun.end)
+            self._on_failure(self)
+        if self.evaluator.quarantine:
+            raise Quarantined(self.evaluator.quarantine)
+
 
 class Answer:
     """The results of a query as samples of ``output``.
@@ -518,6 +530,7 @@ class QueryUnit(WindowUnit):
 
     def progress(self, source: StreamGenerator, watermark: int) -> None:
         self._emit(self.evaluator.advance(source.name, watermark))
+        self.judge()
         least = self.least_watermark
         if least is not None:
             # A window that is still open ends at ``least`` or later; its results come after it.
@@ -525,6 +538,7 @@ class QueryUnit(WindowUnit):
 
     def finish(self, source: StreamGenerator) -> None:
         self._emit(self.evaluator.end(source.name))
+        self.judge()
         super().finish(source)
 
     def _emit(self, windows: Sequence[WindowResult]) -> None:

@@ -146,6 +146,7 @@ class QueryView:
     ``windows`` how many results are kept, ``last_window`` the end (ns) of the last that closed,
     ``late`` the samples that came too late for theirs. Windows that end before ``watermark`` (ns)
     have closed; the others wait for ``held_back_by``, the streams that are least far.
+    ``errors`` counts windows that needed more than they may and have no result.
     """
 
     name: str
@@ -173,6 +174,8 @@ class QueryView:
     windows: int = 0
     last_window: int | None = None
     late: int = 0
+    errors: int = 0
+    last_error: str | None = None
     plan: PlanView | None = None
 
 

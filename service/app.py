@@ -20,6 +20,7 @@ from .body import BodyLimit, UnderWay
 from .context import Service
 from .descriptors import places
 from .event_clients import EventClients
+from .isolation.services import Isolation
 from .keeper import Keeper
 from .live import LiveBodies
 from .logs import log
@@ -81,8 +82,8 @@ RESOURCES = (
     session,
     docs,
 )
-ASKING = ("/match", "/sparql")
-"""Paths to which questions are posted: they change nothing."""
+ASKING = ("/match", "/sparql", "/session")
+"""Paths to which questions are posted, or who asks them: nothing of it is kept."""
 TICK = "tick"
 DESCRIPTION = """Semantic stream reasoning: say what you want to know, and the service finds or
 builds the streams that answer it. Errors are `application/problem+json` (RFC 9457)."""
@@ -124,7 +125,7 @@ def create_app(
         feeds,
         LiveBodies(),
         Metrics(engine, feeds, bodies, clock),
-        anyio.CapacityLimiter(settings.sparql_workers),
+        Isolation(settings, engine.ontology),
         clock(),
         Gate.of(settings, tokens, Sessions(clock), Quotas(engine, settings)),
         keeper,
@@ -138,6 +139,7 @@ def create_app(
             tasks.start_soon(_tick, service)
             yield
             service.leave()
+            service.isolation.close()
             tasks.cancel_scope.cancel()
         keeper.close()
 

@@ -6,16 +6,15 @@ import time
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-import anyio
 from fastapi import Depends, Request
 
-from ..converters.wire import Incoming
-from ..engine.commands import Command, Tick
+from ..engine.commands import Command, ReadAlready, Tick
 from ..engine.engine import Engine
 from ..journal.errors import JournalError
 from ..streams.time import Clock
 from .access import Gate
 from .event_clients import ClientKey, address_of
+from .isolation.services import Isolation
 from .keeper import Keeper
 from .live import LiveBodies
 from .logs import log
@@ -37,7 +36,7 @@ class Service:
     feeds: Feeds
     bodies: LiveBodies
     metrics: Metrics
-    sparql_slots: anyio.CapacityLimiter
+    isolation: Isolation
     started: int
     gate: Gate
     keeper: Keeper
@@ -69,9 +68,9 @@ class Service:
         self.bodies.close()
         self.feeds.close()
 
-    async def do(self, command: Command, incoming: Incoming | None = None) -> Any:
+    async def do(self, command: Command, known: ReadAlready | None = None) -> Any:
         """Do ``command`` at once; return what it gives when it is kept."""
-        found = self.keeper.do(command, incoming)
+        found = self.keeper.do(command, known)
         await self.keeper.kept()
         return found
 

@@ -13,9 +13,8 @@ import asyncio
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Protocol
 
-from ..converters.wire import Incoming
 from ..engine.checkpoint import CheckpointError
-from ..engine.commands import Command, done
+from ..engine.commands import Command, ReadAlready, done
 from ..engine.engine import Engine
 from ..engine.recorded import RecordedEngine
 from ..journal.errors import JournalError
@@ -95,12 +94,12 @@ class Keeper:
         """Whom to show what is kept."""
         self._audience = audience
 
-    def do(self, command: Command, incoming: Incoming | None = None) -> Any:
+    def do(self, command: Command, known: ReadAlready | None = None) -> Any:
         """Do ``command``; see `RecordedEngine.do`."""
         if self._recorded is None:
-            return done(self._engine, command, incoming)
+            return done(self._engine, command, known)
         try:
-            return self._recorded.do(command, incoming)
+            return self._recorded.do(command, known)
         except JournalError as error:
             self._fail(JOURNAL, error)
             raise

@@ -32,6 +32,8 @@ from .logs import log
 MEDIA_TYPE = "application/problem+json"
 REQUEST_ID: Final = "dyknow.request"
 """In the scope of a request: its id, which is in its answer, in the log and in problems."""
+LONGEST = 4000
+"""Characters of a text in an error."""
 _NAMES = "urn:dyknow:problem:"
 _REQUESTS = "urn:dyknow:request:"
 
@@ -76,10 +78,11 @@ class Problem(HTTPException):
     def model(self) -> ProblemModel:
         kind = _NAMES + self.title.lower().replace(" ", "-")
         known: dict[str, Any] = {
-            key: value for key, value in self.members.items() if value or value == 0
+            key: _shown(value) for key, value in self.members.items() if value or value == 0
         }
+        detail = _shown(str(self.detail))
         return ProblemModel(
-            type=kind, title=self.title, status=self.status_code, detail=str(self.detail), **known
+            type=kind, title=self.title, status=self.status_code, detail=detail, **known
         )
 
     def response(self, request: str | None = None) -> Response:
@@ -89,6 +92,13 @@ class Problem(HTTPException):
             model.instance = _REQUESTS + quote(request, safe="")
         body = model.model_dump(exclude_none=True)
         return JSONResponse(body, self.status_code, self.headers, media_type=MEDIA_TYPE)
+
+
+def _shown(value: Any) -> Any:
+    """Who sent a long name or text need not get all of it back."""
+    if isinstance(value, str) and len(value) > LONGEST:
+        return f"{value[:LONGEST]}…"
+    return value
 
 
 _STATUS: tuple[tuple[type[DyknowError], int], ...] = (

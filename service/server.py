@@ -156,13 +156,13 @@ def url_of(listener: socket.socket) -> str:
 
 
 def run(app: FastAPI, listener: socket.socket) -> bool:
-    """Serve until a signal stops it. Whether it could end as it should: no second one came."""
+    """Serve until a signal stops it. Whether a second one came and cut that short."""
     server = make_server(app)
     try:
         server.run(sockets=[listener])
     finally:
         listener.close()
-    return not server.force_exit
+    return server.force_exit
 
 
 @contextmanager

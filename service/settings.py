@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 from pydantic import Field, SecretStr
@@ -10,6 +11,10 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 from ..journal.log import Durability
 
 MEBIBYTE = 1 << 20
+
+
+def _workers() -> int:
+    return max(2, min(4, os.cpu_count() or 1))
 
 
 class Settings(BaseSettings):
@@ -81,8 +86,26 @@ class Settings(BaseSettings):
     """A client that takes nothing for so long is let go; it may resume."""
     sparql_deadline: float = Field(default=10.0, gt=0)
     """A SPARQL query without an answer after this time is answered with 503."""
-    sparql_workers: int = Field(default=4, gt=0)
-    """How many SPARQL queries are evaluated at once."""
+    sparql_workers: int = Field(default_factory=_workers, gt=0)
+    """How many SPARQL queries are evaluated at once, each in a process of its own."""
+    sparql_waiting: int = Field(default=32, ge=0)
+    """How many more may wait; beyond it queries are answered with 503 and Retry-After."""
+    sparql_rows: int = Field(default=100_000, gt=0)
+    """A result of more rows or triples is refused with 422."""
+    sparql_bytes: int = Field(default=64 * MEBIBYTE, gt=0)
+    """A result of more bytes is refused with 422."""
+    query_rows: int = Field(default=5_000_000, gt=0)
+    """Rows that one operator of a continuous query may make of one window."""
+    query_results: int = Field(default=100_000, gt=0)
+    """Solutions that a continuous query may have of one window."""
+    query_deadline: float = Field(default=1.0, gt=0)
+    """Seconds that Oxigraph may take for one window, where columns cannot evaluate it."""
+    ontology_deadline: float = Field(default=20.0, gt=0)
+    """Seconds for reading an ontology, and as many for what all of them entail."""
+    ontology_triples: int = Field(default=100_000, gt=0)
+    """Triples that the ontologies may have together, and as many that they may entail."""
+    worker_memory: int = Field(default=512 * MEBIBYTE, ge=16 * MEBIBYTE)
+    """What one worker process may take beside its program."""
     slow_request: float = Field(default=1.0, gt=0)
     """A request that takes longer is a warning in the log."""
     drain: float = Field(default=0.0, ge=0)

@@ -12,6 +12,7 @@ from typing import Annotated, Any
 import typer
 
 from ... import __version__
+from ...continuous.budget import Budget
 from ...engine.engine import Engine
 from ...engine.loading import load_processes
 from ...engine.recorded import RecordedEngine
@@ -22,6 +23,7 @@ from ...streams.compiled import compile_all
 from ..app import create_app
 from ..context import Service
 from ..descriptors import raise_limit
+from ..isolation.services import Windows
 from ..logs import configure, log
 from ..server import bind, run, url_of
 from ..settings import Settings
@@ -79,16 +81,20 @@ def serve(
     raise_limit()
     watchdog = Watchdog()
     token = known.issue("flights", Scope.ADMIN) if flights and known.required else ""
+    windows = Windows(settings)
     try:
-        engine = _engine(settings, watchdog)
+        engine = _engine(settings, watchdog, windows.budget)
     except BaseException:
         listener.close()
+        windows.close()
         raise
     app = create_app(engine, settings, time.time_ns, known)
     url = url_of(listener)
     err().print(f"DyKnow serves at {url} (documentation: {url}/docs)", markup=False)
     # Beside the start: the first query and the first large batch should not wait for compilers.
     threading.Thread(target=warm, name="warm", daemon=True).start()
+    for isolated in (windows, app.state.service.isolation):
+        threading.Thread(target=isolated.warm, name="warm-workers", daemon=True).start()
     stopping = threading.Event()
     if flights:
         playing = (url, stopping.is_set, token)
@@ -99,19 +105,22 @@ def serve(
     values = settings.model_dump(mode="json", exclude_defaults=True)
     log().info("serving", version=__version__, url=url, epoch=service.engine.epoch, settings=values)
     try:
-        ended = run(app, listener)
+        by_force = run(app, listener)
     finally:
         stopping.set()
         watchdog.close()
-    log().info("stopped", by_force=not ended)
-    if not ended:
+        windows.close()
+    log().info("stopped", by_force=by_force)
+    if by_force:
         raise typer.Exit(1)
 
 
-def _engine(settings: Settings, watchdog: Watchdog) -> Engine | RecordedEngine:
+def _engine(settings: Settings, watchdog: Watchdog, budget: Budget) -> Engine | RecordedEngine:
     """A new engine in memory, or that of the data directory as it was."""
     if settings.data is None:
-        return Engine(now=time.time_ns(), runner=watchdog, stopwatch=time.perf_counter_ns)
+        return Engine(
+            now=time.time_ns(), runner=watchdog, stopwatch=time.perf_counter_ns, budget=budget
+        )
 
     def progress(done: int, count: int) -> None:
         err().print(f"  {done:,} of {count:,} commands done again", markup=False)
@@ -122,6 +131,7 @@ def _engine(settings: Settings, watchdog: Watchdog) -> Engine | RecordedEngine:
             now=time.time_ns(),
             runner=watchdog,
             stopwatch=time.perf_counter_ns,
+            budget=budget,
             durability=settings.durability,
             progress=progress,
         )

@@ -446,7 +446,7 @@ def test_what_the_service_knows_of_itself_is_not_of_1970(monkeypatch: pytest.Mon
     def serve(app: Any, listener: Any) -> bool:
         listener.close()
         served.append(app.state.service)
-        return True
+        return False
 
     monkeypatch.setattr("dyknow.service.cli.serve.run", serve)
     monkeypatch.setattr("dyknow.service.cli.serve.configure", lambda *arguments: None)

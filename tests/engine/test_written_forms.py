@@ -1,0 +1,196 @@
+"""What was written once is readable for ever: the files in tests/cases/journal.
+
+``DYKNOW_REWRITE=1 pytest tests/engine/test_written_forms.py`` adds what is not there yet. It never
+changes what is: a file that cannot be read any more is an error in the program.
+"""
+
+import json
+import os
+from pathlib import Path
+from typing import get_args
+
+import msgspec
+import pytest
+
+from dyknow.engine import commands as c
+from dyknow.engine.describing import (
+    DescribedArgument,
+    DescribedPort,
+    DescribedStream,
+    DescribedTransformation,
+)
+from dyknow.engine.portable import KeptColumn, KeptStream, Portable
+from dyknow.engine.views import Since, StreamDeclaration
+from dyknow.journal.checkpoints import Checkpoint, encoded, read_checkpoint
+from dyknow.journal.examination import examine
+from dyknow.journal.log import Log
+from dyknow.journal.segment import walk
+from dyknow.streams.fluent import Retention
+from dyknow.streams.generator import Counters
+from dyknow.streams.sample import Field, FieldType
+
+CASES = Path(__file__).parents[1] / "cases" / "journal"
+COMMANDS = CASES / "commands.jsonl"
+CHECKPOINT = CASES / "00000000000000000003.checkpoint"
+PORT = DescribedPort("dyknow:speed", "spd", "km/h", (DescribedArgument("UAV", "a", "id"),))
+EXAMPLES = [
+    c.Begin("3f2a91c0", 1_633_633_973_000_000_000, "dyknow 0.1.0, Python 3.11.7, 0123456789abcdef"),
+    c.Tick(1_633_633_973_100_000_000),
+    c.Publish("s5", "ndjson", b'{"valid": 1, "spd": 31.5}\n', 5, "key"),
+    c.Publish("s5", "arrow", b"\x00\xff", 6),
+    c.EndStream("s5"),
+    c.DeclareStream(
+        StreamDeclaration(
+            "s5",
+            (Field("id", FieldType.STRING), Field("spd", FieldType.FLOAT)),
+            5_000_000_000,
+            Retention(100, 3_600_000_000_000),
+            "http://example.org/",
+            30_000_000_000,
+        )
+    ),
+    c.RemoveStream("s5"),
+    c.OpenStream("s5_late"),
+    c.SetQuality("s5", 0.5),
+    c.Annotate("stream s5 contains speed(UAV) = spd for every UAV = id"),
+    c.Describe((DescribedStream("s5", (PORT,)),)),
+    c.RegisterTemplate("REGISTER TEMPLATE …", True),
+    c.RemoveTemplate("HighSpeedEvent"),
+    c.RequestEvent("dyknow:HighSpeedEvent(?o, dyknow:UAV, 100)", strategy="cost"),
+    c.RequestEvent(None, "dyknow:HighSpeedEvent", ("?o", "100"), "fast", Since.START),
+    c.CancelEvent("event1"),
+    c.Subscribe("s5", "sample every 200", "s", Since.START),
+    c.SubscribeToFeature(
+        "dyknow:speed",
+        "dyknow:UAV",
+        ("dyknow:uav1",),
+        "quality",
+        "max delay 5",
+        "s",
+        Since.START,
+        5_000_000_000,
+        0.5,
+        1_000_000_000,
+    ),
+    c.Unsubscribe("subscription1"),
+    c.RegisterQuery("REGISTER QUERY …", "set", "[)", 7, "close", "quality", Since.START),
+    c.RemoveQuery("fast"),
+    c.AddKpl("source float x", "s"),
+    c.RemoveKpl("x", True),
+    c.ApplySpecification(b"<specification/>"),
+    c.LoadOntology("<urn:a> <urn:b> <urn:c> .", "http://example.org/o", "ntriples"),
+    c.RegisterTransformations(
+        (DescribedTransformation("t", (PORT,), PORT, "Scaled", {"factor": "2"}, 2.0, 0.5),), True
+    ),
+    c.RegisterAnnotatedTransformation(
+        "compunit t transforms …", "Scaled", {"factor": "2"}, 2.0, 0.5, True
+    ),
+    c.ChangeTransformation("t", 2.0, 0.5),
+    c.RemoveTransformation("t"),
+]
+PORTABLE = Portable(
+    1,
+    5_000_000_000,
+    b"<urn:a> <urn:b> <urn:c> .\n",
+    [
+        KeptStream(
+            "s5",
+            [Field("id", FieldType.STRING)],
+            3,
+            1,
+            (1).to_bytes(8, "little") + (2).to_bytes(8, "little"),
+            (1).to_bytes(8, "little") + (2).to_bytes(8, "little"),
+            {"id": KeptColumn(FieldType.STRING, bytes(8), b"\x00\x01", ["uav1"])},
+            Counters(4, 3, 1, 0, 0),
+            False,
+            2,
+            False,
+        )
+    ],
+    [EXAMPLES[13]],
+)
+PAYLOADS = [c.written(each) for each in EXAMPLES[:3]]
+
+
+def test_every_command_is_among_the_examples():
+    kinds = {type(each) for each in EXAMPLES}
+    assert kinds == set(get_args(c.AnyCommand))
+    assert kinds == set(c.Command.__subclasses__())
+
+
+def test_every_member_of_a_command_is_somewhere_not_its_default():
+    """Else the file would not tell how it is written."""
+    there = {(type(each), name) for each in EXAMPLES for name in msgspec.to_builtins(each)}
+    wanted = {
+        (kind, each.encode_name)
+        for kind in get_args(c.AnyCommand)
+        for each in msgspec.structs.fields(kind)
+    }
+    assert wanted <= there
+
+
+def _lines():
+    if os.environ.get("DYKNOW_REWRITE") == "1":
+        known = COMMANDS.read_text() if COMMANDS.exists() else ""
+        there = {json.loads(line)["bytes"] for line in known.splitlines()}
+        for each in EXAMPLES:
+            if c.written(each).hex() not in there:
+                told = msgspec.to_builtins(each, builtin_types=(bytes,))
+                line = {"bytes": c.written(each).hex(), "is": _plain(told)}
+                known += json.dumps(line, ensure_ascii=False) + "\n"
+        COMMANDS.write_text(known)
+    return [json.loads(line) for line in COMMANDS.read_text().splitlines()]
+
+
+def _plain(value):
+    if isinstance(value, bytes):
+        return value.hex()
+    if isinstance(value, dict):
+        return {key: _plain(each) for key, each in value.items()}
+    return [_plain(each) for each in value] if isinstance(value, list | tuple) else value
+
+
+def test_commands_that_were_written_are_read_as_what_they_were():
+    lines = _lines()
+    for line in lines:
+        command = c.read(bytes.fromhex(line["bytes"]))
+        told = _plain(msgspec.to_builtins(command, builtin_types=(bytes,)))
+        # Members that came later have their defaults, which are not told.
+        assert told == line["is"]
+    there = {line["bytes"] for line in lines}
+    assert {c.written(each).hex() for each in EXAMPLES} <= there
+    found = [c.read(bytes.fromhex(line["bytes"])) for line in lines]
+    assert all(each in found for each in EXAMPLES)
+
+
+def test_a_log_that_was_written_is_read():
+    if os.environ.get("DYKNOW_REWRITE") == "1" and not list(CASES.glob("*.log")):
+        log = Log(CASES)
+        for payload in PAYLOADS:
+            log.append(payload)
+        log.close()
+        name = CASES / "00000000000000000001.log"
+        name.write_bytes(name.read_bytes().rstrip(b"\0") + bytes(100))
+    found = examine(CASES)
+    assert (found.first, found.position, found.damage, found.torn) == (1, 3, None, None)
+    assert (found.mark.first, found.mark.synced, found.mark.durable) == (1, 3, 3)
+    data = (CASES / "00000000000000000001.log").read_bytes()
+    records = list(walk(data, 1))
+    assert [data[each.begin : each.begin + each.length] for each in records] == PAYLOADS
+    assert [each.position for each in records] == [1, 2, 3]
+
+
+def test_a_checkpoint_that_was_written_is_read():
+    kept = Checkpoint(3, "dyknow 0.1.0", msgspec.msgpack.encode(PORTABLE), b"state")
+    if os.environ.get("DYKNOW_REWRITE") == "1" and not CHECKPOINT.exists():
+        CHECKPOINT.write_bytes(encoded(kept))
+    found = read_checkpoint(CHECKPOINT)
+    assert (found.position, found.program, found.state) == (3, "dyknow 0.1.0", b"state")
+    assert msgspec.msgpack.decode(found.portable, type=Portable) == PORTABLE
+
+
+def test_a_command_of_a_later_version_is_told():
+    with pytest.raises(msgspec.DecodeError):
+        c.read(msgspec.msgpack.encode({"do": "what nobody knows"}))
+    with pytest.raises(msgspec.DecodeError):
+        c.read(msgspec.msgpack.encode({"do": "tick", "now": 1, "more": 2}))
