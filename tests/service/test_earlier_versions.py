@@ -200,7 +200,9 @@ def test_what_another_program_wrote_goes_on_under_new_ids(written, settings, clo
     assert engine.epoch != epoch
     assert [each.id for each in engine.events()] == requests
     assert len(engine.subscriptions()) == 1
-    # It takes samples: the same ones once more are known.
+    # It takes samples: the same ones once more are known, by their key or by themselves.
+    again.do(Publish("s5", "ndjson", body(10), 12 * SECOND, "key 10"))
+    assert engine.generator("s5").counters.accepted == before[4].accepted
     again.do(Publish("s5", "ndjson", body(10), 12 * SECOND))
     assert engine.generator("s5").counters.duplicate == 1
     new_epoch, last = engine.epoch, before[1]
