@@ -251,6 +251,11 @@ def test_what_another_program_wrote_without_a_checkpoint_is_done_again(written, 
     path, recorded = written
     recorded.close(checkpoint=False)
     monkeypatch.setattr("dyknow.engine.recorded.program", lambda: "dyknow 0.2.0")
+    monkeypatch.setattr("dyknow.service.cli.data_directory.program", lambda: "dyknow 0.2.0")
+    start = json.loads(CliRunner().invoke(app, ["check", str(path), "--json"]).stdout)["start"]
+    assert start.startswith("goes on from the beginning")
+    assert program() in start
+    assert "begin anew" in start
     again = RecordedEngine(path, now=14 * SECOND)
     assert not again.recovery.is_continued
     assert again.engine.stream("s5").counters.accepted == 11
