@@ -121,7 +121,7 @@ class Engine:
         busy_time = None if stopwatch is None else BusyTime(stopwatch)
         self._configuration = Configuration(self._changed, first_reserved, busy_time)
         self._manager = SemanticsManager(self.ontology, self._subscribers)
-        self._intake = Intake(self._configuration)
+        self.intake = Intake(self._configuration)
         self._idleness = Idleness()
         self._converters: dict[str, SampleConverter] = {}
         status.listen(self._manager.changed)
@@ -305,7 +305,7 @@ class Engine:
     def accepting(self, name: str) -> StreamGenerator:
         """The generator of a stream that takes samples; raises `UnknownStream`, and `Refused` for
         a stream that the system makes."""
-        return self._intake.accepting(name)
+        return self.intake.accepting(name)
 
     def on_opened(self, heard: Callable[[str], None]) -> None:
         """Tell ``heard`` of streams that come into being by being asked for: of late samples, of
@@ -340,7 +340,7 @@ class Engine:
         """
         before, self._now = self._now, max(self._now, now)
         try:
-            accepted = self._intake.publish(name, incoming, now, idempotency_key, digest)
+            accepted = self.intake.publish(name, incoming, now, idempotency_key, digest)
         except Exception:
             self._now = before
             raise
@@ -674,7 +674,7 @@ class Engine:
     def _heard(self, change: Change) -> None:
         """What is remembered of a stream holds no more."""
         if change.kind is ChangeKind.STREAM_REMOVED:
-            self._intake.forget(change.stream)
+            self.intake.forget(change.stream)
         self._converters.pop(change.stream, None)
 
     def _contents(self, stream: str) -> tuple[Content, ...]:

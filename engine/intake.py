@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections import OrderedDict
+from collections.abc import Iterable
+from typing import NamedTuple
 
 from ..converters.wire import Incoming
 from ..streams.generator import StreamGenerator
@@ -10,6 +12,15 @@ from .configuration import Configuration
 from .errors import Conflict, Refused
 
 _KEYS_KEPT = 10_000
+
+
+class UsedKey(NamedTuple):
+    """An idempotency key: of which stream, what was sent, and what was answered."""
+
+    stream: str
+    key: str
+    digest: bytes
+    accepted: int
 
 
 class Intake:
@@ -62,6 +73,17 @@ class Intake:
             if len(self._keys) > _KEYS_KEPT:
                 self._keys.popitem(last=False)
         return accepted
+
+    @property
+    def keys(self) -> tuple[UsedKey, ...]:
+        """Those that are remembered, oldest first."""
+        return tuple(UsedKey(*key, *sent) for key, sent in self._keys.items())
+
+    def remember(self, keys: Iterable[UsedKey]) -> None:
+        """An earlier run has used these."""
+        for each in keys:
+            self._keys[each.stream, each.key] = (each.digest, each.accepted)
+            self._keyed.add(each.stream)
 
     def forget(self, name: str) -> None:
         """A stream was removed, and with it the keys that were used for it."""

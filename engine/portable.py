@@ -34,6 +34,7 @@ from .commands import (
 )
 from .engine import Engine
 from .errors import DyknowError
+from .intake import UsedKey
 
 
 class KeptColumn(msgspec.Struct):
@@ -63,13 +64,15 @@ class KeptStream(msgspec.Struct):
 
 
 class Portable(msgspec.Struct):
-    """``quads``: N-Quads. ``standing``: what was asked for and has no name, oldest first."""
+    """``quads``: N-Quads. ``standing``: what was asked for and has no name, oldest first.
+    ``keys``: those under which batches came."""
 
     format: int
     now: int
     quads: bytes
     streams: list[KeptStream]
     standing: list[AnyCommand]
+    keys: list[UsedKey] = []
 
 
 @dataclass(slots=True)
@@ -105,6 +108,7 @@ def portable_of(engine: Engine, standing: Standing) -> Portable:
         engine.ontology.quads(),
         [_kept(each) for each in kept],
         [command for name, command in standing.commands.items() if name not in named],  # type: ignore[misc]
+        list(engine.intake.keys),
     )
 
 
@@ -128,6 +132,7 @@ def engine_from(
             lost.append(f"stream {kept.name}: nobody declares it any more")
         else:
             _restore(generator, kept)
+    engine.intake.remember(each for each in portable.keys if each.stream in there)
     standing = Standing()
     for command in portable.standing:
         try:

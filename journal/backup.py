@@ -131,7 +131,8 @@ def _write(
     log: Sequence[tuple[int, BinaryIO]],
 ) -> Manifest:
     """Write the copy into the folder ``part``."""
-    (part / "journal").mkdir(parents=True)
+    part.mkdir(mode=0o700, parents=True)
+    (part / "journal").mkdir()
     (part / "checkpoints").mkdir()
     files: dict[str, tuple[int, int]] = {}
 
@@ -184,7 +185,8 @@ def _verify(path: Path, manifest: Manifest, program: str) -> None:
 def _pack(part: Path, target: Path) -> None:
     packed = target.with_name(f"{target.name}.part.tar")
     try:
-        with packed.open("xb") as file:
+        # As the files that are in it: for their owner alone.
+        with os.fdopen(os.open(packed, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
             with tarfile.open(fileobj=file, mode="w") as tar:
                 for each in sorted(part.rglob("*")):
                     if each.is_file():

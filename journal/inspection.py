@@ -3,13 +3,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeAlias
 
 from .checkpoints import checkpoint_path, positions_in, read_checkpoint
 from .directory import REPAIRED, RESTORING, format_of, holder_of
 from .errors import JournalDamaged
 from .examination import Examination, examine
+from .segment import walk
+
+BegunBy: TypeAlias = Callable[[bytes], str | None]
 
 _TRIES = 5
 """So often what looks damaged is looked at again where a process writes meanwhile."""
@@ -46,8 +51,9 @@ class Inspection:
         return not self.damage
 
 
-def inspect(path: Path, program: str) -> Inspection:
+def inspect(path: Path, program: str, begun_by: BegunBy | None = None) -> Inspection:
     """Look at the data directory ``path``, that may be in use, for a start by ``program``.
+    ``begun_by`` tells which program has begun the log that has this first record.
 
     Raises `JournalDamaged` where there is none, or its format cannot be read, `UnknownFormat`,
     ``OSError``. Cost: reads all of it.
@@ -60,7 +66,7 @@ def inspect(path: Path, program: str) -> Inspection:
     for tries in range(_TRIES):
         holder = holder_of(path)
         try:
-            found = _look(path, format, program, holder)
+            found = _look(path, format, program, holder, begun_by)
         except FileNotFoundError:
             # Forgotten by the process that has it, after it was listed.
             if holder is None or tries == _TRIES - 1:
@@ -71,7 +77,9 @@ def inspect(path: Path, program: str) -> Inspection:
     return found
 
 
-def _look(path: Path, format: int, program: str, holder: str | None) -> Inspection:
+def _look(
+    path: Path, format: int, program: str, holder: str | None, begun_by: BegunBy | None
+) -> Inspection:
     log = examine(path / "journal")
     found = tuple(_checkpoint(path / "checkpoints", p) for p in positions_in(path / "checkpoints"))
     damage = [] if log.damage is None else [log.damage]
@@ -82,8 +90,10 @@ def _look(path: Path, format: int, program: str, holder: str | None) -> Inspecti
     refusal = misfit(log, [each.position for each in sound])
     if refusal is not None and log.damage is None:
         damage.insert(0, refusal)
-    start = _start(path, format, log, sound, program)
-    if log.damage is not None or refusal is not None:
+    if log.damage is None and refusal is None:
+        begun = _begun(log, begun_by) if not sound else None
+        start = _start(path, format, log, sound, program, begun or program)
+    else:
         start = "refuses to start: see dyknow repair, or restore a backup"
     return Inspection(path, format, holder, log, found, tuple(damage), start)
 
@@ -113,7 +123,12 @@ def _checkpoint(folder: Path, position: int) -> KnownCheckpoint:
 
 
 def _start(
-    path: Path, format: int, log: Examination, sound: list[KnownCheckpoint], program: str
+    path: Path,
+    format: int,
+    log: Examination,
+    sound: list[KnownCheckpoint],
+    program: str,
+    begun: str,
 ) -> str:
     if format == 1:
         return "takes over the definitions of an earlier version; samples were not kept"
@@ -131,4 +146,14 @@ def _start(
             f"takes over definitions and samples of checkpoint {begin}, written by "
             f"{sound[0].program}, and does {count} commands again; ids of events begin anew"
         )
+    if begun != program:
+        return f"{told}, that {begun} did; ids of events begin anew"
     return told
+
+
+def _begun(log: Examination, begun_by: BegunBy | None) -> str | None:
+    if begun_by is None or not log.whole or not log.scans[0].count:
+        return None
+    data = log.scans[0].path.read_bytes()
+    first = next(walk(data, log.first))
+    return begun_by(data[first.begin : first.begin + first.length])

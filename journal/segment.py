@@ -238,7 +238,6 @@ class Segment:
             disk.close(file)
             disk.remove(path)
             raise
-        segment._unsynced = True
         return segment
 
     @classmethod

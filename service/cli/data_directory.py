@@ -13,6 +13,7 @@ import msgspec
 import typer
 
 from ...engine.checkpoint import program
+from ...engine.commands import Begin, read
 from ...journal.directory import format_of, locked
 from ...journal.errors import JournalError
 from ...journal.examination import files_of
@@ -122,9 +123,14 @@ def _value(value: Any, full: bool) -> Any:
 
 def _inspected(directory: Path) -> Inspection:
     try:
-        return inspect(directory, program())
+        return inspect(directory, program(), _begun_by)
     except JournalError as error:
         raise fail(error.message, error.hint) from error
+
+
+def _begun_by(data: bytes) -> str | None:
+    first = read(data)
+    return first.program if isinstance(first, Begin) else None
 
 
 def _told(found: Inspection) -> dict[str, Any]:

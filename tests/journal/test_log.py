@@ -1,6 +1,7 @@
 """The log, case by case; tests/laws/test_journal.py has what holds of all of them."""
 
 import errno
+import itertools
 import struct
 import threading
 import zlib
@@ -9,7 +10,7 @@ import pytest
 from simulated_disk import Killed, SimulatedDisk
 
 from dyknow.journal.errors import JournalBroken, JournalDamaged, JournalFull, UnknownFormat
-from dyknow.journal.high_water import NAME, Mark
+from dyknow.journal.high_water import NAME, Mark, read_mark
 from dyknow.journal.log import Durability, Log
 from dyknow.journal.segment import framed, header_of, path_of, scan
 
@@ -105,6 +106,34 @@ def test_files_to_be_forgotten_may_still_be_there_after_a_kill(tmp_path):
     assert again.first == 3
     assert again.position == 9
     again.close()
+
+
+def test_of_files_that_are_forgotten_the_power_does_not_bring_back_any_but_the_last(tmp_path):
+    filled(tmp_path, 9)
+    disk = SimulatedDisk()
+    log = Log(tmp_path, segment=60, disk=disk)
+    log.drop(8)
+    which = itertools.cycle([False, True])
+    disk.lose_power(lambda: next(which), lambda n: n)
+    again = Log(tmp_path)
+    assert (again.first, again.position) == (9, 9)
+    again.close()
+
+
+def test_one_copy_of_the_mark_is_whole_at_any_time(tmp_path):
+    """The power goes between the writes of both, and takes both that are not synced."""
+    filled(tmp_path, 5)
+    disk = SimulatedDisk()
+    log = Log(tmp_path, disk=disk)
+    before = read_mark(tmp_path)
+    disk.stop_after = disk.calls + 3
+    with pytest.raises(Killed):
+        log._mark.keep(Mark(1, 4, 4))
+    # What was written begins in the middle: the head of each is torn.
+    which = itertools.cycle([True, False])
+    disk.lose_power(lambda: next(which), lambda n: n // 2)
+    assert read_mark(tmp_path) is not None
+    assert before == Mark(1, 5, 5)
 
 
 def test_a_file_whose_records_nobody_has_kept_does_not_let_the_one_before_go(tmp_path):

@@ -75,6 +75,7 @@ class Run:
             elif what == "commit":
                 self.committed = max(self.committed, log.commit())
             elif what == "drop":
+                # Noted first, too.
                 self.dropped = max(self.dropped, log.durable - size)
                 log.drop(log.durable - size)
             elif what == "fail":
@@ -86,7 +87,7 @@ class Run:
                     assert log.position == before
             else:
                 log.close()
-                self.committed = log.durable
+                self.committed = max(self.committed, log.durable)
                 self.open()
 
     def check(self, log, *, committed=None):
@@ -140,6 +141,28 @@ def test_after_a_kill_amid_any_call_all_that_was_committed_is_there(
         run.disk = SimulatedDisk()
         run.open()
         assert run.log.lost == 0
+        run.check(run.log)
+        run.log.close()
+
+
+@given(WORK, SEGMENT, st.integers(1, 250), st.randoms(use_true_random=False))
+@LIMITS
+def test_after_a_loss_of_power_amid_any_call_all_that_was_committed_is_there(
+    work, segment, calls, chance
+):
+    """Also where the log is opened, closed and made shorter."""
+    with folder() as path:
+        run = Run(path, segment)
+        run.disk.stop_after = calls
+        try:
+            run.open()
+            run.do([*work, ("open", 0), ("drop", 1), *work, ("drop", 0)])
+        except Killed:
+            pass
+        run.disk = run.disk.lose_power(
+            lambda: chance.random() < 0.5, lambda n: chance.randint(0, n)
+        )
+        run.open()
         run.check(run.log)
         run.log.close()
 

@@ -272,6 +272,7 @@ def test_a_backup_is_restored(data, tmp_path, name):
     told = run("backup", data, copy).stdout
     assert "up to record 22" in told
     assert not (tmp_path / f"{name}.part").exists()
+    assert not any(path.stat().st_mode & 0o077 for path in [copy, *copy.rglob("*.*")])
     assert "is there already" in run("backup", data, copy, status=1).stderr
     again.mkdir()
     manifest = json.loads(run("restore", copy, again, "--json").stdout)

@@ -200,7 +200,9 @@ def test_what_another_program_wrote_goes_on_under_new_ids(written, settings, clo
     assert engine.epoch != epoch
     assert [each.id for each in engine.events()] == requests
     assert len(engine.subscriptions()) == 1
-    # It takes samples: the same ones once more are known.
+    # It takes samples: the same ones once more are known, by their key or by themselves.
+    again.do(Publish("s5", "ndjson", body(10), 12 * SECOND, "key 10"))
+    assert engine.generator("s5").counters.accepted == before[4].accepted
     again.do(Publish("s5", "ndjson", body(10), 12 * SECOND))
     assert engine.generator("s5").counters.duplicate == 1
     new_epoch, last = engine.epoch, before[1]
@@ -249,6 +251,11 @@ def test_what_another_program_wrote_without_a_checkpoint_is_done_again(written, 
     path, recorded = written
     recorded.close(checkpoint=False)
     monkeypatch.setattr("dyknow.engine.recorded.program", lambda: "dyknow 0.2.0")
+    monkeypatch.setattr("dyknow.service.cli.data_directory.program", lambda: "dyknow 0.2.0")
+    start = json.loads(CliRunner().invoke(app, ["check", str(path), "--json"]).stdout)["start"]
+    assert start.startswith("goes on from the beginning")
+    assert program() in start
+    assert "begin anew" in start
     again = RecordedEngine(path, now=14 * SECOND)
     assert not again.recovery.is_continued
     assert again.engine.stream("s5").counters.accepted == 11
