@@ -32,8 +32,9 @@ class Pool:
         self.ended = 0
         """How many workers came to their end in the middle of a job."""
         self._memory = memory
-        self._waiting = waiting
-        self._queued = 0
+        self._most_waiting = waiting
+        self.waiting = 0
+        """How many callers wait for a worker."""
         self._slots = anyio.CapacityLimiter(count)
         self._threads = anyio.CapacityLimiter(2 * count)
         self._idle: list[Worker] = []
@@ -47,17 +48,17 @@ class Pool:
         Whoever cancels this ends the worker. Raises `Busy` when no worker is free for ``patience``
         seconds or too many callers wait already, and `WorkerError`.
         """
-        if self._slots.available_tokens < 1 and self._queued >= self._waiting:
+        if self._slots.available_tokens < 1 and self.waiting >= self._most_waiting:
             raise Busy
         borrower = object()
-        self._queued += 1
+        self.waiting += 1
         try:
             with anyio.fail_after(patience):
                 await self._slots.acquire_on_behalf_of(borrower)
         except TimeoutError as error:
             raise Busy from error
         finally:
-            self._queued -= 1
+            self.waiting -= 1
         errand = _Errand(self, job)
         try:
             return await anyio.to_thread.run_sync(
@@ -104,6 +105,11 @@ class Pool:
                 self._idle.append(worker)
         if not stays:
             worker.close()
+
+    @property
+    def busy(self) -> int:
+        """How many workers are at work."""
+        return len(self._working)
 
     def close(self) -> None:
         """End all workers; who waits for one gets `WorkerError`."""

@@ -62,6 +62,11 @@ class Isolation:
         """How many workers came to their end in the middle of a job."""
         return self._sparql.ended + self._documents.ended
 
+    @property
+    def busy(self) -> int:
+        """How many workers are at work."""
+        return self._sparql.busy + self._documents.busy
+
     def warm(self) -> None:
         """Start all workers: the first who ask should not wait for them."""
         self._sparql.warm()
