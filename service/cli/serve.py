@@ -75,7 +75,8 @@ def serve(
     finally:
         stopping.set()
         watchdog.close()
-        windows.close()
+        for isolated in (windows, app.state.service.isolation):
+            isolated.close()
 
 
 def warm() -> None:

@@ -75,9 +75,17 @@ class Pool:
         return _Errand(self, job).run()
 
     def warm(self) -> None:
-        """Start all workers now."""
-        for worker in [self.take() for _ in range(self.count)]:
-            self.give(worker)
+        """Start all workers now; none where the service stops meanwhile."""
+        taken: list[Worker] = []
+        try:
+            while len(taken) < self.count:
+                taken.append(self.take())
+        except WorkerError:
+            if not self._closed:
+                raise
+        finally:
+            for worker in taken:
+                self.give(worker)
 
     def take(self) -> Worker:
         """A worker that does nothing, started if there is none. Raises `WorkerError`."""

@@ -37,9 +37,9 @@ class Listener:
             with connection:
                 connection.settimeout(1)
                 said = connection.recv(4096).decode(errors="replace")
-            if said.startswith("STOP"):
-                return
-            self.came.append(said)
+                if said.startswith("STOP"):
+                    return
+                self.came.append(said)  # before whoever came sees the end
 
     def say(self, text: str) -> None:
         with socket.create_connection(self._socket.getsockname()) as connection:
