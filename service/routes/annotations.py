@@ -11,6 +11,7 @@ from pydantic import Field
 from ..context import Context
 from ..models import AnnotationModel, ContentsIn, schema_of, text_schema
 from ..negotiation import JSON, TEXT, accepted, content_type, json_value, utf8
+from ..parsing import check_length
 from ..problems import responses
 
 router = APIRouter(tags=["annotations"])
@@ -63,6 +64,7 @@ async def annotate(request: Request, service: Context) -> list[AnnotationModel]:
     """
     kind = content_type(request, (TEXT, JSON))
     body = await request.body()
+    check_length(body)
     if kind == TEXT:
         found = service.engine.annotate(utf8(body))
         return [AnnotationModel.of(annotation) for annotation in found]

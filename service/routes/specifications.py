@@ -9,6 +9,7 @@ from fastapi import APIRouter, Request, Response
 from ..context import Context
 from ..models import InsertionModel, SpecificationModel, text_schema
 from ..negotiation import TEXT_XML, XML, content_type
+from ..parsing import check_length
 from ..problems import responses
 
 router = APIRouter(tags=["specifications"])
@@ -43,7 +44,9 @@ async def apply(request: Request, service: Context) -> SpecificationModel:
     """
     content_type(request, KINDS)
     # Bytes: the text says itself how it is encoded.
-    view = service.engine.apply_specification(await request.body())
+    body = await request.body()
+    check_length(body)
+    view = service.engine.apply_specification(body)
     service.feeds.review()
     return SpecificationModel.of(view)
 
