@@ -119,6 +119,11 @@ class Pool:
         """How many workers are at work."""
         return len(self._working)
 
+    def open(self) -> None:
+        """There are workers again, after `close`."""
+        with self._lock:
+            self._closed = False
+
     def close(self) -> None:
         """End all workers; who waits for one gets `WorkerError`."""
         with self._lock:

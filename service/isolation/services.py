@@ -71,6 +71,11 @@ class Isolation:
         """Start all workers: the first who ask should not wait for them."""
         self._sparql.warm()
 
+    def open(self) -> None:
+        """There are workers from now on: an application may start again after it has ended."""
+        self._sparql.open()
+        self._documents.open()
+
     def close(self) -> None:
         """End all workers."""
         self._sparql.close()
