@@ -41,7 +41,7 @@ SELECT ?o (MAX(?v) AS ?most) FROM STREAM <http://www.ida.liu.se/dyknow/s.trdf> [
 WHERE { ?o dyknow:speed ?v } GROUP BY ?o"""
 NDJSON = {"Content-Type": "application/x-ndjson"}
 MOST = 0.1
-"""MiB a round by which memory may grow. It is not 0: caches of texts fill for some hundred rounds."""
+"""MiB a round by which memory may grow: caches of texts fill for some hundred rounds."""
 
 
 class Soaked:
