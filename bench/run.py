@@ -23,6 +23,7 @@ TABLES = (
     "queries.py",
     "service.py",
     "latency.py",
+    "sse.py",
     "ingest.py",
     "accuracy.py",
     "policies.py",

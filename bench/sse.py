@@ -100,7 +100,9 @@ class Load:
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, receive)
         connection.connect(self.address)
         resume = b"Last-Event-ID: %b\r\n" % after if after else b""
-        connection.sendall(b"GET %b HTTP/1.1\r\nHost: x\r\n%b\r\n" % (self.path.encode(), resume))
+        connection.sendall(
+            b"GET %b HTTP/1.1\r\nHost: localhost\r\n%b\r\n" % (self.path.encode(), resume)
+        )
         return connection
 
     def _add(self, listener: Listener) -> None:
@@ -223,6 +225,8 @@ def run(row: Row, seconds: float) -> tuple[str, float, bool]:
         load.connect(row.clients - row.cuts)
         load.connect(row.cuts, cuts=True)
         load.stall(row.stalled)
+        while client.status()["clients"] < row.clients + row.stalled:
+            load.read(time.monotonic() + 0.1)
         load.read(time.monotonic() + 0.5)
         each = (memory(process) - before) / (row.clients + row.stalled)
         publisher = Publisher(address, row.rate, row.size)
@@ -276,20 +280,27 @@ def main(quick: bool = False) -> int:
     """Print the table."""
     most = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
     resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
+    # The publisher's thread is not to wait for the readers' longer than it must.
+    sys.setswitchinterval(0.0005)
     compile_all()
     seconds = 3.0 if quick else 8.0
     print("milliseconds from publishing to the client; answer: of the publisher; KiB: a client")
     print(f"{'':<42}{'/s':>9}{'p50':>9}{'p99':>9}{'max':>9}{'answer':>9}{'CPU':>7}", end="")
     print(f"{'KiB':>9}{'resumed':>9}")
-    p99s, agree = {}, True
-    for row in ROWS:
-        line, p99s[row.name], complete = run(row, seconds)
+    p99s: dict[str, list[float]] = {row.name: [] for row in ROWS}
+    # In turns, since the machine has others to serve: each row had as good a time as the next.
+    rows = ROWS if quick else (*ROWS, *ROWS[1:4], *ROWS[1:4])
+    agree = True
+    for row in rows:
+        line, p99, complete = run(row, seconds)
+        p99s[row.name].append(p99)
         agree &= complete
         print(line, flush=True)
     print(stalled(100, 20))
-    ratio = p99s[ROWS[2].name] / p99s[ROWS[1].name]
+    median = {name: float(np.median(found)) for name, found in p99s.items()}
+    ratio = median[ROWS[2].name] / median[ROWS[1].name]
     print(f"with stalled and cut ones p99 is {ratio:.2f} times as large (aim: {RATIO})")
-    print(f"5,000 clients: p99 {p99s[ROWS[3].name]:.0f} ms (aim: {AIM * 1000:.0f})")
+    print(f"5,000 clients: p99 {median[ROWS[3].name]:.0f} ms (aim: {AIM * 1000:.0f})")
     print(f"every sample at every client, once: {agree}")
     return 0 if agree else 1
 

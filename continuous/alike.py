@@ -15,6 +15,7 @@ from ..languages.csparql.ast import ContinuousQuery
 from ..rdf.dictionary import Term, TermDictionary
 from ..streams.time import SECOND
 from .background import Background
+from .budget import UNLIMITED, Budget
 from .cohorts import Place, Together
 from .estimates import estimate
 from .expressions import Const, Var
@@ -171,8 +172,9 @@ class AlikeEvaluator(SharedWindows):
         dictionary: TermDictionary,
         background: Background,
         inputs: Sequence[str],
+        budget: Budget = UNLIMITED,
     ) -> None:
-        super().__init__(query, dictionary, background, inputs, form.options)
+        super().__init__(query, dictionary, background, inputs, form.options, budget)
         self.pattern = pattern
         self._queries: dict[int, ContinuousQuery] = {}
         self._next = 0

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..rdf.timed import Kind, ObjectColumn
+from .budget import Budget
 from .columns import Pairs, Relation, TermValues, as_terms
 from .expressions import Const
 from .joins import match_keys
@@ -34,13 +35,13 @@ def closure(plan: Closure, step: Relation, nodes: ObjectColumn, terms: TermValue
     # Numbered as they are met: ids say when a term came, which may be after it was forgotten.
     numbered, (seed, every, starts, stops) = _numbered([*given, begins, ends])
     if isinstance(plan.subject, Const):
-        found = _reached(seed, starts, stops, plan, len(numbered))
+        found = _reached(seed, starts, stops, plan, len(numbered), terms.budget)
     elif isinstance(plan.object, Const):
-        stop, start = _reached(seed, stops, starts, plan, len(numbered))
+        stop, start = _reached(seed, stops, starts, plan, len(numbered), terms.budget)
         found = start, stop
     else:
         seeds = np.concatenate([every, starts])
-        found = _reached(seeds, starts, stops, plan, len(numbered))
+        found = _reached(seeds, starts, stops, plan, len(numbered), terms.budget)
     first_ids, last_ids = (ObjectColumn(Kind.TERM, numbered[codes]) for codes in found)
     return first_ids, last_ids
 
@@ -63,14 +64,16 @@ def _reached(
     stops: NDArray[np.int64],
     plan: Closure,
     size: int,
+    budget: Budget,
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Pairs (seed, what it reaches), each once: what is new in a round goes one step further."""
     front = np.unique(seeds) * size + np.unique(seeds)
     known = front if plan.zero else np.zeros(0, np.int64)
     while len(front):
-        at, to = match_keys(front % size, starts)
+        at, to = match_keys(front % size, starts, budget)
         following = np.unique(front[at] // size * size + stops[to])
         front = np.setdiff1d(following, known, assume_unique=True)
+        budget.check(len(known) + len(front), "a repeated path")
         known = np.union1d(known, front)
         if not plan.more:
             break

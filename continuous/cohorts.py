@@ -163,9 +163,11 @@ class Together:
                 relation = execute(self._execution.plan, source, self.terms)
                 if not self.table.columns:
                     # They do not differ at all.
+                    self.terms.budget.check_result(relation.rows)
                     result = finish(head, relation, start, shown, self.terms)
                     return (Common(numbers[alive], result),)
                 relation = self._solutions(relation)
+                self.terms.budget.check(relation.rows, "a join with the instances")
             except NeedsOxigraph:
                 continue
             self._alone = {}

@@ -18,6 +18,7 @@ from ..rdf.dictionary import NO_TERM, Term, TermDictionary, TermTable
 from ..rdf.namespaces import RDF, XSD
 from ..rdf.timed import DATATYPES, Intern, Kind, ObjectColumn, TripleRows, make_literal, split_term
 from ..streams.sample import Mask
+from .budget import UNLIMITED, Budget
 
 
 class NeedsOxigraph(Exception):
@@ -81,8 +82,10 @@ class TermValues(TermTable):
     term, once more when it comes again after it was forgotten.
     """
 
-    def __init__(self, dictionary: TermDictionary) -> None:
+    def __init__(self, dictionary: TermDictionary, budget: Budget = UNLIMITED) -> None:
         self.dictionary = dictionary
+        self.budget = budget
+        """What operators on these terms may make of a window."""
         self._sort: NDArray[np.int8] = np.zeros(0, np.int8)
         self._number: NDArray[np.float64] = np.zeros(0, np.float64)
         self._integer: NDArray[np.int64] = np.zeros(0, np.int64)

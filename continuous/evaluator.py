@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from ..languages.csparql.ast import ContinuousQuery
 from ..rdf.dictionary import TermDictionary
 from .background import Background
+from .budget import UNLIMITED, Budget
 from .flows import Flow
 from .options import Options
 from .profile import Profile
@@ -27,6 +28,9 @@ class ContinuousEvaluator(WindowedEvaluator[WindowResult]):
     order of τ, a push at a time, and says by watermarks how far it has come. Raises ``ValueError``
     when no window is known, or the query makes no SPARQL (BIND of a parameter that is given).
 
+    A window that needs more than ``budget`` has no result and is among `overruns`; after some in a
+    row there is a `quarantine`. None of that depends on how rows were cut into pushes.
+
     Law (tests/laws): results equal the definition's, and do not depend on how rows were cut into
     pushes or how often watermarks were told.
 
@@ -42,8 +46,9 @@ class ContinuousEvaluator(WindowedEvaluator[WindowResult]):
         background: Background,
         inputs: Sequence[str],
         options: Options | None = None,
+        budget: Budget = UNLIMITED,
     ) -> None:
-        super().__init__(query, dictionary, background, inputs, options)
+        super().__init__(query, dictionary, background, inputs, options, budget)
         self.query = query
         self.inputs, self.schedule = self._windows.inputs, self._windows.schedule
         self._solver = Solver(query, self._windows, self._static, alone=True)

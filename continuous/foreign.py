@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from pyoxigraph import BlankNode, NamedNode, Quad, Store
+from pyoxigraph import BlankNode, Literal, NamedNode, Quad
 
 from ..languages.csparql import term_text
 from ..rdf.dictionary import Term
 from ..rdf.timed import ObjectColumn
+from .asking import NOTHING, Asking, Found, Table
 from .columns import Relation, TermValues, key_codes, term_column
 from .expressions import INFIX, Call, Const, Expression, Var, variables
 
@@ -49,18 +50,21 @@ def ask(
         ]
         for row in range(len(first))
     ]
-    answers = _answers(expression, known, table)
+    answers = _answers(expression, known, table, terms.budget.asking)
     return term_column(answers, terms.dictionary.transient_id).take(inverse)
 
 
 def _answers(
-    expression: Expression, names: Sequence[str], table: Sequence[Sequence[Term | None]]
+    expression: Expression,
+    names: Sequence[str],
+    table: Sequence[Sequence[Term | None]],
+    asking: Asking,
 ) -> list[Term | None]:
     places = {name: f"v{i}" for i, name in enumerate(names)}
     text = sparql_text(expression, places)
     if any(isinstance(term, BlankNode) for row in table for term in row):
         # A blank node cannot be written into a query: the values stand in the store.
-        return _from_store(text, list(places.values()), table)
+        return _from_store(text, list(places.values()), table, asking)
     lines = (
         " ".join([str(number), *("UNDEF" if term is None else term_text(term) for term in row)])
         for number, row in enumerate(table)
@@ -68,30 +72,30 @@ def _answers(
     heads = " ".join(["?row", *(f"?{place}" for place in places.values())])
     values = " ".join(f"({line})" for line in lines)
     query = f"SELECT ?row ({text} AS ?answer) WHERE {{ VALUES ({heads}) {{ {values} }} }}"
-    found: dict[int, Term | None] = {
-        int(solution["row"].value): solution["answer"] for solution in _solutions(Store(), query)
-    }
-    return [found.get(number) for number in range(len(table))]
+    answers = _by_row(asking.ask(query, NOTHING, ()))
+    return [answers.get(Literal(number)) for number in range(len(table))]
 
 
 def _from_store(
-    text: str, places: Sequence[str], table: Sequence[Sequence[Term | None]]
+    text: str, places: Sequence[str], table: Sequence[Sequence[Term | None]], asking: Asking
 ) -> list[Term | None]:
-    store, row_of = Store(), NamedNode(f"{_VALUE}row")
+    quads, row_of = [], NamedNode(f"{_VALUE}row")
     for number, row in enumerate(table):
         node = NamedNode(f"{_VALUE}{number}")
-        store.add(Quad(node, row_of, node))
+        quads.append(Quad(node, row_of, node))
         for place, term in zip(places, row, strict=True):
             if term is not None:
-                store.add(Quad(node, NamedNode(_VALUE + place), term))
+                quads.append(Quad(node, NamedNode(_VALUE + place), term))
     optional = " ".join(f"OPTIONAL {{ ?row <{_VALUE}{place}> ?{place} }}" for place in places)
     query = f"SELECT ?row ({text} AS ?answer) WHERE {{ ?row <{row_of.value}> ?row {optional} }}"
-    found = {solution["row"].value: solution["answer"] for solution in _solutions(store, query)}
-    return [found.get(f"{_VALUE}{number}") for number in range(len(table))]
+    answers = _by_row(asking.ask(query, NOTHING, quads))
+    return [answers.get(NamedNode(f"{_VALUE}{number}")) for number in range(len(table))]
 
 
-def _solutions(store: Store, query: str) -> Any:
-    return store.query(query)
+def _by_row(found: Found) -> dict[Term | None, Term | None]:
+    assert isinstance(found, Table)
+    row, answer = found.variables.index("row"), found.variables.index("answer")
+    return {solution[row]: solution[answer] for solution in found.rows}
 
 
 def is_volatile(expression: Expression) -> bool:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..rdf.timed import Kind, ObjectColumn, TripleRows
+from .budget import BudgetExceeded
 from .columns import NeedsOxigraph, Pairs, Relation, TermValues
 from .distinct import DistinctRows
 from .evaluation import evaluate, holds
@@ -97,7 +98,8 @@ class Incremental:
                 column = table.objects.get(predicate)
                 if column is not None:
                     self._fold(end, table.subject, column)
-        except NeedsOxigraph:
+        except (NeedsOxigraph, BudgetExceeded):
+            # Its windows are computed anew; where the budget was too small, that says so again.
             self._irregular.append(end)
             for partial in self._partials:
                 partial.abandon(self.groups.used)

@@ -17,6 +17,7 @@ from ..languages.csparql import bind
 from ..languages.csparql.ast import ContinuousQuery
 from ..rdf.dictionary import Term, TermDictionary
 from .background import Background
+from .budget import UNLIMITED, Budget
 from .cohorts import Alone, Place, Together, joint_of
 from .instance_results import Apart, Common, InstanceResults, Joined
 from .logical import Ask
@@ -56,8 +57,9 @@ class TemplateEvaluator(SharedWindows):
         background: Background,
         inputs: Sequence[str],
         options: Options | None = None,
+        budget: Budget = UNLIMITED,
     ) -> None:
-        super().__init__(query, dictionary, background, inputs, options)
+        super().__init__(query, dictionary, background, inputs, options, budget)
         self.query = query
         self._families: dict[tuple[Variable, ...], _Family] = {}
         self._cohorts: dict[tuple[object, ...], Alone | Together] = {}

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..rdf.timed import ObjectColumn
+from .budget import Budget
 from .columns import Relation, TermValues, coalesce, key_codes, take_or_null
 from .evaluation import holds
 from .expressions import Expression
@@ -86,6 +87,7 @@ def match_rows(
 
     ``disjoint``: rows that bind no variable together count as compatible. Cost: a sort of the right
     keys for each combination of variables that are bound on the two sides: one where all are.
+    Raises `BudgetExceeded`.
     """
     shared = [name for name in left.columns if name in right.columns]
     parts = [
@@ -142,6 +144,7 @@ def _matched(
     lefts = np.arange(left.rows) if at_left is None else at_left
     rights = np.arange(right.rows) if at_right is None else at_right
     if not names:
+        terms.budget.check(len(lefts) * len(rights), "a join without a common variable")
         return np.repeat(lefts, len(rights)), np.tile(rights, len(lefts))
     pairs = []
     for name in names:
@@ -151,16 +154,18 @@ def _matched(
         if at_right is not None:
             b = ObjectColumn(b.kind, b.values[rights])
         pairs.append([a, b])
-    found_left, found_right = match_keys(*key_codes(pairs, terms.dictionary))
+    left_keys, right_keys = key_codes(pairs, terms.dictionary)
+    found_left, found_right = match_keys(left_keys, right_keys, terms.budget)
     return lefts[found_left], rights[found_right]
 
 
-def match_keys(left: Rows, right: Rows) -> tuple[Rows, Rows]:
+def match_keys(left: Rows, right: Rows, budget: Budget) -> tuple[Rows, Rows]:
     """All pairs of rows with equal codes, as two index arrays."""
     order = np.argsort(right, kind="stable")
     ordered = right[order]
     low = np.searchsorted(ordered, left, "left")
     count = np.searchsorted(ordered, left, "right") - low
+    budget.check(int(count.sum()), "a join")
     at_left = np.repeat(np.arange(len(left)), count)
     offset = np.arange(len(at_left)) - np.repeat(np.cumsum(count) - count, count)
     return at_left, order[np.repeat(low, count) + offset]

@@ -18,10 +18,6 @@ from pyoxigraph import (
     Literal,
     NamedNode,
     Quad,
-    QueryBoolean,
-    QuerySolutions,
-    QueryTriples,
-    Store,
 )
 from rdflib.plugins.sparql.parserutils import CompValue
 from rdflib.term import URIRef
@@ -33,8 +29,10 @@ from ..languages.csparql.tokens import Kind as TokenKind
 from ..languages.csparql.tokens import closing, tokenize
 from ..rdf.dictionary import Term
 from ..rdf.namespaces import RDF, RDF_TYPE, XSD
+from ..rdf.sparql import check_sparql
 from ..rdf.timed import TimedTriples, TripleRows, from_terms
 from ..streams.time import format_time
+from .asking import NOTHING, Found, Kept, Table
 from .bag import HIDDEN, copy_graph, counting
 from .columns import TermValues, canonical, term_column
 from .logical import DEFAULT
@@ -74,7 +72,7 @@ class OxigraphWindows:
         self.predicates, self.classes = named(algebra)
         self._version: int | None = None
         self._quads: dict[Quad, None] = {}
-        self._named_quads: list[Quad] = []
+        self._kept = NOTHING
 
     @cached_property
     def counting(self) -> str | None:
@@ -101,49 +99,38 @@ class OxigraphWindows:
         """The result of the query over the content of windows, by graph, and the static side."""
         static = self._static_quads()
         content = list(self._content(contents.get(DEFAULT, ()), _DEFAULT))
-        store = Store()
-        store.extend(static)
-        store.extend(content)
+        asked = list(content)
         again = False
         for name in self.graphs.windows:
             named = list(self._content(contents.get(name, ()), NamedNode(name)))
             again |= len(set(named)) < len(named)
-            store.extend(named)
-        store.extend(self._named_quads)
+            asked += named
         copies = [] if self.distinct else _copies(static, content)
         sparql = self.sparql
         if copies and self.counting is not None:
-            store.extend(copies)
+            asked += copies
             sparql = self.counting
         merged = (bool(copies) or (again and not self.distinct)) and self.counting is None
-        found = store.query(_at_time(sparql, end))
+        found = self.terms.budget.asking.ask(_at_time(sparql, end), self._kept, asked)
         return replace(self._read(found, start, end), merged=merged)
 
-    def _read(self, found: Any, start: int, end: int) -> WindowResult:
+    def _read(self, found: Found, start: int, end: int) -> WindowResult:
         dictionary = self.terms.dictionary
-        match found:
-            case QueryBoolean():
-                return WindowResult(start, end, answer=bool(found))
-            case QueryTriples():
-                triples = dict.fromkeys(
-                    (end, _term(t.subject), t.predicate, _term(t.object)) for t in found
-                )
-                made = from_terms(triples, dictionary)
-                return WindowResult(start, end, triples=TimedTriples(dictionary, made.tables))
-            case QuerySolutions():
-                names = tuple(
-                    variable.value
-                    for variable in found.variables
-                    if not variable.value.startswith(HIDDEN)
-                )
-                rows = [[solution[name] for name in names] for solution in found]
-                columns = {
-                    name: term_column([_optional(row[i]) for row in rows], dictionary.transient_id)
-                    for i, name in enumerate(names)
-                }
-                solutions = Solutions(names, columns, dictionary, len(rows))
-                return WindowResult(start, end, solutions=solutions)
-        raise AssertionError("Oxigraph knows three kinds of results")
+        if isinstance(found, bool):
+            return WindowResult(start, end, answer=found)
+        if not isinstance(found, Table):
+            triples = dict.fromkeys(
+                (end, _term(t.subject), t.predicate, _term(t.object)) for t in found
+            )
+            made = from_terms(triples, dictionary)
+            return WindowResult(start, end, triples=TimedTriples(dictionary, made.tables))
+        places = {name: i for i, name in enumerate(found.variables) if not name.startswith(HIDDEN)}
+        columns = {
+            name: term_column([row[i] for row in found.rows], dictionary.transient_id)
+            for name, i in places.items()
+        }
+        solutions = Solutions(tuple(places), columns, dictionary, len(found.rows))
+        return WindowResult(start, end, solutions=solutions)
 
     def _static_quads(self) -> dict[Quad, None]:
         """The static triples that the query can touch, each once; those of named graphs aside."""
@@ -155,12 +142,13 @@ class OxigraphWindows:
             self._quads = dict.fromkeys(
                 Quad(q.subject, q.predicate, _value(q.object), _DEFAULT) for q in copied
             )
-            self._named_quads = [
+            named_quads = [
                 Quad(s, p, _value(o), NamedNode(name))
                 for name in self.graphs.static
                 for s, p, o in background.triples(name)
                 if _is_node(s)
             ]
+            self._kept = Kept([*self._quads, *named_quads])
         return self._quads
 
     def _content(
@@ -212,7 +200,7 @@ def _is_node(term: Any) -> TypeGuard[NamedNode | BlankNode]:
 def _parsed(sparql: str) -> None:
     """Raises ``ValueError`` for a text that Oxigraph does not take: now, not at some window."""
     try:
-        Store().query(sparql, custom_functions=UNCALLED)
+        check_sparql(sparql, {}, UNCALLED)
     except SyntaxError as error:
         raise ValueError(f"Oxigraph refuses the query: {error}") from error
 
@@ -285,7 +273,3 @@ def _term(term: Any) -> Term:
     if isinstance(term, NamedNode | BlankNode | Literal):
         return term
     raise ValueError("quoted triples have no place in a stream")
-
-
-def _optional(term: Any) -> Term | None:
-    return None if term is None else _term(term)

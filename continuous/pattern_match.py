@@ -46,6 +46,8 @@ CONSTANT, VARIABLE, ADD, SUBTRACT, MULTIPLY, DIVIDE = 0, 1, 2, 3, 4, 5
 EQUAL, UNEQUAL, LESS, LESS_EQUAL, GREATER, GREATER_EQUAL = 6, 7, 8, 9, 10, 11
 AND, OR, NOT, NEGATE = 12, 13, 14, 15
 
+OVERSPENT = -2
+"""The answer of `match` that has looked at more rows than it may."""
 DOUBTFUL = -1
 """The answer of `match` where a filter meets what only `evaluation` can judge."""
 
@@ -93,10 +95,13 @@ def _match(
     out_tags: Any,
     out_bits: Any,
     uniform: Any,
+    # How many rows it may look at, below 0 any number.
+    most: int,
 ) -> tuple[int, int]:
     """Writes the solutions, a row a variable, and returns how many stayed and how many there are
-    now (they may not have fitted), or `DOUBTFUL`. Where ``solutions`` has no columns, none is to be
-    known the next time. ``uniform``: the one tag of a variable's values, -1 if they differ."""
+    now (they may not have fitted), or `DOUBTFUL` or `OVERSPENT`. Where ``solutions`` has no
+    columns, none is to be known the next time. ``uniform``: the one tag of a variable's values, -1
+    if they differ."""
     pattern_count = patterns.shape[0]
     variable_count = shown.shape[0]
     shown_count = out_tags.shape[0]
@@ -125,6 +130,7 @@ def _match(
                     out_bits[v, found] = out_bits[v, n]
             found += 1
     stayed = found
+    looked = np.int64(0)
     order = np.empty(pattern_count, np.int64)
     ways = np.empty(pattern_count, np.int64)
     chosen = np.zeros(pattern_count, np.bool_)
@@ -235,6 +241,8 @@ def _match(
         on_static[:] = False
         depth = 0
         while depth >= 0:
+            if most >= 0 and looked > most:
+                return OVERSPENT, OVERSPENT
             if depth == pattern_count:
                 if found < capacity:
                     for v in range(variable_count):
@@ -261,6 +269,7 @@ def _match(
             matched = False
             # No number is the subject of a triple.
             while not subject_known or value_tags[s] == 0:
+                looked += 1
                 if at == -2:
                     # Where the chain begins.
                     if way == BY_SLOT:
@@ -510,6 +519,7 @@ def _of_match() -> Any:
         types.int8[:, ::1],
         int64_rows,
         int8s,
+        types.int64,
     )
 
 

@@ -14,6 +14,7 @@ kept, and found anew each time; static triples of the named predicates once.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,11 +22,12 @@ from pyoxigraph import NamedNode
 
 from ..rdf.namespaces import RDF_TYPE
 from ..rdf.timed import Kind, ObjectColumn
+from .budget import BudgetExceeded
 from .columns import Relation, TermValues, canonical, decoded, decoded_terms
 from .expressions import Call, Const, Expression, Var, variables
 from .logical import Plan, Position, TypeScan, outputs
 from .pattern_kernels import BY_OBJECT, BY_SLOT, BY_SUBJECT, BY_TRIPLE, LOST
-from .pattern_match import CONSTANT, DOUBTFUL, VARIABLE, match
+from .pattern_match import CONSTANT, DOUBTFUL, OVERSPENT, VARIABLE, match
 from .pattern_parts import OPERATIONS, Slot, conditions, leaves, slot_of
 from .pattern_rows import PatternRows
 from .sources import StaticSide
@@ -132,10 +134,20 @@ class PatternJoin:
                 self._tags,
                 self._bits,
                 self._uniform,
+                self.terms.budget.looks,
             )
             if found == DOUBTFUL:
                 self.forget()
                 return None
+            if found == OVERSPENT:
+                self.forget()
+                looks = self.terms.budget.looks
+                raise BudgetExceeded(f"a join looks at more than {looks} rows for a window")
+            try:
+                self.terms.budget.check(found, "a join")
+            except BudgetExceeded:
+                self.forget()
+                raise
             if found <= self._bits.shape[1]:
                 break
             keeps = found <= most
@@ -231,10 +243,10 @@ class PatternSolver:
         named = (slot_of(leaf) for part, _ in parts for leaf in leaves(part))
         slots = list(dict.fromkeys(named))
         numbered = {slot: number for number, slot in enumerate(slots)}
-        # Parts are told apart by identity, which hashing a deep plan would cost more than.
-        self._joins = {
-            id(part): PatternJoin(part, shown, numbered, static.terms) for part, shown in parts
-        }
+        self._parts = [
+            (part, PatternJoin(part, shown, numbered, static.terms)) for part, shown in parts
+        ]
+        self._joins = _by_identity(self._parts)
         once = np.array([distinct or s.predicate == RDF_TYPE for s in slots], np.bool_)
         needed = np.where(once, 1 << BY_TRIPLE, 0)
         for join in self._joins.values():
@@ -245,6 +257,12 @@ class PatternSolver:
         self._version: int | None = None
         self._expanded: tuple[int, int] | None = None
         self._expansion: tuple[NDArray[np.int64], ...] = ()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_joins": None}
+
+    def __setstate__(self, kept: dict[str, Any]) -> None:
+        self.__dict__.update(kept, _joins=_by_identity(kept["_parts"]))
 
     def turn(self, lows: NDArray[np.int64], highs: NDArray[np.int64]) -> None:
         """The windows whose bounds these are: what `solve` is about from now on."""
@@ -294,3 +312,8 @@ class PatternSolver:
                 *(np.ascontiguousarray(table[:, i]) for i in range(3)),
             )
         return self._expansion
+
+
+def _by_identity(parts: Sequence[tuple[Plan, PatternJoin]]) -> dict[int, PatternJoin]:
+    """Parts are told apart by identity, which hashing a deep plan would cost more than."""
+    return {id(part): join for part, join in parts}

@@ -170,6 +170,7 @@ def distinct(relation: Relation, terms: TermValues) -> Relation:
 
 def united(parts: list[Relation], terms: TermValues) -> Relation:
     """The rows of one part after the other; what a part does not bind is unbound in its rows."""
+    terms.budget.check(sum(part.rows for part in parts), "a union")
     names = dict.fromkeys(name for part in parts for name in part.columns)
     columns = {}
     for name in names:

@@ -20,7 +20,7 @@ from .execution import Execution, WindowRows
 from .explain import Stages
 from .flows import Flow
 from .heads import finish, head_variables
-from .logical import Query
+from .logical import Ask, Query
 from .oxigraph import OxigraphWindows
 from .pattern_sizes import Known
 from .profile import Profile
@@ -153,6 +153,8 @@ class Solver:
             for source in execution.sources(rows, self.profile):
                 try:
                     relation = execute(plan, source, self.terms)
+                    if not isinstance(head, Ask):
+                        self.terms.budget.check_result(relation.rows)
                     return finish(head, relation, start, shown, self.terms)
                 except NeedsOxigraph:
                     # Not folded, columns may do; else Oxigraph is as exact, bags too; where it is

@@ -7,13 +7,15 @@ many.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import Generic, TypeVar
 
 from ..languages.csparql.ast import ContinuousQuery
 from ..rdf.dictionary import TermDictionary
 from ..rdf.timed import TimedTriples
 from .background import Background
+from .budget import OVERRUNS, UNLIMITED, Budget, BudgetExceeded, Overrun, Quarantined
 from .columns import TermValues
 from .options import Options
 from .sources import StaticSide
@@ -33,11 +35,17 @@ class WindowedEvaluator(ABC, Generic[Result]):
         background: Background,
         inputs: Sequence[str],
         options: Options | None = None,
+        budget: Budget = UNLIMITED,
     ) -> None:
-        terms = TermValues(dictionary)
+        terms = TermValues(dictionary, budget)
+        self.overruns: list[Overrun] = []
+        """Windows that needed more than the budget, for who asks to take them away."""
+        self.quarantine = ""
+        """Why no window is evaluated any more; empty while they are."""
+        self._in_a_row = 0
         self.options = options or Options()
         self._results: list[Result] = []
-        self._windows = Windowing(query, terms, inputs, self.options, self._closed)
+        self._windows = Windowing(query, terms, inputs, self.options, self._closing)
         self._static = StaticSide(background, terms)
 
     @property
@@ -51,13 +59,11 @@ class WindowedEvaluator(ABC, Generic[Result]):
 
     def advance(self, input: str, watermark: int) -> list[Result]:
         """Every later row of ``input`` has τ ≥ ``watermark``: the windows that close now."""
-        self._windows.advance(input, watermark)
-        return self._taken()
+        return self._until_quarantined(lambda: self._windows.advance(input, watermark))
 
     def end(self, input: str) -> list[Result]:
         """``input`` has come to its end. After the last one every window with content closes."""
-        self._windows.end(input)
-        return self._taken()
+        return self._until_quarantined(lambda: self._windows.end(input))
 
     def next_end(self) -> int | None:
         """No later result is of a window that ends before this; None while that is unknown."""
@@ -71,9 +77,29 @@ class WindowedEvaluator(ABC, Generic[Result]):
         """Rows of ``input`` with τ up to here come too late; None: none does."""
         return self._windows.limit(input)
 
+    def _closing(self, end: int, reports: bool) -> bool:
+        try:
+            again = self._closed(end, reports)
+        except BudgetExceeded as exceeded:
+            self._in_a_row += 1
+            self.overruns.append(Overrun(end, str(exceeded)))
+            if self._in_a_row == OVERRUNS:
+                self.quarantine = f"{OVERRUNS} windows in a row needed too much: {exceeded}"
+                raise Quarantined(self.quarantine) from exceeded
+            return True
+        self._in_a_row = 0
+        return again
+
     @abstractmethod
     def _closed(self, end: int, reports: bool) -> bool:
         """The window that ends at ``end`` has closed; whether its rows are read again."""
+
+    def _until_quarantined(self, close: Callable[[], None]) -> list[Result]:
+        """Close windows, up to the one after which none is; what those before it gave counts."""
+        if not self.quarantine:
+            with suppress(Quarantined):
+                close()
+        return self._taken()
 
     def _taken(self) -> list[Result]:
         taken, self._results = self._results, []

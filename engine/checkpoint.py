@@ -15,19 +15,23 @@ import pickle
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass, fields
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from types import CellType, CodeType, FunctionType, MappingProxyType, ModuleType
 from typing import Any, TypeVar
 
+import numpy as np
 import pyoxigraph
 from pyoxigraph import RdfFormat, Store
 
+from ..continuous.budget import UNLIMITED, Budget
 from ..ontology.ontology import quads_of
+from .busy import Stopwatch
 from .engine import Engine
 from .processes import Processes
-from .supervision import Runner
+from .supervision import Instance, Runner
 
 T = TypeVar("T")
 
@@ -36,6 +40,21 @@ _DEEP = 100_000
 """Frames: units that read each other's streams are a chain of objects as long as their chain."""
 _STACK = 512 << 20
 _COMPILED = type(importlib.import_module("numba").njit(lambda: None))
+
+
+@dataclass(frozen=True, slots=True)
+class Outside:
+    """What an engine works with that is no part of its state: the program's own, made anew with
+    each process."""
+
+    processes: Processes
+    runner: Runner
+    stopwatch: Stopwatch | None = None
+    budget: Budget = UNLIMITED
+
+    def given(self) -> dict[str, Any]:
+        """By the names of `Engine`'s arguments."""
+        return {each.name: getattr(self, each.name) for each in fields(self)}
 
 
 class CheckpointError(Exception):
@@ -57,44 +76,56 @@ def program() -> str:
     return f"dyknow {version('dyknow')}, Python {python}, {digest.hexdigest()[:16]}"
 
 
-def state_of(engine: Engine, more: object, processes: Processes, runner: Runner) -> bytes:
-    """The state of ``engine``, and ``more`` that belongs to it. The ``processes`` and ``runner``
-    that the engine was made with stay outside.
+def state_of(
+    engine: Engine, more: object, outside: Outside, unkept: list[str] | None = None
+) -> bytes:
+    """The state of ``engine``, and ``more`` that belongs to it. What is ``outside``, with which the
+    engine was made, stays there. ``unkept`` is told of user-written processes whose
+    state cannot be written: they start again without it.
 
     Raises `CheckpointError` where something in it cannot be written.
     """
     target = io.BytesIO()
-    outside = {id(processes): "processes", id(runner): "runner"}
+    names = {id(value): name for name, value in outside.given().items() if value is not None}
     try:
-        _deep(lambda: _Writer(target, outside).dump((engine, more)))
+        _deep(lambda: _Writer(target, names, unkept).dump((engine, more)))
     except (pickle.PicklingError, TypeError, AttributeError, RecursionError) as error:
         raise CheckpointError(f"the state cannot be written: {error}") from error
     return target.getvalue()
 
 
-def engine_of(state: bytes, processes: Processes, runner: Runner) -> tuple[Engine, Any]:
+def engine_of(state: bytes, outside: Outside) -> tuple[Engine, Any]:
     """The engine that had ``state``, and what came with it. Contract: this very program has written
     it; a pickle may do anything.
 
     Raises `CheckpointError` for what cannot be read.
     """
-    outside = {"processes": processes, "runner": runner}
     try:
-        engine, more = _deep(lambda: _Reader(io.BytesIO(state), outside).load())
+        engine, more = _deep(lambda: _Reader(io.BytesIO(state), outside.given()).load())
     except Exception as error:  # a pickle that is not whole may raise whatever it names
         raise CheckpointError(f"the state cannot be read: {error}") from error
     return engine, more
 
 
 class _Writer(pickle.Pickler):
-    def __init__(self, target: io.BytesIO, outside: dict[int, str]) -> None:
+    def __init__(
+        self, target: io.BytesIO, outside: dict[int, str], unkept: list[str] | None
+    ) -> None:
         super().__init__(target, protocol=5)
         self._outside = outside
+        self._unkept = unkept
 
     def persistent_id(self, value: Any) -> str | None:
         return self._outside.get(id(value))
 
     def reducer_override(self, value: Any) -> Any:
+        if type(value) is Instance and value.is_made:
+            try:
+                pickle.dumps(value.get())
+            except Exception as error:  # noqa: BLE001  user code, and there is something to tell
+                if self._unkept is not None:
+                    self._unkept.append(f"{type(value.get()).__name__}: {error}")
+                return Instance, (value.make,)
         reduce = _REDUCERS.get(type(value))
         return NotImplemented if reduce is None else reduce(value)
 
@@ -150,9 +181,10 @@ def _within(code: CodeType) -> Iterator[CodeType]:
 
 
 def _reduce_cell(value: CellType) -> Any:
-    # Filled when it is there already: a function may be within its own cell.
+    # Filled when it is there already: a function may be within its own cell. In a tuple, since
+    # None would mean that there is nothing to fill it with.
     try:
-        return _cell, (), value.cell_contents, None, None, _set_cell
+        return _cell, (), (value.cell_contents,), None, None, _set_cell
     except ValueError:
         return _cell, ()
 
@@ -161,8 +193,8 @@ def _cell() -> CellType:
     return CellType()
 
 
-def _set_cell(value: CellType, contents: object) -> None:
-    value.cell_contents = contents
+def _set_cell(value: CellType, contents: tuple[object]) -> None:
+    (value.cell_contents,) = contents
 
 
 def _reduce_compiled(value: Any) -> str:
@@ -179,7 +211,33 @@ def _store(quads: bytes) -> Store:
     return store
 
 
-def _reduce_view(value: MappingProxyType[Any, Any]) -> Any:
+def _reduce_array(value: np.ndarray[Any, Any]) -> Any:
+    """A part of another array stays a part of it: who writes into the one writes into the other."""
+    whole = value.base
+    if type(whole) is not np.ndarray or not whole.flags.c_contiguous:
+        return NotImplemented
+    if not value.size or value.dtype.hasobject:
+        return NotImplemented
+    # Of a dimension of one the stride says nothing, and may be any.
+    strides = tuple(
+        stride if count > 1 else value.itemsize
+        for stride, count in zip(value.strides, value.shape, strict=True)
+    )
+    start = value.__array_interface__["data"][0] - whole.__array_interface__["data"][0]
+    return _part, (whole, start, value.shape, strides, value.dtype)
+
+
+def _part(
+    whole: np.ndarray[Any, Any],
+    start: int,
+    shape: tuple[int, ...],
+    strides: tuple[int, ...],
+    dtype: np.dtype[Any],
+) -> np.ndarray[Any, Any]:
+    return np.ndarray(shape, dtype, whole, start, strides)
+
+
+def _reduce_mapping(value: MappingProxyType[Any, Any]) -> Any:
     return MappingProxyType, (dict(value),)
 
 
@@ -192,7 +250,8 @@ _REDUCERS: dict[type, Callable[[Any], Any]] = {
     CellType: _reduce_cell,
     _COMPILED: _reduce_compiled,
     Store: _reduce_store,
-    MappingProxyType: _reduce_view,
+    MappingProxyType: _reduce_mapping,
+    np.ndarray: _reduce_array,
     ModuleType: _reduce_module,
 }
 

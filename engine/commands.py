@@ -21,11 +21,13 @@ from ..converters.arrow import decode_arrow
 from ..converters.ndjson import decode_ndjson
 from ..converters.wire import Incoming
 from ..languages.ssl.annotation import CheckedAnnotation, StreamAnnotation
+from ..ontology.ontology import PreparedOntology
 from ..ontology.reading import TextFormat
 from ..streams.time import SECOND
 from .describing import DescribedStream, DescribedTransformation
 from .engine import Engine
 from .registered import TransformationView
+from .tape import Reading
 from .views import (
     DeclarationView,
     EventView,
@@ -51,9 +53,10 @@ class Command(
 
 
 class Tick(Command, frozen=True, tag="tick"):
-    """The time is ``now`` (ns)."""
+    """The time is ``now`` (ns). ``readings``: what sources said, once it is done."""
 
     now: int
+    readings: tuple[Reading, ...] = ()
 
     def apply(self, engine: Engine) -> None:
         engine.tick(self.now)
@@ -295,6 +298,10 @@ class LoadOntology(Command, frozen=True, tag="load ontology"):
     def apply(self, engine: Engine) -> None:
         engine.load_ontology(self.text, name=self.name, format=self.format)
 
+    def apply_prepared(self, engine: Engine, prepared: PreparedOntology) -> None:
+        """`apply`, for who has read the text already."""
+        engine.take_ontology(prepared)
+
 
 class RegisterTransformations(Command, frozen=True, tag="register transformations"):
     described: tuple[DescribedTransformation, ...]
@@ -376,11 +383,19 @@ _ENCODER = msgspec.msgpack.Encoder()
 _DECODER: msgspec.msgpack.Decoder[AnyCommand] = msgspec.msgpack.Decoder(AnyCommand)
 
 
-def done(engine: Engine, command: Command, incoming: Incoming | None = None) -> Any:
-    """Do ``command``; with ``incoming``, what its batch was decoded to. Gives what it gives."""
-    if incoming is not None and isinstance(command, Publish):
-        return command.apply_decoded(engine, incoming)
-    return command.apply(engine)
+ReadAlready: TypeAlias = Incoming | PreparedOntology
+"""What the batch or text of a command says, for who has read it already."""
+
+
+def done(engine: Engine, command: Command, known: ReadAlready | None = None) -> Any:
+    """Do ``command``, of which ``known`` is read already. Gives what it gives."""
+    match command, known:
+        case Publish(), Incoming():
+            return command.apply_decoded(engine, known)
+        case LoadOntology(), PreparedOntology():
+            return command.apply_prepared(engine, known)
+        case _:
+            return command.apply(engine)
 
 
 def written(command: Command) -> bytes:

@@ -7,7 +7,7 @@ shares it, and it stops when the last user leaves. Every change is told to one l
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import OrderedDict, defaultdict
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from contextlib import contextmanager
@@ -19,6 +19,7 @@ from ..streams.fluent import Retention
 from ..streams.generator import StreamGenerator
 from ..streams.sample import FieldType, Schema
 from ..streams.strings import StringPool
+from .busy import BusyTime
 from .changes import Change, ChangeKind
 from .errors import AlreadyExists, UnknownStream
 from .late_streams import LateStreams
@@ -45,7 +46,9 @@ AnyUnit = TypeVar("AnyUnit", bound=ComputationalUnit)
 _NAMED = 20
 """So many streams are listed when an unknown one is asked for."""
 RESERVED = "dyknow_reserved"
-"""Names of streams that the system invents begin so (SPEC §5)."""
+"""Names of streams that the system invents begin so (SPEC §5); none is used twice."""
+_REMEMBERED = 10_000
+"""Of so many removed streams it is known how far their numbers went."""
 
 
 class Reader(Protocol):
@@ -75,6 +78,7 @@ class Configuration:
         self,
         on_change: Callable[[Change], None],
         first_reserved: int = 1,
+        busy_time: BusyTime | None = None,
     ) -> None:
         self.streams: dict[str, StreamGenerator] = {}
         self.units: dict[str, ComputationalUnit] = {}
@@ -87,17 +91,22 @@ class Configuration:
         self.named: set[str] = set()
         self.late = LateStreams(self._there, self.units, self._add_late)
         """The streams of late samples that somebody asked for."""
+        self.before_demand: Callable[[], None] = _no_objection
+        """Called before a stream is made because somebody asks for it; may raise."""
         self.on_opened: Callable[[str], None] = _unheard
         """Told of a stream that came into being by being asked for."""
         self._on_change = on_change
+        self._busy_time = busy_time
         self._next_reserved = first_reserved
         self._next_unit = 1
+        self._removed: OrderedDict[str, int] = OrderedDict()
+        """The last numbers of streams that were removed: one of the same name continues there."""
         self._shared: dict[Hashable, ComputationalUnit] = {}
         self._keys: dict[ComputationalUnit, Hashable] = {}
         self._specified: tuple[str | None, str] = (None, "")
 
     def __getstate__(self) -> dict[str, object]:
-        return {**self.__dict__, "on_opened": _unheard}
+        return {**self.__dict__, "on_opened": _unheard, "before_demand": _no_objection}
 
     def stream(self, name: str) -> StreamGenerator:
         """The generator of ``name``, a stream or an alias of one; raises `UnknownStream`."""
@@ -114,9 +123,11 @@ class Configuration:
 
     def find(self, name: str) -> StreamGenerator | None:
         """The same; None if there is no such stream. One of violations or of late samples comes
-        into being by being asked for."""
+        into being by being asked for, if ``before_demand`` does not object."""
         found = self._there(name)
         if found is None:
+            if self._violating(name) is not None or self.late.is_name(name):
+                self.before_demand()
             found = self._violations_of(name) or self.late.open(name)
             if found is not None:
                 self.on_opened(found.name)
@@ -137,10 +148,13 @@ class Configuration:
 
     def _violations_of(self, name: str) -> StreamGenerator | None:
         """Somebody asks for the violations of a policy that has none yet."""
+        violations = self._violating(name)
+        return None if violations is None else violations.stream
+
+    def _violating(self, name: str) -> Violations | None:
+        """Whose stream would be called ``name``, if that of violations is meant."""
         unit = self.units.get(name.removesuffix(SUFFIX)) if name.endswith(SUFFIX) else None
-        if not isinstance(unit, PolicyUnit) or unit.violations is None:
-            return None
-        return unit.violations.stream
+        return unit.violations if isinstance(unit, PolicyUnit) else None
 
     def violations(self, name: str, retention: Retention | None) -> Violations:
         """Where the unit that makes stream ``name`` tells what its policy refused."""
@@ -172,7 +186,13 @@ class Configuration:
             if field.type is FieldType.STRING:
                 pools.setdefault(field.name, StringPool())
         generator = StreamGenerator(
-            name, schema, lateness=lateness, idle=idle, retention=retention, pools=pools
+            name,
+            schema,
+            lateness=lateness,
+            idle=idle,
+            retention=retention,
+            pools=pools,
+            first=self._removed.pop(name, 0) + 1,
         )
         self.streams[name] = generator
         self.namespaces[name] = namespace
@@ -192,6 +212,10 @@ class Configuration:
         if not generator.is_ended:
             generator.end()  # whoever follows it hears that nothing more comes
         generator.close()
+        if generator.stream.last_number and not name.startswith(RESERVED):
+            self._removed[name] = generator.stream.last_number
+            if len(self._removed) > _REMEMBERED:
+                self._removed.popitem(last=False)
         self._on_change(Change(ChangeKind.STREAM_REMOVED, name))
 
     def has(self, name: str) -> bool:
@@ -413,6 +437,7 @@ class Configuration:
     ) -> None:
         """Connect a unit to its inputs, and tell; see `ComputationalUnit.start`."""
         self.units[unit.output.name] = unit
+        unit.busy_time = self._busy_time
         self._use(unit.inputs)
         text = ", ".join(f"{key}={value}" for key, value in unit.parameters.items())
         specification = self._specified[1] or specification or f"{unit.transformation}({text})"
@@ -501,7 +526,13 @@ class Configuration:
             self._shared.setdefault(key, unit)
 
     def _failed(self, unit: ComputationalUnit) -> None:
-        self.tell(ChangeKind.UNIT_FAILED, unit, unit.failure or "")
+        # What goes on has no `failure`: a single window was not evaluated.
+        reason = unit.failure or unit.counters.last_error or ""
+        self.tell(ChangeKind.UNIT_FAILED, unit, reason)
+
+
+def _no_objection() -> None:
+    """Streams come into being whenever they are asked for."""
 
 
 def _unheard(_name: str) -> None:

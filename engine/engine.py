@@ -10,6 +10,7 @@ import secrets
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from ..continuous.budget import UNLIMITED, Budget
 from ..converters.to_triples import SampleConverter
 from ..converters.wire import Incoming
 from ..languages.csparql import parse_argument, parse_event_request
@@ -17,7 +18,7 @@ from ..languages.csparql.ast import EventRequest, Template
 from ..languages.kpl import parse_policy
 from ..languages.ssl.annotation import CheckedAnnotation, Content, StreamAnnotation
 from ..matching.uncollected import uncollected
-from ..ontology.ontology import Ontology
+from ..ontology.ontology import Ontology, PreparedOntology
 from ..ontology.reading import TextFormat
 from ..rdf.dictionary import TermDictionary
 from ..rdf.namespaces import PREFIXES, shorten
@@ -35,6 +36,7 @@ from . import explain as explanations
 from .adaptive import Rematch, Wish
 from .annotations import Annotations
 from .application import Application
+from .busy import BusyTime, Stopwatch
 from .changes import Change, ChangeKind, KnownTransformation
 from .configuration import C_SPARQL, Configuration
 from .declared import DeclaredStreams
@@ -64,6 +66,7 @@ from .stream_view import rate_of, stream_view
 from .subscriptions import Subscriptions
 from .supervision import DIRECT, Runner
 from .transformations import Transformations
+from .unit import ComputationalUnit
 from .users import Users
 from .views import (
     DeclarationView,
@@ -76,6 +79,7 @@ from .views import (
     StreamView,
     SubscriptionView,
     TemplateView,
+    Totals,
 )
 
 
@@ -86,7 +90,8 @@ class Engine:
     this run in event ids. ``first_reserved`` is the first N of ``dyknow_reserved<N>``. ``now`` is
     the time in ns until `publish` and `tick` bring a later one. ``processes`` are the user-written
     ones that KPL may name, and ``runner`` calls them. ``ontology`` is taken instead of one in
-    ``data``.
+    ``data``. With a ``stopwatch`` the work of units is measured. ``budget``
+    is what a window of a continuous query may cost.
     """
 
     def __init__(
@@ -99,6 +104,8 @@ class Engine:
         processes: Processes = PROCESSES,
         runner: Runner = DIRECT,
         ontology: Ontology | None = None,
+        stopwatch: Stopwatch | None = None,
+        budget: Budget = UNLIMITED,
     ) -> None:
         self.epoch = epoch or secrets.token_hex(4)
         if ontology is None:
@@ -111,7 +118,8 @@ class Engine:
         status = StatusStream(lambda: self._now)
         self._changed = status.tell
         self._transformations = Transformations(self.ontology.vocabulary, processes)
-        self._configuration = Configuration(self._changed, first_reserved)
+        busy_time = None if stopwatch is None else BusyTime(stopwatch)
+        self._configuration = Configuration(self._changed, first_reserved, busy_time)
         self._manager = SemanticsManager(self.ontology, self._subscribers)
         self.intake = Intake(self._configuration)
         self._idleness = Idleness()
@@ -144,6 +152,7 @@ class Engine:
             self._manager.space,
             self._changed,
             runner,
+            budget,
         )
         status.listen(self._plans.heard)
         self._requests = EventRequests(
@@ -267,10 +276,27 @@ class Engine:
         """One stream; raises `UnknownStream`."""
         return self._view(self._configuration.stream(name))
 
+    def has_stream(self, name: str) -> bool:
+        """Whether there is a stream of this name already; none is made by asking."""
+        return self._configuration.has(name)
+
+    def before_demand(self, check: Callable[[], None]) -> None:
+        """Call ``check`` before a stream comes into being because somebody asks for it (of late
+        samples, of violations), in whatever way; what it raises is what who asks gets."""
+        self._configuration.before_demand = check
+
     def published(self) -> tuple[StreamGenerator, ...]:
         """The streams that people publish to."""
         there = self._configuration.streams.items()
         return tuple(each for name, each in there if not self._configuration.is_made(name))
+
+    def generators(self) -> tuple[StreamGenerator, ...]:
+        """What is behind all streams: for who wants less of each than a view. Cost: O(streams)."""
+        return tuple(self._configuration.streams.values())
+
+    def units(self) -> tuple[ComputationalUnit, ...]:
+        """All units that run, to read what they count. Cost: O(units)."""
+        return tuple(self._configuration.units.values())
 
     def generator(self, name: str) -> StreamGenerator:
         """The generator behind a stream, to read and subscribe; raises `UnknownStream`."""
@@ -312,8 +338,12 @@ class Engine:
         arrival where samples brought their own available times, and the other way round: the one
         would make all of the other late.
         """
-        self._now = max(self._now, now)
-        accepted = self.intake.publish(name, incoming, now, idempotency_key, digest)
+        before, self._now = self._now, max(self._now, now)
+        try:
+            accepted = self.intake.publish(name, incoming, now, idempotency_key, digest)
+        except Exception:
+            self._now = before
+            raise
         generator = self._configuration.stream(name)
         self._idleness.came(generator, self._now)
         self._rematching.came(generator.name, self._now)
@@ -561,7 +591,11 @@ class Engine:
     def load_ontology(self, text: str, *, name: str, format: TextFormat = "turtle") -> None:
         """Add a domain ontology, or replace the one called ``name`` (an IRI): its sorts, features
         and objects are known from now on, also to queries that run. Raises `OntologyError`."""
-        self.ontology.load(text, name=name, format=format)
+        self.take_ontology(self.ontology.prepare(text, name=name, format=format))
+
+    def take_ontology(self, prepared: PreparedOntology) -> None:
+        """The same with what `Ontology.prepare` made of a text, maybe in another thread."""
+        self.ontology.take(prepared)
         self._converters.clear()
         self._tell_templates()
         self._rematching.ontology_changed()
@@ -604,6 +638,19 @@ class Engine:
         if query is not None:
             return self.queries.explain(query)
         raise BadArguments("explain needs an event, a template or a query")
+
+    def totals(self) -> Totals:
+        """How much there is of what people make. Cost: O(1)."""
+        configuration = self._configuration
+        return Totals(
+            len(configuration.streams) - len(configuration.units),
+            len(self._templates),
+            len(self._requests)
+            + len(self._subscriptions)
+            + len(self.queries)
+            + len(self._specifications),
+            len(self._kpl),
+        )
 
     # -- within ------------------------------------------------------------------------------
 

@@ -71,6 +71,16 @@ class Answers:
         self._reports: list[Report] = []
         self._schema: Schema | None = None if output.is_open else output.schema
 
+    @property
+    def reports(self) -> Sequence[Report]:
+        """What has been reported and not passed on yet."""
+        return self._reports
+
+    def hear(self, report: Report | None) -> None:
+        """What was reported, where that is known already."""
+        if report is not None:
+            self._reports.append(report)
+
     def row(self, answer: object, time: int, valid: int) -> Row | None:
         """The sample that an answer given at ``time`` means; None for no_sample.
 

@@ -94,6 +94,10 @@ class KplDeclarations:
         """All declarations in their one spelling; declared in this order they give the same."""
         return "".join(f"{text}\n" for text in self._in_order())
 
+    def __len__(self) -> int:
+        """How many declarations there are, those that do not hold any more included."""
+        return len(self._texts) + len(self._not_restored)
+
     def views(self) -> tuple[DeclarationView, ...]:
         """All declarations, in order; then those of an earlier run that do not hold any more."""
         views = [self._view(declaration) for declaration in self.signature.declarations]

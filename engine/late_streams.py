@@ -53,6 +53,10 @@ class LateStreams:
     def __contains__(self, name: str) -> bool:
         return name in self._origins
 
+    def is_name(self, name: str) -> bool:
+        """Whether `open` would make a stream of this name."""
+        return next(self._read(name), None) is not None
+
     def open(self, name: str) -> StreamGenerator | None:
         """The stream called ``name``, which takes late samples from now on; None if that is no
         name of one. Contract: there is no stream of this name yet."""

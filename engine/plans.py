@@ -14,6 +14,7 @@ from typing import assert_never
 
 from pyoxigraph import NamedNode
 
+from ..continuous.budget import UNLIMITED, Budget
 from ..converters.objects import ObjectTable
 from ..converters.values import field_type
 from ..matching.match import Match, match_all
@@ -68,6 +69,7 @@ class Plans:
         space: StreamSpace,
         changed: Callable[[Change], None],
         runner: Runner = DIRECT,
+        budget: Budget = UNLIMITED,
     ) -> None:
         self._space = space
         self._ontology = ontology
@@ -76,7 +78,7 @@ class Plans:
         self._configuration = configuration
         self._changed = changed
         self._runner = runner
-        self.queries = Queries(ontology, dictionary, configuration, self.obtain)
+        self.queries = Queries(ontology, dictionary, configuration, self.obtain, budget)
         """Starts continuous queries over plans."""
         self._begun: dict[str, int] = {}
         """Streams of units that began with what came, and the last that was available before."""

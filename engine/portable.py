@@ -20,6 +20,7 @@ from ..ontology.ontology import Ontology
 from ..streams.generator import Counters, StreamGenerator
 from ..streams.sample import Column, Field, FieldType, SampleBatch, Schema, concatenate
 from ..streams.strings import StringPool
+from .checkpoint import Outside
 from .commands import (
     AnyCommand,
     CancelEvent,
@@ -34,8 +35,6 @@ from .commands import (
 from .engine import Engine
 from .errors import DyknowError
 from .intake import UsedKey
-from .processes import Processes
-from .supervision import Runner
 
 
 class KeptColumn(msgspec.Struct):
@@ -114,15 +113,16 @@ def portable_of(engine: Engine, standing: Standing) -> Portable:
 
 
 def engine_from(
-    portable: Portable, now: int, processes: Processes, runner: Runner
+    portable: Portable,
+    now: int,
+    outside: Outside,
 ) -> tuple[Engine, Standing, list[str]]:
     """An engine that goes on from there in a life of its own, what stands in it, and what could not
     be had again."""
     engine = Engine(
         now=max(now, portable.now),
-        processes=processes,
-        runner=runner,
         ontology=Ontology.of_quads(portable.quads),
+        **outside.given(),
     )
     lost = []
     there = {each.name: each for each in engine.published()}

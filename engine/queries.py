@@ -11,6 +11,7 @@ from typing import Generic, TypeAlias
 from pyoxigraph import Variable
 
 from ..continuous.alike import AlikeEvaluator, worth_from
+from ..continuous.budget import UNLIMITED, Budget
 from ..continuous.columns import TermValues
 from ..continuous.evaluator import ContinuousEvaluator
 from ..continuous.flows import Flow
@@ -75,11 +76,13 @@ class Queries:
         dictionary: TermDictionary,
         configuration: Configuration,
         obtain: Callable[[Node, Since], StreamGenerator],
+        budget: Budget = UNLIMITED,
     ) -> None:
         self._ontology = ontology
         self._dictionary = dictionary
         self._configuration = configuration
         self._obtain = obtain
+        self._budget = budget
 
     def form(self, query: ContinuousQuery) -> ResultForm:
         """What the results of a query look like."""
@@ -150,7 +153,7 @@ class Queries:
         query = with_streams(query, list(inputs)) if not query.streams else query
         background = explanations.closed_ontology(self._ontology, query.static_named)
         evaluator = AlikeEvaluator(
-            query, kin.form, pattern, self._dictionary, background, list(inputs)
+            query, kin.form, pattern, self._dictionary, background, list(inputs), self._budget
         )
         return self._start_shared(query, inputs, converters, evaluator, _OTHERS)
 
@@ -194,7 +197,7 @@ class Queries:
 
     def _evaluator(self, query: ContinuousQuery, inputs: Sequence[str]) -> TemplateEvaluator:
         background = explanations.closed_ontology(self._ontology, query.static_named)
-        return TemplateEvaluator(query, self._dictionary, background, inputs)
+        return TemplateEvaluator(query, self._dictionary, background, inputs, budget=self._budget)
 
     def _start_shared(
         self,
@@ -284,7 +287,12 @@ class Queries:
             return QueryUnit(
                 *self._configuration.identity(C_SPARQL, sources, output, told),
                 evaluator=ContinuousEvaluator(
-                    named, self._dictionary, background, list(inputs), manner.options
+                    named,
+                    self._dictionary,
+                    background,
+                    list(inputs),
+                    manner.options,
+                    self._budget,
                 ),
                 converters=converters,
                 results=form.converter(output.stream.pools),

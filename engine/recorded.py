@@ -12,12 +12,12 @@ import secrets
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 
+from ..continuous.budget import UNLIMITED, Budget
 from ..converters.errors import ConversionError, WireError
-from ..converters.wire import Incoming
 from ..journal.checkpoints import Checkpoint, Checkpoints
 from ..journal.directory import DataDirectory
 from ..journal.disk import DISK, Disk
@@ -26,13 +26,31 @@ from ..journal.log import SEGMENT, Durability, Log
 from ..languages.errors import LanguageError
 from ..ontology.errors import OntologyError
 from ..ontology.ontology import Ontology
-from .checkpoint import CheckpointError, engine_of, program, state_of
-from .commands import Begin, Command, OpenStream, done, read, written
+from .busy import Stopwatch
+from .checkpoint import CheckpointError, Outside, engine_of, program, state_of
+from .commands import Begin, Command, OpenStream, ReadAlready, Tick, done, read, written
 from .engine import Engine
 from .errors import DyknowError
 from .portable import Portable, Standing, engine_from, portable_of
 from .processes import PROCESSES, Processes
 from .supervision import DIRECT, Runner
+from .tape import Tape
+
+T = TypeVar("T")
+
+_READINGS = 1 << 16
+"""Bytes that are kept free for what sources say in a tick, which is not known before."""
+
+
+class RecordedRunner:
+    """Calls as another runner does, and has a tape."""
+
+    def __init__(self, runner: Runner) -> None:
+        self.tape = Tape()
+        self._runner = runner
+
+    def run(self, work: Callable[[], T], deadline: int | None, progress: Callable[[], int]) -> T:
+        return self._runner.run(work, deadline, progress)
 
 
 @dataclass(slots=True)
@@ -65,6 +83,8 @@ class RecordedEngine:
         now: int,
         processes: Processes = PROCESSES,
         runner: Runner = DIRECT,
+        stopwatch: Stopwatch | None = None,
+        budget: Budget = UNLIMITED,
         durability: Durability = Durability.FSYNC,
         segment: int = SEGMENT,
         disk: Disk = DISK,
@@ -75,10 +95,12 @@ class RecordedEngine:
         ``progress`` is told now and then how many commands are done again, and of how many.
         """
         self.recovery = Recovery()
-        self._processes = processes
-        self._runner = runner
+        self._runner = RecordedRunner(runner)
+        self._outside = Outside(processes, self._runner, stopwatch, budget)
         self._standing = Standing()
         self._within = False
+        self._asked_for: list[OpenStream] = []
+        """Those that the command asked for that is done at present."""
         self._unwritten: list[OpenStream] = []
         """Streams that were opened while the log took nothing."""
         self._directory = DataDirectory(path, disk)
@@ -106,9 +128,9 @@ class RecordedEngine:
 
     # -- doing -------------------------------------------------------------------------------
 
-    def do(self, command: Command, incoming: Incoming | None = None) -> Any:
-        """Write ``command`` down, and do it; gives what it gives. With ``incoming``, what its batch
-        was decoded to.
+    def do(self, command: Command, known: ReadAlready | None = None) -> Any:
+        """Write ``command`` down, and do it; gives what it gives. ``known`` is what of it is
+        read already.
 
         Raises `JournalFull` and `JournalBroken`, and what the command does: nothing is written
         down then, and nothing done.
@@ -116,10 +138,20 @@ class RecordedEngine:
         self._write_opened()
         self._within = True
         try:
-            with self.log.entry(written(command)):
-                found = done(self.engine, command, incoming)
+            with self.log.entry(written(command), _READINGS) as entry:
+                self._runner.tape.record()
+                found = done(self.engine, command, known)
+                readings = self._runner.tape.taken()
+                if readings and isinstance(command, Tick):
+                    entry.payload = written(Tick(command.now, readings))
+        except Exception:
+            # What was refused is not done again, but what it asked for on the way is there.
+            self._unwritten += self._asked_for
+            self._write_what_can_be()
+            raise
         finally:
             self._within = False
+            self._asked_for.clear()
         self._standing.note(command, found)
         return found
 
@@ -129,10 +161,11 @@ class RecordedEngine:
         Raises `CheckpointError` where something cannot be written down. Cost: O(state).
         """
         position = self.log.position
-        state = state_of(self.engine, self._standing, self._processes, self._runner)
+        unkept: list[str] = []
+        state = state_of(self.engine, self._standing, self._outside, unkept)
         portable = msgspec.msgpack.encode(portable_of(self.engine, self._standing))
         found = Checkpoint(position, program(), portable, state)
-        return Unwritten(found, self.log, self._checkpoints)
+        return Unwritten(found, self.log, self._checkpoints, tuple(unkept))
 
     def close(self, *, checkpoint: bool = True) -> None:
         """Commit what there is; with ``checkpoint`` the next start has nothing to do again."""
@@ -151,8 +184,12 @@ class RecordedEngine:
         """Somebody has asked for a stream that is there only now. Within a command, doing that
         again opens it again."""
         if self._within:
-            return
-        self._unwritten.append(OpenStream(stream))
+            self._asked_for.append(OpenStream(stream))
+        else:
+            self._unwritten.append(OpenStream(stream))
+            self._write_what_can_be()
+
+    def _write_what_can_be(self) -> None:
         try:
             self._write_opened()
         except JournalError:
@@ -170,11 +207,13 @@ class RecordedEngine:
             found = self._from_nothing(now)
         engine, done = found
         count = self.log.position - done
+        self._runner.tape.is_playing = True
         for position, data in self.log.read(done):
             self._again(engine, position, data)
             self.recovery.replayed += 1
             if progress is not None and self.recovery.replayed % 1000 == 0:
                 progress(self.recovery.replayed, count)
+        self._runner.tape.is_playing = False
         if not self.recovery.is_continued:
             begin = Begin(secrets.token_hex(4), now, program())
             self.log.append(written(begin))
@@ -203,12 +242,12 @@ class RecordedEngine:
     def _from(self, kept: Checkpoint, now: int) -> Engine:
         """The engine of a checkpoint; raises `CheckpointError`."""
         if kept.program == program():
-            engine, standing = engine_of(kept.state, self._processes, self._runner)
+            engine, standing = engine_of(kept.state, self._outside)
             assert isinstance(engine, Engine)
             self._standing = standing
             return engine
         portable = msgspec.msgpack.decode(kept.portable, type=Portable)
-        engine, self._standing, lost = engine_from(portable, now, self._processes, self._runner)
+        engine, self._standing, lost = engine_from(portable, now, self._outside)
         self._begin_anew(f"the directory was written by {kept.program}, this is {program()}")
         self.recovery.notes += lost
         return engine
@@ -239,9 +278,8 @@ class RecordedEngine:
         engine = Engine(
             epoch=begin.epoch,
             now=begin.now,
-            processes=self._processes,
-            runner=self._runner,
             ontology=ontology,
+            **self._outside.given(),
         )
         return engine, 1
 
@@ -254,6 +292,8 @@ class RecordedEngine:
         program or an error in it."""
         try:
             command = read(data)
+            if isinstance(command, Tick):
+                self._runner.tape.play(command.readings)
             self._standing.note(command, command.apply(engine))
         except (DyknowError, LanguageError, ConversionError, WireError, OntologyError) as error:
             self._begin_anew(f"record {position} could not be done again: {error}")
@@ -266,6 +306,8 @@ class Unwritten:
     checkpoint: Checkpoint
     log: Log
     checkpoints: Checkpoints
+    unkept: tuple[str, ...]
+    """User-written processes whose state cannot be written down: what they are, and why."""
 
     def write(self) -> None:
         """Write it, and forget of the log what no checkpoint needs. Raises `JournalError`."""

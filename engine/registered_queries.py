@@ -193,6 +193,7 @@ class RegisteredQueries:
         state, failure = self._state(running)
         view = running.registration.view(name, state, failure, running.users)
         latest = running.started.kept.latest
+        evaluating = unit.template if isinstance(unit, InstanceUnit) else unit
         return replace(
             view,
             stream=output.name,
@@ -205,6 +206,8 @@ class RegisteredQueries:
             windows=len(running.started.kept),
             last_window=None if latest is None else latest.end,
             late=unit.late,
+            errors=evaluating.counters.errors,
+            last_error=evaluating.counters.last_error,
             plan=explanations.plan_view(self._configuration, unit),
         )
 

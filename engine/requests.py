@@ -144,6 +144,10 @@ class EventRequests:
                 self._sharing.ended_alone(running.common)
         self._configuration.release(running.unit)
 
+    def __len__(self) -> int:
+        """How many requests run."""
+        return len(self._requests)
+
     def views(self) -> tuple[EventView, ...]:
         """The running requests, oldest first."""
         return tuple(self.view(id) for id in self._requests)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 from ..streams.generator import StreamGenerator
@@ -10,7 +11,17 @@ from ..streams.time import TIME_MAX
 from .exchange import Answers, Row
 from .processes import SourceImplementation
 from .reports import OnReport, unheard
-from .supervision import DIRECT, ErrorCounters, Instance, ProcessEvent, Runner, Supervisor
+from .supervision import (
+    DIRECT,
+    ErrorCounters,
+    Instance,
+    ProcessEvent,
+    RecordedError,
+    Runner,
+    Supervisor,
+    describe,
+)
+from .tape import Reading
 
 
 class SampledSource:
@@ -48,6 +59,7 @@ class SampledSource:
         self._next = start
         self._behind = behind
         self._answers = Answers(output, on_report)
+        self._runner = runner
         self._instance: Instance[Callable[..., Any]] = Instance(
             lambda: implementation.make(parameters)
         )
@@ -88,4 +100,26 @@ class SampledSource:
         self.output.end()
 
     def _read(self, time: int, _: None) -> Row | None:
+        tape = self._runner.tape
+        if tape is None:
+            return self._ask(time)
+        reading = tape.ask(self.name, time, partial(self._reading, time))
+        if reading.error is not None:
+            raise RecordedError(reading.error)
+        if tape.is_playing:
+            self._answers.hear(reading.report)
+        return reading.sample
+
+    def _ask(self, time: int) -> Row | None:
         return self._answers.row(self._instance.get()(time), time, time)
+
+    def _reading(self, time: int) -> Reading:
+        """What it says, to be recorded."""
+        before = len(self._answers.reports)
+        try:
+            row = self._ask(time)
+        except Exception as error:  # noqa: BLE001  recorded, and raised by whoever asked
+            return Reading(self.name, time, error=describe(error))
+        for report in self._answers.reports[before:]:
+            return Reading(self.name, time, row, report.quality, report.contains)
+        return Reading(self.name, time, row)

@@ -127,6 +127,10 @@ class Specifications:
         first, _, rest = text.partition("\n")
         return f"{first}\n{comment(running, self._configuration)}{rest}"
 
+    def __len__(self) -> int:
+        """How many units are inserted."""
+        return len(self._insertions.all)
+
     def views(self) -> tuple[InsertionView, ...]:
         """What was inserted, in order; then what an earlier run had and does not hold any more."""
         return self._insertions.views(self._running())

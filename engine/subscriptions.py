@@ -89,6 +89,10 @@ class Subscriptions:
         if unit is not None and self._configuration.units.get(unit.output.name) is unit:
             self._configuration.release(unit)
 
+    def __len__(self) -> int:
+        """How many subscriptions run."""
+        return len(self._subscriptions)
+
     def views(self) -> tuple[SubscriptionView, ...]:
         """The subscriptions that run, oldest first."""
         return tuple(self.view(id) for id in self._subscriptions)

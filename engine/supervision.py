@@ -18,6 +18,7 @@ from types import TracebackType
 from typing import Generic, Protocol, TypeAlias, TypeVar, assert_never
 
 from ..streams.time import SECOND
+from .tape import Tape
 
 T = TypeVar("T")
 Item = TypeVar("Item")
@@ -88,7 +89,10 @@ class ErrorCounters:
 
 
 class Runner(Protocol):
-    """Whoever calls user-written code."""
+    """Whoever calls user-written code. ``tape`` has what sources say, where that is recorded."""
+
+    @property
+    def tape(self) -> Tape | None: ...
 
     def run(self, work: Callable[[], T], deadline: int | None, progress: Callable[[], int]) -> T:
         """What ``work()`` gives; what it raises is raised.
@@ -101,6 +105,8 @@ class Runner(Protocol):
 
 class DirectRunner:
     """Calls, and waits as long as it takes."""
+
+    tape: Tape | None = None
 
     def run(self, work: Callable[[], T], deadline: int | None, progress: Callable[[], int]) -> T:
         return work()
@@ -275,9 +281,18 @@ class Instance(Generic[T]):
             self._made.append(self.make())
         return self._made[0]
 
+    @property
+    def is_made(self) -> bool:
+        """Whether there is code that may have state."""
+        return bool(self._made)
+
     def forget(self) -> None:
         """The next call goes to a new one."""
         self._made.clear()
+
+
+class RecordedError(Exception):
+    """What went wrong when it was done first; its text is what was said of it then."""
 
 
 def describe(error: BaseException) -> str:
@@ -285,6 +300,8 @@ def describe(error: BaseException) -> str:
 
     An error may refuse to say what it is; then its type must do.
     """
+    if isinstance(error, RecordedError):
+        return str(error)
     try:
         text = str(error)
     except Exception as second:  # noqa: BLE001  user code again, and there is something to tell

@@ -119,6 +119,7 @@ class TemplateUnit(WindowUnit):
 
     def progress(self, source: StreamGenerator, watermark: int) -> None:
         self._emit(self.evaluator.advance(source.name, watermark))
+        self.judge()
         least = self.least_watermark
         if least is not None:
             self.output.advance(least + 1)
@@ -127,6 +128,7 @@ class TemplateUnit(WindowUnit):
 
     def finish(self, source: StreamGenerator) -> None:
         self._emit(self.evaluator.end(source.name))
+        self.judge()
         super().finish(source)
         if self.all_ended:
             for instance in tuple(self._instances.values()):
@@ -147,6 +149,7 @@ class TemplateUnit(WindowUnit):
             instance.output.resume()
 
     def _emit(self, windows: Sequence[InstanceResults]) -> None:
+        self.windows += len(windows)
         for window in windows:
             answered = window.answered.tolist()
             for number in answered:
@@ -207,6 +210,11 @@ class InstanceUnit(ComputationalUnit):
             self.output.end()
         elif source.is_idle:
             self.output.fall_idle()
+
+    @property
+    def template(self) -> TemplateUnit:
+        """The unit that evaluates for it and others."""
+        return self._template
 
     @property
     def reads(self) -> Sequence[StreamGenerator]:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
-from ..ontology.reading import read_triples
+from ..ontology.reasoning import DIRECT, Reasoning
 from ..rdf.namespaces import RDF, STREAM_SPACE, shorten
 from .describing import DescribedArgument, DescribedPort, DescribedTransformation, field_name
 from .errors import BadArguments
@@ -19,14 +19,16 @@ _LISTING = (
 )
 
 
-def read_transformations(text: str) -> tuple[DescribedTransformation, ...]:
+def read_transformations(
+    text: str, reasoning: Reasoning = DIRECT
+) -> tuple[DescribedTransformation, ...]:
     """Each ``:Transformation`` of a Turtle text, by name.
 
     Inputs are in the order of ``:nextSegment``; a field is called by ``:hasName``, or like its
     feature. Raises `OntologyError` with line and column, and `BadArguments` for a description
-    that lacks something.
+    that lacks something. ``reasoning`` reads the text.
     """
-    graph = _Graph(read_triples(text, "turtle", NamedNode(STREAM_SPACE.rstrip("#"))))
+    graph = _Graph(reasoning.read(text, "turtle", NamedNode(STREAM_SPACE.rstrip("#"))))
     found = graph.subjects(_TYPE, STREAM_SPACE + "Transformation")
     if not found:
         raise BadArguments("the text describes no :Transformation", f"write {_LISTING}")

@@ -14,6 +14,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from ..continuous.budget import Quarantined
 from ..continuous.evaluator import ContinuousEvaluator
 from ..continuous.flows import Flow
 from ..continuous.results import WindowResult
@@ -24,7 +25,8 @@ from ..converters.to_triples import SampleConverter
 from ..ontology.units import Conversion
 from ..streams.generator import StreamGenerator
 from ..streams.sample import Column, FieldType, Mask, SampleBatch, Times
-from ..streams.time import TIME_MAX, TIME_MIN
+from ..streams.time import TIME_MAX, TIME_MIN, format_time
+from .busy import BusyTime
 from .changes import Role
 from .stream_view import flow_of
 from .supervision import ErrorCounters
@@ -72,6 +74,11 @@ class ComputationalUnit(ABC):
         """The available time (ns) of the latest sample that it has processed."""
         self.late = 0
         """Samples that came after what they belong to was decided, and were left out."""
+        self.busy = 0
+        """How long it has worked (ns), if somebody measures it: without those it sets to work."""
+        self.busy_time: BusyTime | None = None
+        self.windows = 0
+        """How many windows it has evaluated."""
         self.late_streams: dict[StreamGenerator, StreamGenerator] = {}
         """Those that take the late samples of inputs, as far as somebody asked for them."""
         self._after: int | None = None
@@ -266,7 +273,10 @@ class ComputationalUnit(ABC):
         if self.failure is not None:
             return
         try:
-            work()
+            if self.busy_time is None:
+                work()
+            else:
+                self.busy_time.run(self, work)
         except Exception as error:  # noqa: BLE001  the unit is cut off and says why; others go on
             self.failure = f"{type(error).__name__}: {error}"
             self.counters.note(self.failure, None)
@@ -454,6 +464,17 @@ class WindowUnit(ComputationalUnit):
         super().resume(source)
         self.evaluator.resume(source.name)
 
+    def judge(self) -> None:
+        """Tell of windows that needed more than they may. Raises `Quarantined` for too many of
+        them: then no more are evaluated, and the unit is cut off."""
+        overruns, self.evaluator.overruns = self.evaluator.overruns, []
+        for overrun in overruns:
+            text = f"the window that ends {format_time(overrun.end)} has no result"
+            self.counters.note(f"{text}: {overrun.reason}", overrun.end)
+            self._on_failure(self)
+        if self.evaluator.quarantine:
+            raise Quarantined(self.evaluator.quarantine)
+
 
 class Answer:
     """The results of a query as samples of ``output``.
@@ -509,6 +530,7 @@ class QueryUnit(WindowUnit):
 
     def progress(self, source: StreamGenerator, watermark: int) -> None:
         self._emit(self.evaluator.advance(source.name, watermark))
+        self.judge()
         least = self.least_watermark
         if least is not None:
             # A window that is still open ends at ``least`` or later; its results come after it.
@@ -516,8 +538,10 @@ class QueryUnit(WindowUnit):
 
     def finish(self, source: StreamGenerator) -> None:
         self._emit(self.evaluator.end(source.name))
+        self.judge()
         super().finish(source)
 
     def _emit(self, windows: Sequence[WindowResult]) -> None:
+        self.windows += len(windows)
         for window in windows:
             self._answer.give(window)

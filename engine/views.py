@@ -21,6 +21,18 @@ class Since(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
+class Totals:
+    """How much there is of what people make: ``streams`` that no unit makes, ``templates``,
+    ``requests`` (of events, subscriptions, registered queries, inserted units), ``declarations``
+    in KPL."""
+
+    streams: int
+    templates: int
+    requests: int
+    declarations: int
+
+
+@dataclass(frozen=True, slots=True)
 class StreamDeclaration:
     """What a stream is to be: its fields, how late samples may be (ns), how much is kept, the
     namespace of the objects that its id fields name, and after how long (ns) without samples nobody
@@ -134,6 +146,7 @@ class QueryView:
     ``windows`` how many results are kept, ``last_window`` the end (ns) of the last that closed,
     ``late`` the samples that came too late for theirs. Windows that end before ``watermark`` (ns)
     have closed; the others wait for ``held_back_by``, the streams that are least far.
+    ``errors`` counts windows that needed more than they may and have no result.
     """
 
     name: str
@@ -161,6 +174,8 @@ class QueryView:
     windows: int = 0
     last_window: int | None = None
     late: int = 0
+    errors: int = 0
+    last_error: str | None = None
     plan: PlanView | None = None
 
 

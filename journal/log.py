@@ -10,6 +10,7 @@ import errno
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
@@ -32,6 +33,13 @@ class Durability(StrEnum):
     """The disk has it: it survives a loss of power."""
     WRITE = "write"
     """The operating system has it: it survives the end of the process."""
+
+
+@dataclass(slots=True)
+class Entry:
+    """What is about to be kept."""
+
+    payload: bytes
 
 
 class Log:
@@ -117,9 +125,10 @@ class Log:
             return sum(path_of(self._folder, first).stat().st_size for first in self._firsts)
 
     @contextmanager
-    def entry(self, payload: bytes) -> Iterator[None]:
+    def entry(self, payload: bytes, room: int = 0) -> Iterator[Entry]:
         """``payload`` (not empty) is kept with the next commit if the block ends without an error,
-        and never was if it raises.
+        and never was if it raises. The block may put another in its place that has up to ``room``
+        bytes more.
 
         Raises `JournalFull` when the disk has no room for it, and `JournalBroken`, before the block
         begins. Contract: one block at a time.
@@ -131,18 +140,26 @@ class Log:
         if self._stuck:
             # Else what waits in memory would grow for as long as the disk is full.
             raise _full()
-        position, size = self.position + 1, size_of(payload)
+        position, entry = self.position + 1, Entry(payload)
+        least = size_of(payload) + room
         with self._lock:
             try:
                 if not self._open or self._is_full(self._open[-1]):
-                    self._begin(position, size)
+                    self._begin(position, least)
                 segment = self._open[-1]
-                segment.make_room(size)
+                segment.make_room(least)
             except OSError as error:
                 raise _refusal(error) from error
-        yield
+        yield entry
+        size = size_of(entry.payload)
         with self._lock:
-            segment.add(position, payload)
+            try:
+                segment.make_room(size)
+            except OSError as error:
+                # It is done, and cannot be taken back.
+                self._broken = f"what was done could not be written down: {error}"
+                raise JournalBroken(self._broken, _RESTART) from error
+            segment.add(position, entry.payload)
             self.position = position
             self.written += size
 

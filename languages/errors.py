@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
+
+LONGEST_LINE: Final = 200
+"""Characters of the source that an error shows: who sent a long line need not get it back."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,8 +45,17 @@ class LanguageError(ValueError):
         end = self.source.find("\n", begin)
         text = self.source[begin:] if end < 0 else self.source[begin:end]
         width = max(1, min(self.span.end, begin + len(text)) - self.span.start)
+        first = self.span.start - begin
+        if len(text) > LONGEST_LINE:
+            # Of a long line, what is around the place.
+            cut = max(0, first - LONGEST_LINE // 2)
+            rest = text[cut:]
+            text = ("…" if cut else "") + rest[:LONGEST_LINE]
+            text += "…" if len(rest) > LONGEST_LINE else ""
+            first += (1 if cut else 0) - cut
+            width = max(1, min(width, len(text) - first))
         # Tabs are kept in the margin so that the caret stands under its character.
-        margin = "".join("\t" if c == "\t" else " " for c in text[: self.column - 1])
+        margin = "".join("\t" if c == "\t" else " " for c in text[:first])
         lines = [
             f"line {self.line}, column {self.column}: {self.message}",
             f"  {text}",

@@ -39,12 +39,19 @@ RdflibTerm: TypeAlias = rdflib.URIRef | rdflib.BNode | rdflib.Literal
 
 @lru_cache(maxsize=4)
 def entailed(asserted: frozenset[Triple]) -> frozenset[Triple]:
+    """`closure_of`; the last few closures are remembered: many engines in one process, as in tests,
+    start from the same ontologies."""
+    return closure_of(asserted)
+
+
+def closure_of(asserted: frozenset[Triple]) -> frozenset[Triple]:
     """What OWL 2 RL adds to ``asserted``, without the noise.
 
     Noise is: triples about literals, about RDF's, OWL's and XSD's own terms (save what is above
     ``owl:Thing``), and those that say only that a thing equals or contains itself.
-    Raises `OntologyError` if the ontologies contradict themselves. The last few closures are
-    remembered: many engines in one process, as in tests, start from the same ontologies.
+    Raises `OntologyError` if the ontologies contradict themselves. Cost: up to the square of the
+    triples and more, such as for long lists and chains of ``owl:sameAs``: who takes ontologies of
+    strangers runs it where it can be stopped.
     """
     graph = rdflib.Graph()
     known = set()

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -35,7 +36,9 @@ from .closure import closure_key, entailed
 from .entailment import Change, Entailments, Rules
 from .errors import OntologyError, QueryRefused
 from .query_guard import check_user_query
-from .reading import TextFormat, read_triples
+from .reading import TextFormat
+from .reasoning import DIRECT, Reasoning
+from .replicas import ChangeLog, as_nquads
 from .shipped import shipped_ontologies, text_hash
 from .turtle import ALL_PREFIXES
 from .units import UnitError
@@ -68,6 +71,27 @@ _GRAPHS = {
 }
 
 
+@dataclass(frozen=True, slots=True)
+class StoreChanges:
+    """What a copy of the store lacks, as N-Quads; ``whole`` replaces all that it has."""
+
+    position: int
+    whole: bytes | None
+    added: bytes
+    removed: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class PreparedOntology:
+    """An ontology that is read and reasoned about, and not loaded yet: ``hashes`` are those of all
+    texts that are loaded with it, ``implied`` is what they entail together."""
+
+    graph: NamedNode
+    triples: frozenset[Triple]
+    hashes: dict[str, str]
+    implied: frozenset[Triple]
+
+
 class Ontology:
     """The loaded ontologies with what they entail, and the live stream space.
 
@@ -84,6 +108,7 @@ class Ontology:
         self.version = 0
         self._lock = threading.RLock()
         self._closed: tuple[int, Store] | None = None
+        self._log = ChangeLog()
         self._start()
 
     @classmethod
@@ -141,11 +166,32 @@ class Ontology:
         text that cannot be read, contradicts the others, or gives a feature an unknown unit.
         Cost: a closure of all loaded ontologies.
         """
+        self.take(self.prepare(text, name=name, format=format))
+
+    def prepare(
+        self, text: str, *, name: str, format: TextFormat = "turtle", reasoning: Reasoning = DIRECT
+    ) -> PreparedOntology:
+        """All of `load` that takes time: nothing has changed when it returns. Any thread may call;
+        raises as `load`, and what ``reasoning`` raises."""
         graph = _ontology_graph(name)
-        triples = read_triples(text, format, graph)
+        triples = reasoning.read(text, format, graph)
         with self._lock:
             hashes = {**self._hashes(), graph.value: text_hash(f"{format}\n{text}")}
-            self._reload({graph: triples}, hashes)
+            asserted = self._asserted({graph: triples}, hashes)
+            known = self._kept_closure(closure_key(hashes))
+        implied = reasoning.entailed(asserted) if known is None else known
+        return PreparedOntology(graph, triples, hashes, implied)
+
+    def take(self, prepared: PreparedOntology) -> None:
+        """Load what was prepared. Raises `OntologyError` if it contradicts the vocabulary, or other
+        ontologies were loaded since."""
+        with self._lock:
+            graph = prepared.graph.value
+            if {**self._hashes(), graph: prepared.hashes[graph]} != prepared.hashes:
+                raise OntologyError(
+                    "another ontology was loaded meanwhile", hint="load this one again"
+                )
+            self._reload({prepared.graph: prepared.triples}, prepared.hashes, prepared.implied)
 
     def ontologies(self) -> tuple[str, ...]:
         """The IRIs of the loaded ontologies' graphs."""
@@ -302,6 +348,17 @@ class Ontology:
         check_user_query(sparql)
         return self.store.query(sparql, prefixes=ALL_PREFIXES)
 
+    def changes_since(self, position: int | None) -> StoreChanges:
+        """What a copy of the store lacks that was made or brought up to date at ``position``; None:
+        one that has nothing. Cost: O(changes), or a dump of the store."""
+        with self._lock:
+            found = None if position is None else self._log.since(position)
+            if found is None:
+                whole = self.store.dump(format=RdfFormat.N_QUADS)
+                return StoreChanges(self._log.position, _bytes(whole), b"", b"")
+            came, went = found
+            return StoreChanges(self._log.position, None, as_nquads(came), as_nquads(went))
+
     def query_rows(self, sparql: str) -> tuple[tuple[str, ...], list[tuple[Term | None, ...]]]:
         """Variables and rows of a SELECT; None is unbound. `QueryRefused` for another form."""
         results = self.query(sparql)
@@ -357,14 +414,32 @@ class Ontology:
         self._apply(emptied)
         self._reload(new, hashes)
 
-    def _reload(self, new: dict[NamedNode, frozenset[Triple]], hashes: dict[str, str]) -> None:
-        """Replaces the graphs ``new`` and all that follows from the ontologies."""
+    def _asserted(
+        self, new: dict[NamedNode, frozenset[Triple]], hashes: dict[str, str]
+    ) -> frozenset[Triple]:
         loaded = {NamedNode(iri): self._graph(NamedNode(iri)) for iri in hashes} | new
-        asserted = frozenset().union(*loaded.values())
+        return frozenset().union(*loaded.values())
+
+    def _kept_closure(self, key: str) -> frozenset[Triple] | None:
+        """What the ontologies entail, if it was computed from these."""
+        is_kept = Triple(graphs.ENTAILMENTS, graphs.CLOSED, Literal(key)) in self._graph(
+            graphs.CATALOG
+        )
+        return self._graph(graphs.ENTAILMENTS) if is_kept else None
+
+    def _reload(
+        self,
+        new: dict[NamedNode, frozenset[Triple]],
+        hashes: dict[str, str],
+        implied: frozenset[Triple] | None = None,
+    ) -> None:
+        """Replaces the graphs ``new`` and all that follows from the ontologies."""
+        asserted = self._asserted(new, hashes)
         key = closure_key(hashes)
-        kept = self._graph(graphs.CATALOG)
-        is_kept = Triple(graphs.ENTAILMENTS, graphs.CLOSED, Literal(key)) in kept
-        implied = self._graph(graphs.ENTAILMENTS) if is_kept else entailed(asserted)
+        if implied is None:
+            implied = self._kept_closure(key)
+        if implied is None:
+            implied = entailed(asserted)
         try:
             vocabulary = Vocabulary.from_triples(asserted | implied)
         except UnitError as error:
@@ -427,6 +502,7 @@ class Ontology:
         }
         if not added and not removed:
             return
+        self._log.note(added, removed)
         if not removed:
             self.store.extend(added)  # all at once, and without a text to be parsed
         elif any(_has_blank(quad) for quad in removed | added):

@@ -13,8 +13,7 @@ from dataclasses import dataclass
 from typing import Final, TypeAlias
 from typing import Literal as OneOf
 
-from pyoxigraph import Store
-
+from ..rdf.sparql import check_sparql
 from .errors import QueryRefused
 from .turtle import ALL_PREFIXES
 
@@ -24,6 +23,9 @@ DEEPEST: Final = 64
 """Brackets of any kind inside each other."""
 MOST_PATTERNS: Final = 64
 """Triple patterns; each step of a property path counts as one."""
+
+MOST_NEGATIONS: Final = 64
+"""``!`` after each other: the parsers behind us recurse."""
 
 QueryForm: TypeAlias = OneOf["select", "construct", "describe", "ask"]
 
@@ -75,29 +77,48 @@ def check_user_query(text: str) -> None:
 
 def query_form(text: str) -> QueryForm:
     """Checks ``text`` like `check_user_query` and says what kind of answer it has."""
+    form = check_bounds(text)
+    try:
+        check_sparql(text, ALL_PREFIXES)
+    except SyntaxError as error:
+        raise syntax_refusal(error) from error
+    if form is None:
+        raise QueryRefused(
+            "the text asks nothing: SELECT, ASK, CONSTRUCT or DESCRIBE is missing", 1, 1
+        )
+    return form
+
+
+def check_bounds(text: str) -> QueryForm | None:
+    """What of `query_form` needs no parser: words, prefixes and sizes. What passes is small enough
+    to be parsed, and may be no SPARQL. None where the text asks nothing. Cost: linear."""
     if len(text.encode("utf-8", "surrogatepass")) > LONGEST_TEXT:
         raise QueryRefused(f"the query has more than {LONGEST_TEXT} bytes", 1, 1)
     tokens = list(_tokens(text))
     _check_words(text, tokens)
     _check_prefixes(text, tokens)
-    _check_size(text, tokens)
-    try:
-        Store().query(text, prefixes=ALL_PREFIXES)
-    except SyntaxError as error:
-        raise _syntax_refusal(error) from error
-    except ValueError as error:
-        raise QueryRefused(str(error), 1, 1) from error
+    _check_size(text, tokens, MOST_PATTERNS)
     for token in tokens:
-        word = token.text.upper() if token.kind == "word" else ""
-        if word == "SELECT":
-            return "select"
-        if word == "CONSTRUCT":
-            return "construct"
-        if word == "DESCRIBE":
-            return "describe"
-        if word == "ASK":
-            return "ask"
-    raise QueryRefused("the text asks nothing: SELECT, ASK, CONSTRUCT or DESCRIBE is missing", 1, 1)
+        word = token.text.lower() if token.kind == "word" else ""
+        if word in ("select", "construct", "describe", "ask"):
+            return word  # type: ignore[return-value]
+    return None
+
+
+def check_size(text: str, patterns: int) -> None:
+    """Raises `QueryRefused` for a SPARQL text with more triple patterns than ``patterns``, brackets
+    more than `DEEPEST` deep or more than `MOST_NEGATIONS` negations after each other. Steps and
+    alternatives of property paths count as triple patterns."""
+    tokens = list(_tokens(text))
+    _check_size(text, tokens, patterns)
+    for number, token in enumerate(t for t in tokens if _is_alternative(text, t)):
+        if number >= patterns:
+            raise _refusal(text, token, f"the query has more than {patterns} alternatives")
+
+
+def _is_alternative(text: str, token: _Token) -> bool:
+    around = text[max(0, token.start - 1) : token.start + 2]
+    return token.text == "|" and "||" not in around
 
 
 def _tokens(text: str) -> Iterator[_Token]:
@@ -156,7 +177,8 @@ class _Level:
     data: bool = False
 
 
-def _check_size(text: str, tokens: list[_Token]) -> None:
+def _check_size(text: str, tokens: list[_Token], most: int) -> None:
+    _check_negations(text, tokens)
     levels = [_Level("", idle=False, clause=True)]
     patterns = 0
     values = False
@@ -197,9 +219,17 @@ def _check_size(text: str, tokens: list[_Token]) -> None:
                 patterns += 2  # a list: each member is two triples
         elif token.kind == "mark" and token.text == "/":
             patterns += 1
-        if patterns > MOST_PATTERNS:
-            raise _refusal(text, token, f"the query has more than {MOST_PATTERNS} triple patterns")
+        if patterns > most:
+            raise _refusal(text, token, f"the query has more than {most} triple patterns")
         previous = token
+
+
+def _check_negations(text: str, tokens: list[_Token]) -> None:
+    run = 0
+    for token in tokens:
+        run = run + 1 if token.text == "!" else 0
+        if run > MOST_NEGATIONS:
+            raise _refusal(text, token, f"more than {MOST_NEGATIONS} negations after each other")
 
 
 def _refusal(text: str, token: _Token, message: str, hint: str = "") -> QueryRefused:
@@ -208,7 +238,8 @@ def _refusal(text: str, token: _Token, message: str, hint: str = "") -> QueryRef
     return QueryRefused(message, line, column, hint)
 
 
-def _syntax_refusal(error: SyntaxError) -> QueryRefused:
+def syntax_refusal(error: SyntaxError) -> QueryRefused:
+    """What Oxigraph's parser found, with its place."""
     message = str(error)
     place = _PLACE.match(message)
     line, column = (int(place[1]), int(place[2])) if place else (1, 1)

@@ -8,6 +8,7 @@ from typing import Literal as OneOf
 
 from pyoxigraph import BlankNode, Literal, NamedNode, RdfFormat, Triple, parse
 
+from .document_guard import check_document
 from .errors import OntologyError
 from .turtle import HEADER_LINES, as_turtle
 
@@ -22,8 +23,6 @@ _FORMATS: Final[dict[str, RdfFormat]] = {
     "jsonld": RdfFormat.JSON_LD,
     "ntriples": RdfFormat.N_TRIPLES,
 }
-# Entities that name further entities can grow without bound; those of real ontologies never do.
-_NESTED_ENTITY: Final = re.compile(r"<!ENTITY\s[^>]*&[^>]*>")
 _PLACE: Final = re.compile(
     r"^(?:Parser )?error(?: at line \d+(?: between)? columns?(?: \d+(?: and(?: column)? \d+)?)?)?: "
 )
@@ -40,9 +39,7 @@ def read_triples(text: str, format: TextFormat, base: NamedNode) -> frozenset[Tr
         raise OntologyError(f"unknown format {format!r}; known are {', '.join(_FORMATS)}")
     if len(text) > LARGEST_TEXT:
         raise OntologyError(f"the text has more than {LARGEST_TEXT} characters")
-    if format == "rdfxml" and (nested := _NESTED_ENTITY.search(text)):
-        line = text.count("\n", 0, nested.start()) + 1
-        raise OntologyError("an entity is declared by other entities", line)
+    check_document(text, format)
     header = HEADER_LINES if format == "turtle" else 0
     source = as_turtle(text) if format == "turtle" else text
     try:

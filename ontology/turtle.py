@@ -19,13 +19,14 @@ _HEADER: Final = " ".join(f"@prefix {p}: <{iri}> ." for p, iri in ALL_PREFIXES.i
 HEADER_LINES: Final = 1
 """How many lines `as_turtle` puts before the text: parsers count them too."""
 
-# Strings, IRIs and comments are matched first so that nothing inside them is rewritten.
+# Strings, IRIs and comments are matched first so that nothing inside them is rewritten. What is not
+# closed goes on to its end: tried again at each quote in it, it would cost the square.
 _TOKEN: Final = re.compile(
-    r'"""(?:[^"\\]|\\.|"(?!""))*"""'
-    r"|'''(?:[^'\\]|\\.|'(?!''))*'''"
-    r'|"(?:[^"\\\n]|\\.)*"'
-    r"|'(?:[^'\\\n]|\\.)*'"
-    r"|<[^<>\s]*>"
+    r'"""(?:[^"\\]|\\.|"(?!""))*+(?:"""|\Z)'
+    r"|'''(?:[^'\\]|\\.|'(?!''))*+(?:'''|\Z)"
+    r'|"(?:[^"\\\n]|\\.)*+"?'
+    r"|'(?:[^'\\\n]|\\.)*+'?"
+    r"|<[^<>\s]*+>"
     r"|#[^\n]*"
     r"|\^\^(?P<bare>string|integer|decimal|double|float|boolean|dateTime)(?![\w:.-]*:)\b",
     re.DOTALL,

@@ -9,12 +9,21 @@ from __future__ import annotations
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from .problems import Problem
+from .problems import REQUEST_ID, Problem
+from .slow_bodies import SlowBodies
 
 HELD = "dyknow.held"
 """In the scope of a request: the `Held` of its body."""
 LIVE = "/samples/live"
 """Paths that end so have bodies that are worked off while they come."""
+
+
+class UnderWay:
+    """What there is of bodies that are not worked off yet."""
+
+    def __init__(self) -> None:
+        self.bytes = 0
+        self.bodies = 0
 
 
 class Held:
@@ -28,13 +37,13 @@ class Held:
     def add(self, count: int) -> None:
         """So many bytes have come. Raises `Problem` 413 or 429; of a live body `keep` does."""
         self.size += count
-        self._limit.held += count
+        self._limit.under_way.bytes += count
         if not self.live:
             self._limit.check(self.size)
 
     def keep(self, count: int) -> None:
         """Of a live body no more than so many bytes are still held. Raises `Problem` 413 or 429."""
-        self._limit.held += count - self.size
+        self._limit.under_way.bytes += count - self.size
         self.size = count
         self._limit.check(count)
 
@@ -42,11 +51,20 @@ class Held:
 class BodyLimit:
     """Refuses bodies over ``limit`` bytes, and further ones while ``total`` bytes are under way.
 
-    Of a live body the limit is for what is not worked off yet: a line, a record batch.
+    Of a live body the limit is for what is not worked off yet: a line, a record batch. ``slow``
+    lets those go that do not come in time.
     """
 
-    def __init__(self, app: ASGIApp, limit: int, total: int) -> None:
-        self.held = 0
+    def __init__(
+        self,
+        app: ASGIApp,
+        limit: int,
+        total: int,
+        slow: SlowBodies | None = None,
+        under_way: UnderWay | None = None,
+    ) -> None:
+        self.under_way = under_way or UnderWay()
+        self._slow = slow
         self._app = app
         self._limit = limit
         self._total = total
@@ -58,30 +76,36 @@ class BodyLimit:
         body = Held(self, scope["path"].endswith(LIVE))
         declared = None if body.live else _content_length(scope)
         if declared is not None and declared > self._limit:
-            await self._too_large().response()(scope, receive, send)
+            await self._too_large().response(scope.get(REQUEST_ID))(scope, receive, send)
             return
-        if declared and self.held + declared > self._total:
-            await self._too_many().response()(scope, receive, send)
+        if declared and self.under_way.bytes + declared > self._total:
+            await self._too_many().response(scope.get(REQUEST_ID))(scope, receive, send)
             return
 
+        next_message = receive
+        if self._slow is not None and not body.live:
+            next_message = self._slow.in_time(receive, scope["method"])
+
         async def counted() -> Message:
-            message = await receive()
+            message = await next_message()
             if message["type"] == "http.request":
                 body.add(len(message.get("body", b"")))
             return message
 
         scope[HELD] = body
+        self.under_way.bodies += 1
         try:
             await self._app(scope, counted, send)
         finally:
-            self.held -= body.size
+            self.under_way.bodies -= 1
+            self.under_way.bytes -= body.size
 
     def check(self, size: int) -> None:
         """Raises a `Problem` where ``size`` bytes of one body are too many, 413, or those of all
         bodies, 429."""
         if size > self._limit:
             raise self._too_large()
-        if self.held > self._total:
+        if self.under_way.bytes > self._total:
             raise self._too_many()
 
     def _too_large(self) -> Problem:

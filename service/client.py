@@ -157,6 +157,14 @@ class Client(Connection):
         """
         return self._follow(f"/streams/{_part(stream)}/events", since, resume)
 
+    def follow(self, streams: Sequence[str], *, since: str | None = None) -> Iterator[Event]:
+        """The samples of several streams as they come, on one connection; else as `events`.
+
+        Ends after the ``end`` of the last of them. An event's ``data["stream"]`` tells which it is
+        of.
+        """
+        return self._follow("/follow", since, True, streams)
+
     def status_events(self, *, since: str | None = None) -> Iterator[Event]:
         """Every change of the stream space."""
         return self._follow("/status/events", since, True)

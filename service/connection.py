@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Any, Self
@@ -16,6 +17,8 @@ from .negotiation import JSON
 from .sse import POSITION
 
 URL = "http://127.0.0.1:8000"
+TOKEN = "DYKNOW_TOKEN"
+"""The environment variable with the token of whoever runs this program."""
 RETRY_FIRST = 0.2
 RETRY_LONGEST = 5.0
 SILENCE = 60.0
@@ -89,14 +92,16 @@ class Event:
 class Connection:
     """One HTTP connection pool to a service. Not for several threads at once.
 
-    ``transport`` and ``sleep`` are for tests. Every method raises `ServiceError` for a refusal
-    and ``httpx.TransportError`` when there is no service at ``url``.
+    ``token`` says who asks, where the service wants to know; without it that of the environment
+    variable ``DYKNOW_TOKEN``. ``transport`` and ``sleep`` are for tests. Every method raises
+    `ServiceError` for a refusal and ``httpx.TransportError`` when there is no service at ``url``.
     """
 
     def __init__(
         self,
         url: str = URL,
         *,
+        token: str | None = None,
         timeout: float = 30.0,
         transport: httpx.BaseTransport | None = None,
         sleep: Callable[[float], None] = time.sleep,
@@ -104,9 +109,14 @@ class Connection:
         self.url = url.rstrip("/")
         self._sleep = sleep
         self._timeout = timeout
+        token = os.environ.get(TOKEN, "") if token is None else token
         # An address on this machine is not reached through a proxy of the environment.
         self._http = httpx.Client(
-            base_url=self.url, timeout=timeout, transport=transport, trust_env=False
+            base_url=self.url,
+            headers={"Authorization": f"Bearer {token.strip()}"} if token else {},
+            timeout=timeout,
+            transport=transport,
+            trust_env=False,
         )
 
     def __enter__(self) -> Self:
@@ -124,17 +134,23 @@ class Connection:
         """Close the connections."""
         self._http.close()
 
-    def _follow(self, path: str, since: str | None, resume: bool) -> Iterator[Event]:
+    def _follow(
+        self, path: str, since: str | None, resume: bool, streams: Sequence[str] = ()
+    ) -> Iterator[Event]:
+        """The events of ``path``, until its end; of several ``streams`` until the last one's."""
         last: str | None = None
         # The switches since the last sample: the service tells them again when a client resumes.
         told: list[Event] = []
+        ended: set[str] = set()
         wait = RETRY_FIRST
         timeout = httpx.Timeout(self._timeout, read=SILENCE)
         while True:
             headers = {"Accept": "text/event-stream", "Cache-Control": "no-store"}
             if last is not None:
                 headers["Last-Event-ID"] = last
-            parameters = {} if since is None or last is not None else {"since": since}
+            parameters: dict[str, Any] = {"stream": list(streams)} if streams else {}
+            if since is not None and last is None:
+                parameters["since"] = since
             try:
                 with self._http.stream(
                     "GET", path, headers=headers, params=parameters, timeout=timeout
@@ -152,13 +168,16 @@ class Connection:
                         if event.kind == "sample":
                             last = event.id
                             told.clear()
+                            ended.discard(str(event.data.get("stream")))
                         elif event.kind == "rematched":
                             if event in told:
                                 continue
                             told.append(event)
                         yield event
                         if event.kind == "end":
-                            return
+                            ended.add(str(event.data.get("stream")))
+                            if len(ended) >= len(set(streams)):
+                                return
                 if not resume:
                     return
             except httpx.TransportError:

@@ -2,24 +2,28 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-import anyio
 from fastapi import Depends, Request
 
-from ..converters.wire import Incoming
-from ..engine.commands import Command, Tick
+from ..engine.commands import Command, ReadAlready, Tick
 from ..engine.engine import Engine
 from ..journal.errors import JournalError
 from ..streams.time import Clock
+from .access import Gate
 from .event_clients import ClientKey, address_of
+from .isolation.services import Isolation
 from .keeper import Keeper
 from .live import LiveBodies
 from .logs import log
 from .metrics import Metrics
 from .settings import Settings
 from .sse import Feeds
+
+LATE = 5.0
+"""Seconds without a tick after which the service is not ready: something holds its loop up."""
 
 
 @dataclass(slots=True)
@@ -32,22 +36,41 @@ class Service:
     feeds: Feeds
     bodies: LiveBodies
     metrics: Metrics
-    sparql_slots: anyio.CapacityLimiter
+    isolation: Isolation
     started: int
+    gate: Gate
     keeper: Keeper
     troubles: dict[str, str]
-    """Why the service is not ready, for people, by what fails; empty while all is well."""
+    """What keeps the service from being ready, by whom: each puts its own here, and takes it away
+    when it is over (`reasons`)."""
+    ticked: float | None = None
+    """When the last tick ended, by the monotonic clock (s); None before the first."""
     client_key: ClientKey = address_of
     """Whose event streams are counted together (`Settings.sse_clients_each`)."""
 
-    def leave(self) -> None:
-        """The service stops: let those go whose requests have no end of their own."""
-        self.feeds.close()
-        self.bodies.close()
+    def reasons(self) -> list[str]:
+        """Why the service is not ready: nothing if it is."""
+        found = [f"{who}: {what}" for who, what in self.troubles.items()]
+        if self.ticked is None:
+            found.append("starting: the engine has not been told the time yet")
+        else:
+            late = time.monotonic() - self.ticked
+            if late > max(LATE, 10 * self.settings.tick):
+                found.append(f"the engine's tick is late: the last one was {late:.1f} s ago")
+        return found
 
-    async def do(self, command: Command, incoming: Incoming | None = None) -> Any:
+    def stop(self) -> None:
+        """The service is told to stop: it is not ready any more."""
+        self.troubles["stopping"] = "the service stops"
+
+    def leave(self) -> None:
+        """Let those go whose requests have no end of their own."""
+        self.bodies.close()
+        self.feeds.close()
+
+    async def do(self, command: Command, known: ReadAlready | None = None) -> Any:
         """Do ``command`` at once; return what it gives when it is kept."""
-        found = self.keeper.do(command, incoming)
+        found = self.keeper.do(command, known)
         await self.keeper.kept()
         return found
 

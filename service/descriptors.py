@@ -19,9 +19,10 @@ def raise_limit() -> None:
             return
 
 
-def places(wanted: int) -> int:
-    """How many of ``wanted`` clients there are descriptors for; at least one."""
+def places(wanted: int, reserved: int = RESERVED) -> int:
+    """How many of ``wanted`` clients there are descriptors for, when so many are left for others;
+    at least one."""
     soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
     if soft == resource.RLIM_INFINITY:
         return wanted
-    return max(1, min(wanted, soft - RESERVED))
+    return max(1, min(wanted, soft - reserved))

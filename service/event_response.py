@@ -23,6 +23,8 @@ TRANSPORT: Final = "dyknow.transport"
 """In the ``state`` of a request's scope: its connection's transport, where the server tells it."""
 SEND_BUFFER = 64 * 1024
 """Bytes that the kernel holds of what a client does not take (it reckons with twice that)."""
+OPENING = b": dyknow\n"
+"""Sent at once, so that a client knows that it is connected."""
 HEARTBEAT = b": ping\n"
 """A comment without an empty line: a reader that dispatches empty messages stays quiet."""
 DROPPED = 1.0
@@ -56,12 +58,16 @@ class _Body:
         self._client = client
         self._messages = messages
         self._goes_on = False
+        self._begun = False
 
     def __aiter__(self) -> AsyncIterator[bytes]:
         return self
 
     async def __anext__(self) -> bytes:
-        while not self._clients.is_closing:
+        if not self._begun:
+            self._begun = self._goes_on = True
+            return OPENING + (self._messages.take() or b"")
+        while True:
             data = self._messages.take()
             if data is not None:
                 if self._goes_on:
@@ -70,7 +76,8 @@ class _Body:
                 self._goes_on = True
                 self._clients.sent += len(data)
                 return data
-            if self._messages.over is not None:
+            # When the service stops, everybody gets what there is.
+            if self._messages.over is not None or self._clients.is_closing:
                 break
             self._goes_on = False
             if not await self._client.wait():

@@ -13,9 +13,8 @@ import asyncio
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Protocol
 
-from ..converters.wire import Incoming
 from ..engine.checkpoint import CheckpointError
-from ..engine.commands import Command, done
+from ..engine.commands import Command, ReadAlready, done
 from ..engine.engine import Engine
 from ..engine.recorded import RecordedEngine
 from ..journal.errors import JournalError
@@ -69,6 +68,8 @@ class Keeper:
         self._not_before = float("-inf")
         """No checkpoint is tried before."""
         self._tended = float("-inf")
+        self._unkept: set[str] = set()
+        """Processes of which it was told that their state is not kept."""
         self.commits = 0
         self.commit_seconds = 0.0
         self.checkpoints = 0
@@ -93,12 +94,12 @@ class Keeper:
         """Whom to show what is kept."""
         self._audience = audience
 
-    def do(self, command: Command, incoming: Incoming | None = None) -> Any:
+    def do(self, command: Command, known: ReadAlready | None = None) -> Any:
         """Do ``command``; see `RecordedEngine.do`."""
         if self._recorded is None:
-            return done(self._engine, command, incoming)
+            return done(self._engine, command, known)
         try:
-            return self._recorded.do(command, incoming)
+            return self._recorded.do(command, known)
         except JournalError as error:
             self._fail(JOURNAL, error)
             raise
@@ -189,6 +190,9 @@ class Keeper:
             return
         self._written = recorded.log.written
         self.checkpoints += 1
+        for process in set(unwritten.unkept) - self._unkept:
+            self._unkept.add(process)
+            log().warning("the state of a process would not survive a restart", process=process)
         self._recover(CHECKPOINT)
 
     def close(self) -> None:

@@ -52,11 +52,14 @@ def configure(level: str, as_json: bool) -> None:
         logger = logging.getLogger(name)
         logger.handlers = [handler]
         logger.propagate = False
-        # uvicorn tells of every start and connection at info; only its warnings matter here.
-        logger.setLevel(number if name == LOG_NAME else max(number, logging.WARNING))
+        # uvicorn tells of every start and connection at info, and warns of every client that does
+        # not speak HTTP, which whoever likes may write a log full of; metrics count those.
+        logger.setLevel(number if name == LOG_NAME else max(number, logging.ERROR))
 
 
 def _rendering(as_json: bool) -> list[structlog.types.Processor]:
     if as_json:
         return [structlog.processors.format_exc_info, structlog.processors.JSONRenderer()]
-    return [structlog.dev.ConsoleRenderer(colors=sys.stderr.isatty())]
+    # The usual formatter prints the variables of every frame, headers with tokens among them.
+    plain = structlog.dev.plain_traceback
+    return [structlog.dev.ConsoleRenderer(colors=sys.stderr.isatty(), exception_formatter=plain)]

@@ -1,40 +1,78 @@
-"""Metrics for Prometheus: requests as they happen, streams as they are when asked."""
+"""Metrics for Prometheus: requests as they happen, streams and units as they are when asked.
+
+docs/operations.md lists them all. Streams and units are told by `stream_metrics`, since there may
+be tens of thousands; everything else by the client library of Prometheus.
+"""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable
 
-from prometheus_client import CollectorRegistry, Counter, Histogram, generate_latest
+from prometheus_client import (
+    CollectorRegistry,
+    Counter,
+    Histogram,
+    Info,
+    ProcessCollector,
+    generate_latest,
+)
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
+from .. import __version__
 from ..engine.engine import Engine
+from ..streams.time import Clock
+from .body import UnderWay
 from .sse import Feeds
+from .stream_metrics import stream_metrics
 
 CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
-_FATES = ("accepted", "used", "late", "duplicate", "expired")
+_MOMENTS = (0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0)
+"""Bounds of histograms of what the event loop does, in seconds."""
 
 
 class Metrics:
     """The service's own registry: several services in one process do not meet."""
 
-    def __init__(self, engine: Engine, feeds: Feeds) -> None:
-        self._registry = CollectorRegistry()
-        self._registry.register(_Streams(engine, feeds))
+    def __init__(self, engine: Engine, feeds: Feeds, bodies: UnderWay, clock: Clock) -> None:
+        self._engine = engine
+        self._clock = clock
+        self._registry = registry = CollectorRegistry()
+        ProcessCollector(registry=registry)
+        registry.register(_Service(engine, feeds, bodies))
+        build = {"version": __version__, "python": sys.version.split()[0]}
+        Info("dyknow_build", "What runs", registry=registry).info(build)
         self._requests = Counter(
             "dyknow_http_requests",
             "Requests answered",
             ["method", "route", "status"],
-            registry=self._registry,
+            registry=registry,
         )
         self._seconds = Histogram(
             "dyknow_http_request_seconds",
             "Time until a response is complete (event streams and live samples excepted)",
             ["route"],
-            registry=self._registry,
+            registry=registry,
         )
-        self.tick_failures = Counter(
-            "dyknow_tick_failures", "Ticks that failed", registry=self._registry
+        self._refusals = Counter(
+            "dyknow_refusals",
+            "Requests and connections refused, by the title of the problem",
+            ["reason"],
+            registry=registry,
+        )
+        self.tick_failures = Counter("dyknow_tick_failures", "Ticks that failed", registry=registry)
+        self.tick_seconds = Histogram(
+            "dyknow_tick_seconds",
+            "How long the engine took when it was told the time",
+            registry=registry,
+            buckets=_MOMENTS,
+        )
+        self.loop_lag = Histogram(
+            "dyknow_event_loop_lag_seconds",
+            "How much later than it asked for a task got its turn",
+            registry=registry,
+            buckets=_MOMENTS,
         )
 
     def request(self, method: str, route: str, status: int, seconds: float | None) -> None:
@@ -43,56 +81,36 @@ class Metrics:
         if seconds is not None:
             self._seconds.labels(route).observe(seconds)
 
-    def text(self) -> bytes:
+    def refused(self, reason: str) -> None:
+        """Count a refusal by what the service protects itself from."""
+        self._refusals.labels(reason).inc()
+
+    async def text(self) -> bytes:
         """All metrics in the text format of Prometheus."""
-        return generate_latest(self._registry)
+        return generate_latest(self._registry) + await stream_metrics(self._engine, self._clock())
 
 
-class _Streams(Collector):
-    """Reads the streams' own counters at each scrape: nothing is counted twice."""
+class _Service(Collector):
+    """Reads what the service counts itself at each scrape: nothing is counted twice."""
 
-    def __init__(self, engine: Engine, feeds: Feeds) -> None:
+    def __init__(self, engine: Engine, feeds: Feeds, bodies: UnderWay) -> None:
         self._engine = engine
-        self._feeds = feeds
+        self._clients = feeds.all
+        self._bodies = bodies
 
     def describe(self) -> Iterable[Metric]:
         return ()
 
     def collect(self) -> Iterable[Metric]:
-        samples = CounterMetricFamily(
-            "dyknow_samples", "Samples by fate", labels=["stream", "fate"]
-        )
-        kept = GaugeMetricFamily("dyknow_samples_kept", "Samples in history", labels=["stream"])
-        pending = GaugeMetricFamily(
-            "dyknow_samples_pending", "Samples held back within the lateness", labels=["stream"]
-        )
-        subscribers = GaugeMetricFamily(
-            "dyknow_subscribers", "Subscriptions served", labels=["stream"]
-        )
-        for view in self._engine.streams():
-            for fate in _FATES:
-                samples.add_metric([view.name, fate], getattr(view.counters, fate))
-            pending.add_metric([view.name], view.counters.pending)
-            kept.add_metric([view.name], view.samples_kept)
-            subscribers.add_metric([view.name], view.subscribers)
-        yield samples
-        yield kept
-        yield pending
-        yield subscribers
-        yield GaugeMetricFamily(
-            "dyknow_event_requests", "Event requests that run", value=len(self._engine.events())
-        )
-        yield from self._clients()
-
-    def _clients(self) -> Iterable[Metric]:
-        clients = self._feeds.all
-        yield GaugeMetricFamily(
-            "dyknow_event_stream_clients", "Clients of event streams", value=len(clients)
-        )
-        yield GaugeMetricFamily(
+        clients = self._clients
+        yield _gauge("dyknow_event_requests", "Event requests that run", len(self._engine.events()))
+        yield _gauge("dyknow_bodies", "Requests under way", self._bodies.bodies)
+        yield _gauge("dyknow_bodies_bytes", "Bytes of bodies under way", self._bodies.bytes)
+        yield _gauge("dyknow_event_stream_clients", "Clients of event streams", len(clients))
+        yield _gauge(
             "dyknow_event_stream_blocked",
             "Clients of event streams that have not taken what they were sent",
-            value=clients.blocked,
+            clients.blocked,
         )
         yield CounterMetricFamily(
             "dyknow_event_stream_bytes", "Bytes of events sent to clients", value=clients.sent
@@ -103,11 +121,15 @@ class _Streams(Collector):
         for reason, count in clients.ends.items():
             ends.add_metric([reason], count)
         yield ends
-        refused = CounterMetricFamily(
+        refusals = CounterMetricFamily(
             "dyknow_event_stream_refusals",
             "Clients for whom there was no place, by the limit",
             labels=["limit"],
         )
         for limit, count in clients.refused.items():
-            refused.add_metric([limit], count)
-        yield refused
+            refusals.add_metric([limit], count)
+        yield refusals
+
+
+def _gauge(name: str, text: str, value: float) -> Metric:
+    return GaugeMetricFamily(name, text, value=value)

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from http import HTTPStatus
-from typing import Any
+from typing import Any, Final
+from urllib.parse import quote
 
 from fastapi import FastAPI, HTTPException, Request
 from fastapi.exceptions import RequestValidationError
@@ -26,9 +27,15 @@ from ..languages.errors import LanguageError
 from ..ontology.errors import OntologyError, QueryRefused
 from ..ontology.units import UnitError
 from ..streams.sample import SampleError
+from .logs import log
 
 MEDIA_TYPE = "application/problem+json"
+REQUEST_ID: Final = "dyknow.request"
+"""In the scope of a request: its id, which is in its answer, in the log and in problems."""
+LONGEST = 4000
+"""Characters of a text in an error."""
 _NAMES = "urn:dyknow:problem:"
+_REQUESTS = "urn:dyknow:request:"
 
 
 class ProblemModel(BaseModel):
@@ -38,6 +45,7 @@ class ProblemModel(BaseModel):
     title: str
     status: int
     detail: str
+    instance: str | None = Field(None, description="the request, as the log has it")
     hint: str | None = None
     line: int | None = None
     column: int | None = None
@@ -70,15 +78,27 @@ class Problem(HTTPException):
     def model(self) -> ProblemModel:
         kind = _NAMES + self.title.lower().replace(" ", "-")
         known: dict[str, Any] = {
-            key: value for key, value in self.members.items() if value or value == 0
+            key: _shown(value) for key, value in self.members.items() if value or value == 0
         }
+        detail = _shown(str(self.detail))
         return ProblemModel(
-            type=kind, title=self.title, status=self.status_code, detail=str(self.detail), **known
+            type=kind, title=self.title, status=self.status_code, detail=detail, **known
         )
 
-    def response(self) -> Response:
-        body = self.model().model_dump(exclude_none=True)
+    def response(self, request: str | None = None) -> Response:
+        """The answer to the request of that id, told as ``instance``."""
+        model = self.model()
+        if request is not None:
+            model.instance = _REQUESTS + quote(request, safe="")
+        body = model.model_dump(exclude_none=True)
         return JSONResponse(body, self.status_code, self.headers, media_type=MEDIA_TYPE)
+
+
+def _shown(value: Any) -> Any:
+    """Who sent a long name or text need not get all of it back."""
+    if isinstance(value, str) and len(value) > LONGEST:
+        return f"{value[:LONGEST]}…"
+    return value
 
 
 _STATUS: tuple[tuple[type[DyknowError], int], ...] = (
@@ -171,6 +191,17 @@ def problem_of(error: Exception) -> Problem:
             return Problem(500, "internal error", "the service failed; its log says why")
 
 
+def stopping() -> Problem:
+    """The answer to who is let go because the service stops."""
+    return Problem(
+        503,
+        "the service stops",
+        "the request was not worked off to its end",
+        hint="send it again when the service is back; samples with the same Idempotency-Key",
+        headers={"Retry-After": "5"},
+    )
+
+
 def install(app: FastAPI) -> None:
     """Answer every error of ``app`` as a problem."""
 
@@ -178,7 +209,15 @@ def install(app: FastAPI) -> None:
         found = problem_of(error)
         if found.status_code == 405:
             found.headers = {**(found.headers or {}), "Allow": ", ".join(_allowed(request))}
-        return found.response()
+        id = request.scope.get(REQUEST_ID)
+        log().debug(
+            "refused",
+            status=found.status_code,
+            title=found.title,
+            detail=str(found.detail),
+            request=id,
+        )
+        return found.response(id)
 
     for kind in (
         StarletteHTTPException,

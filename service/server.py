@@ -5,32 +5,94 @@ from __future__ import annotations
 import asyncio
 import socket
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from types import FrameType
 from typing import Any
 
 import uvicorn
 from fastapi import FastAPI
 
+from .bounds import Bounds, protocol
 from .context import Service
 from .event_response import TRANSPORT
 from .settings import Settings
 
 GRACE = 5
 """Seconds that open requests have to end when the service stops."""
+REVIEW = 5
+"""Connections are looked at once in so many of the server's ticks, which are 0.1 s apart."""
+HEADERS = [
+    ("X-Content-Type-Options", "nosniff"),
+    ("Cross-Origin-Resource-Policy", "same-origin"),
+]
+"""Of every answer, also those that never come to the application: no page elsewhere may show or run
+what is answered here."""
+FINISH = 1.5
+"""Of these seconds so many are for requests that end by themselves; then nothing more comes that
+clients of event streams would have to hear of."""
+ABORT = 4.5
+"""After so many of them the connections are closed of those who still send or do not take."""
+_LOOK = 0.02
 
 
 class Server(uvicorn.Server):
-    """Lets those go first when it stops whose requests have no end of their own: clients of event
-    streams, senders of live samples."""
+    """Stops in bounded time, and without losing what it has acknowledged.
 
-    def __init__(self, config: uvicorn.Config, leave: Callable[[], None]) -> None:
+    Told to stop, the service is not ready any more, and goes on for ``drain`` seconds. Then nobody
+    can connect, idle connections close, and requests under way end; senders of live samples are
+    told what was taken. When all that is done, clients of event streams get what there is, and the
+    end of their answers. A second signal ends all this at once.
+    """
+
+    def __init__(
+        self, config: uvicorn.Config, service: Service, drain: float, bounds: Bounds
+    ) -> None:
         super().__init__(config)
-        self._leave = leave
+        self._service = service
+        self._drain = drain
+        self._bounds = bounds
+
+    async def on_tick(self, counter: int) -> bool:
+        if counter % REVIEW == 0:
+            self._bounds.review(tuple(self.server_state.connections), time.monotonic())
+        return await super().on_tick(counter)
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        self._leave()
-        await super().shutdown(sockets)
+        self._service.stop()
+        await self._until(lambda: False, self._drain)
+        going = asyncio.create_task(self._let_go())
+        try:
+            await super().shutdown(sockets)
+            if self.force_exit:
+                # uvicorn leaves it out then, and the application would be torn off.
+                await self.lifespan.shutdown()
+        finally:
+            going.cancel()
+
+    def handle_exit(self, sig: int, frame: FrameType | None) -> None:
+        """A signal. Not raised again at the end, as uvicorn would: who stops as told has not
+        failed."""
+        self.force_exit = self.should_exit
+        self.should_exit = True
+
+    async def _let_go(self) -> None:
+        """While the server waits for its connections to close: see to it that they can."""
+        self._service.bodies.close()
+        clients = self._service.feeds.all
+        await self._until(lambda: len(self.server_state.tasks) <= len(clients), FINISH)
+        self._service.leave()
+        await self._until(lambda: not self.server_state.connections, ABORT - FINISH)
+        for connection in list(self.server_state.connections):
+            if connection.transport is not None:
+                connection.transport.abort()
+
+    async def _until(self, done: Callable[[], bool], seconds: float) -> None:
+        """Wait at most so long."""
+        limit = time.monotonic() + seconds
+        while not (done() or self.force_exit) and time.monotonic() < limit:
+            await asyncio.sleep(_LOOK)
 
 
 def telling_transport(protocol: Any) -> Any:
@@ -50,6 +112,7 @@ def telling_transport(protocol: Any) -> Any:
 def make_server(app: FastAPI) -> Server:
     """A server for an application of `create_app`, not yet running."""
     service: Service = app.state.service
+    bounds = Bounds(service.settings, service.metrics.refused)
     config = uvicorn.Config(
         app,
         log_config=None,
@@ -57,10 +120,11 @@ def make_server(app: FastAPI) -> Server:
         lifespan="on",
         timeout_graceful_shutdown=GRACE,
         server_header=False,
+        http=telling_transport(protocol(bounds)),
+        ws="none",
+        headers=HEADERS,
     )
-    config.load()
-    config.http_protocol_class = telling_transport(config.http_protocol_class)
-    return Server(config, service.leave)
+    return Server(config, service, service.settings.drain, bounds)
 
 
 def bind(settings: Settings) -> socket.socket:
@@ -91,12 +155,14 @@ def url_of(listener: socket.socket) -> str:
     return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
 
 
-def run(app: FastAPI, listener: socket.socket) -> None:
-    """Serve until a signal stops it; event-stream clients are let go first."""
+def run(app: FastAPI, listener: socket.socket) -> bool:
+    """Serve until a signal stops it. Whether a second one came and cut that short."""
+    server = make_server(app)
     try:
-        make_server(app).run(sockets=[listener])
+        server.run(sockets=[listener])
     finally:
         listener.close()
+    return server.force_exit
 
 
 @contextmanager

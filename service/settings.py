@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
-from pydantic import Field
+from pydantic import Field, SecretStr
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from ..journal.log import Durability
 
 MEBIBYTE = 1 << 20
+
+
+def _workers() -> int:
+    return max(2, min(4, os.cpu_count() or 1))
 
 
 class Settings(BaseSettings):
@@ -36,6 +41,32 @@ class Settings(BaseSettings):
     """Bodies under way together; beyond it requests are refused with 429 and Retry-After."""
     live_timeout: float = Field(default=60.0, gt=0)
     """A sender of live samples from whom nothing comes for so long is let go, with 408."""
+    tokens: SecretStr = SecretStr("")
+    """Who may do what: lines of service/tokens with ``;`` between."""
+    tokens_file: Path | None = None
+    """The same as a file, a line a token."""
+    trusted_hosts: str = ""
+    """Further names of this service in a Host header, with commas between; ``*`` trusts all."""
+    trusted_origins: str = ""
+    """Origins of pages elsewhere that may use this service, with commas between."""
+    body_timeout: float = Field(default=30.0, gt=0)
+    """A body that is not there after so long is refused with 408 (live bodies: live_timeout)."""
+    body_rate: int = Field(default=500, ge=0)
+    """So is one that comes more slowly than so many bytes a second; 0 asks for no rate."""
+    head_timeout: float = Field(default=15.0, gt=0)
+    """A connection on which no request comes to be for so long is closed."""
+    max_connections: int = Field(default=12_000, gt=0)
+    """Further connections are refused with 503."""
+    max_connections_per_client: int = Field(default=10_000, gt=0)
+    """The same, of one address."""
+    max_streams: int = Field(default=10_000, gt=0)
+    """While there are so many streams, what makes further ones is refused with 403."""
+    max_templates: int = Field(default=1_000, gt=0)
+    """The same, of event templates."""
+    max_requests: int = Field(default=100_000, gt=0)
+    """The same, of event requests, subscriptions and registered queries together."""
+    max_declarations: int = Field(default=10_000, gt=0)
+    """The same, of declarations in KPL."""
     tick: float = Field(default=0.1, gt=0)
     """How often the engine is told the time."""
     retention_samples: int = Field(default=100_000, gt=0)
@@ -55,8 +86,30 @@ class Settings(BaseSettings):
     """A client that takes nothing for so long is let go; it may resume."""
     sparql_deadline: float = Field(default=10.0, gt=0)
     """A SPARQL query without an answer after this time is answered with 503."""
-    sparql_workers: int = Field(default=4, gt=0)
-    """How many SPARQL queries are evaluated at once."""
+    sparql_workers: int = Field(default_factory=_workers, gt=0)
+    """How many SPARQL queries are evaluated at once, each in a process of its own."""
+    sparql_waiting: int = Field(default=32, ge=0)
+    """How many more may wait; beyond it queries are answered with 503 and Retry-After."""
+    sparql_rows: int = Field(default=100_000, gt=0)
+    """A result of more rows or triples is refused with 422."""
+    sparql_bytes: int = Field(default=64 * MEBIBYTE, gt=0)
+    """A result of more bytes is refused with 422."""
+    query_rows: int = Field(default=5_000_000, gt=0)
+    """Rows that one operator of a continuous query may make of one window."""
+    query_results: int = Field(default=100_000, gt=0)
+    """Solutions that a continuous query may have of one window."""
+    query_deadline: float = Field(default=1.0, gt=0)
+    """Seconds that Oxigraph may take for one window, where columns cannot evaluate it."""
+    ontology_deadline: float = Field(default=20.0, gt=0)
+    """Seconds for reading an ontology, and as many for what all of them entail."""
+    ontology_triples: int = Field(default=100_000, gt=0)
+    """Triples that the ontologies may have together, and as many that they may entail."""
+    worker_memory: int = Field(default=512 * MEBIBYTE, ge=16 * MEBIBYTE)
+    """What one worker process may take beside its program."""
+    slow_request: float = Field(default=1.0, gt=0)
+    """A request that takes longer is a warning in the log."""
+    drain: float = Field(default=0.0, ge=0)
+    """When the service is told to stop, it goes on for so long, and says that it is not ready."""
     log_level: str = Field(default="info", pattern="^(debug|info|warning|error)$")
     log_json: bool = False
     """One JSON object a log line instead of text for people."""

@@ -15,7 +15,6 @@ from pyoxigraph import (
     Literal,
     NamedNode,
     QueryResultsFormat,
-    RdfFormat,
     Triple,
     parse_query_results,
     serialize,
@@ -25,32 +24,19 @@ from ..continuous.results import WindowResult
 from ..rdf.dictionary import Term
 from ..rdf.namespaces import PREFIXES, XSD
 from ..streams.time import format_time
+from .isolation import formats
 from .negotiation import (
-    CSV,
     JSON,
-    JSON_LD,
     NTRIPLES,
     SPARQL_JSON,
     SPARQL_XML,
-    TSV,
-    TURTLE,
     accepted,
 )
 
-RESULTS = {
-    SPARQL_JSON: QueryResultsFormat.JSON,
-    JSON: QueryResultsFormat.JSON,
-    SPARQL_XML: QueryResultsFormat.XML,
-    CSV: QueryResultsFormat.CSV,
-    TSV: QueryResultsFormat.TSV,
-}
+RESULTS = formats.TABLES
+GRAPHS = formats.GRAPHS
 # CSV and TSV stand for tables: SPARQL 1.1 has no boolean in them.
 BOOLEANS = {kind: RESULTS[kind] for kind in (SPARQL_JSON, JSON, SPARQL_XML)}
-GRAPHS = {
-    TURTLE: RdfFormat.TURTLE,
-    NTRIPLES: RdfFormat.N_TRIPLES,
-    JSON_LD: RdfFormat.JSON_LD,
-}
 WINDOW_END = "window_end"
 """The column that says of which window a row is, where rows of several are told."""
 ANSWER = "answer"

@@ -36,8 +36,6 @@ from .problems import Problem
 
 POSITION = "Dyknow-Position"
 """The header of an answer that says after which id it begins."""
-OPENING = b": dyknow\n"
-"""Sent at once, so that a client knows that it is connected."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -287,9 +285,9 @@ class Feeds:
         Raises `UnknownStream`, or a 400 `Problem` for an id that is none.
         """
         if since is None:
-            return Start(self._newest(name) + 1, OPENING)
+            return Start(self._newest(name) + 1)
         if since == "start":
-            return Start(self._engine.generator(name).stream.first_number, OPENING)
+            return Start(self._engine.generator(name).stream.first_number)
         epoch, _, digits = since.rpartition("-")
         if not epoch or not is_number(digits):
             raise bad_id(since)
@@ -303,19 +301,20 @@ class Feeds:
         number += 1
         newest = self._newest(name)
         if epoch == self._engine.epoch and number <= newest + 1:
-            return Start(number, OPENING)
+            return Start(number)
         if epoch != self._engine.epoch:
             reason = "the service has begun anew since: numbers count from 1 again"
         else:
             reason = "the stream has begun anew since: numbers count from 1 again"
         lost = {"stream": name, "from": number, "to": None, "epoch": epoch, "reason": reason}
-        return Start(1, OPENING + message("gap", lost))
+        return Start(1, message("gap", lost))
 
     def join(self, name: str, start: int, client: EventClient) -> Feed:
         """``client`` listens to a stream, and has seen what is kept of it up to sample ``start``.
         Raises `UnknownStream`."""
         generator = self._engine.generator(name)
-        feed = self._feeds.get(name)
+        # A stream may have several names; all who follow it are woken together.
+        feed = self._feeds.get(generator.name)
         if feed is None or feed.generator is not generator:
             feed = Feed(self._engine, generator, self._cache, self.all, self._unseen)
             if self._unseen is not None:
@@ -323,7 +322,7 @@ class Feeds:
                 feed.shown = replace(feed.look_now(), newest=start)
                 self._unseen[feed] = None
             generator.listen(feed)
-            self._feeds[name] = feed
+            self._feeds[generator.name] = feed
         feed.clients[client] = None
         return feed
 

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from typing import Any, Generic, TypeVar
 
 from ..engine.supervision import UnitBlocked
+from ..engine.tape import Tape
 from ..streams.time import SECOND, format_duration
 
 T = TypeVar("T")
@@ -30,6 +31,8 @@ class Watchdog:
 
     Cost: two thread switches a run (a run is a batch of calls). ``deadline`` None: no switch.
     """
+
+    tape: Tape | None = None
 
     def __init__(self) -> None:
         self.abandoned = 0

@@ -73,8 +73,8 @@ class FluentStream:
     """Samples ordered by available time, unique and strictly increasing, the last ones kept.
 
     Contract: `append` takes only what continues the order (`StreamGenerator` sees to that).
-    Numbers of samples are 1, 2, 3 … over the life of the stream, gap-free. Batches that were
-    appended or handed out never change.
+    Numbers of samples are ``first``, ``first + 1`` … over the life of the stream, gap-free.
+    Batches that were appended or handed out never change.
 
     History is a list of runs. Neighbouring runs of like size are put together as the stream grows,
     so a history of n samples is O(log n) runs however it was cut, some hundreds at most, and a
@@ -90,14 +90,15 @@ class FluentStream:
         schema: Schema,
         retention: Retention | None = None,
         pools: dict[str, StringPool] | None = None,
+        first: int = 1,
     ) -> None:
         self.schema = schema
         self.retention = retention or Retention()
         self.pools = pools if pools is not None else {}
         self._runs: list[_Run] = []
         self._longest = max(_FAN, self.retention.samples // 8)
-        self._first = 1
-        self._next = 1
+        self._first = first
+        self._next = first
         self._last_available: int | None = None
 
     def __len__(self) -> int:
@@ -106,7 +107,7 @@ class FluentStream:
 
     @property
     def last_number(self) -> int:
-        """The number of the newest sample ever appended; 0 before the first."""
+        """The number of the newest sample ever appended; before the first one less than its."""
         return self._next - 1
 
     @property

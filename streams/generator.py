@@ -88,9 +88,10 @@ class StreamGenerator:
         idle: int | None = None,
         retention: Retention | None = None,
         pools: dict[str, StringPool] | None = None,
+        first: int = 1,
     ) -> None:
         self.name = name
-        self.stream = FluentStream(schema, retention, pools)
+        self.stream = FluentStream(schema, retention, pools, first)
         self.lateness = lateness
         self.idle = idle
         self.counters = Counters()

@@ -86,6 +86,10 @@ class TemplateLibrary:
         self._ontology.remove_template(iri)
         return self._templates.pop(iri)
 
+    def __len__(self) -> int:
+        """How many templates there are."""
+        return len(self._templates)
+
     def names(self) -> tuple[str, ...]:
         """The IRIs of all templates, sorted."""
         return tuple(sorted(self._templates))

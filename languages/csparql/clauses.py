@@ -16,6 +16,7 @@ from .cursor import Cursor
 from .dataset import Dataset, read_from, stream_clauses
 from .durations import read_duration
 from .functions import QUERY_PREFIXES
+from .limits import check_length, check_tokens
 from .tokens import Kind, Token, closing
 from .windows import read_window
 
@@ -50,7 +51,9 @@ class ClauseReader(Cursor):
     """One pass over the tokens of a text; raises `LanguageError` where it stops."""
 
     def __init__(self, source: str) -> None:
+        check_length(source)
         super().__init__(source, QUERY_PREFIXES)
+        check_tokens(self.tokens, source)
         self.found = Clauses()
 
     def mark_ours(self, first: Token) -> None:

@@ -22,6 +22,7 @@ from .clauses import ClauseReader, Clauses
 from .dataset import Source
 from .functions import check_functions
 from .groups import NamedGroup, as_graphs, check_groups, check_places, named_groups
+from .limits import check_patterns
 from .shape import bound_variables, query_shape
 from .syntax import check_meaning, check_syntax
 from .terms import suggest_prefix
@@ -97,11 +98,13 @@ def _query(source: str) -> ContinuousQuery:
     _check_no_service(reader)
     groups = named_groups(reader, found.ours)
     sparql = as_graphs(blanked(source, found.ours), groups)
+    check_patterns(sparql, source)
     shape = query_shape(sparql)
     if shape is not None:
         check_places(reader, groups, shape)
     check_syntax(sparql, source)
     for text, span in found.filters:
+        check_patterns(" " * span.start + text, source)
         check_syntax(f"{_ASK_FILTER}{text}}}", source, span.start - len(_ASK_FILTER))
     if shape is None or not shape.has_where:
         raise reader.error("the query has no WHERE", found.form, "write `WHERE { … }`")

@@ -10,6 +10,7 @@ from ...rdf.dictionary import Term
 from ...rdf.namespaces import PREFIXES
 from ..errors import LanguageError, Span
 from .ast import EventRequest
+from .limits import check_length
 from .terms import iri_text, read_term
 from .tokens import Kind, Token, tokenize
 
@@ -21,6 +22,7 @@ def parse_event_request(source: str, prefixes: Mapping[str, str] = PREFIXES) -> 
 
     Raises `LanguageError` with the place of what is no event name, no argument or no prefix.
     """
+    check_length(source)
     tokens = tokenize(source)
     if not tokens or tokens[0].kind not in (Kind.IRI, Kind.PREFIXED):
         found = f", not `{tokens[0].text}`" if tokens else ""
@@ -55,6 +57,7 @@ def parse_argument(text: str, prefixes: Mapping[str, str] = PREFIXES) -> Term | 
 
     Raises `LanguageError` if the text is not exactly one.
     """
+    check_length(text)
     tokens = tokenize(text)
     if not tokens:
         raise _error("an argument is due", text, tokens, 0, "write a term, or a variable: `?o`")

@@ -16,10 +16,11 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Final
 
-from pyoxigraph import Literal, Store
+from pyoxigraph import Literal
 from pyparsing import ParseBaseException
 
 from ...rdf.namespaces import PREFIXES
+from ...rdf.sparql import check_sparql
 from ..errors import LanguageError, Span
 from .functions import UNCALLED
 from .terms import iri_text, string_text, term_text
@@ -169,7 +170,7 @@ def _oxigraph_offset(text: str) -> int:
     them; so where only keywords were tried, the shortest of them is counted back.
     """
     try:
-        Store().query(text, prefixes=dict(PREFIXES))
+        check_sparql(text, PREFIXES)
     except SyntaxError as error:
         place = _OXIGRAPH_PLACE.match(str(error))
         if place is None:
@@ -195,9 +196,8 @@ def check_meaning(text: str, source: str, span: Span, prefixes: Mapping[str, str
     Both are asked because either may evaluate it: rdflib for the algebra, Oxigraph per window.
     """
     try:
-        # An empty store: nothing is computed. SERVICE was refused before.
-        Store().query(text, prefixes=dict(prefixes), custom_functions=UNCALLED)
-    except (SyntaxError, ValueError, RuntimeError, OSError) as error:
+        check_sparql(text, prefixes, UNCALLED)
+    except SyntaxError as error:
         reason = _OXIGRAPH_PLACE.sub("", str(error))
         known = [r for r in _REASONS if r in reason]
         said = _REASONS[known[0]] if known else "the query is not valid SPARQL 1.1"

@@ -11,6 +11,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from dataclasses import field as attribute
+from itertools import islice
 from typing import Final, NoReturn
 
 from ..errors import LanguageError, Span
@@ -21,6 +22,9 @@ XSI: Final = "http://www.w3.org/2001/XMLSchema-instance"
 MAX_DEPTH: Final = 100
 """Elements in each other, `specification` and `insertions` among them. Values of this depth can
 still be compared, printed and copied by Python's own means, which recur."""
+
+MOST_ATTRIBUTES: Final = 64
+"""Of one element: libxml2 compares each with all others."""
 
 BLANKS: Final = " \t\r\n"
 _NAME: Final = r"""[^ \t\r\n<>/='"&]+"""
@@ -227,6 +231,13 @@ class _Scanner:
                 f"elements stand more than {MAX_DEPTH} deep in each other",
                 *match.span(),
                 "name a unit, and let others read it by `stream`",
+            )
+        most = islice(_ATTRIBUTE.finditer(self.source, start, match.end()), MOST_ATTRIBUTES + 1)
+        if sum(1 for _ in most) > MOST_ATTRIBUTES:
+            raise self.error(
+                f"an element has more than {MOST_ATTRIBUTES} attributes",
+                *match.span(),
+                "an attribute of the schema stands once",
             )
         if not match[4]:
             self.open.append(len(self.tags))

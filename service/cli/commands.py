@@ -16,6 +16,7 @@ from ...ontology.errors import OntologyError
 from ...streams.sample import SampleError
 from ..client import ServiceError
 from ..problems import problem_of
+from .access import take_tokens
 from .backups import backup, restore
 from .data_directory import check, log, repair
 from .demo import demo
@@ -32,6 +33,7 @@ from .serve import serve
 from .specifications import specification
 from .streams import annotate, streams
 from .templates import template
+from .token import token
 from .transformations import transformation
 
 RECURSION_LIMIT = 20_000
@@ -56,6 +58,10 @@ class Commands(TyperGroup):
         try:
             return super().invoke(ctx)
         except ServiceError as error:
+            if error.status == 401:
+                hint = "give one with --token, or in DYKNOW_TOKEN"
+                problem = {**error.problem, "hint": hint}
+                raise fail(f"{error.title}: {error.detail}", hint, problem=problem) from error
             raise fail(str(error), problem=error.problem) from error
         except httpx.ConnectError as error:
             raise fail(
@@ -102,6 +108,7 @@ def _options(
 
 
 app.command()(serve)
+app.command()(token)
 app.command()(demo)
 app.command()(replay)
 app.add_typer(template, name="template")
@@ -123,6 +130,7 @@ app.command()(repair)
 app.command()(backup)
 app.command()(restore)
 app.command()(log)
+take_tokens(app)
 
 
 def main() -> None:

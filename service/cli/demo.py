@@ -16,6 +16,7 @@ from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Any
 
+from fastapi import FastAPI
 from rich.console import Console, Group
 from rich.live import Live
 from rich.panel import Panel
@@ -31,6 +32,7 @@ from ..client import Client
 from ..replay import play, span
 from ..server import running
 from ..settings import Settings
+from ..tokens import Tokens
 from .output import clock_of
 
 STREAM = "adsb"
@@ -74,10 +76,11 @@ def demo() -> None:
     """Replay five minutes of recorded flights and find events in them; ends by itself."""
     console = Console(highlight=False, emoji=False, width=None if sys.stdout.isatty() else 100)
     began = time.perf_counter()
-    settings = Settings(port=0)
+    # Of this machine, for this process: whatever the environment says of the service.
+    settings = Settings(host="127.0.0.1", port=0)
     with (
         demo_files() as (path, annotation, template),
-        running(create_app(Engine(now=time.time_ns()), settings, time.time_ns), settings) as url,
+        running(_application(settings), settings) as url,
         Client(url) as client,
     ):
         recording = open_recording(path)
@@ -97,9 +100,13 @@ def demo() -> None:
         _summary(console, client, seen, spent, began, [one, every])
 
 
-def flights(url: str, stopping: Callable[[], bool]) -> None:
+def _application(settings: Settings) -> FastAPI:
+    return create_app(Engine(now=time.time_ns()), settings, time.time_ns, Tokens())
+
+
+def flights(url: str, stopping: Callable[[], bool], token: str = "") -> None:
     """Play the recording into the service at ``url`` again and again, as if it flew now."""
-    with demo_files() as (path, annotation, template), Client(url) as client:
+    with demo_files() as (path, annotation, template), Client(url, token=token) as client:
         recording = open_recording(path)
         _put(client, recording)
         client.annotate(annotation)

@@ -26,6 +26,8 @@ Json = Annotated[bool, typer.Option("--json", help="JSON for programs, a value a
 DEFAULT_URL = URL
 JSON_WANTED: ContextVar[bool] = ContextVar("JSON_WANTED", default=False)
 """Whether the command that runs was given ``--json``: errors are then JSON, too."""
+TOKEN_GIVEN: ContextVar[str | None] = ContextVar("TOKEN_GIVEN", default=None)
+"""What the command that runs was given as ``--token``."""
 _UNITS = (
     ("d", DAY),
     ("h", HOUR),
@@ -37,8 +39,8 @@ _UNITS = (
 
 
 def connect(url: str) -> Client:
-    """A client of the service at ``url``."""
-    return Client(url)
+    """A client of the service at ``url``, with the token that the command was given."""
+    return Client(url, token=TOKEN_GIVEN.get())
 
 
 def out() -> Console:

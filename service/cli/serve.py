@@ -11,6 +11,8 @@ from typing import Annotated, Any
 
 import typer
 
+from ... import __version__
+from ...continuous.budget import Budget
 from ...engine.engine import Engine
 from ...engine.loading import load_processes
 from ...engine.recorded import RecordedEngine
@@ -19,10 +21,13 @@ from ...journal.log import Durability
 from ...ontology.errors import OntologyError
 from ...streams.compiled import compile_all
 from ..app import create_app
+from ..context import Service
 from ..descriptors import raise_limit
-from ..logs import configure
+from ..isolation.services import Windows
+from ..logs import configure, log
 from ..server import bind, run, url_of
 from ..settings import Settings
+from ..tokens import Scope, Tokens, TokensError
 from ..watchdog import Watchdog
 from .demo import STREAM
 from .demo import flights as play_flights
@@ -39,6 +44,12 @@ def serve(
         list[str] | None,
         typer.Option(help="A module or .py file with user-written processes. May be repeated."),
     ] = None,
+    tokens: Annotated[
+        Path | None,
+        typer.Option(
+            help="File of who may do what; a line a token (dyknow token).", dir_okay=False
+        ),
+    ] = None,
     durability: Annotated[
         Durability | None,
         typer.Option(help="With --data: survive loss of power, or only of the process."),
@@ -52,8 +63,13 @@ def serve(
     given: dict[str, Any] = {"host": host, "port": port, "data": data, "log_level": log_level}
     given["durability"] = durability
     given["processes"] = processes or None
+    given["tokens_file"] = tokens
     settings = Settings(**{key: value for key, value in given.items() if value is not None})
     configure(settings.log_level, settings.log_json)
+    try:
+        known = Tokens.of(settings)
+    except TokensError as error:
+        raise fail(error.message, error.hint) from error
     load(settings.processes)
     try:
         listener = bind(settings)
@@ -64,32 +80,47 @@ def serve(
         ) from error
     raise_limit()
     watchdog = Watchdog()
+    token = known.issue("flights", Scope.ADMIN) if flights and known.required else ""
+    windows = Windows(settings)
     try:
-        engine = _engine(settings, watchdog)
+        engine = _engine(settings, watchdog, windows.budget)
     except BaseException:
         listener.close()
+        windows.close()
         raise
-    app = create_app(engine, settings, time.time_ns)
+    app = create_app(engine, settings, time.time_ns, known)
     url = url_of(listener)
     err().print(f"DyKnow serves at {url} (documentation: {url}/docs)", markup=False)
     # Beside the start: the first query and the first large batch should not wait for compilers.
     threading.Thread(target=warm, name="warm", daemon=True).start()
+    for isolated in (windows, app.state.service.isolation):
+        threading.Thread(target=isolated.warm, name="warm-workers", daemon=True).start()
     stopping = threading.Event()
     if flights:
-        player = threading.Thread(target=play_flights, args=(url, stopping.is_set), daemon=True)
+        playing = (url, stopping.is_set, token)
+        player = threading.Thread(target=play_flights, args=playing, daemon=True)
         player.start()
         err().print(f"The recorded flights play into stream {STREAM}, as if they flew now.")
+    service: Service = app.state.service
+    values = settings.model_dump(mode="json", exclude_defaults=True)
+    log().info("serving", version=__version__, url=url, epoch=service.engine.epoch, settings=values)
     try:
-        run(app, listener)
+        by_force = run(app, listener)
     finally:
         stopping.set()
         watchdog.close()
+        windows.close()
+    log().info("stopped", by_force=by_force)
+    if by_force:
+        raise typer.Exit(1)
 
 
-def _engine(settings: Settings, watchdog: Watchdog) -> Engine | RecordedEngine:
+def _engine(settings: Settings, watchdog: Watchdog, budget: Budget) -> Engine | RecordedEngine:
     """A new engine in memory, or that of the data directory as it was."""
     if settings.data is None:
-        return Engine(now=time.time_ns(), runner=watchdog)
+        return Engine(
+            now=time.time_ns(), runner=watchdog, stopwatch=time.perf_counter_ns, budget=budget
+        )
 
     def progress(done: int, count: int) -> None:
         err().print(f"  {done:,} of {count:,} commands done again", markup=False)
@@ -99,6 +130,8 @@ def _engine(settings: Settings, watchdog: Watchdog) -> Engine | RecordedEngine:
             settings.data,
             now=time.time_ns(),
             runner=watchdog,
+            stopwatch=time.perf_counter_ns,
+            budget=budget,
             durability=settings.durability,
             progress=progress,
         )

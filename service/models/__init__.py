@@ -7,6 +7,7 @@ from .kpl import DeclarationModel, OneDeclarationModel, RemovedModel
 from .matching import MatchIn, MatchModel
 from .parts import Strategy, schema_of, text_schema
 from .queries import QueryModel
+from .session import SessionIn, SessionModel
 from .specifications import InsertionModel, SpecificationModel
 from .state import (
     ExplainModel,
@@ -56,6 +57,8 @@ __all__ = [
     "RematchModel",
     "RemovedModel",
     "RetentionModel",
+    "SessionIn",
+    "SessionModel",
     "SpecificationModel",
     "StatusModel",
     "Strategy",

@@ -46,6 +46,11 @@ class QueryModel(BaseModel):
         description="samples that came too late for their windows; the stream `NAME_late_STREAM` "
         "has those of a stream, from when it is first asked for"
     )
+    errors: int = Field(
+        description="windows that needed more rows, time or memory than they may, and have no "
+        "result; after three in a row the query is stopped"
+    )
+    last_error: str | None = Field(description="of which window, and what it needed")
     waits_for: list[str] = Field(
         description="streams that have not begun and are not idle: nothing closes before"
     )
@@ -81,6 +86,8 @@ class QueryModel(BaseModel):
             windows=view.windows,
             last_window=iso(view.last_window),
             late=view.late,
+            errors=view.errors,
+            last_error=view.last_error,
             waits_for=list(view.waits_for),
             watermark=iso(view.watermark),
             held_back_by=list(view.held_back_by),

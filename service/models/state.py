@@ -46,6 +46,7 @@ class HealthModel(BaseModel):
 
     status: str
     reason: str | None = None
+    reasons: list[str] = Field(default=[], description="each cause for itself")
 
 
 class ExplainModel(BaseModel):

@@ -9,6 +9,8 @@ from fastapi.responses import JSONResponse, PlainTextResponse, Response
 from pydantic import Field
 
 from ...engine.commands import Annotate, Describe
+from ...languages.ssl import parse_ssl
+from ...languages.ssl.ast import StreamDeclaration
 from ..context import Context
 from ..models import AnnotationModel, ContentsIn, schema_of, text_schema
 from ..negotiation import JSON, TEXT, accepted, content_type, json_value, utf8
@@ -65,10 +67,18 @@ async def annotate(request: Request, service: Context) -> list[AnnotationModel]:
     kind = content_type(request, (TEXT, JSON))
     body = await request.body()
     if kind == TEXT:
-        found = await service.do(Annotate(utf8(body)))
+        text = utf8(body)
+        quotas = service.gate.quotas
+        # Each declaration of a stream has the word in it: most texts need not be read twice.
+        if not quotas.has_room(text.count("stream")):
+            quotas.check_streams(
+                [one.name for one in parse_ssl(text) if isinstance(one, StreamDeclaration)]
+            )
+        found = await service.do(Annotate(text))
         return [AnnotationModel.of(annotation) for annotation in found]
     described: ContentsIn | list[ContentsIn] = json_value(body, Described)
     several = described if isinstance(described, list) else [described]
+    service.gate.quotas.check_streams([each.stream for each in several])
     made = await service.do(Describe(tuple(each.described() for each in several)))
     return [AnnotationModel.of(annotation) for annotation in made]
 

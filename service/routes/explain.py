@@ -6,9 +6,11 @@ from fastapi import APIRouter, Query, Request
 from fastapi.responses import JSONResponse, PlainTextResponse, Response
 
 from ...engine.views import MatchView
+from ...languages.csparql import parse_query
 from ..context import Context
 from ..models import ExplainModel, Strategy
 from ..negotiation import JSON, TEXT, accepted
+from ..parsing import parse_aside
 from ..problems import Problem, responses
 
 router = APIRouter(tags=["explain"])
@@ -52,6 +54,8 @@ async def explain(
     elif feature is not None:
         text = _match(service.engine.match(feature, sort=sort, strategy=strategy))
     else:
+        if query is not None:
+            await parse_aside(parse_query, query)
         text = service.engine.explain(event=event, template=template, query=query)
     return JSONResponse({"text": text}) if kind == JSON else PlainTextResponse(text)
 

@@ -19,12 +19,13 @@ async def healthz() -> HealthModel:
 
 @router.get("/readyz", responses={503: {"model": HealthModel}})
 async def readyz(service: Context, response: Response) -> HealthModel:
-    """The engine works: 503 with the reason while its tick fails."""
-    if not service.troubles:
+    """The service takes requests: 503 with the reasons while it starts or stops, while the engine's
+    tick fails or is late, and while something else keeps it from its work."""
+    reasons = service.reasons()
+    if not reasons:
         return HealthModel(status="ok")
     response.status_code = 503
-    reason = "; ".join(f"{what}: {why}" for what, why in service.troubles.items())
-    return HealthModel(status="failing", reason=reason)
+    return HealthModel(status="failing", reason="; ".join(reasons), reasons=reasons)
 
 
 @router.get(
@@ -34,4 +35,4 @@ async def readyz(service: Context, response: Response) -> HealthModel:
 )
 async def metrics(service: Context) -> Response:
     """Metrics in the text format of Prometheus."""
-    return Response(service.metrics.text(), media_type=CONTENT_TYPE)
+    return Response(await service.metrics.text(), media_type=CONTENT_TYPE)

@@ -10,10 +10,12 @@ from fastapi import APIRouter, Query, Request
 from pyoxigraph import NamedNode
 
 from ...engine.commands import LoadOntology
-from ...ontology.graphs import ontology_graph
-from ...ontology.reading import TextFormat, read_triples
+from ...ontology.ontology import PreparedOntology
+from ...ontology.reading import TextFormat
+from ...ontology.reasoning import Reasoning
 from ...rdf.namespaces import OWL, RDF_TYPE, shorten
 from ..context import Context
+from ..isolation.serving import while_connected
 from ..models import OntologyModel, OntologyReportModel, ViolationModel, text_schema
 from ..negotiation import ONTOLOGY_FORMATS, content_type, utf8
 from ..problems import Problem, responses
@@ -42,7 +44,7 @@ _NO_BASE = NamedNode("urn:dyknow:no-base:")
 _NAME_IT = "say what it is called: ?name=<IRI>, or --name IRI"
 
 
-@router.post("/ontologies", status_code=201, openapi_extra=BODY, responses=responses(413, 415))
+@router.post("/ontologies", status_code=201, openapi_extra=BODY, responses=responses(413, 415, 503))
 async def load_ontology(
     request: Request,
     service: Context,
@@ -58,15 +60,20 @@ async def load_ontology(
     """Add a domain ontology, or replace the one of this name. All of it counts, or nothing.
 
     Its sorts, features and objects are known from then on, also to requests that run. FROM means
-    it by its name. Imports are not followed. Every request waits while what the ontologies
-    entail is computed anew.
+    it by its name. Imports are not followed. What the ontologies entail is computed anew, by a
+    process of its own; 400 for a text that needs more time, memory or triples than it may have.
     """
     format = ONTOLOGY_FORMATS[content_type(request, tuple(ONTOLOGY_FORMATS))]
     text = utf8(await request.body())
-    if name is None:
-        name = _own_name(text, format)
-    await service.do(LoadOntology(text, name, format))
-    return OntologyModel(name=ontology_graph(name).value)
+    documents, ontology = service.isolation.documents, service.engine.ontology
+
+    def prepare() -> tuple[str, PreparedOntology]:
+        known = _own_name(text, format, documents) if name is None else name
+        return known, ontology.prepare(text, name=known, format=format, reasoning=documents)
+
+    known, prepared = await while_connected(request, lambda: documents.run(prepare))
+    await service.do(LoadOntology(text, known, format), prepared)
+    return OntologyModel(name=prepared.graph.value)
 
 
 @router.get("/ontologies")
@@ -95,14 +102,14 @@ async def report(service: Context) -> OntologyReportModel:
     )
 
 
-def _own_name(text: str, format: TextFormat) -> str:
+def _own_name(text: str, format: TextFormat, reasoning: Reasoning) -> str:
     """The IRI of the one ontology that the text declares.
 
     Raises a 400 `Problem` for none or several, `OntologyError` for a text that cannot be read.
     """
     names = {
         triple.subject.value
-        for triple in read_triples(text, format, _NO_BASE)
+        for triple in reasoning.read(text, format, _NO_BASE)
         if triple.predicate == RDF_TYPE
         and triple.object == _ONTOLOGY
         and isinstance(triple.subject, NamedNode)

@@ -1,7 +1,8 @@
 """SPARQL 1.1 Protocol queries over the ontology and the live stream space.
 
 The dataset is fixed: the merge of all graphs. Queries are checked first (no SERVICE, no updates,
-bounded size) and evaluated beside the event loop, a few at a time, with a deadline.
+bounded size) and evaluated in worker processes, a few at a time, with limits of time, memory, rows
+and bytes (`isolation`).
 """
 
 from __future__ import annotations
@@ -9,13 +10,13 @@ from __future__ import annotations
 from typing import Any
 from urllib.parse import parse_qsl
 
-import anyio
-import anyio.to_thread
 from fastapi import APIRouter, Query, Request, Response
-from pyoxigraph import QueryBoolean, QuerySolutions, QueryTriples
 
-from ...ontology.ontology import Ontology
+from ...ontology.errors import QueryRefused
+from ...ontology.query_guard import check_bounds
 from ..context import Context, Service
+from ..isolation.messages import Failed, Refused, TooMuch, Truth, Written
+from ..isolation.serving import while_connected
 from ..negotiation import FORM, SPARQL_QUERY, accepted, content_type, utf8
 from ..problems import Problem, responses
 from ..sparql_results import BOOLEANS, GRAPHS, RESULTS, answer
@@ -49,7 +50,10 @@ CONTENT: dict[int | str, dict[str, Any]] = {
 
 
 @router.get(
-    "/sparql", response_class=Response, responses=CONTENT | responses(406, 503), name="sparql_get"
+    "/sparql",
+    response_class=Response,
+    responses=CONTENT | responses(406, 422, 503),
+    name="sparql_get",
 )
 async def query_by_get(
     request: Request, service: Context, query: str | None = Query(None, examples=[EXAMPLE])
@@ -63,7 +67,7 @@ async def query_by_get(
     "/sparql",
     response_class=Response,
     openapi_extra=BODY,
-    responses=CONTENT | responses(406, 413, 415, 503),
+    responses=CONTENT | responses(406, 413, 415, 422, 503),
     name="sparql_post",
 )
 async def query_by_post(request: Request, service: Context) -> Response:
@@ -110,41 +114,29 @@ def _text(parameters: list[tuple[str, str]]) -> str:
 
 
 async def _answer(service: Service, request: Request, text: str) -> Response:
-    ontology = service.engine.ontology
-    service.engine.measure()
-    with anyio.move_on_after(service.settings.sparql_deadline):
-        return await anyio.to_thread.run_sync(
-            _evaluate,
-            ontology,
-            text,
-            request,
-            limiter=service.sparql_slots,
-            # The evaluation cannot be stopped; its slot stays taken until it ends by itself.
-            abandon_on_cancel=True,
-        )
-    raise Problem(
-        503,
-        "query too slow",
-        f"no answer within {service.settings.sparql_deadline:g} s",
-        hint="ask for less: name the graph patterns that join, add a LIMIT",
-        headers={"Retry-After": "10"},
-    )
-
-
-def _evaluate(ontology: Ontology, text: str, request: Request) -> Response:
-    """Query and write the answer in one thread: a result must not leave the one that made it."""
+    form = check_bounds(text)
+    offered = {"select": RESULTS, "ask": BOOLEANS}.get(form or "ask", GRAPHS)
     try:
-        found = ontology.query(text)
-        match found:
-            case QuerySolutions():
-                kind = accepted(request, tuple(RESULTS))
-                return answer(found.serialize(format=RESULTS[kind]), kind)
-            case QueryBoolean():
-                kind = accepted(request, tuple(BOOLEANS))
-                return answer(found.serialize(format=BOOLEANS[kind]), kind)
-            case QueryTriples():
-                kind = accepted(request, tuple(GRAPHS))
-                return answer(found.serialize(format=GRAPHS[kind]), kind)
-    except (SyntaxError, RuntimeError, OSError) as error:
-        # What the store finds while it evaluates, after the text has passed the check.
-        raise Problem(400, "query failed", str(error)) from error
+        kind, not_acceptable = accepted(request, tuple(offered)), None
+    except Problem as problem:
+        # What is no query is told first, whatever the client would like to have.
+        kind, not_acceptable = "", problem
+    service.engine.measure()
+    found = await while_connected(request, lambda: service.isolation.queries.answer(text, kind))
+    match found:
+        case Written(body):
+            return answer(body, kind)
+        case Truth() if not_acceptable is not None:
+            raise not_acceptable
+        case Refused():
+            raise QueryRefused(found.message, found.line or 1, found.column or 1, found.hint)
+        case Failed(message):
+            raise Problem(400, "query failed", message)
+        case TooMuch(what, limit):
+            raise Problem(
+                422,
+                "result too large",
+                f"the result has more than {limit} {what}",
+                hint="ask for less: add a LIMIT, name the variables that are needed",
+            )
+    raise AssertionError(f"no answer to a query: {type(found).__name__}")

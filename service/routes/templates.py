@@ -16,6 +16,7 @@ from ...rdf.namespaces import local_name, shorten
 from ..context import Context, Service
 from ..models import TemplateModel, text_schema
 from ..negotiation import JSON, SPARQL_QUERY, TEXT, accepted, text_body
+from ..parsing import parse_aside
 from ..problems import Problem, responses
 
 router = APIRouter(tags=["templates"])
@@ -49,7 +50,9 @@ IfNoneMatch = Annotated[str | None, Header()]
 )
 async def register_template(request: Request, service: Context) -> Response:
     """Register a template. It becomes a property of its event concept and survives a restart."""
-    view = await service.do(RegisterTemplate(await text_body(request, TEXTS)))
+    text = await text_body(request, TEXTS)
+    await parse_aside(parse_template, text)
+    view = await service.do(RegisterTemplate(text))
     return _answer(view, 201)
 
 
@@ -94,6 +97,7 @@ async def put_template(
 ) -> Response:
     """Register the template of this name, or replace it. Running requests keep what they have."""
     text = await text_body(request, TEXTS)
+    await parse_aside(parse_template, text)
     registered = parse_template(text).name
     if name not in (registered, f"<{registered}>", shorten(registered), local_name(registered)):
         raise Problem(

@@ -18,6 +18,7 @@ from ...engine.errors import UnknownTransformation
 from ...engine.turtle_descriptions import read_transformations
 from ...languages.ssl import parse_ssl
 from ..context import Context, Service
+from ..isolation.serving import while_connected
 from ..models import TransformationIn, TransformationModel, WorthIn, schema_of, text_schema
 from ..negotiation import JSON, TURTLE, content_type, json_value, utf8
 from ..problems import Problem, responses
@@ -61,7 +62,7 @@ Wanted = TransformationIn | Sequence[DescribedTransformation]
     "/transformations",
     status_code=201,
     openapi_extra=BODY,
-    responses=responses(403, 404, 409, 413, 415, 422),
+    responses=responses(403, 404, 409, 413, 415, 422, 503),
 )
 async def register_transformations(
     request: Request, response: Response, service: Context
@@ -72,7 +73,7 @@ async def register_transformations(
     Turtle that cannot be read, 404 for a feature or an implementation that is not known, 409 for a
     name that is taken, or code that takes or gives otherwise. Turtle is answered with a list.
     """
-    wanted = await _read(request)
+    wanted = await _read(request, service)
     views = await service.do(_command(wanted))
     if len(views) == 1:
         response.headers["Location"] = f"/transformations/{views[0].name}"
@@ -97,14 +98,14 @@ async def read_transformation(name: Name, service: Context) -> TransformationMod
     openapi_extra=BODY,
     responses={
         201: {"model": TransformationModel},
-        **responses(403, 404, 409, 413, 415, 422),
+        **responses(403, 404, 409, 413, 415, 422, 503),
     },
 )
 async def put_transformation(
     name: Name, request: Request, response: Response, service: Context
 ) -> TransformationModel:
     """Register the transformation of this name, or replace it. Units that run stay as they are."""
-    wanted = await _read(request)
+    wanted = await _read(request, service)
     named = _names(wanted)
     if named != [name]:
         raise Problem(
@@ -141,12 +142,15 @@ async def remove_transformation(name: Name, service: Context) -> Response:
     return Response(status_code=204)
 
 
-async def _read(request: Request) -> Wanted:
+async def _read(request: Request, service: Service) -> Wanted:
     """What the body describes; raises a 400 `Problem` for JSON of neither form."""
     kind = content_type(request, (JSON, TURTLE))
     body = await request.body()
     if kind == TURTLE:
-        return read_transformations(utf8(body))
+        text, documents = utf8(body), service.isolation.documents
+        return await while_connected(
+            request, lambda: documents.run(lambda: read_transformations(text, documents))
+        )
     wanted: TransformationIn = json_value(body, TransformationIn)
     described = (wanted.name, wanted.output) != (None, None) or bool(wanted.inputs)
     if described == (wanted.annotation is not None):

@@ -192,4 +192,31 @@ async function draw() {
   });
 }
 
+// Where the service wants tokens: one is given once, and a cookie that scripts do not see is kept.
+async function session() {
+  const { required, name, scopes } = await (await fetch("/session")).json();
+  $("session").hidden = !required;
+  $("who").textContent = name ? `logged in as ${name} (${scopes.join(", ")})` : "not logged in";
+  $("token").hidden = name !== null;
+  $("token").value = "";
+  $("log").textContent = name ? "Log out" : "Log in";
+  return name;
+}
+
+async function log(event) {
+  event.preventDefault();
+  const isOut = $("token").hidden;
+  const response = isOut
+    ? await fetch("/session", { method: "DELETE" })
+    : await fetch("/session", {
+      method: "POST",
+      headers: { "Content-Type": "application/json" },
+      body: JSON.stringify({ token: $("token").value.trim() }),
+    });
+  await session();
+  if (!response.ok) $("who").textContent = (await response.json()).detail;
+}
+
+$("session").addEventListener("submit", log);
+session().catch((error) => { $("who").textContent = String(error); });
 draw().catch((error) => { $("routes").textContent = `The routes cannot be read: ${error}`; });

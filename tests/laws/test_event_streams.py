@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import re
 from dataclasses import dataclass, field
+from typing import Any
 
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
@@ -14,6 +15,7 @@ from dyknow.converters.wire import Incoming
 from dyknow.engine.engine import Engine
 from dyknow.engine.views import StreamDeclaration
 from dyknow.service.event_clients import EventClient, EventClients
+from dyknow.service.following import Position, begin
 from dyknow.service.sse import Cursor, Feeds
 from dyknow.streams.fluent import Retention
 from dyknow.streams.sample import Field, FieldType, Schema, batch_from_rows
@@ -83,6 +85,7 @@ class Reader:
 
     def _connect(self) -> None:
         self._text = b""
+        self._lost = 0  # a gap has no id: it is told again
         feeds = self.service.feeds
         self.cursor = Cursor(feeds, "s", feeds.start("s", self.id))
         self.cursor.join(self.client)
@@ -107,8 +110,6 @@ class Reader:
                 case b"end":
                     self.ends.append(data["reason"])
         self._text = self._text[end:]
-
-    _lost: int = 0
 
     def _next(self) -> int:
         """The number that comes next, after the last sample or gap."""
@@ -162,6 +163,82 @@ def test_every_later_sample_once_and_in_order_or_a_gap(
     assert service.feeds._cache.size <= 5_000
 
 
+@settings(deadline=None, max_examples=60)
+@given(
+    retentions,
+    st.lists(
+        st.tuples(st.just("publish"), st.integers(0, 2), st.integers(1, 40))
+        | st.tuples(st.just("read"), st.integers(0, 5), st.none())
+        | st.tuples(st.just("cut"), st.floats(0, 1), st.none())
+        | st.tuples(st.just("end"), st.integers(0, 2), st.none()),
+        max_size=30,
+    ),
+)
+def test_several_streams_go_on_after_any_id(
+    retention: Retention, steps: list[tuple[str, Any, Any]]
+) -> None:
+    """Law of `Followed`: of each stream every later sample once and in order, or a gap; after a cut
+    anywhere all go on where they were."""
+    names = ["a", "b", "c"]
+    engine = Engine(epoch="e1")
+    for name in names:
+        engine.declare(StreamDeclaration(name, SCHEMA.fields[:1], 0, retention))
+    feeds = Feeds(engine, 3_000, EventClients(100, 100, 0, 30))
+    published = dict.fromkeys(names, 0)
+    known = dict.fromkeys(names, 0)
+    """By stream: the last number that was had, or told to be lost."""
+    client = EventClient("x")
+    id = str(Position("e1", known))
+    followed, text = begin(feeds, names, id), b""
+    followed.join(client)
+
+    def take(share: float = 1.0) -> bool:
+        nonlocal text, id
+        data = followed.take()
+        text += (data or b"")[: int(share * len(data or b""))]
+        end = 0
+        for found in MESSAGE.finditer(text):
+            end, told = found.end(), json.loads(found[3])
+            name = told["stream"]
+            if found[2] == b"sample":
+                id = found[1].decode()
+                assert told["sequence"] == told["values"]["n"] == known[name] + 1
+                known[name] += 1
+            elif found[2] == b"gap":
+                assert told["from"] == known[name] + 1 <= told["to"]
+                assert told["to"] < engine.stream(name).first_number
+                known[name] = told["to"]
+        text = text[end:]
+        return data is not None
+
+    for kind, which, count in steps:
+        if kind == "publish":
+            name = names[which]
+            pools = engine.accepting(name).stream.pools
+            rows = [
+                (i, i, {"n": i}) for i in range(published[name] + 1, published[name] + 1 + count)
+            ]
+            published[name] += count
+            batch = batch_from_rows(Schema(SCHEMA.fields[:1]), rows, pools)
+            engine.publish(name, Incoming(batch, False), 0)
+        elif kind == "end":
+            engine.end(names[which])
+        elif kind == "read":
+            for _ in range(which):
+                take()
+        else:
+            take(which)
+            followed.leave(client)
+            # Of a gap that was told since the last sample nothing is in its id: it is told again.
+            known = Position.parse(id, names).numbers
+            followed, text = begin(feeds, names, id), b""
+            followed.join(client)
+    while take():
+        pass
+    assert known == published
+    followed.leave(client)
+
+
 @settings(deadline=None, max_examples=20)
 @given(st.lists(counts, max_size=6), st.lists(counts, min_size=1, max_size=6))
 def test_a_stream_that_goes_on_after_its_end_is_resumed_without_loss(
@@ -201,3 +278,27 @@ def _remove(service: Service) -> None:
     """As DELETE does it: a client of events holds no stream."""
     service.engine.remove_stream("s")
     service.feeds.review()
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.lists(st.tuples(counts, st.integers(0, 6), st.integers(0, 6)), min_size=1, max_size=4))
+def test_a_stream_that_is_declared_anew_never_uses_an_id_twice(
+    lives: list[tuple[int, int, int]],
+) -> None:
+    """Else a client that resumes would miss the first samples of the new one, and not know."""
+    service = Service(Retention(10_000))
+    reader = Reader(service)
+    for i, (count, read, unseen) in enumerate(lives):
+        if i:
+            _remove(service)
+            service.engine.declare(StreamDeclaration("s", SCHEMA.fields, 0, service.retention))
+            reader.cursor.leave(reader.client)
+            reader._connect()
+        service.publish(count, 3)
+        reader.read(read)
+        service.publish(unseen, 3)
+    reader.cut(0.0)
+    reader.read(10_000)
+    kept = range(service.kept, service.published + 1)
+    assert len(kept) == lives[-1][0] + lives[-1][2]
+    assert set(kept) <= set(reader.numbers)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from dyknow.journal.log import Durability
 from dyknow.service.app import create_app
 from dyknow.service.cli import app
 from dyknow.service.client import Client
+from dyknow.service.logs import LOG_NAME
 from dyknow.service.server import running
 from dyknow.service.settings import Settings
 from dyknow.streams.time import SECOND
@@ -79,6 +81,15 @@ def http(url: str) -> Iterator[httpx.Client]:
 def client(url: str) -> Iterator[Client]:
     with Client(url, timeout=20) as client:
         yield client
+
+
+@pytest.fixture
+def logger() -> Iterator[logging.Logger]:
+    """The service's logger, for tests that `configure` it; afterwards it is as it was."""
+    found = logging.getLogger(LOG_NAME)
+    before = (found.handlers, found.propagate, found.level)
+    yield found
+    found.handlers, found.propagate, found.level = before
 
 
 @pytest.fixture

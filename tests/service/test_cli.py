@@ -443,9 +443,10 @@ def test_what_is_there_at_the_start_is_not_collected_again(monkeypatch: pytest.M
 def test_what_the_service_knows_of_itself_is_not_of_1970(monkeypatch: pytest.MonkeyPatch) -> None:
     served: list[Any] = []
 
-    def serve(app: Any, listener: Any) -> None:
+    def serve(app: Any, listener: Any) -> bool:
         listener.close()
         served.append(app.state.service)
+        return False
 
     monkeypatch.setattr("dyknow.service.cli.serve.run", serve)
     monkeypatch.setattr("dyknow.service.cli.serve.configure", lambda *arguments: None)

@@ -221,7 +221,7 @@ def test_only_what_waits_counts_among_all_bodies() -> None:
             body.keep(kept)
         assert caught.value.status_code == status
     body.keep(0)
-    assert limit.held == 100
+    assert limit.under_way.bytes == 100
 
 
 def test_several_at_once(url: str, client: Client) -> None:

@@ -291,3 +291,19 @@ def test_feeds_start_from_now(engine: Engine) -> None:
     feeds = Feeds(engine, 1000, EventClients(10, 10, 0, 30))
     last = engine.generator("status").stream.last_number
     assert feeds.start("status", None).number == last + 1
+
+
+def test_who_follows_a_stream_by_another_name_is_woken_after_others_have_left(
+    client: Client,
+) -> None:
+    client.declare_kpl("source float pos_car1\nstrmgen pos[car1] = pos_car1")
+    rows = [{"valid": i, "available": i, "value": 1.0} for i in range(1, 5)]
+    client.publish("pos_car1", rows[:1])
+    for i, name in enumerate(("pos[car1]", "pos_car1", "pos[car1]"), start=1):
+        events = client.events(name, since="start")
+        assert numbers(take(events, i)) == list(range(1, i + 1))
+        client.publish("pos_car1", rows[i : i + 1])
+        assert numbers(take(events, 1)) == [i + 1]
+        events.close()  # type: ignore[attr-defined]
+        while client.status()["clients"]:
+            pass

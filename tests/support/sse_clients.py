@@ -22,7 +22,7 @@ def connect(url: str, path: str, after: str = "", receive: int | None = None) ->
     connection.settimeout(PATIENCE)
     connection.connect((host, int(port)))
     resume = f"Last-Event-ID: {after}\r\n" if after else ""
-    connection.sendall(f"GET {path} HTTP/1.1\r\nHost: x\r\n{resume}\r\n".encode())
+    connection.sendall(f"GET {path} HTTP/1.1\r\nHost: {host}:{port}\r\n{resume}\r\n".encode())
     return connection
 
 

@@ -1,0 +1,67 @@
+"""What the evaluation of one window may cost, and who evaluates what columns cannot.
+
+Rows are counted, not seconds: the same input exceeds its budget in the same window wherever and
+whenever it is evaluated, and so does a replay of it. What only Oxigraph can say is its `Asking`'s,
+which may have a deadline as well (service/isolation); `asking.DIRECT` waits as long as it takes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+from .asking import DIRECT, Asking
+
+LOOKS: Final = 4
+"""The compiled loop may look at so many rows for each that an operator may make: a look is cheap,
+and where a filter refuses everything there is nothing else to count."""
+
+
+OVERRUNS: Final = 3
+"""After so many windows in a row that need more than they may, no more are evaluated."""
+
+
+class BudgetExceeded(Exception):
+    """A window needs more than it may: it has no result. The message says what, for people."""
+
+
+class Quarantined(Exception):
+    """So many windows in a row needed more than they may that no more are evaluated."""
+
+
+@dataclass(frozen=True, slots=True)
+class Overrun:
+    """A window without a result: its end (ns), and why, for people."""
+
+    end: int
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Budget:
+    """``rows``: how many one operator may make of one window; ``results``: how many solutions a
+    query may have of one; None for any number. ``asking`` evaluates what columns cannot."""
+
+    rows: int | None = None
+    results: int | None = None
+    asking: Asking = DIRECT
+
+    def check(self, rows: int, what: str) -> None:
+        """Raises `BudgetExceeded` where an operator is about to make more rows than it may."""
+        if self.rows is not None and rows > self.rows:
+            raise BudgetExceeded(
+                f"{what} makes {rows} rows of a window, at most {self.rows} may be"
+            )
+
+    def check_result(self, rows: int) -> None:
+        """Raises `BudgetExceeded` for so many solutions of one query: each becomes a sample."""
+        if self.results is not None and rows > self.results:
+            raise BudgetExceeded(f"{rows} solutions, at most {self.results} may be")
+
+    @property
+    def looks(self) -> int:
+        """How many rows the compiled loop may look at for one window; -1 for any number."""
+        return -1 if self.rows is None else LOOKS * self.rows
+
+
+UNLIMITED: Final = Budget()

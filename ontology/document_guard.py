@@ -1,0 +1,124 @@
+"""What an RDF text of a stranger may be like, found by one pass before a parser sees it.
+
+The parsers behind `reading` recurse: some thousand levels of brackets overflow their stack, which
+ends the process. And a short text with entities may stand for a long one.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from typing import Final
+
+from .errors import OntologyError
+
+DEEPEST: Final = 100
+"""Brackets or elements inside each other."""
+LONGEST_EXPANSION: Final = 16 * 1024 * 1024
+"""Characters that all entities of a text may stand for."""
+
+# What is not closed goes on to its end: tried again at each quote in it, it would cost the square.
+_JSON: Final = re.compile(r'"(?:[^"\\]|\\.)*+"?|[\[\]{}]', re.DOTALL)
+# Strings, IRIs and comments first, so that nothing inside them counts.
+_TURTLE: Final = re.compile(
+    r'"""(?:[^"\\]|\\.|"(?!""))*+(?:"""|\Z)'
+    r"|'''(?:[^'\\]|\\.|'(?!''))*+(?:'''|\Z)"
+    r'|"(?:[^"\\\n]|\\.)*+"?'
+    r"|'(?:[^'\\\n]|\\.)*+'?"
+    r"|<[^<>\s]*+>"
+    r"|#[^\n]*+"
+    r"|<<|[\[\](){}]",
+    re.DOTALL,
+)
+_XML: Final = re.compile(
+    r"<!--.*?(?:-->|\Z)|<!\[CDATA\[.*?(?:\]\]>|\Z)|<\?.*?(?:\?>|\Z)"
+    r"|<(?P<end>/)?[^\s<>/!?](?:[^<>\"']|\"[^\"]*+(?:\"|\Z)|'[^']*+(?:'|\Z))*+>?",
+    re.DOTALL,
+)
+MOST_ENTITIES: Final = 100
+_ENTITY: Final = re.compile(r"<!ENTITY\s++(%?)\s*+([^\s%]++)\s++(?:\"([^\"]*)\"|'([^']*)'|(\w+))")
+_OPENING: Final = frozenset("[({")
+
+
+def check_document(text: str, format: str) -> None:
+    """Raises `OntologyError` for a text that is nested too deeply or asks for more than it says.
+
+    Cost: one pass.
+    """
+    _CHECKS[format](text)
+
+
+def _json(text: str) -> None:
+    depth = 0
+    for match in _JSON.finditer(text):
+        depth = _counted(depth, match[0], text, match.start())
+
+
+def _turtle(text: str) -> None:
+    depth = 0
+    for match in _TURTLE.finditer(text):
+        if match[0] == "<<":
+            line, column = _place(text, match.start())
+            raise OntologyError("triples about triples (RDF 1.2) are not supported", line, column)
+        depth = _counted(depth, match[0], text, match.start())
+
+
+def _counted(depth: int, token: str, text: str, position: int) -> int:
+    """The depth after a token: only brackets are of one character here, or quotes nobody closes."""
+    if token in _OPENING:
+        if depth == DEEPEST:
+            raise _too_deep("brackets", text, position)
+        return depth + 1
+    return depth - 1 if token in ("]", ")", "}") else depth
+
+
+def _xml(text: str) -> None:
+    expanded = 0
+    declared = _ENTITY.findall(text)
+    if len(declared) > MOST_ENTITIES:
+        raise OntologyError(f"the text declares more than {MOST_ENTITIES} entities")
+    for parameter, name, double, single, external in declared:
+        value = double or single
+        line, column = _place(text, text.index(name))
+        if parameter or external:
+            raise OntologyError(
+                f"the entity {name} is declared outside of the text or for its declarations",
+                line,
+                column,
+                'declare entities by what they stand for: <!ENTITY name "text">',
+            )
+        if "&" in value:
+            raise OntologyError("an entity is declared by other entities", line)
+        expanded += len(value) * text.count(f"&{name};")
+        if expanded > LONGEST_EXPANSION:
+            raise OntologyError(
+                f"the entities stand for more than {LONGEST_EXPANSION} characters", line, column
+            )
+    depth = 0
+    for match in _XML.finditer(text):
+        tag = match[0]
+        if tag.startswith(("<!", "<?")) or tag.endswith("/>"):
+            continue
+        if match["end"]:
+            depth -= 1
+        elif depth == DEEPEST:
+            raise _too_deep("elements", text, match.start())
+        else:
+            depth += 1
+
+
+def _too_deep(what: str, text: str, position: int) -> OntologyError:
+    line, column = _place(text, position)
+    return OntologyError(f"{what} are nested more than {DEEPEST} deep", line, column)
+
+
+def _place(text: str, position: int) -> tuple[int, int]:
+    return text.count("\n", 0, position) + 1, position - text.rfind("\n", 0, position)
+
+
+_CHECKS: Final[dict[str, Callable[[str], None]]] = {
+    "turtle": _turtle,
+    "ntriples": _turtle,
+    "jsonld": _json,
+    "rdfxml": _xml,
+}

@@ -1,0 +1,148 @@
+"""Workers of one kind: so many at once, a bounded number of callers waiting for one."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import Final
+
+import anyio
+import anyio.to_thread
+
+from .messages import Answer
+from .worker import Worker, WorkerError
+
+MOST_JOBS: Final = 20_000
+"""A worker is replaced after so many: a store that is changed for long leaks."""
+
+
+class Busy(Exception):
+    """All workers are taken, and as many callers are waiting as may."""
+
+
+class Pool:
+    """``count`` workers with ``memory`` bytes each, and ``waiting`` callers more than that.
+
+    Workers are started when they are first needed, or by `warm`, and replaced when they were
+    ended. `run` is for the event loop, `call` for a thread that waits itself.
+    """
+
+    def __init__(self, count: int, memory: int, waiting: int = 0) -> None:
+        self.count = count
+        self.ended = 0
+        """How many workers came to their end in the middle of a job."""
+        self._memory = memory
+        self._waiting = waiting
+        self._queued = 0
+        self._slots = anyio.CapacityLimiter(count)
+        self._threads = anyio.CapacityLimiter(2 * count)
+        self._idle: list[Worker] = []
+        self._working: set[Worker] = set()
+        self._lock = threading.Lock()
+        self._closed = False
+
+    async def run(self, job: Callable[[Worker], Answer], patience: float) -> Answer:
+        """What ``job`` gives, which is called with a worker on a thread of its own.
+
+        Whoever cancels this ends the worker. Raises `Busy` when no worker is free for ``patience``
+        seconds or too many callers wait already, and `WorkerError`.
+        """
+        if self._slots.available_tokens < 1 and self._queued >= self._waiting:
+            raise Busy
+        borrower = object()
+        self._queued += 1
+        try:
+            with anyio.fail_after(patience):
+                await self._slots.acquire_on_behalf_of(borrower)
+        except TimeoutError as error:
+            raise Busy from error
+        finally:
+            self._queued -= 1
+        errand = _Errand(self, job)
+        try:
+            return await anyio.to_thread.run_sync(
+                errand.run, limiter=self._threads, abandon_on_cancel=True
+            )
+        except anyio.get_cancelled_exc_class():
+            errand.give_up()
+            raise
+        finally:
+            self._slots.release_on_behalf_of(borrower)
+
+    def call(self, job: Callable[[Worker], Answer]) -> Answer:
+        """The same in the thread of the caller, which waits. Raises `WorkerError`."""
+        return _Errand(self, job).run()
+
+    def warm(self) -> None:
+        """Start all workers now."""
+        for worker in [self.take() for _ in range(self.count)]:
+            self.give(worker)
+
+    def take(self) -> Worker:
+        """A worker that does nothing, started if there is none. Raises `WorkerError`."""
+        with self._lock:
+            if self._closed:
+                raise WorkerError("the service stops")
+            worker = self._idle.pop() if self._idle else None
+        if worker is not None and not worker.is_alive:
+            worker.close()
+            worker = None
+        if worker is None:
+            worker = Worker.start(self._memory)
+        with self._lock:
+            self._working.add(worker)
+        return worker
+
+    def give(self, worker: Worker) -> None:
+        """``worker`` has done what it was taken for, or has come to its end."""
+        with self._lock:
+            self._working.discard(worker)
+            is_alive = worker.is_alive
+            self.ended += not is_alive
+            stays = is_alive and not self._closed and worker.jobs < MOST_JOBS
+            if stays:
+                self._idle.append(worker)
+        if not stays:
+            worker.close()
+
+    def close(self) -> None:
+        """End all workers; who waits for one gets `WorkerError`."""
+        with self._lock:
+            self._closed = True
+            idle, self._idle = self._idle, []
+            working = list(self._working)
+        for worker in idle:
+            worker.close()
+        for worker in working:
+            worker.kill()
+
+
+class _Errand:
+    """One job on its way: it may be given up from another thread."""
+
+    def __init__(self, pool: Pool, job: Callable[[Worker], Answer]) -> None:
+        self._pool = pool
+        self._job = job
+        self._lock = threading.Lock()
+        self._worker: Worker | None = None
+        self._given_up = False
+
+    def run(self) -> Answer:
+        worker = self._pool.take()
+        try:
+            with self._lock:
+                self._worker = worker
+                if self._given_up:
+                    worker.kill()
+            return self._job(worker)
+        finally:
+            with self._lock:
+                self._worker = None
+            self._pool.give(worker)
+
+    def give_up(self) -> None:
+        """End the worker, and with it the wait for it."""
+        with self._lock:
+            self._given_up = True
+            if self._worker is not None:
+                self._worker.kill()

@@ -1,0 +1,72 @@
+"""All isolated work of one service: made with the application, ended with it."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from ...continuous.budget import Budget
+from ...ontology.ontology import Ontology
+from ..settings import MEBIBYTE, Settings
+from .asking import IsolatedAsking
+from .documents import IsolatedReasoning
+from .pool import Pool
+from .sparql import IsolatedQueries
+
+WINDOW_BYTES: Final = 8 * MEBIBYTE
+"""Text that Oxigraph may answer about a window."""
+
+
+class Windows:
+    """The worker for continuous queries: the engine waits for it, one window at a time.
+
+    ``budget`` is for the engine, which has to have it before there is an application.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self._pool = Pool(1, settings.worker_memory)
+        asking = IsolatedAsking(
+            self._pool, settings.query_deadline, settings.query_results, WINDOW_BYTES
+        )
+        self.budget = Budget(settings.query_rows, settings.query_results, asking)
+
+    def warm(self) -> None:
+        """Start the worker."""
+        self._pool.warm()
+
+    def close(self) -> None:
+        """End it."""
+        self._pool.close()
+
+
+class Isolation:
+    """The workers of a service, by what they do."""
+
+    def __init__(self, settings: Settings, ontology: Ontology) -> None:
+        self._sparql = Pool(
+            settings.sparql_workers, settings.worker_memory, settings.sparql_waiting
+        )
+        self.queries = IsolatedQueries(
+            ontology,
+            self._sparql,
+            settings.sparql_deadline,
+            settings.sparql_rows,
+            settings.sparql_bytes,
+        )
+        self._documents = Pool(1, settings.worker_memory)
+        self.documents = IsolatedReasoning(
+            self._documents, settings.ontology_deadline, settings.ontology_triples
+        )
+
+    @property
+    def ended(self) -> int:
+        """How many workers came to their end in the middle of a job."""
+        return self._sparql.ended + self._documents.ended
+
+    def warm(self) -> None:
+        """Start all workers: the first who ask should not wait for them."""
+        self._sparql.warm()
+
+    def close(self) -> None:
+        """End all workers."""
+        self._sparql.close()
+        self._documents.close()

@@ -1,0 +1,157 @@
+"""What a data directory keeps of user-written processes, of what was refused, and of other
+programs' checkpoints (the law is tests/laws/test_recorded.py)."""
+
+import random
+
+import pytest
+
+import dyknow.engine.recorded as recorded_module
+from dyknow.engine.commands import (
+    AddKpl,
+    Annotate,
+    DeclareStream,
+    OpenStream,
+    Publish,
+    RegisterQuery,
+    RegisterTemplate,
+    RequestEvent,
+    Subscribe,
+    Tick,
+    read,
+)
+from dyknow.engine.errors import UnknownStream
+from dyknow.engine.processes import Processes
+from dyknow.engine.recorded import RecordedEngine
+from dyknow.engine.reports import Report
+from dyknow.engine.views import StreamDeclaration
+from dyknow.journal.log import Durability
+from dyknow.streams.sample import Field, FieldType
+from dyknow.streams.time import SECOND
+
+
+def throw(time):
+    """The world outside: nobody can say again what it said."""
+    if random.random() < 0.1:
+        raise OSError("the dice fell off the table")
+    return Report(random.random(), quality=round(random.random(), 2))
+
+
+def opened(path, **more):
+    return RecordedEngine(path, now=0, durability=Durability.WRITE, **more)
+
+
+def cut_off(recorded):
+    recorded.log.commit()
+    recorded._directory.close()
+
+
+def rows(engine, name):
+    return list(engine.generator(name).stream.all().rows())
+
+
+def sensors():
+    registry = Processes()
+    registry.sampled("float", "100ms", name="dice", on_error="skip")(throw)
+    return registry
+
+
+@pytest.mark.parametrize("checkpoint", [False, True])
+def test_what_a_source_said_is_not_asked_again(tmp_path, checkpoint):
+    first = opened(tmp_path, processes=sensors())
+    first.do(AddKpl("source float dice\nstrmgen thrown = dice"))
+    for now in range(0, 3 * SECOND, SECOND // 4):
+        first.do(Tick(now))
+        if checkpoint and now == SECOND:
+            first.checkpoint().write()
+    said = rows(first.engine, "dice")
+    process = first.engine.kpl_declaration("dice")[0]
+    assert len(said) > 10
+    cut_off(first)
+    again = opened(tmp_path, processes=sensors())
+    assert rows(again.engine, "dice") == said
+    assert again.engine.kpl_declaration("dice")[0] == process
+    again.do(Tick(4 * SECOND))
+    assert len(rows(again.engine, "dice")) > len(said)
+    again.close()
+
+
+def test_what_was_refused_leaves_no_trace(tmp_path):
+    first = opened(tmp_path)
+    position = first.log.position
+    with pytest.raises(UnknownStream):
+        first.do(Publish("nowhere", "ndjson", b"{}", 7))
+    assert first.log.position == position
+    assert first.engine.now == 0
+    first.close()
+
+
+def test_a_stream_that_is_asked_for_is_there_again(tmp_path):
+    first = opened(tmp_path)
+    declare(first, "s")
+    first.engine.stream("s_late")
+    assert read(_last(first)) == OpenStream("s_late")
+    cut_off(first)
+    again = opened(tmp_path)
+    assert "s_late" in [view.name for view in again.engine.streams()]
+    again.close()
+
+
+def _last(recorded):
+    recorded.log.commit()
+    return list(recorded.log.read())[-1][1]
+
+
+def declare(recorded, name):
+    fields = (Field("id", FieldType.STRING), Field("v", FieldType.FLOAT))
+    recorded.do(DeclareStream(StreamDeclaration(name, fields, 2 * SECOND)))
+    recorded.do(Annotate(f"stream {name} contains speed(UAV) = v for every UAV = id"))
+
+
+def say(recorded, *seconds):
+    lines = [
+        f'{{"valid": {t}000000000, "available": {t}000000000, "id": "uav1", "v": {t}}}'
+        for t in seconds
+    ]
+    recorded.do(Publish("s", "ndjson", "\n".join(lines).encode(), 0, f"key {seconds}"))
+
+
+def test_another_program_goes_on_from_what_it_understands(tmp_path, monkeypatch, high_speed):
+    first = opened(tmp_path)
+    declare(first, "s")
+    first.do(RegisterTemplate(high_speed))
+    first.do(RequestEvent("dyknow:HighSpeedEvent(?o, dyknow:UAV, 2)"))
+    first.do(Subscribe("s", "sample every 1s"))
+    first.do(
+        RegisterQuery(
+            "SELECT ?o ?v FROM STREAM <http://www.ida.liu.se/dyknow/s.trdf> "
+            "[RANGE 5s STEP 1s] WHERE { ?o dyknow:speed ?v }"
+        )
+    )
+    say(first, 1, 2, 3, 4, 5, 9)
+    before = first.engine.stream("s")
+    kept = rows(first.engine, "s")
+    assert before.counters.pending
+    first.close()
+    monkeypatch.setattr(recorded_module, "program", lambda: "a later version")
+    later = opened(tmp_path)
+    assert not later.recovery.is_continued
+    assert "numbers" in " ".join(later.recovery.notes)
+    assert later.engine.epoch != first.engine.epoch
+    after = later.engine.stream("s")
+    assert (after.counters, after.first_number, after.last_number, after.watermark) == (
+        before.counters,
+        before.first_number,
+        before.last_number,
+        before.watermark,
+    )
+    assert rows(later.engine, "s") == kept
+    assert [view.id for view in later.engine.events()] == ["event1"]
+    assert len(later.engine.subscriptions()) == len(later.engine.queries) == 1
+    assert (
+        later.engine.template("HighSpeedEvent").source
+        == first.engine.template("HighSpeedEvent").source
+    )
+    say(later, 10, 20, 21)
+    assert later.engine.stream("s").last_number > before.last_number
+    later.close()
+    monkeypatch.undo()
