@@ -82,8 +82,8 @@ RESOURCES = (
     session,
     docs,
 )
-ASKING = ("/match", "/sparql", "/session")
-"""Paths to which questions are posted, or who asks them: nothing of it is kept."""
+ASKING = ("/match", "/session", "/sparql")
+"""Paths to which is posted what changes nothing that is kept."""
 TICK = "tick"
 DESCRIPTION = """Semantic stream reasoning: say what you want to know, and the service finds or
 builds the streams that answer it. Errors are `application/problem+json` (RFC 9457)."""

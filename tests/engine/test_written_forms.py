@@ -20,6 +20,7 @@ from dyknow.engine.describing import (
     DescribedTransformation,
 )
 from dyknow.engine.portable import KeptColumn, KeptStream, Portable
+from dyknow.engine.tape import Reading
 from dyknow.engine.views import Since, StreamDeclaration
 from dyknow.journal.checkpoints import Checkpoint, encoded, read_checkpoint
 from dyknow.journal.examination import examine
@@ -36,6 +37,13 @@ PORT = DescribedPort("dyknow:speed", "spd", "km/h", (DescribedArgument("UAV", "a
 EXAMPLES = [
     c.Begin("3f2a91c0", 1_633_633_973_000_000_000, "dyknow 0.1.0, Python 3.11.7, 0123456789abcdef"),
     c.Tick(1_633_633_973_100_000_000),
+    c.Tick(
+        1_633_633_973_200_000_000,
+        (
+            Reading("pos", 5, (5, 4, {"x": 1.5, "n": 2, "b": True, "id": "a", "none": None})),
+            Reading("pos", 6, None, 0.5, "speed(UAV) = v", "ValueError: no"),
+        ),
+    ),
     c.Publish("s5", "ndjson", b'{"valid": 1, "spd": 31.5}\n', 5, "key"),
     c.Publish("s5", "arrow", b"\x00\xff", 6),
     c.EndStream("s5"),
@@ -107,9 +115,9 @@ PORTABLE = Portable(
             False,
         )
     ],
-    [EXAMPLES[13]],
+    [c.RequestEvent("dyknow:HighSpeedEvent(?o, dyknow:UAV, 100)", strategy="cost")],
 )
-PAYLOADS = [c.written(each) for each in EXAMPLES[:3]]
+PAYLOADS = [c.written(EXAMPLES[i]) for i in (0, 1, 3)]
 
 
 def test_every_command_is_among_the_examples():
