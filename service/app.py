@@ -6,8 +6,6 @@ from contextlib import asynccontextmanager
 
 import anyio
 from fastapi import FastAPI
-from fastapi.openapi.utils import get_openapi
-from pydantic.json_schema import models_json_schema
 
 from .. import __version__
 from ..engine.engine import Engine
@@ -25,8 +23,8 @@ from .keeper import Keeper
 from .live import LiveBodies
 from .logs import log
 from .metrics import Metrics
-from .models import READ_BY_ROUTES
 from .observe import Observe
+from .openapi import openapi_schema
 from .quotas import Quotas
 from .routes import (
     annotations,
@@ -51,7 +49,6 @@ from .routes import (
     templates,
     transformations,
 )
-from .scopes import scope_of_operation
 from .sessions import Sessions
 from .settings import Settings
 from .slow_bodies import SlowBodies
@@ -82,8 +79,6 @@ RESOURCES = (
     session,
     docs,
 )
-ASKING = ("/match", "/session", "/sparql")
-"""Paths to which is posted what changes nothing that is kept."""
 TICK = "tick"
 DESCRIPTION = """Semantic stream reasoning: say what you want to know, and the service finds or
 builds the streams that answer it. Errors are `application/problem+json` (RFC 9457)."""
@@ -169,7 +164,7 @@ def create_app(
     )
     app.add_middleware(Access, gate=service.gate, refused=service.metrics.refused)
     app.add_middleware(Observe, metrics=service.metrics, slow=settings.slow_request)
-    app.openapi = lambda: _openapi(app)  # type: ignore[method-assign]
+    app.openapi = lambda: openapi_schema(app)  # type: ignore[method-assign]
     return app
 
 
@@ -204,37 +199,3 @@ async def _tick(service: Service) -> None:
         metrics.tick_seconds.observe(ended - begun)
         await anyio.sleep(pause)
         metrics.loop_lag.observe(max(0.0, time.monotonic() - ended - pause))
-
-
-def _openapi(app: FastAPI) -> dict[str, object]:
-    """The schema, with the model of problems, and without FastAPI's own form of errors."""
-    if app.openapi_schema is None:
-        schema = get_openapi(
-            title=app.title,
-            version=app.version,
-            description=app.description,
-            routes=app.routes,
-        )
-        components = schema.setdefault("components", {}).setdefault("schemas", {})
-        for name in ("HTTPValidationError", "ValidationError"):
-            components.pop(name, None)
-        _, bodies = models_json_schema(
-            [(model, "validation") for model in READ_BY_ROUTES],
-            ref_template="#/components/schemas/{model}",
-        )
-        for name, body in bodies["$defs"].items():
-            components.setdefault(name, body)
-        components["ProblemModel"] = problems.ProblemModel.model_json_schema()
-        components["securitySchemes"] = {"token": {"type": "http", "scheme": "bearer"}}
-        for path, operations in schema["paths"].items():
-            for method, operation in operations.items():
-                scope = scope_of_operation(method, path)
-                operation["security"] = [] if scope is None else [{"token": [str(scope)]}]
-                if "requestBody" in operation:
-                    operation["responses"] |= {"408": problems.responses(408)[408]}
-                if method != "get" and path not in ASKING:
-                    operation["responses"] |= problems.written_responses()
-                if "422" in operation["responses"]:
-                    operation["responses"]["422"] = problems.responses(422)[422]
-        app.openapi_schema = schema
-    return app.openapi_schema

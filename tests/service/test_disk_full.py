@@ -10,7 +10,8 @@ from httpx_sse import connect_sse
 from simulated_disk import SimulatedDisk
 
 from dyknow.engine.recorded import RecordedEngine
-from dyknow.service.app import ASKING, create_app
+from dyknow.service.app import create_app
+from dyknow.service.openapi import ASKING
 from dyknow.service.server import running
 from dyknow.streams.time import SECOND
 
