@@ -25,7 +25,10 @@ test: lint image-check ## everything that CI runs
 SWEPT := $(addprefix tests/laws/test_,continuous.py algebra.py patterns.py event_time.py shared_requests.py engine.py ntriples.py)
 
 ROUNDS ?= 3
-soak: $(VENV)/installed-dev ## look for what breaks a law, in random examples (ROUNDS of all laws)
+SECONDS ?= 600
+soak: $(VENV)/installed-dev ## what takes long: a service under use, a thousand deaths, ROUNDS of all laws
+	$(BIN)/python bench/soak.py $(SECONDS)
+	DYKNOW_KILLS=1000 $(BIN)/pytest -n 0 -s tests/service/test_kill.py
 	for round in $$(seq $(ROUNDS)); do $(PYTEST) tests/laws --hypothesis-profile=default || exit 1; done
 
 image-check: ## what the Dockerfile does, as a script in an empty folder

@@ -57,6 +57,8 @@ _ANNOTATION = NamedNode(STREAM_SPACE + "Annotation")
 _SPECIFICATION = NamedNode(STREAM_SPACE + "Specification")
 _IMPORTS = NamedNode(OWL + "imports")
 
+_CHURN = 20_000
+"""A store in memory is made anew after at least so many quads have come or gone."""
 _TABLES = {
     "json": QueryResultsFormat.JSON,
     "xml": QueryResultsFormat.XML,
@@ -108,6 +110,8 @@ class Ontology:
         self.version = 0
         self._lock = threading.RLock()
         self._closed: tuple[int, Store] | None = None
+        self._churn = 0
+        """Quads that have come or gone since the store was made."""
         self._log = ChangeLog()
         self._start()
 
@@ -336,6 +340,7 @@ class Ontology:
         with self._lock:
             held, implied = self._live.update(added, removed)
             self._apply({graphs.STREAM_SPACE: held, graphs.STREAM_SPACE_ENTAILMENTS: implied})
+            self._renew()
 
     # -- questions ----------------------------------------------------------------------------
 
@@ -502,6 +507,7 @@ class Ontology:
         }
         if not added and not removed:
             return
+        self._churn += len(added) + len(removed)
         self._log.note(added, removed)
         if not removed:
             self.store.extend(added)  # all at once, and without a text to be parsed
@@ -515,6 +521,14 @@ class Ontology:
             self.store.update(
                 f"DELETE DATA {{ {_data(removed)} }} ; INSERT DATA {{ {_data(added)} }}"
             )
+
+    def _renew(self) -> None:
+        """Put what there is in a new store when so much has come and gone: one in memory keeps
+        some of what was removed, and grows without end (0.6 KB a quad)."""
+        if self.path is None and self._churn > max(_CHURN, 4 * len(self.store)):
+            store = Store()
+            store.extend(self.store)
+            self.store, self._churn = store, 0
 
     def _elsewhere(self, triple: Triple, removed: set[Quad]) -> bool:
         holders = self.store.quads_for_pattern(

@@ -137,6 +137,7 @@ def create_app(
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         async with anyio.create_task_group() as tasks:
             tasks.start_soon(_tick, service)
+            service.isolation.open()
             yield
             service.leave()
             service.isolation.close()

@@ -109,9 +109,9 @@ class EventStream(EventSourceResponse):
         transport: asyncio.Transport | None = scope.get("state", {}).get(TRANSPORT)
         _bound(transport)
         self._clients.join(client)
-        self._messages.join(client)
         leaving = asyncio.create_task(_cut_when_gone(client, receive))
         try:
+            self._messages.join(client)
             async with client.begin():
                 start = {"status": self.status_code, "headers": self.raw_headers}
                 await client.send(send, {"type": "http.response.start", **start})

@@ -17,6 +17,8 @@ LASTS = 12 * HOUR
 """After this time (ns) people log in again."""
 MOST = 1_000
 """The oldest session ends when there would be more."""
+MOST_OF_ONE = 100
+"""Of one caller its own oldest one does: nobody logs others out."""
 
 
 class Sessions:
@@ -28,6 +30,9 @@ class Sessions:
 
     def begin(self, caller: Caller) -> str:
         """A new session; gives the value of its cookie."""
+        own = [each for each, (whose, _) in self._sessions.items() if whose.name == caller.name]
+        if len(own) >= MOST_OF_ONE:
+            del self._sessions[own[0]]
         value = secrets.token_urlsafe(32)
         self._sessions[digest_of(value.encode())] = (caller, self._clock() + LASTS)
         while len(self._sessions) > MOST:

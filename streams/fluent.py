@@ -21,6 +21,12 @@ _FAN: Final = 32
 """So many neighbouring runs of one size class are put together to one of the next."""
 
 
+_TEXTS: Final = 4096
+"""So many texts of a field are not worth looking for those that are gone."""
+_SHARE: Final = 4
+"""Nor are so many a kept sample."""
+
+
 @dataclass(frozen=True, slots=True)
 class Retention:
     """How much history a stream keeps: at most ``samples``, at most ``age`` ns of available time.
@@ -136,6 +142,21 @@ class FluentStream:
         was appended yet."""
         self._first = self._next = first
         self.append(batch)
+
+    def forget_texts(self) -> None:
+        """Give text fields new pools, without the texts that no kept sample has, where most are of
+        that kind. Contract: nobody has codes of this stream but in batches.
+
+        Cost: O(1), and O(kept samples) once for as many new texts.
+        """
+        for name, pool in self.pools.items():
+            if len(pool) <= max(_TEXTS, _SHARE * len(self)):
+                continue
+            found = self.pools[name] = StringPool()
+            for i, run in enumerate(self._runs):
+                columns = {**run.batch.columns, name: run.batch.columns[name].recoded(found)}
+                batch = SampleBatch(run.batch.available, run.batch.valid, columns)
+                self._runs[i] = run._replace(batch=batch)
 
     def append(self, batch: SampleBatch) -> Segment | None:
         """Continue the stream; returns where the batch went, None if it was empty."""

@@ -411,6 +411,9 @@ class StreamGenerator:
             receiver.receive(self, batch)
         for listener in tuple(self._listeners):
             listener.receive(self, batch)
+        if not self._receivers and self._pending is None:
+            # Who reads a stream may know its texts by their codes.
+            self.stream.forget_texts()
         self._announce(int(batch.available[-1]))
 
     def _announce(self, watermark: int) -> None:

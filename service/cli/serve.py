@@ -109,7 +109,8 @@ def serve(
     finally:
         stopping.set()
         watchdog.close()
-        windows.close()
+        for isolated in (windows, app.state.service.isolation):
+            isolated.close()
     log().info("stopped", by_force=by_force)
     if by_force:
         raise typer.Exit(1)

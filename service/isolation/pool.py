@@ -32,8 +32,9 @@ class Pool:
         self.ended = 0
         """How many workers came to their end in the middle of a job."""
         self._memory = memory
-        self._waiting = waiting
-        self._queued = 0
+        self._most_waiting = waiting
+        self.waiting = 0
+        """How many callers wait for a worker."""
         self._slots = anyio.CapacityLimiter(count)
         self._threads = anyio.CapacityLimiter(2 * count)
         self._idle: list[Worker] = []
@@ -47,17 +48,17 @@ class Pool:
         Whoever cancels this ends the worker. Raises `Busy` when no worker is free for ``patience``
         seconds or too many callers wait already, and `WorkerError`.
         """
-        if self._slots.available_tokens < 1 and self._queued >= self._waiting:
+        if self._slots.available_tokens < 1 and self.waiting >= self._most_waiting:
             raise Busy
         borrower = object()
-        self._queued += 1
+        self.waiting += 1
         try:
             with anyio.fail_after(patience):
                 await self._slots.acquire_on_behalf_of(borrower)
         except TimeoutError as error:
             raise Busy from error
         finally:
-            self._queued -= 1
+            self.waiting -= 1
         errand = _Errand(self, job)
         try:
             return await anyio.to_thread.run_sync(
@@ -74,9 +75,17 @@ class Pool:
         return _Errand(self, job).run()
 
     def warm(self) -> None:
-        """Start all workers now."""
-        for worker in [self.take() for _ in range(self.count)]:
-            self.give(worker)
+        """Start all workers now; none where the service stops meanwhile."""
+        taken: list[Worker] = []
+        try:
+            while len(taken) < self.count:
+                taken.append(self.take())
+        except WorkerError:
+            if not self._closed:
+                raise
+        finally:
+            for worker in taken:
+                self.give(worker)
 
     def take(self) -> Worker:
         """A worker that does nothing, started if there is none. Raises `WorkerError`."""
@@ -104,6 +113,16 @@ class Pool:
                 self._idle.append(worker)
         if not stays:
             worker.close()
+
+    @property
+    def busy(self) -> int:
+        """How many workers are at work."""
+        return len(self._working)
+
+    def open(self) -> None:
+        """There are workers again, after `close`."""
+        with self._lock:
+            self._closed = False
 
     def close(self) -> None:
         """End all workers; who waits for one gets `WorkerError`."""

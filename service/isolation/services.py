@@ -62,9 +62,19 @@ class Isolation:
         """How many workers came to their end in the middle of a job."""
         return self._sparql.ended + self._documents.ended
 
+    @property
+    def busy(self) -> int:
+        """How many workers are at work."""
+        return self._sparql.busy + self._documents.busy
+
     def warm(self) -> None:
         """Start all workers: the first who ask should not wait for them."""
         self._sparql.warm()
+
+    def open(self) -> None:
+        """There are workers from now on: an application may start again after it has ended."""
+        self._sparql.open()
+        self._documents.open()
 
     def close(self) -> None:
         """End all workers."""

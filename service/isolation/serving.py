@@ -10,7 +10,7 @@ from fastapi import Request
 
 from ..problems import Problem
 from .pool import Busy
-from .worker import TookTooLong, WorkerError
+from .worker import Died, TookTooLong, WorkerError
 
 T = TypeVar("T")
 _RETRY = {"Retry-After": "10"}
@@ -60,11 +60,13 @@ def _problem(error: Exception) -> Exception:
                 hint="ask for less: name the graph patterns that join, add a LIMIT",
                 headers=_RETRY,
             )
-        case WorkerError():
+        case Died():
             return Problem(
                 422,
                 "query needs too much",
                 f"it was stopped: {error}",
                 hint="ask for less: name the graph patterns that join, add a LIMIT",
             )
+        case WorkerError():
+            return Problem(503, "no worker", str(error), headers=_RETRY)
     return error

@@ -14,6 +14,7 @@ from ...languages.ssl.ast import StreamDeclaration
 from ..context import Context
 from ..models import AnnotationModel, ContentsIn, schema_of, text_schema
 from ..negotiation import JSON, TEXT, accepted, content_type, json_value, utf8
+from ..parsing import check_length
 from ..problems import responses
 
 router = APIRouter(tags=["annotations"])
@@ -66,6 +67,7 @@ async def annotate(request: Request, service: Context) -> list[AnnotationModel]:
     """
     kind = content_type(request, (TEXT, JSON))
     body = await request.body()
+    check_length(body)
     if kind == TEXT:
         text = utf8(body)
         quotas = service.gate.quotas

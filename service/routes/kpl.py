@@ -11,6 +11,7 @@ from ...engine.commands import AddKpl, RemoveKpl
 from ..context import Context
 from ..models import DeclarationModel, OneDeclarationModel, RemovedModel, text_schema
 from ..negotiation import JSON, TEXT, accepted, text_body
+from ..parsing import check_length
 from ..problems import responses
 
 router = APIRouter(tags=["kpl"])
@@ -40,6 +41,7 @@ async def declare(request: Request, service: Context, unit: Unit = "ms") -> list
     409 where a stream or the code is otherwise. Gives what is new; what was declared in the same
     words before changes nothing.
     """
+    check_length(await request.body())
     text = await text_body(request, (TEXT,))
     return [DeclarationModel.of(view) for view in await service.do(AddKpl(text, unit))]
 

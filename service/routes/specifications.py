@@ -10,6 +10,7 @@ from ...engine.commands import ApplySpecification
 from ..context import Context
 from ..models import InsertionModel, SpecificationModel, text_schema
 from ..negotiation import TEXT_XML, XML, content_type
+from ..parsing import check_length
 from ..problems import responses
 
 router = APIRouter(tags=["specifications"])
@@ -44,7 +45,9 @@ async def apply(request: Request, service: Context) -> SpecificationModel:
     """
     content_type(request, KINDS)
     # Bytes: the text says itself how it is encoded.
-    view = await service.do(ApplySpecification(await request.body()))
+    body = await request.body()
+    check_length(body)
+    view = await service.do(ApplySpecification(body))
     service.feeds.review()
     return SpecificationModel.of(view)
 

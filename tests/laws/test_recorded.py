@@ -1,7 +1,11 @@
 """An engine with a data directory goes on as one that was never closed, wherever it was cut off."""
 
+import os
 import random
 import shutil
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 from commanding import REFUSALS, life, state
@@ -12,6 +16,8 @@ from dyknow.engine.commands import done
 from dyknow.engine.engine import Engine
 from dyknow.engine.recorded import RecordedEngine
 from dyknow.journal.log import Durability
+
+SUPPORT = Path(__file__).parent.parent / "support"
 
 
 def do(doer, command):
@@ -60,3 +66,25 @@ def check(path: Path, seed: int, length: int, cuts: set[int]) -> None:
     finally:
         recorded._directory.close()
         shutil.rmtree(path)
+
+
+def live(folder, seed, first, last, hashes):
+    """A part of a life in a process of its own, with other hashes of texts; what it tells."""
+    return subprocess.run(
+        [sys.executable, SUPPORT / "living.py", folder, str(seed), str(first), str(last)],
+        env={**os.environ, "PYTHONHASHSEED": str(hashes)},
+        capture_output=True,
+        check=False,
+        text=True,
+    )
+
+
+def test_it_goes_on_in_other_processes_with_other_hashes(tmp_path):
+    seed = 6
+    whole = live("-", seed, 0, "end", 1)
+    assert len(whole.stdout) > 20_000, whole.stderr
+    parts = [(0, 25), (25, 50), (50, "end")]
+    for hashes, (first, last) in enumerate(parts, 2):
+        lived = live(str(tmp_path / "data"), seed, first, last, hashes)
+        assert lived.returncode == -signal.SIGKILL, lived.stderr
+    assert lived.stdout == whole.stdout

@@ -85,11 +85,13 @@ def client(url: str) -> Iterator[Client]:
 
 @pytest.fixture
 def logger() -> Iterator[logging.Logger]:
-    """The service's logger, for tests that `configure` it; afterwards it is as it was."""
-    found = logging.getLogger(LOG_NAME)
-    before = (found.handlers, found.propagate, found.level)
-    yield found
-    found.handlers, found.propagate, found.level = before
+    """The service's logger, for tests that `configure` it; afterwards it, and the server's, are as
+    they were."""
+    both = [logging.getLogger(name) for name in (LOG_NAME, "uvicorn")]
+    before = [(each.handlers, each.propagate, each.level) for each in both]
+    yield both[0]
+    for each, (handlers, propagate, level) in zip(both, before, strict=True):
+        each.handlers, each.propagate, each.level = handlers, propagate, level
 
 
 @pytest.fixture

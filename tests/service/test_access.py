@@ -8,11 +8,13 @@ import struct
 from collections.abc import Iterator
 from urllib.parse import urlsplit
 
+import anyio
 import httpx
 import pytest
 from fastapi import FastAPI
 from fastapi.routing import APIRoute
 from pydantic import SecretStr
+from starlette.types import Message
 from typer.testing import CliRunner
 
 from dyknow.engine.engine import Engine
@@ -249,6 +251,22 @@ def test_an_upgrade_to_websockets_is_a_request_like_others(url: str) -> None:
         "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n"
     )
     assert status_of(raw(url, head.encode())) == 401
+
+
+def test_a_websocket_is_closed_before_it_begins() -> None:
+    """Where another server than ours hands one on."""
+    app = create_app(Engine(epoch="e1"), Settings(), lambda: 0)
+    sent: list[Message] = []
+
+    async def receive() -> Message:
+        return {"type": "websocket.connect"}
+
+    async def send(message: Message) -> None:
+        sent.append(message)
+
+    scope = {"type": "websocket", "path": "/status/events", "headers": [], "scheme": "ws"}
+    anyio.run(app, scope, receive, send)
+    assert [message["type"] for message in sent] == ["websocket.close"]
 
 
 def test_event_streams_are_for_readers(admin: Client, url: str) -> None:

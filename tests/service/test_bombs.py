@@ -101,6 +101,14 @@ def served() -> Iterator[Served]:
             reader.join()
 
 
+SHORT = {
+    "/kpl": "strmgen a = " + "f(" * 20_000 + "s5" + ")" * 20_000,
+    "/annotations": "stream s5 contains speed" + "(" * 20_000 + ")" * 20_000 + " = spd",
+    "/specifications": "<a>" * 10_000 + "</a>" * 10_000,
+}
+"""What is short enough to be parsed."""
+
+
 def named(bomb: Bomb) -> str:
     return bomb.name
 
@@ -108,6 +116,12 @@ def named(bomb: Bomb) -> str:
 @pytest.mark.parametrize("bomb", list(texts()), ids=named)
 def test_texts(served: Served, bomb: Bomb) -> None:
     served.shoot(bomb)
+
+
+@pytest.mark.parametrize("path", SHORT)
+def test_texts_that_are_parsed(served: Served, path: str) -> None:
+    kind = "application/xml" if path == "/specifications" else TEXT
+    served.shoot(Bomb(path, "POST", path, kind, SHORT[path]))
 
 
 @pytest.mark.parametrize("bomb", list(documents()), ids=named)

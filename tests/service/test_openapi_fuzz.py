@@ -6,7 +6,7 @@ from typing import Any
 
 import schemathesis
 from hypothesis import HealthCheck, settings
-from schemathesis.checks import not_a_server_error
+from schemathesis.checks import not_a_server_error, status_code_conformance
 
 from dyknow.engine.engine import Engine
 from dyknow.service.app import create_app
@@ -43,4 +43,4 @@ schema = schemathesis.openapi.from_asgi("/openapi.json", app).exclude(path_regex
     suppress_health_check=list(HealthCheck),
 )
 def test_no_request_makes_the_service_fail(case: schemathesis.Case) -> None:
-    case.call_and_validate(checks=[not_a_server_error])
+    case.call_and_validate(checks=[not_a_server_error, status_code_conformance])

@@ -9,7 +9,7 @@ import pytest
 from pydantic import SecretStr
 
 from dyknow.service.client import Client
-from dyknow.service.sessions import COOKIE, LASTS, MOST, Sessions, set_cookie
+from dyknow.service.sessions import COOKIE, LASTS, MOST, MOST_OF_ONE, Sessions, set_cookie
 from dyknow.service.settings import Settings
 from dyknow.service.tokens import Caller, Scope
 
@@ -152,11 +152,21 @@ def test_sessions_end_by_themselves() -> None:
 
 def test_sessions_are_bounded() -> None:
     sessions = Sessions(lambda: 0)
-    caller = Caller("x", frozenset())
-    values = [sessions.begin(caller) for _ in range(MOST + 1)]
+    callers = [Caller(f"x{i}", frozenset()) for i in range(MOST + 1)]
+    values = [sessions.begin(caller) for caller in callers]
     known = [sessions.caller(f"{COOKIE}={value}".encode()) for value in values]
-    assert known == [None] + [caller] * MOST
+    assert known == [None, *callers[1:]]
     assert set_cookie("v", secure=True).endswith("; Secure")
+
+
+def test_nobody_logs_others_out() -> None:
+    sessions = Sessions(lambda: 0)
+    mine, others = Caller("me", frozenset()), Caller("other", frozenset())
+    value = sessions.begin(mine)
+    first, *rest = [sessions.begin(others) for _ in range(MOST_OF_ONE + 1)]
+    assert sessions.caller(f"{COOKIE}={value}".encode()) is mine
+    assert sessions.caller(f"{COOKIE}={first}".encode()) is None
+    assert sessions.caller(f"{COOKIE}={rest[0]}".encode()) is others
 
 
 @pytest.mark.parametrize("settings", [Settings(port=0)], ids=["open"])

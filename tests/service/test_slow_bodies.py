@@ -15,7 +15,7 @@ import httpx
 import pytest
 
 from dyknow.engine.engine import Engine
-from dyknow.service import bounds
+from dyknow.service import bounds, slow_bodies
 from dyknow.service.app import create_app
 from dyknow.service.bounds import HEAD_LIMIT, REFUSED, Bounds, address_of
 from dyknow.service.server import running
@@ -118,6 +118,18 @@ def test_a_body_that_trickles_is_answered(url: str, http: httpx.Client, stream: 
             except TimeoutError:
                 continue
         assert received.startswith(b"HTTP/1.1 408 ")
+
+
+def test_a_body_that_is_too_slow_need_not_come_to_its_deadline(
+    engine: Engine, clock: Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(slow_bodies, "GRACE", SOON)
+    # It has ten times as long as this test, and looks at the waiting often enough.
+    settings = Settings(port=0, body_timeout=10 * LONG, body_rate=1_000_000)
+    with running(create_app(engine, settings, clock), settings) as url, connected(url) as slow:
+        httpx.put(f"{url}/streams/s", json={"fields": FIELDS}, trust_env=False)
+        slow.sendall(head("POST", "/streams/s/samples", "Content-Length: 1000") + b"{")
+        assert answer(slow)[0] == 408
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 import pytest
 
 from dyknow.streams.fluent import FluentStream, Retention, join_availtimes
+from dyknow.streams.generator import StreamGenerator
 from dyknow.streams.sample import Field, FieldType, SampleError, Schema, batch_from_rows
 from dyknow.streams.strings import StringPool
 
@@ -159,3 +160,42 @@ def test_a_large_batch_is_not_copied():
     for time in range(500, 540):
         made.append(batch_from_rows(NUMBERS, [(time, time, {"n": time})]))
     assert made.since(1)[0].batch is large
+
+
+class Reader:
+    def receive(self, source, batch):
+        self.batch = batch
+
+    def advance(self, source, watermark):
+        pass
+
+
+def test_texts_that_nobody_has_any_more_are_forgotten():
+    """Of a stream that nobody reads; who reads it may know them by their codes."""
+    generator = StreamGenerator(
+        "s",
+        Schema((Field("name", FieldType.STRING),)),
+        retention=Retention(50),
+        pools={"name": StringPool()},
+    )
+    reader = Reader()
+    sizes = []
+
+    def say(first, last):
+        for k in range(first, last):
+            rows = [(k * 10 + i, 0, {"name": f"name {k} {i}"}) for i in range(10)]
+            generator.offer(batch_from_rows(generator.schema, rows, generator.stream.pools))
+            sizes.append(len(generator.stream.pools["name"]))
+
+    say(0, 2_000)
+    assert max(sizes) < 5_000
+    assert [row[2]["name"] for row in generator.stream.all().rows()] == [
+        f"name {k} {i}" for k in range(1_995, 2_000) for i in range(10)
+    ]
+    generator.subscribe(reader)
+    pool = generator.stream.pools["name"]
+    say(2_000, 3_000)
+    assert generator.stream.pools["name"] is pool is reader.batch.columns["name"].pool
+    generator.unsubscribe(reader)
+    say(3_000, 3_001)
+    assert len(generator.stream.pools["name"]) <= 60

@@ -121,7 +121,7 @@ def texts() -> Iterator[Bomb]:
         "open": "[" * DEEP,
         "foreach": "foreach x in y " * 50_000,
     }.items():
-        yield Bomb(f"KPL: {name}", "POST", "/kpl", TEXT, body)
+        yield Bomb(f"KPL: {name}", "POST", "/kpl", TEXT, body, (400, 413))
     for name, policy in {"brackets": "(" * DEEP, "parts": "sample every 1s, " * 50_000}.items():
         body = json.dumps({"stream": "s5", "policy": policy})
         yield Bomb(f"policy: {name}", "POST", "/subscriptions", JSON, body, (400, 422))
@@ -132,7 +132,7 @@ def texts() -> Iterator[Bomb]:
         "unit": f"{begin}(UAV) = spd [{'m.' * DEEP}m] for every UAV = id",
         "power": f"{begin}(UAV) = spd [m{'9' * DEEP}] for every UAV = id",
     }.items():
-        yield Bomb(f"SSL: {name}", "POST", "/annotations", TEXT, body)
+        yield Bomb(f"SSL: {name}", "POST", "/annotations", TEXT, body, (400, 413))
 
 
 _LAUGHS: Final = (
@@ -156,7 +156,7 @@ def documents() -> Iterator[Bomb]:
         "one long entity": _QUADRATIC,
         "an open comment": "<!--" * 500_000,
     }.items():
-        yield Bomb(f"XML: {name}", "POST", "/specifications", XML, body)
+        yield Bomb(f"XML: {name}", "POST", "/specifications", XML, body, (400, 413))
         yield Bomb(f"RDF/XML: {name}", "POST", _ONTOLOGY, RDF_XML, body)
     for name, body in {
         "lists": nested("[", "]"),
