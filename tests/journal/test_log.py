@@ -252,6 +252,23 @@ def test_the_last_room_of_a_disk_is_used(tmp_path):
     log.close()
 
 
+def test_a_record_may_be_longer_than_the_room_that_is_made_and_than_a_file(tmp_path):
+    disk = SimulatedDisk()
+    log = Log(tmp_path, segment=100, disk=disk)
+    long = b"l" * (5 << 20)
+    assert log.append(long) == 1
+    disk.room = 5 << 20
+    with pytest.raises(JournalFull):
+        log.append(long)
+    disk.room = None
+    assert log.append(long) == 2
+    log.commit()
+    disk.kill()
+    again = Log(tmp_path)
+    assert [data for _, data in again.read()] == [long, long]
+    again.close()
+
+
 def test_while_what_was_taken_cannot_be_written_nothing_more_is_taken(tmp_path):
     disk = SimulatedDisk()
     log = Log(tmp_path, disk=disk)

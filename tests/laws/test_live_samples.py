@@ -15,6 +15,7 @@ from dyknow.engine.engine import Engine
 from dyknow.engine.errors import DyknowError
 from dyknow.engine.views import StreamDeclaration
 from dyknow.rdf.namespaces import DYKNOW
+from dyknow.service.keeper import Keeper
 from dyknow.service.live import LiveLines, LiveTables
 from dyknow.streams.fluent import Retention
 from dyknow.streams.sample import Field, FieldType, Schema, batch_from_rows
@@ -24,6 +25,7 @@ SCHEMA = Schema((Field("id", FieldType.STRING), Field("n", FieldType.INTEGER)))
 
 
 ENGINE = Engine(epoch="e1")
+KEEPER = Keeper(ENGINE, None, {})
 NUMBERS = itertools.count()
 """Each example has streams of its own in one engine, which takes longer to make than all else."""
 
@@ -119,7 +121,7 @@ def cut(data, places):
 
 
 def live(name, parts, make=LiveLines):
-    samples = make(ENGINE, name, lambda: 100)
+    samples = make(ENGINE, KEEPER, name, lambda: 100)
     try:
         for part in parts:
             samples.take(part)

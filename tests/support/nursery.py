@@ -84,7 +84,7 @@ async def warm(folder: Path) -> None:
             transport=httpx.ASGITransport(app), base_url="http://127.0.0.1"
         ) as client,
     ):
-        for path in ("/readyz", "/status", "/streams"):
+        for path in ("/healthz", "/status", "/streams"):
             (await client.get(path)).raise_for_status()
 
 
