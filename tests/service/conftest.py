@@ -43,7 +43,7 @@ def clock() -> HandClock:
 
 @pytest.fixture
 def settings() -> Settings:
-    return Settings(port=0, tick=0.02, sse_ping=0, body_limit=1 << 20)
+    return Settings(port=0, tick=0.02, sse_ping=0, body_limit=1 << 20, slow_request=60)
 
 
 @pytest.fixture

@@ -271,7 +271,7 @@ def test_a_client_that_goes_frees_its_worker(engine: Engine) -> None:
         host, port = url.removeprefix("http://").split(":")
         with socket.create_connection((host, int(port))) as gone:
             query = httpx.QueryParams({"query": ENDLESS})
-            gone.sendall(f"GET /sparql?{query} HTTP/1.1\r\nHost: x\r\n\r\n".encode())
+            gone.sendall(f"GET /sparql?{query} HTTP/1.1\r\nHost: localhost\r\n\r\n".encode())
             _until(lambda: app.state.service.isolation.busy == 1)
             refused = ask(http, "ASK {}")
             assert refused.status_code == 503
