@@ -89,8 +89,9 @@ def state_of(
     names = {id(value): name for name, value in outside.given().items() if value is not None}
     try:
         _deep(lambda: _Writer(target, names, unkept).dump((engine, more)))
-    except (pickle.PicklingError, TypeError, AttributeError, RecursionError) as error:
-        raise CheckpointError(f"the state cannot be written: {error}") from error
+    except Exception as error:  # user code may be in it, and raise anything
+        told = f"{type(error).__name__}: {error}"
+        raise CheckpointError(f"the state cannot be written: {told}") from error
     return target.getvalue()
 
 

@@ -18,14 +18,18 @@ import msgspec
 
 from ..continuous.options import Bounds, Report, Semantics
 from ..converters.arrow import decode_arrow
+from ..converters.errors import ConversionError
 from ..converters.ndjson import decode_ndjson
 from ..converters.wire import Incoming
+from ..languages.errors import LanguageError
 from ..languages.ssl.annotation import CheckedAnnotation, StreamAnnotation
+from ..ontology.errors import OntologyError, QueryRefused
 from ..ontology.ontology import PreparedOntology
 from ..ontology.reading import TextFormat
 from ..streams.time import SECOND
 from .describing import DescribedStream, DescribedTransformation
 from .engine import Engine
+from .errors import DyknowError
 from .registered import TransformationView
 from .tape import Reading
 from .views import (
@@ -41,6 +45,10 @@ from .views import (
 )
 
 BatchKind: TypeAlias = Literal["ndjson", "arrow"]
+
+
+REFUSALS = (DyknowError, LanguageError, ConversionError, OntologyError, QueryRefused, ValueError)
+"""What commands raise that are refused: nothing was done then that was asked for."""
 
 
 class Command(
@@ -100,6 +108,19 @@ class Begin(Command, frozen=True, tag="begin"):
 
     def apply(self, engine: Engine) -> None:
         engine.epoch = self.epoch
+
+
+class Refused(Command, frozen=True, tag="refused"):
+    """A command that was refused when it was given: it may have left a number used, or stopped a
+    query that did not hold any more."""
+
+    command: bytes
+
+    def apply(self, engine: Engine) -> None:
+        try:
+            read(self.command).apply(engine)
+        except REFUSALS:
+            return
 
 
 class EndStream(Command, frozen=True, tag="end stream"):
@@ -352,6 +373,7 @@ class RemoveTransformation(Command, frozen=True, tag="remove transformation"):
 
 AnyCommand: TypeAlias = (
     Begin
+    | Refused
     | Tick
     | Publish
     | EndStream

@@ -22,6 +22,7 @@ from ..streams.sample import Column, Field, FieldType, SampleBatch, Schema, conc
 from ..streams.strings import StringPool
 from .checkpoint import Outside
 from .commands import (
+    REFUSALS,
     AnyCommand,
     CancelEvent,
     Command,
@@ -33,7 +34,6 @@ from .commands import (
     Unsubscribe,
 )
 from .engine import Engine
-from .errors import DyknowError
 from .intake import UsedKey
 
 
@@ -137,7 +137,7 @@ def engine_from(
     for command in portable.standing:
         try:
             standing.note(command, command.apply(engine))
-        except DyknowError as error:
+        except REFUSALS as error:
             lost.append(f"{command}: {error}")
     return engine, standing, lost
 

@@ -17,20 +17,28 @@ from typing import Any, TypeVar
 import msgspec
 
 from ..continuous.budget import UNLIMITED, Budget
-from ..converters.errors import ConversionError, WireError
 from ..journal.checkpoints import Checkpoint, Checkpoints
 from ..journal.directory import DataDirectory
 from ..journal.disk import DISK, Disk
 from ..journal.errors import JournalDamaged, JournalError
 from ..journal.log import SEGMENT, Durability, Log
-from ..languages.errors import LanguageError
-from ..ontology.errors import OntologyError
 from ..ontology.ontology import Ontology
 from .busy import Stopwatch
 from .checkpoint import CheckpointError, Outside, engine_of, program, state_of
-from .commands import Begin, Command, OpenStream, ReadAlready, Tick, done, read, written
+from .commands import (
+    REFUSALS,
+    Begin,
+    Command,
+    OpenStream,
+    Publish,
+    ReadAlready,
+    Refused,
+    Tick,
+    done,
+    read,
+    written,
+)
 from .engine import Engine
-from .errors import DyknowError
 from .portable import Portable, Standing, engine_from, portable_of
 from .processes import PROCESSES, Processes
 from .supervision import DIRECT, Runner
@@ -101,8 +109,10 @@ class RecordedEngine:
         self._within = False
         self._asked_for: list[OpenStream] = []
         """Those that the command asked for that is done at present."""
-        self._unwritten: list[OpenStream] = []
-        """Streams that were opened while the log took nothing."""
+        self._unwritten: list[Command] = []
+        """What was done while the log took nothing: streams opened, commands refused."""
+        self.failure: str | None = None
+        """What failed within a command, so that nobody knows what of it was done."""
         self._directory = DataDirectory(path, disk)
         try:
             self._checkpoints = Checkpoints(self._directory.checkpoints, disk)
@@ -144,10 +154,17 @@ class RecordedEngine:
                 readings = self._runner.tape.taken()
                 if readings and isinstance(command, Tick):
                     entry.payload = written(Tick(command.now, readings))
-        except Exception:
-            # What was refused is not done again, but what it asked for on the way is there.
+        except JournalError:
+            raise
+        except REFUSALS:
+            # It is not done, but may have left something on the way. A batch leaves but streams.
             self._unwritten += self._asked_for
+            if not isinstance(command, Publish | Tick):
+                self._unwritten.append(Refused(written(command)))
             self._write_what_can_be()
+            raise
+        except Exception as error:
+            self.failure = f"{type(error).__name__} in a command: {error}"
             raise
         finally:
             self._within = False
@@ -160,6 +177,8 @@ class RecordedEngine:
 
         Raises `CheckpointError` where something cannot be written down. Cost: O(state).
         """
+        if self.failure is not None:
+            raise CheckpointError(f"the state is not to be trusted: {self.failure}")
         position = self.log.position
         unkept: list[str] = []
         state = state_of(self.engine, self._standing, self._outside, unkept)
@@ -241,14 +260,20 @@ class RecordedEngine:
 
     def _from(self, kept: Checkpoint, now: int) -> Engine:
         """The engine of a checkpoint; raises `CheckpointError`."""
+        reason = f"the directory was written by {kept.program}, this is {program()}"
         if kept.program == program():
-            engine, standing = engine_of(kept.state, self._outside)
-            assert isinstance(engine, Engine)
-            self._standing = standing
-            return engine
-        portable = msgspec.msgpack.decode(kept.portable, type=Portable)
+            try:
+                engine, self._standing = engine_of(kept.state, self._outside)
+                return engine
+            except CheckpointError as error:
+                # Of user-written processes it may name what is not there any more.
+                reason = str(error)
+        try:
+            portable = msgspec.msgpack.decode(kept.portable, type=Portable)
+        except msgspec.DecodeError as error:
+            raise CheckpointError(f"{reason}; {error}") from error
         engine, self._standing, lost = engine_from(portable, now, self._outside)
-        self._begin_anew(f"the directory was written by {kept.program}, this is {program()}")
+        self._begin_anew(reason)
         self.recovery.notes += lost
         return engine
 
@@ -295,7 +320,7 @@ class RecordedEngine:
             if isinstance(command, Tick):
                 self._runner.tape.play(command.readings)
             self._standing.note(command, command.apply(engine))
-        except (DyknowError, LanguageError, ConversionError, WireError, OntologyError) as error:
+        except Exception as error:  # noqa: BLE001  the service starts without it, and says so
             self._begin_anew(f"record {position} could not be done again: {error}")
 
 

@@ -135,21 +135,8 @@ class Log:
         """
         if not payload:
             raise ValueError("a record is not empty")
-        if self._broken is not None:
-            raise JournalBroken(self._broken, _RESTART)
-        if self._stuck:
-            # Else what waits in memory would grow for as long as the disk is full.
-            raise _full()
         position, entry = self.position + 1, Entry(payload)
-        least = size_of(payload) + room
-        with self._lock:
-            try:
-                if not self._open or self._is_full(self._open[-1]):
-                    self._begin(position, least)
-                segment = self._open[-1]
-                segment.make_room(least)
-            except OSError as error:
-                raise _refusal(error) from error
+        segment = self._with_room(size_of(payload) + room)
         yield entry
         size = size_of(entry.payload)
         with self._lock:
@@ -162,6 +149,26 @@ class Log:
             segment.add(position, entry.payload)
             self.position = position
             self.written += size
+
+    def check_room(self, size: int) -> None:
+        """Raises `JournalFull` and `JournalBroken` where `entry` would, of so many bytes."""
+        self._with_room(size)
+
+    def _with_room(self, size: int) -> Segment:
+        if self._broken is not None:
+            raise JournalBroken(self._broken, _RESTART)
+        if self._stuck:
+            # Else what waits in memory would grow for as long as the disk is full.
+            raise _full()
+        with self._lock:
+            try:
+                if not self._open or self._is_full(self._open[-1]):
+                    self._begin(self.position + 1, size)
+                segment = self._open[-1]
+                segment.make_room(size)
+            except OSError as error:
+                raise _refusal(error) from error
+        return segment
 
     def append(self, payload: bytes) -> int:
         """Keep ``payload`` with the next commit; returns its position. Raises as `entry` does."""
@@ -213,7 +220,12 @@ class Log:
         try:
             self._mark.write(self._now())
         except OSError as error:
-            raise self._failed(error) from error
+            refusal = _refusal(error)
+            if isinstance(refusal, JournalBroken):
+                self._broken = refusal.message
+                raise refusal from error
+            # What was taken is kept. The mark tells a later start of damage; the next commit
+            # writes it anew.
         self._stuck = False
         return until
 

@@ -109,9 +109,11 @@ def create_app(
         settings.sse_ping,
         settings.sse_send_timeout,
     )
-    feeds = Feeds(engine, settings.sse_cache, clients, recorded=keeper.is_recording)
     if keeper.is_recording:
+        feeds = Feeds(engine, settings.sse_cache, clients, lambda: keeper.is_kept)
         keeper.show_to(feeds)
+    else:
+        feeds = Feeds(engine, settings.sse_cache, clients)
     bodies = UnderWay()
     service = Service(
         engine,

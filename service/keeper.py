@@ -25,6 +25,8 @@ JOURNAL = "journal"
 CHECKPOINT = "checkpoint"
 _AGAIN = 10.0
 """Seconds after a checkpoint that failed until the next one is tried."""
+_WAITING = 4 << 20
+"""So many bytes may wait to be kept."""
 _LATEST = 1.0
 """Seconds until what nobody waits for is kept."""
 
@@ -64,6 +66,8 @@ class Keeper:
         self._thread = ThreadPoolExecutor(1, "dyknow-journal")
         self._written = 0
         """Bytes of the log at the last checkpoint."""
+        self._kept_bytes = 0
+        """And at the last commit."""
         self._begun: float | None = None
         self._not_before = float("-inf")
         """No checkpoint is tried before."""
@@ -104,6 +108,22 @@ class Keeper:
             self._fail(JOURNAL, error)
             raise
 
+    def check_room(self, size: int) -> None:
+        """Before so many bytes are looked at: they can be kept. Raises `JournalError`."""
+        if self._recorded is None:
+            return
+        try:
+            self._recorded.log.check_room(size)
+        except JournalError as error:
+            self._fail(JOURNAL, error)
+            raise
+
+    @property
+    def is_behind(self) -> bool:
+        """Whether so much waits to be kept that who brings more should wait, too."""
+        recorded = self._recorded
+        return recorded is not None and recorded.log.written - self._kept_bytes > _WAITING
+
     async def kept(self) -> None:
         """Return when all that is done by now is kept. Raises `JournalError`: then it may not be,
         and the same sent again under its Idempotency-Key does no harm."""
@@ -141,6 +161,7 @@ class Keeper:
         loop = asyncio.get_running_loop()
         begun = loop.time()
         mark = None if self._audience is None else self._audience.mark()
+        size = self._recorded.log.written
         try:
             await loop.run_in_executor(self._thread, self._recorded.log.commit)
         except JournalError as error:
@@ -150,6 +171,7 @@ class Keeper:
             raise
         finally:
             self._commit = None
+        self._kept_bytes = size
         self.commits += 1
         self.commit_seconds += loop.time() - begun
         self._recover(JOURNAL)
@@ -168,6 +190,9 @@ class Keeper:
         if not self.is_kept and (self._has_news() or now - self._tended >= _LATEST):
             self._tended = now
             await self.kept()
+        if self.is_kept and self._audience is not None and self._audience.has_news:
+            # What came after the last commit had begun, and is in it.
+            self._audience.show(self._audience.mark())
         written = recorded.log.written - self._written
         is_old = now - self._begun >= settings.checkpoint_interval and written > 0
         if now >= self._not_before and (is_old or written >= settings.checkpoint_bytes):

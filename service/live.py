@@ -66,6 +66,11 @@ class LiveSamples(ABC):
     def end(self) -> None:
         """The body is whole: publish what is left."""
 
+    async def keep_up(self) -> None:
+        """Wait while too much waits to be kept. Raises `JournalError`."""
+        if self._keeper.is_behind:
+            await self._keeper.kept()
+
     def _target(self) -> StreamGenerator:
         """Asked each time: the stream may have been declared anew, or removed, meanwhile."""
         return self._engine.accepting(self._name)
@@ -147,6 +152,7 @@ class LiveLines(LiveSamples):
         # Not at the body's beginning, a byte order mark is no more than a bad line.
         if text.startswith(BOM):
             raise WireError(1, "not JSON: a byte order mark", "send one JSON object a line")
+        self._keeper.check_room(len(text))
         incoming = decode_ndjson(text, generator.schema, generator.stream.pools)
         blank = len(text) - len(text.lstrip())
         self._publish(incoming, "ndjson", text, 1 + text.count(b"\n", 0, blank))
@@ -225,6 +231,7 @@ class LiveBodies:
                 live.end()
                 return
             body.keep(live.held)
+            await live.keep_up()
         raise Problem(
             503,
             "the service stops",

@@ -12,8 +12,8 @@ limit, and what a client has not taken (`EventStream`). There is no queue a clie
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import msgspec
 from fastapi import Request
@@ -186,10 +186,15 @@ class Feed:
 
 @dataclass(slots=True)
 class Start:
-    """Where a cursor begins: the next sample's number, and what to say first about a loss."""
+    """Where a cursor begins: the next sample's number, and what to say first about a loss.
+
+    ``seen`` is the number of the newest sample there was then: whoever sends it, waits until what
+    was done by then is kept.
+    """
 
     number: int
     opening: bytes = b""
+    seen: int = 0
 
 
 class Cursor:
@@ -209,12 +214,13 @@ class Cursor:
         self._feeds = feeds
         self._feed: Feed | None = None
         self._opening = start.opening
+        self._seen = start.seen
         self._switches = switches
         self._marks = Marks(() if switches is None else switches, start.number - 1, self._is_shown)
 
     def join(self, client: EventClient) -> None:
         """``client`` is to be woken when there is something. Raises `UnknownStream`."""
-        self._feed = self._feeds.join(self.name, self.number - 1, client)
+        self._feed = self._feeds.join(self.name, self._seen, client)
         if self._switches is not None:
             self._feed.switches = self._switches
 
@@ -260,14 +266,20 @@ class Feeds:
     """All streams that clients listen to."""
 
     def __init__(
-        self, engine: Engine, cache_limit: int, clients: EventClients, *, recorded: bool = False
+        self,
+        engine: Engine,
+        cache_limit: int,
+        clients: EventClients,
+        is_kept: Callable[[], bool] | None = None,
     ) -> None:
+        """``is_kept`` says whether all that was done is kept, of an engine that is recorded."""
         self.all = clients
         """All clients, whatever they listen to."""
         self._engine = engine
         self._cache = MessageCache(cache_limit)
         self._feeds: dict[str, Feed] = {}
-        self._unseen: dict[Feed, None] | None = {} if recorded else None
+        self._is_kept = is_kept
+        self._unseen: dict[Feed, None] | None = None if is_kept is None else {}
 
     @property
     def epoch(self) -> str:
@@ -284,10 +296,11 @@ class Feeds:
 
         Raises `UnknownStream`, or a 400 `Problem` for an id that is none.
         """
+        stream = self._engine.generator(name).stream
         if since is None:
-            return Start(self._newest(name) + 1)
+            return Start(self._newest(name) + 1, seen=stream.last_number)
         if since == "start":
-            return Start(self._engine.generator(name).stream.first_number)
+            return Start(stream.first_number, seen=stream.last_number)
         epoch, _, digits = since.rpartition("-")
         if not epoch or not is_number(digits):
             raise bad_id(since)
@@ -299,28 +312,31 @@ class Feeds:
         Raises `UnknownStream`.
         """
         number += 1
-        newest = self._newest(name)
-        if epoch == self._engine.epoch and number <= newest + 1:
-            return Start(number)
+        # Not what is shown: a client may have seen more than one that has just come.
+        last = self._engine.generator(name).stream.last_number
+        if epoch == self._engine.epoch and number <= last + 1:
+            return Start(number, seen=last)
         if epoch != self._engine.epoch:
             reason = "the service has begun anew since: numbers count from 1 again"
         else:
             reason = "the stream has begun anew since: numbers count from 1 again"
         lost = {"stream": name, "from": number, "to": None, "epoch": epoch, "reason": reason}
-        return Start(1, message("gap", lost))
+        return Start(1, message("gap", lost), seen=last)
 
-    def join(self, name: str, start: int, client: EventClient) -> Feed:
-        """``client`` listens to a stream, and has seen what is kept of it up to sample ``start``.
-        Raises `UnknownStream`."""
+    def join(self, name: str, seen: int, client: EventClient) -> Feed:
+        """``client`` listens to a stream, of which all up to sample ``seen`` is kept. Raises
+        `UnknownStream`."""
         generator = self._engine.generator(name)
         # A stream may have several names; all who follow it are woken together.
         feed = self._feeds.get(generator.name)
         if feed is None or feed.generator is not generator:
             feed = Feed(self._engine, generator, self._cache, self.all, self._unseen)
-            if self._unseen is not None:
-                # The next mark shows what has come since the client looked where to begin.
-                feed.shown = replace(feed.look_now(), newest=start)
-                self._unseen[feed] = None
+            if self._is_kept is not None and self._unseen is not None:
+                feed.shown = feed.look_now()
+                if not self._is_kept():
+                    # The next mark shows what has come since the client looked where to begin.
+                    feed.shown = Shown(seen, False, None)
+                    self._unseen[feed] = None
             generator.listen(feed)
             self._feeds[generator.name] = feed
         feed.clients[client] = None

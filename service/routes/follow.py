@@ -30,4 +30,7 @@ async def follow_streams(
     is opaque: with it as `Last-Event-ID`, and the same streams, all of them go on where they were.
     `end` is of one stream; the answer ends with the last of them.
     """
-    return follow_many(service.feeds, request, service.client_key(request), stream, since)
+    key = service.client_key(request)
+    answer = follow_many(service.feeds, request, key, stream, since)
+    await service.settled()
+    return answer

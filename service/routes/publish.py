@@ -82,5 +82,7 @@ async def publish_samples(
     batch = Publish(
         name, "ndjson" if kind == NDJSON else "arrow", body, service.clock(), idempotency_key
     )
+    # What is decoded stays with the stream's texts: not of what cannot be kept.
+    service.keeper.check_room(len(body))
     incoming = batch.decode(service.engine)
     return AcceptedModel(accepted=await service.do(batch, incoming))

@@ -140,8 +140,10 @@ async def follow(
 ) -> Response:
     """The event stream of ``name``; ``switches`` as `event_stream` takes them."""
     key = service.client_key(request)
+    answer = event_stream(service.feeds, request, key, name, since, switches)
+    # It says where it begins, and that is to be so after a restart, too.
     await service.settled()
-    return event_stream(service.feeds, request, key, name, since, switches)
+    return answer
 
 
 def _known(service: Service, name: str) -> bool:

@@ -6,6 +6,7 @@ import random
 import pytest
 
 import dyknow.engine.recorded as recorded_module
+from dyknow.engine.checkpoint import CheckpointError
 from dyknow.engine.commands import (
     AddKpl,
     Annotate,
@@ -15,6 +16,7 @@ from dyknow.engine.commands import (
     RegisterQuery,
     RegisterTemplate,
     RequestEvent,
+    SetQuality,
     Subscribe,
     Tick,
     read,
@@ -155,3 +157,37 @@ def test_another_program_goes_on_from_what_it_understands(tmp_path, monkeypatch,
     assert later.engine.stream("s").last_number > before.last_number
     later.close()
     monkeypatch.undo()
+
+
+def test_a_state_that_names_what_is_gone_is_no_loss(tmp_path, monkeypatch):
+    """As of a class of a user-written process that has another name now."""
+    first = opened(tmp_path)
+    declare(first, "s")
+    say(first, 1, 2, 9)
+    kept = rows(first.engine, "s")
+    first.close()
+
+    def gone(*given):
+        raise CheckpointError("there is no class Smooth any more")
+
+    monkeypatch.setattr(recorded_module, "engine_of", gone)
+    later = opened(tmp_path)
+    assert not later.recovery.is_continued
+    assert "Smooth" in " ".join(later.recovery.notes)
+    assert rows(later.engine, "s") == kept
+    later.close()
+
+
+def test_after_an_error_within_a_command_there_is_no_checkpoint(tmp_path, monkeypatch):
+    first = opened(tmp_path)
+    declare(first, "s")
+    monkeypatch.setattr(first.engine, "set_quality", lambda *given: {}["none"])
+    with pytest.raises(KeyError):
+        first.do(SetQuality("s", 0.5))
+    with pytest.raises(CheckpointError, match="not to be trusted"):
+        first.checkpoint()
+    cut_off(first)
+    again = opened(tmp_path)
+    assert again.recovery.is_continued
+    assert [view.name for view in again.engine.streams()] == ["status", "s"]
+    again.close()

@@ -47,6 +47,7 @@ EXAMPLES = [
     c.Publish("s5", "ndjson", b'{"valid": 1, "spd": 31.5}\n', 5, "key"),
     c.Publish("s5", "arrow", b"\x00\xff", 6),
     c.EndStream("s5"),
+    c.Refused(c.written(c.EndStream("nowhere"))),
     c.DeclareStream(
         StreamDeclaration(
             "s5",

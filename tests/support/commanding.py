@@ -65,6 +65,7 @@ QUERIES = (
     "WHERE { ?o dyknow:speed ?v BIND (CONCAT(STR(?o), STR(?v)) AS ?n) }",
     "SELECT ?o (MAX(?v) AS ?m) WHERE { ?o dyknow:speed ?v } GROUP BY ?o WINDOW [RANGE 2s STEP 1s]",
     f"SELECT ?x WHERE {{ ?x dyknow:speed }} FROM STREAM {_S}",
+    f"SELECT ?o FROM STREAM <{IRI}nowhere.trdf> [RANGE 2s STEP 1s] WHERE {{ ?o dyknow:speed ?v }}",
 )
 ISTREAM = (
     f"REGISTER ISTREAM <news> AS SELECT ?o ?v FROM NAMED WINDOW <{IRI}w> ON {_S} "
@@ -118,6 +119,7 @@ class _Life:
             self._query,
             self._query,
             lambda: c.RemoveQuery(f"q{pick.randrange(len(QUERIES))}"),
+            lambda: c.RemoveQuery(f"dyknow_reserved{pick.randrange(1, 6)}"),
             lambda: c.CancelEvent(f"event{pick.randrange(1, 6)}"),
             lambda: c.Subscribe(
                 pick.choice(("s", "t", "s_late", "q0", "nowhere")),
@@ -161,8 +163,9 @@ class _Life:
         number = self._random.randrange(len(QUERIES) + 1)
         if number == len(QUERIES):
             return c.RegisterQuery(ISTREAM)
-        kind = self._random.choice(("STREAM", "QUERY"))
-        text = f"REGISTER {kind} q{number} AS {QUERIES[number]}"
+        # Without a name the system gives it one.
+        head = self._random.choice(("REGISTER STREAM q{} AS ", "REGISTER QUERY q{} AS ", ""))
+        text = head.format(number) + QUERIES[number]
         return c.RegisterQuery(text, since=self._random.choice(tuple(Since)))
 
     def _values(self) -> c.Command:
