@@ -24,6 +24,7 @@ TABLES = (
     "service.py",
     "latency.py",
     "sse.py",
+    "journal.py",
     "ingest.py",
     "accuracy.py",
     "policies.py",

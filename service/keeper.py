@@ -23,6 +23,7 @@ from .settings import Settings
 
 JOURNAL = "journal"
 CHECKPOINT = "checkpoint"
+ENGINE = "engine"
 _AGAIN = 10.0
 """Seconds after a checkpoint that failed until the next one is tried."""
 _WAITING = 4 << 20
@@ -107,6 +108,9 @@ class Keeper:
         except JournalError as error:
             self._fail(JOURNAL, error)
             raise
+        finally:
+            if self._recorded.failure is not None:
+                self._troubles[ENGINE] = self._recorded.failure
 
     def check_room(self, size: int) -> None:
         """Before so many bytes are looked at: they can be kept. Raises `JournalError`."""
@@ -208,7 +212,14 @@ class Keeper:
             unwritten = recorded.checkpoint()
             await self.kept()
             await asyncio.get_running_loop().run_in_executor(self._thread, unwritten.write)
-        except (JournalError, CheckpointError, OSError) as error:
+        except CheckpointError as error:
+            # All is kept by the log alone, and a start takes longer.
+            if str(error) not in self._unkept:
+                self._unkept.add(str(error))
+                log().warning("no checkpoint", reason=str(error))
+            self._not_before = asyncio.get_running_loop().time() + _AGAIN
+            return
+        except (JournalError, OSError) as error:
             self._fail(CHECKPOINT, error)
             # Each try costs as much as one that succeeds.
             self._not_before = asyncio.get_running_loop().time() + _AGAIN
