@@ -15,8 +15,8 @@ demo: $(VENV)/installed ## replay five minutes of recorded flights and find even
 serve: $(VENV)/installed ## leave the service running with the same flights replaying
 	@$(BIN)/dyknow serve --port $(PORT) --flights
 
-# On all cores; whoever is done takes tests from the others.
-PYTEST := $(BIN)/pytest -n auto --dist worksteal
+# One more at work than there are cores: many tests wait. Whoever is done takes tests from the others.
+PYTEST := $(BIN)/pytest -n $$(( $$(nproc) + 1 )) --dist worksteal
 
 test: lint image-check ## everything that CI runs
 	$(PYTEST) --hypothesis-profile=ci

@@ -111,6 +111,9 @@ class RecordedEngine:
         """Those that the command asked for that is done at present."""
         self._unwritten: list[Command] = []
         """What was done while the log took nothing: streams opened, commands refused."""
+        self.refused_outside: tuple[type[Exception], ...] = ()
+        """What those raise who are asked within a command (`Engine.before_demand`): before anything
+        is done, and not when it is done again."""
         self.failure: str | None = None
         """What failed within a command, so that nobody knows what of it was done."""
         self._directory = DataDirectory(path, disk)
@@ -155,6 +158,8 @@ class RecordedEngine:
                 if readings and isinstance(command, Tick):
                     entry.payload = written(Tick(command.now, readings))
         except JournalError:
+            raise
+        except self.refused_outside:
             raise
         except REFUSALS:
             # It is not done, but may have left something on the way. A batch leaves but streams.

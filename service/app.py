@@ -101,6 +101,7 @@ def create_app(
     recorded: RecordedEngine | None = None
     if isinstance(engine, RecordedEngine):
         recorded, engine = engine, engine.engine
+        recorded.refused_outside = (problems.Problem,)
     troubles: dict[str, str] = {}
     keeper = Keeper(engine, recorded, troubles)
     clients = EventClients(
