@@ -148,6 +148,7 @@ class RecordedEngine:
         Raises `JournalFull` and `JournalBroken`, and what the command does: nothing is written
         down then, and nothing done.
         """
+        refusals: tuple[type[Exception], ...] = (*REFUSALS, *self.refused_outside)
         self._write_opened()
         self._within = True
         try:
@@ -159,12 +160,10 @@ class RecordedEngine:
                     entry.payload = written(Tick(command.now, readings))
         except JournalError:
             raise
-        except self.refused_outside:
-            raise
-        except REFUSALS:
+        except refusals as error:
             # It is not done, but may have left something on the way. A batch leaves but streams.
             self._unwritten += self._asked_for
-            if not isinstance(command, Publish | Tick):
+            if isinstance(error, REFUSALS) and not isinstance(command, Publish | Tick):
                 self._unwritten.append(Refused(written(command)))
             self._write_what_can_be()
             raise

@@ -399,8 +399,9 @@ class Feeds:
         self._unseen.update((feed, None) for feed, _ in mark)
 
     def _newest(self, name: str) -> int:
-        feed = self._feeds.get(name)
-        return self._engine.generator(name).stream.last_number if feed is None else feed.newest
+        generator = self._engine.generator(name)
+        feed = self._feeds.get(generator.name)
+        return generator.stream.last_number if feed is None else feed.newest
 
 
 def event_stream(
