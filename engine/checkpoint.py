@@ -23,11 +23,10 @@ from types import CellType, CodeType, FunctionType, MappingProxyType, ModuleType
 from typing import Any, TypeVar
 
 import numpy as np
-import pyoxigraph
-from pyoxigraph import RdfFormat, Store
+from pyoxigraph import Store
 
 from ..continuous.budget import UNLIMITED, Budget
-from ..ontology.ontology import quads_of
+from ..ontology.ontology import quads_of, store_of
 from .busy import Stopwatch
 from .engine import Engine
 from .processes import Processes
@@ -203,13 +202,7 @@ def _reduce_compiled(value: Any) -> str:
 
 
 def _reduce_store(value: Store) -> Any:
-    return _store, (quads_of(value),)
-
-
-def _store(quads: bytes) -> Store:
-    store = Store()
-    store.extend(pyoxigraph.parse(quads, RdfFormat.N_QUADS))
-    return store
+    return store_of, (quads_of(value),)
 
 
 def _reduce_array(value: np.ndarray[Any, Any]) -> Any:

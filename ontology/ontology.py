@@ -139,9 +139,7 @@ class Ontology:
     @classmethod
     def of_quads(cls, quads: bytes) -> Ontology:
         """One in memory with these N-Quads, of `quads`."""
-        store = Store()
-        store.extend(parse(quads, RdfFormat.N_QUADS))
-        return cls(store, None)
+        return cls(store_of(quads), None)
 
     def quads(self) -> bytes:
         """All there is as N-Quads, sorted."""
@@ -149,16 +147,15 @@ class Ontology:
             return quads_of(self.store)
 
     def __getstate__(self) -> dict[str, Any]:
-        """As it is copied, if it is in memory: the lock is each one's own."""
+        """As it is copied, if it is in memory: the lock is each one's own. The store is for who
+        copies (engine/checkpoint)."""
         assert self.path is None
-        kept = {**self.__dict__, "store": self.quads()}
+        kept = dict(self.__dict__)
         del kept["_lock"], kept["_closed"]
         return kept
 
     def __setstate__(self, kept: dict[str, Any]) -> None:
-        store = Store()
-        store.extend(parse(kept["store"], RdfFormat.N_QUADS))
-        self.__dict__.update(kept, store=store, _lock=threading.RLock(), _closed=None)
+        self.__dict__.update(kept, _lock=threading.RLock(), _closed=None)
 
     # -- ontologies -------------------------------------------------------------------------
 
@@ -578,6 +575,13 @@ class Ontology:
 def quads_of(store: Store) -> bytes:
     """All of a store as N-Quads, sorted: each quad a line, blank nodes by their names."""
     return b"".join(sorted(f"{quad} .\n".encode() for quad in store))
+
+
+def store_of(quads: bytes) -> Store:
+    """The inverse of `quads_of`: one in memory."""
+    store = Store()
+    store.extend(parse(quads, RdfFormat.N_QUADS))
+    return store
 
 
 def _opened(path: Path) -> Store:

@@ -10,14 +10,12 @@ from fastapi import Depends, Request
 
 from ..engine.commands import Command, ReadAlready, Tick
 from ..engine.engine import Engine
-from ..journal.errors import JournalError
 from ..streams.time import Clock
 from .access import Gate
 from .event_clients import ClientKey, address_of
 from .isolation.services import Isolation
 from .keeper import Keeper
 from .live import LiveBodies
-from .logs import log
 from .metrics import Metrics
 from .settings import Settings
 from .sse import Feeds
@@ -73,14 +71,6 @@ class Service:
         found = self.keeper.do(command, known)
         await self.keeper.kept()
         return found
-
-    async def settled(self) -> None:
-        """Return when what was done before is kept, or cannot be at present."""
-        try:
-            await self.keeper.kept()
-        except JournalError as error:
-            # In `troubles`. What there is goes on being shown: up to what was kept before.
-            log().debug("not kept yet", reason=str(error))
 
     def tick(self) -> None:
         """Tell the engine the time, and event stream clients which streams are gone."""

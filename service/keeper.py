@@ -10,6 +10,7 @@ kept yet is shown to nobody: `Audience`. Without a data directory all of this co
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Protocol
 
@@ -74,20 +75,12 @@ class Keeper:
         """No checkpoint is tried before."""
         self._tended = float("-inf")
         self._unkept: set[str] = set()
-        """Processes of which it was told that their state is not kept."""
-        self.commits = 0
-        self.commit_seconds = 0.0
-        self.checkpoints = 0
+        """Of what it was told that it is not in checkpoints, or why there are none."""
 
     @property
     def is_recording(self) -> bool:
         """Whether anything is kept."""
         return self._recorded is not None
-
-    @property
-    def position(self) -> int:
-        """How many commands were written down."""
-        return 0 if self._recorded is None else self._recorded.log.position
 
     @property
     def is_kept(self) -> bool:
@@ -142,15 +135,16 @@ class Keeper:
     def hasten(self) -> None:
         """Begin to keep what is done, for those who look on: nobody waits for it."""
         if not self.is_kept and self._commit is None:
-            task = asyncio.get_running_loop().create_task(self._hastened())
+            task = asyncio.get_running_loop().create_task(self.settled())
             self._hastening.add(task)
             task.add_done_callback(self._hastening.discard)
 
-    async def _hastened(self) -> None:
+    async def settled(self) -> None:
+        """Return when what was done before is kept, or cannot be at present: that is in
+        `troubles`, and the next tick tries again."""
         try:
             await self.kept()
         except JournalError as error:
-            # In `troubles`; the next tick tries again.
             log().debug("not kept yet", reason=str(error))
 
     async def _committed(self) -> None:
@@ -162,12 +156,10 @@ class Keeper:
 
     async def _commit_once(self) -> None:
         assert self._recorded is not None
-        loop = asyncio.get_running_loop()
-        begun = loop.time()
         mark = None if self._audience is None else self._audience.mark()
         size = self._recorded.log.written
         try:
-            await loop.run_in_executor(self._thread, self._recorded.log.commit)
+            await self._beside(self._recorded.log.commit)
         except JournalError as error:
             if self._audience is not None:
                 self._audience.keep_unseen(mark)
@@ -176,8 +168,6 @@ class Keeper:
         finally:
             self._commit = None
         self._kept_bytes = size
-        self.commits += 1
-        self.commit_seconds += loop.time() - begun
         self._recover(JOURNAL)
         if self._audience is not None:
             self._audience.show(mark)
@@ -191,45 +181,45 @@ class Keeper:
         now = asyncio.get_running_loop().time()
         if self._begun is None:
             self._begun = now
-        if not self.is_kept and (self._has_news() or now - self._tended >= _LATEST):
+        audience = self._audience
+        has_news = audience is not None and audience.has_news
+        if not self.is_kept and (has_news or now - self._tended >= _LATEST):
             self._tended = now
             await self.kept()
-        if self.is_kept and self._audience is not None and self._audience.has_news:
+        if self.is_kept and audience is not None and audience.has_news:
             # What came after the last commit had begun, and is in it.
-            self._audience.show(self._audience.mark())
+            audience.show(audience.mark())
         written = recorded.log.written - self._written
         is_old = now - self._begun >= settings.checkpoint_interval and written > 0
         if now >= self._not_before and (is_old or written >= settings.checkpoint_bytes):
             self._begun = now
             await self._checkpoint(recorded)
 
-    def _has_news(self) -> bool:
-        return self._audience is not None and self._audience.has_news
-
     async def _checkpoint(self, recorded: RecordedEngine) -> None:
         """One that fails is told in ``troubles``, and tried again when it is time again."""
         try:
             unwritten = recorded.checkpoint()
             await self.kept()
-            await asyncio.get_running_loop().run_in_executor(self._thread, unwritten.write)
-        except CheckpointError as error:
-            # All is kept by the log alone, and a start takes longer.
-            if str(error) not in self._unkept:
-                self._unkept.add(str(error))
-                log().warning("no checkpoint", reason=str(error))
-            self._not_before = asyncio.get_running_loop().time() + _AGAIN
-            return
-        except (JournalError, OSError) as error:
-            self._fail(CHECKPOINT, error)
+            await self._beside(unwritten.write)
+        except (CheckpointError, JournalError, OSError) as error:
             # Each try costs as much as one that succeeds.
             self._not_before = asyncio.get_running_loop().time() + _AGAIN
+            if not isinstance(error, CheckpointError):
+                self._fail(CHECKPOINT, error)
+            elif str(error) not in self._unkept:
+                # All is kept by the log alone, and a start takes longer.
+                self._unkept.add(str(error))
+                log().warning("no checkpoint", reason=str(error))
             return
         self._written = recorded.log.written
-        self.checkpoints += 1
         for process in set(unwritten.unkept) - self._unkept:
             self._unkept.add(process)
             log().warning("the state of a process would not survive a restart", process=process)
         self._recover(CHECKPOINT)
+
+    async def _beside(self, work: Callable[[], object]) -> None:
+        """Do what waits for the disk in the journal's own thread, one thing at a time."""
+        await asyncio.get_running_loop().run_in_executor(self._thread, work)
 
     def close(self) -> None:
         """Keep all there is, with a checkpoint, and let the directory go."""

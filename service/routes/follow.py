@@ -32,5 +32,5 @@ async def follow_streams(
     """
     key = service.client_key(request)
     answer = follow_many(service.feeds, request, key, stream, since)
-    await service.settled()
+    await service.keeper.settled()
     return answer

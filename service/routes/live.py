@@ -55,7 +55,7 @@ async def publish_live(
         return Response(status_code=400)  # nobody reads it
     except Exception as error:
         # What the answer says of it holds.
-        await service.settled()
+        await service.keeper.settled()
         raise _refusal(error, live) from error
     await service.keeper.kept()
     return AcceptedModel(accepted=live.accepted)

@@ -142,7 +142,7 @@ async def follow(
     key = service.client_key(request)
     answer = event_stream(service.feeds, request, key, name, since, switches)
     # It says where it begins, and that is to be so after a restart, too.
-    await service.settled()
+    await service.keeper.settled()
     return answer
 
 

@@ -219,21 +219,26 @@ def test_a_connection_on_which_no_request_comes_is_closed(
     assert refusals(http, "silent connection") >= 1
 
 
+def is_closed_on(connection: socket.socket, drop: bytes) -> bool:
+    """Whether the service closes a connection into which ``drop`` trickles again and again."""
+    connection.settimeout(0.02)
+    begun = time.monotonic()
+    closed = False
+    while not closed and time.monotonic() - begun < LONG:
+        try:
+            connection.sendall(drop)
+            closed = connection.recv(4096) == b""
+        except TimeoutError:
+            continue
+        except OSError:
+            closed = True
+    return closed
+
+
 def test_a_head_that_trickles_is_no_request(url: str) -> None:
     with connected(url) as connection:
         connection.sendall(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n")
-        connection.settimeout(0.02)
-        begun = time.monotonic()
-        closed = False
-        while not closed and time.monotonic() - begun < LONG:
-            try:
-                connection.sendall(b"X-Slow: 1\r\n")
-                closed = connection.recv(4096) == b""
-            except TimeoutError:
-                continue
-            except OSError:
-                closed = True
-        assert closed
+        assert is_closed_on(connection, b"X-Slow: 1\r\n")
 
 
 def test_so_is_a_second_request_of_a_connection(url: str) -> None:
@@ -249,18 +254,7 @@ def test_a_body_that_nobody_wants_does_not_keep_its_connection(url: str) -> None
     with connected(url) as connection:
         connection.sendall(head("POST", "/nothing", "Content-Length: 1000000"))
         assert answer(connection)[0] == 404
-        connection.settimeout(0.02)
-        begun = time.monotonic()
-        closed = False
-        while not closed and time.monotonic() - begun < LONG:
-            try:
-                connection.sendall(b" ")
-                closed = connection.recv(4096) == b""
-            except TimeoutError:
-                continue
-            except OSError:
-                closed = True
-        assert closed
+        assert is_closed_on(connection, b" ")
 
 
 def test_a_connection_in_use_stays(url: str) -> None:
