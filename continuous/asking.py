@@ -25,6 +25,11 @@ class Kept:
         self.number = next(_NUMBERS)
         """No other one has it: who keeps a copy knows by it whether that is the same."""
 
+    def __reduce__(self) -> tuple[type[Kept], tuple[Collection[Quad]]]:
+        # Out of a checkpoint it gets a number of the process that reads it: in that one another may
+        # have its old one.
+        return Kept, (self.quads,)
+
 
 NOTHING = Kept()
 

@@ -1,11 +1,14 @@
 """What a data directory keeps of user-written processes, of what was refused, and of other
 programs' checkpoints (the law is tests/laws/test_recorded.py)."""
 
+import pickle
 import random
 
 import pytest
+from pyoxigraph import NamedNode, Quad
 
 import dyknow.engine.recorded as recorded_module
+from dyknow.continuous.asking import Kept
 from dyknow.engine.checkpoint import CheckpointError
 from dyknow.engine.commands import (
     AddKpl,
@@ -191,3 +194,13 @@ def test_after_an_error_within_a_command_there_is_no_checkpoint(tmp_path, monkey
     assert again.recovery.is_continued
     assert [view.name for view in again.engine.streams()] == ["status", "s"]
     again.close()
+
+
+def test_quads_out_of_a_checkpoint_are_taken_for_no_others():
+    """Workers know them by their number, which counts from 0 in each process."""
+    quads = [Quad(NamedNode("urn:a"), NamedNode("urn:p"), NamedNode("urn:b"))]
+    kept = Kept(quads)
+    one, other = pickle.loads(pickle.dumps([kept, kept]))
+    assert one is other
+    assert list(one.quads) == quads
+    assert len({kept.number, one.number, Kept().number}) == 3
