@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from .asking import DIRECT, Asking
+from .pauses import STRAIGHT, Pauses
 
 LOOKS: Final = 4
 """The compiled loop may look at so many rows for each that an operator may make: a look is cheap,
@@ -25,29 +26,43 @@ class BudgetExceeded(Exception):
     """A window needs more than it may: it has no result. The message says what, for people."""
 
 
+class Stopped(BudgetExceeded):
+    """A window was stopped because of what the machine did: of time, or with a process that died.
+    The same rows may do with it another time, so whoever does them again has to be told."""
+
+
 class Quarantined(Exception):
     """So many windows in a row needed more than they may that no more are evaluated."""
 
 
 @dataclass(frozen=True, slots=True)
 class Overrun:
-    """A window without a result: its end (ns), and why, for people."""
+    """A window without a result: its end (ns), and why, for people.
+
+    ``number``: so many windows had closed before. ``is_stopped``: see `Stopped`.
+    """
 
     end: int
     reason: str
+    number: int = 0
+    is_stopped: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class Budget:
     """``rows``: how many one operator may make of one window; ``results``: how many solutions a
-    query may have of one; None for any number. ``asking`` evaluates what columns cannot."""
+    query may have of one; None for any number. ``asking`` evaluates what columns cannot;
+    ``pauses`` are taken on the way."""
 
     rows: int | None = None
     results: int | None = None
     asking: Asking = DIRECT
+    pauses: Pauses = STRAIGHT
 
     def check(self, rows: int, what: str) -> None:
-        """Raises `BudgetExceeded` where an operator is about to make more rows than it may."""
+        """Raises `BudgetExceeded` where an operator is about to make more rows than it may, and as
+        `Pauses.breathe` does."""
+        self.pauses.breathe()
         if self.rows is not None and rows > self.rows:
             raise BudgetExceeded(
                 f"{what} makes {rows} rows of a window, at most {self.rows} may be"
@@ -55,6 +70,7 @@ class Budget:
 
     def check_result(self, rows: int) -> None:
         """Raises `BudgetExceeded` for so many solutions of one query: each becomes a sample."""
+        self.pauses.breathe()
         if self.results is not None and rows > self.results:
             raise BudgetExceeded(f"{rows} solutions, at most {self.results} may be")
 

@@ -50,7 +50,8 @@ def ask(
         ]
         for row in range(len(first))
     ]
-    answers = _answers(expression, known, table, terms.budget.asking)
+    with terms.budget.pauses.apart():
+        answers = _answers(expression, known, table, terms.budget.asking)
     return term_column(answers, terms.dictionary.transient_id).take(inverse)
 
 

@@ -111,7 +111,9 @@ class OxigraphWindows:
             asked += copies
             sparql = self.counting
         merged = (bool(copies) or (again and not self.distinct)) and self.counting is None
-        found = self.terms.budget.asking.ask(_at_time(sparql, end), self._kept, asked)
+        budget = self.terms.budget
+        with budget.pauses.apart():
+            found = budget.asking.ask(_at_time(sparql, end), self._kept, asked)
         return replace(self._read(found, start, end), merged=merged)
 
     def _read(self, found: Found, start: int, end: int) -> WindowResult:

@@ -108,34 +108,35 @@ class PatternJoin:
             self._kept = 0
         most = _FIRST_CAPACITY + _MOST * rows.count
         while True:
-            stayed, found = match(
-                rows.rows,
-                rows.heads,
-                rows.sizes,
-                rows.visible,
-                rows.floors,
-                rows.marks,
-                *static,
-                self._seen,
-                rows.entered - self._entered,
-                whole,
-                len(rows.windows),
-                self.patterns,
-                rows.needed,
-                self.constant_tags,
-                self.constant_bits,
-                self.operations,
-                self.filter_starts,
-                self.filter_needs,
-                self.terms.sorts_by_id,
-                self._places,
-                self._solutions,
-                self._kept,
-                self._tags,
-                self._bits,
-                self._uniform,
-                self.terms.budget.looks,
-            )
+            with self.terms.budget.pauses.apart():
+                stayed, found = match(
+                    rows.rows,
+                    rows.heads,
+                    rows.sizes,
+                    rows.visible,
+                    rows.floors,
+                    rows.marks,
+                    *static,
+                    self._seen,
+                    rows.entered - self._entered,
+                    whole,
+                    len(rows.windows),
+                    self.patterns,
+                    rows.needed,
+                    self.constant_tags,
+                    self.constant_bits,
+                    self.operations,
+                    self.filter_starts,
+                    self.filter_needs,
+                    self.terms.sorts_by_id,
+                    self._places,
+                    self._solutions,
+                    self._kept,
+                    self._tags,
+                    self._bits,
+                    self._uniform,
+                    self.terms.budget.looks,
+                )
             if found == DOUBTFUL:
                 self.forget()
                 return None

@@ -15,7 +15,15 @@ from ..languages.csparql.ast import ContinuousQuery
 from ..rdf.dictionary import TermDictionary
 from ..rdf.timed import TimedTriples
 from .background import Background
-from .budget import OVERRUNS, UNLIMITED, Budget, BudgetExceeded, Overrun, Quarantined
+from .budget import (
+    OVERRUNS,
+    UNLIMITED,
+    Budget,
+    BudgetExceeded,
+    Overrun,
+    Quarantined,
+    Stopped,
+)
 from .columns import TermValues
 from .options import Options
 from .sources import StaticSide
@@ -43,6 +51,8 @@ class WindowedEvaluator(ABC, Generic[Result]):
         self.quarantine = ""
         """Why no window is evaluated any more; empty while they are."""
         self._in_a_row = 0
+        self._stopped = ""
+        """Why the next window has no result, where that is known before."""
         self.options = options or Options()
         self._results: list[Result] = []
         self._windows = Windowing(query, terms, inputs, self.options, self._closing)
@@ -52,6 +62,20 @@ class WindowedEvaluator(ABC, Generic[Result]):
     def late(self) -> int:
         """Rows that came behind a watermark, or for a window that had closed, and were dropped."""
         return self._windows.late
+
+    @property
+    def defers(self) -> bool:
+        """Whether windows that can close wait for `close_next`; else they close at once."""
+        return self._windows.defers
+
+    @defers.setter
+    def defers(self, defers: bool) -> None:
+        self._windows.defers = defers
+
+    @property
+    def closed(self) -> int:
+        """How many windows have closed."""
+        return self._windows.closed
 
     def push(self, input: str, triples: TimedTriples) -> None:
         """Rows continue ``input``: none before its watermark. Their terms are of our dictionary."""
@@ -64,6 +88,31 @@ class WindowedEvaluator(ABC, Generic[Result]):
     def end(self, input: str) -> list[Result]:
         """``input`` has come to its end. After the last one every window with content closes."""
         return self._until_quarantined(lambda: self._windows.end(input))
+
+    @property
+    def is_due(self) -> bool:
+        """Whether a window waits for `close_next`."""
+        return not self.quarantine and self._windows.is_due
+
+    def close_next(self, stopped: str = "") -> bool:
+        """Close the next window that can; whether there was one. Its result is `taken`.
+
+        With ``stopped`` it is known that it was stopped when it closed first, and why.
+        """
+        if self.quarantine:
+            return False
+        self._stopped = stopped
+        try:
+            return self._windows.close_next()
+        except Quarantined:
+            return True
+        finally:
+            self._stopped = ""
+
+    def taken(self) -> list[Result]:
+        """The results of the windows that have closed since this was asked last."""
+        taken, self._results = self._results, []
+        return taken
 
     def next_end(self) -> int | None:
         """No later result is of a window that ends before this; None while that is unknown."""
@@ -78,11 +127,15 @@ class WindowedEvaluator(ABC, Generic[Result]):
         return self._windows.limit(input)
 
     def _closing(self, end: int, reports: bool) -> bool:
+        number = self._windows.closed
         try:
+            if self._stopped:
+                raise Stopped(self._stopped)
             again = self._closed(end, reports)
         except BudgetExceeded as exceeded:
             self._in_a_row += 1
-            self.overruns.append(Overrun(end, str(exceeded)))
+            is_stopped = isinstance(exceeded, Stopped)
+            self.overruns.append(Overrun(end, str(exceeded), number, is_stopped))
             if self._in_a_row == OVERRUNS:
                 self.quarantine = f"{OVERRUNS} windows in a row needed too much: {exceeded}"
                 raise Quarantined(self.quarantine) from exceeded
@@ -99,8 +152,4 @@ class WindowedEvaluator(ABC, Generic[Result]):
         if not self.quarantine:
             with suppress(Quarantined):
                 close()
-        return self._taken()
-
-    def _taken(self) -> list[Result]:
-        taken, self._results = self._results, []
-        return taken
+        return self.taken()

@@ -55,6 +55,11 @@ class Windowing:
         """Tells ns, where it is measured what selecting the rows of a window costs."""
         self.turned = 0
         """What that was for the last one."""
+        self.defers = False
+        """Whether windows close by `close_next` only, not as soon as they can."""
+        self.closed = 0
+        """How many evaluations have come to their end."""
+        self._settled: int | None = None
         self._tell = closed
         self._watermarks: dict[str, int] = {}
         self._ended: set[str] = set()
@@ -85,6 +90,18 @@ class Windowing:
         """``input`` has come to its end. After the last one every window with content closes."""
         self._ended.add(input)
         self._close()
+
+    @property
+    def is_due(self) -> bool:
+        """Whether a window can close."""
+        return self._closable() is not None
+
+    def close_next(self) -> bool:
+        """Close the next window that can; whether there was one."""
+        due = self._closable()
+        if due is not None:
+            self._evaluate(due)
+        return due is not None
 
     def resume(self, input: str) -> None:
         """``input`` had come to its end and goes on: windows wait for it again."""
@@ -151,19 +168,23 @@ class Windowing:
         return least
 
     def _close(self) -> None:
+        self._settled = None
+        while not self.defers and self.close_next():
+            pass
+
+    def _closable(self) -> Due | None:
         watermark = self._watermark()
         if watermark is None:
-            return
-        self.contents.settle(watermark)
-        while True:
-            if self._closed is not None and self.schedule.ends is not None:
-                following = self.schedule.after(self._closed)
-                if watermark <= following - self.schedule.shift:
-                    return
-            due = self._due()
-            if due is None or watermark <= due.end - self.schedule.shift:
-                return
-            self._evaluate(due)
+            return None
+        if watermark != self._settled:
+            self.contents.settle(watermark)
+            self._settled = watermark
+        if self._closed is not None and self.schedule.ends is not None:
+            following = self.schedule.after(self._closed)
+            if watermark <= following - self.schedule.shift:
+                return None
+        due = self._due()
+        return None if due is None or watermark <= due.end - self.schedule.shift else due
 
     def _due(self) -> Due | None:
         """The next evaluation: one with content, or one that is asked for without."""
@@ -190,8 +211,11 @@ class Windowing:
         begin = 0 if self.clock is None else self.clock()
         self.contents.turn(due)
         self.turned = 0 if self.clock is None else self.clock() - begin
-        again = self._tell(end, reports)
-        self.contents.drop(end, raw=again)
+        try:
+            again = self._tell(end, reports)
+            self.contents.drop(end, raw=again)
+        finally:
+            self.closed += 1
 
 
 def _meet(masks: Sequence[Mask]) -> bool:

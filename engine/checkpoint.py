@@ -27,6 +27,7 @@ from pyoxigraph import Store
 
 from ..continuous.budget import UNLIMITED, Budget
 from ..ontology.ontology import quads_of, store_of
+from .behind import Turns
 from .busy import Stopwatch
 from .engine import Engine
 from .processes import Processes
@@ -50,6 +51,7 @@ class Outside:
     runner: Runner
     stopwatch: Stopwatch | None = None
     budget: Budget = UNLIMITED
+    turns: Turns | None = None
 
     def given(self) -> dict[str, Any]:
         """By the names of `Engine`'s arguments."""

@@ -27,6 +27,7 @@ from ..ontology.errors import OntologyError, QueryRefused
 from ..ontology.ontology import PreparedOntology
 from ..ontology.reading import TextFormat
 from ..streams.time import SECOND
+from .behind import Went
 from .describing import DescribedStream, DescribedTransformation
 from .engine import Engine
 from .errors import DyknowError
@@ -121,6 +122,15 @@ class Refused(Command, frozen=True, tag="refused"):
             read(self.command).apply(engine)
         except REFUSALS:
             return
+
+
+class GoOn(Command, frozen=True, tag="go on"):
+    """Close windows of units that are behind: those that were ``done``."""
+
+    done: tuple[Went, ...] = ()
+
+    def apply(self, engine: Engine) -> None:
+        engine.go_on_again(self.done)
 
 
 class EndStream(Command, frozen=True, tag="end stream"):
@@ -376,6 +386,7 @@ AnyCommand: TypeAlias = (
     | Refused
     | Tick
     | Publish
+    | GoOn
     | EndStream
     | DeclareStream
     | RemoveStream

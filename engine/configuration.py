@@ -19,6 +19,7 @@ from ..streams.fluent import Retention
 from ..streams.generator import StreamGenerator
 from ..streams.sample import FieldType, Schema
 from ..streams.strings import StringPool
+from .behind import Behind
 from .busy import BusyTime
 from .changes import Change, ChangeKind
 from .errors import AlreadyExists, UnknownStream
@@ -79,6 +80,7 @@ class Configuration:
         on_change: Callable[[Change], None],
         first_reserved: int = 1,
         busy_time: BusyTime | None = None,
+        behind: Behind | None = None,
     ) -> None:
         self.streams: dict[str, StreamGenerator] = {}
         self.units: dict[str, ComputationalUnit] = {}
@@ -97,6 +99,7 @@ class Configuration:
         """Told of a stream that came into being by being asked for."""
         self._on_change = on_change
         self._busy_time = busy_time
+        self._behind = Behind() if behind is None else behind
         self._next_reserved = first_reserved
         self._next_unit = 1
         self._removed: OrderedDict[str, int] = OrderedDict()
@@ -437,7 +440,7 @@ class Configuration:
     ) -> None:
         """Connect a unit to its inputs, and tell; see `ComputationalUnit.start`."""
         self.units[unit.output.name] = unit
-        unit.busy_time = self._busy_time
+        unit.busy_time, unit.behind = self._busy_time, self._behind
         self._use(unit.inputs)
         text = ", ".join(f"{key}={value}" for key, value in unit.parameters.items())
         specification = self._specified[1] or specification or f"{unit.transformation}({text})"

@@ -36,6 +36,7 @@ from . import explain as explanations
 from .adaptive import Rematch, Wish
 from .annotations import Annotations
 from .application import Application
+from .behind import Behind, Turns, Went
 from .busy import BusyTime, Stopwatch
 from .changes import Change, ChangeKind, KnownTransformation
 from .configuration import C_SPARQL, Configuration
@@ -91,7 +92,7 @@ class Engine:
     the time in ns until `publish` and `tick` bring a later one. ``processes`` are the user-written
     ones that KPL may name, and ``runner`` calls them. ``ontology`` is taken instead of one in
     ``data``. With a ``stopwatch`` the work of units is measured. ``budget``
-    is what a window of a continuous query may cost.
+    is what a window of a continuous query may cost. With ``turns`` windows close in `go_on` only.
     """
 
     def __init__(
@@ -106,6 +107,7 @@ class Engine:
         ontology: Ontology | None = None,
         stopwatch: Stopwatch | None = None,
         budget: Budget = UNLIMITED,
+        turns: Turns | None = None,
     ) -> None:
         self.epoch = epoch or secrets.token_hex(4)
         if ontology is None:
@@ -119,7 +121,9 @@ class Engine:
         self._changed = status.tell
         self._transformations = Transformations(self.ontology.vocabulary, processes)
         busy_time = None if stopwatch is None else BusyTime(stopwatch)
-        self._configuration = Configuration(self._changed, first_reserved, busy_time)
+        self.behind = Behind(turns)
+        """Units whose windows take long, if there are ``turns`` for them."""
+        self._configuration = Configuration(self._changed, first_reserved, busy_time, self.behind)
         self._manager = SemanticsManager(self.ontology, self._subscribers)
         self.intake = Intake(self._configuration)
         self._idleness = Idleness()
@@ -348,7 +352,7 @@ class Engine:
         self._idleness.came(generator, self._now)
         self._rematching.came(generator.name, self._now)
         self._settle()
-        self.dictionary.collect()
+        self._collect()
         return accepted
 
     def end(self, name: str) -> None:
@@ -357,7 +361,7 @@ class Engine:
         generator.end()
         self._changed(Change(ChangeKind.STREAM_ENDED, generator.name))
         self._settle()
-        self.dictionary.collect()
+        self._collect()
 
     def tick(self, now: int) -> None:
         """The time is ``now``: streams that are stamped on arrival have nothing before it, others
@@ -381,10 +385,38 @@ class Engine:
                     unit.advance(source, now)
         self._rematching.tick(self._now)
         self._settle()
-        self.dictionary.collect()
+        self._collect()
         if now - SECOND >= self._counted:
             self._counted = now
             self._count_subscribers()
+
+    def go_on(self, *, begins: bool = True, to_end: bool = False) -> tuple[Went, ...]:
+        """Close windows of units that are behind, see `Behind.go_on`; what was done."""
+        done = tuple(self.behind.go_on(begins=begins, to_end=to_end))
+        if done:
+            self._settle()
+            self._collect()
+        return done
+
+    def is_behind(self, stream: str) -> bool:
+        """Whether a unit is behind that reads ``stream``, itself or through other units."""
+        return any(
+            source.name == stream
+            for unit in self.behind.units
+            for one in self._configuration.units_behind(unit)
+            for source in one.inputs
+        )
+
+    def go_on_again(self, done: Sequence[Went]) -> None:
+        """Do what `go_on` did; raises ``ValueError`` where there is no such thing to do."""
+        self.behind.again(done)
+        self._settle()
+        self._collect()
+
+    def _collect(self) -> None:
+        # What is half done holds terms that nobody knows of.
+        if not self.behind.is_within:
+            self.dictionary.collect()
 
     def measure(self) -> None:
         """Let SPARQL see the rates and subscribers there are: whoever asks calls this before.

@@ -23,12 +23,14 @@ from ..journal.disk import DISK, Disk
 from ..journal.errors import JournalDamaged, JournalError
 from ..journal.log import SEGMENT, Durability, Log
 from ..ontology.ontology import Ontology
+from .behind import Turns
 from .busy import Stopwatch
 from .checkpoint import CheckpointError, Outside, engine_of, program, state_of
 from .commands import (
     REFUSALS,
     Begin,
     Command,
+    GoOn,
     OpenStream,
     Publish,
     ReadAlready,
@@ -46,6 +48,8 @@ from .tape import Tape
 
 T = TypeVar("T")
 
+_WINDOWS = 1 << 16
+"""Bytes that are kept free for which windows have closed, which is not known before."""
 _READINGS = 1 << 16
 """Bytes that are kept free for what sources say in a tick, which is not known before."""
 
@@ -93,6 +97,7 @@ class RecordedEngine:
         runner: Runner = DIRECT,
         stopwatch: Stopwatch | None = None,
         budget: Budget = UNLIMITED,
+        turns: Turns | None = None,
         durability: Durability = Durability.FSYNC,
         segment: int = SEGMENT,
         disk: Disk = DISK,
@@ -104,7 +109,7 @@ class RecordedEngine:
         """
         self.recovery = Recovery()
         self._runner = RecordedRunner(runner)
-        self._outside = Outside(processes, self._runner, stopwatch, budget)
+        self._outside = Outside(processes, self._runner, stopwatch, budget, turns)
         self._standing = Standing()
         self._within = False
         self._asked_for: list[OpenStream] = []
@@ -176,10 +181,31 @@ class RecordedEngine:
         self._standing.note(command, found)
         return found
 
+    def go_on(self, *, begins: bool = True, to_end: bool = False) -> None:
+        """Close windows of units that are behind, see `Behind.go_on`, and write down which.
+
+        Raises `JournalFull` and `JournalBroken`: nothing is done then.
+        """
+        self._write_opened()
+        self._within = True
+        try:
+            with self.log.entry(written(GoOn()), _WINDOWS) as entry:
+                done = self.engine.go_on(begins=begins, to_end=to_end)
+                entry.payload = written(GoOn(done)) if done else b""
+        except JournalError:
+            raise
+        except Exception as error:
+            self.failure = f"{type(error).__name__} in closing windows: {error}"
+            raise
+        finally:
+            self._within = False
+            self._asked_for.clear()
+
     def checkpoint(self) -> Unwritten:
         """The state as it is now, to be written by `Unwritten.write`, in any thread.
 
-        Raises `CheckpointError` where something cannot be written down. Cost: O(state).
+        Contract: no window is half done (`Behind.is_within`). Raises `CheckpointError` where
+        something cannot be written down. Cost: O(state).
         """
         if self.failure is not None:
             raise CheckpointError(f"the state is not to be trusted: {self.failure}")

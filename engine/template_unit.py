@@ -72,7 +72,7 @@ class TemplateUnit(WindowUnit):
         self._heard.pop(number, None)
         for sides in self._late_of_instances.values():
             sides.pop(instance, None)
-        self.evaluator.remove(number)
+        self.between_windows(lambda: self.evaluator.remove(number))
 
     def pass_late_of(
         self, instance: InstanceUnit, source: StreamGenerator, side: StreamGenerator
@@ -117,28 +117,22 @@ class TemplateUnit(WindowUnit):
                 instance.late += self.late - late
         return kept
 
-    def progress(self, source: StreamGenerator, watermark: int) -> None:
-        self._emit(self.evaluator.advance(source.name, watermark))
-        self.judge()
-        least = self.least_watermark
-        if least is not None:
-            self.output.advance(least + 1)
-            for instance in tuple(self._followed):
-                instance.output.advance(least + 1)
+    def advance_output(self, watermark: int) -> None:
+        super().advance_output(watermark)
+        for instance in tuple(self._followed):
+            instance.output.advance(watermark)
 
-    def finish(self, source: StreamGenerator) -> None:
-        self._emit(self.evaluator.end(source.name))
-        self.judge()
-        super().finish(source)
+    def end_output(self) -> None:
+        super().end_output()
         if self.all_ended:
             for instance in tuple(self._instances.values()):
                 if self.output.watermark is not None:
                     instance.output.advance(self.output.watermark)
                 instance.output.end()
 
-    def _leave_idle_behind(self) -> None:
+    def tell_idle(self, is_idle: bool) -> None:
         was_idle = self.output.is_idle
-        super()._leave_idle_behind()
+        super().tell_idle(is_idle)
         if self.output.is_idle != was_idle:
             for instance in tuple(self._instances.values()):
                 instance.idleness_changed(self.output)
@@ -148,9 +142,9 @@ class TemplateUnit(WindowUnit):
         for instance in tuple(self._instances.values()):
             instance.output.resume()
 
-    def _emit(self, windows: Sequence[InstanceResults]) -> None:
-        self.windows += len(windows)
-        for window in windows:
+    def emit(self, results: Sequence[InstanceResults]) -> None:
+        self.windows += len(results)
+        for window in results:
             answered = window.answered.tolist()
             for number in answered:
                 instance = self._instances.get(number)
@@ -203,7 +197,7 @@ class InstanceUnit(ComputationalUnit):
         self._number: int | None = None
 
     def connect(self, source: StreamGenerator) -> None:
-        self._number = self._enter()
+        self._number = self._template.between_windows(self._enter)
         self._template.add(self, self._number)
         self.output.on_followed = lambda followed: self._template.follow(self, followed)
         if source.is_ended:

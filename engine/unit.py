@@ -8,9 +8,10 @@ What it makes of a batch is the subclass's `process`; order, isolation and ends 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
@@ -26,12 +27,14 @@ from ..ontology.units import Conversion
 from ..streams.generator import StreamGenerator
 from ..streams.sample import Column, FieldType, Mask, SampleBatch, Times
 from ..streams.time import TIME_MAX, TIME_MIN, format_time
+from .behind import Behind, Overwhelmed, Task, Turns, Went
 from .busy import BusyTime
 from .changes import Role
 from .stream_view import flow_of
 from .supervision import ErrorCounters
 from .views import Since
 
+T = TypeVar("T")
 UnitFunction = Callable[..., tuple[np.ndarray[Any, Any], Mask]]
 """An implementation: ``f(objects, valid, *inputs) -> (values, present)``, all shape ``(n,)``.
 
@@ -77,6 +80,8 @@ class ComputationalUnit(ABC):
         self.busy = 0
         """How long it has worked (ns), if somebody measures it: without those it sets to work."""
         self.busy_time: BusyTime | None = None
+        self.behind = Behind()
+        """Who closes its windows, if it has any."""
         self.windows = 0
         """How many windows it has evaluated."""
         self.late_streams: dict[StreamGenerator, StreamGenerator] = {}
@@ -184,7 +189,11 @@ class ComputationalUnit(ABC):
                 place = min(known) if others else max(known)
                 for source in self._idle:
                     self._reach(source, place if self._until is None else min(place, self._until))
-        if self._idle and not others:
+        self.tell_idle(bool(self._idle) and not others)
+
+    def tell_idle(self, is_idle: bool) -> None:
+        """The output says nothing for now, or may."""
+        if is_idle:
             self.output.fall_idle()
         else:
             self.output.wake()
@@ -262,8 +271,12 @@ class ComputationalUnit(ABC):
             self.output.advance(least)
 
     def finish(self, source: StreamGenerator) -> None:
-        """An input ended; by default the output ends with the last of them, at the moment up to
-        which one of them was known: whichever was told first."""
+        """An input ended; by default the output ends with the last of them."""
+        self.end_output()
+
+    def end_output(self) -> None:
+        """End the output if all inputs have, at the moment up to which one of them was known:
+        whichever was told first."""
         if self.all_ended:
             if self._watermarks:
                 self.output.advance(max(self.seen + 1, *self._watermarks.values()))
@@ -435,6 +448,17 @@ class WindowUnit(ComputationalUnit):
         super().__init__(*args)
         self.evaluator = evaluator
         self._converters = converters
+        self._put_by: deque[tuple[str, tuple[Any, ...]]] = deque()
+        """What inputs have said since the unit is behind."""
+        self._task: Task | None = None
+        self._is_behind = False
+        self._spent = 0.0
+        """Seconds that its windows took since it fell behind."""
+        self._told = 0
+        """Of so many windows the results are told."""
+        self._has_to_end = False
+        self._has_to_be_idle: bool | None = None
+        """What is to be told when it has caught up."""
 
     @property
     def reads(self) -> Sequence[StreamGenerator]:
@@ -451,6 +475,32 @@ class WindowUnit(ComputationalUnit):
                 flows[source.name] = flow
         return flows
 
+    def start(
+        self, since: Since = Since.NOW, after: int | None = None, until: int | None = None
+    ) -> None:
+        self.evaluator.defers = self.behind.turns is not None
+        super().start(since, after, until)
+
+    def receive(self, source: StreamGenerator, batch: SampleBatch) -> None:
+        if not self._puts_by("receive", source, batch):
+            super().receive(source, batch)
+
+    def advance(self, source: StreamGenerator, watermark: int) -> None:
+        if not self._puts_by("advance", source, watermark):
+            super().advance(source, watermark)
+
+    def ended(self, source: StreamGenerator) -> None:
+        if not self._puts_by("ended", source):
+            super().ended(source)
+
+    def resumed(self, source: StreamGenerator) -> None:
+        if not self._puts_by("resumed", source):
+            super().resumed(source)
+
+    def idleness_changed(self, source: StreamGenerator) -> None:
+        if not self._puts_by("idleness_changed", source):
+            super().idleness_changed(source)
+
     def process(self, source: StreamGenerator, batch: SampleBatch) -> None:
         limit = self.evaluator.limit(source.name)
         if limit is not None:
@@ -460,9 +510,51 @@ class WindowUnit(ComputationalUnit):
         for converter in self._converters[source.name]:
             self.evaluator.push(source.name, converter.convert(batch))
 
+    def progress(self, source: StreamGenerator, watermark: int) -> None:
+        self.emit(self.evaluator.advance(source.name, watermark))
+        self._tell_time()
+
+    def finish(self, source: StreamGenerator) -> None:
+        self._has_to_end = True
+        self.emit(self.evaluator.end(source.name))
+        self._tell_time()
+
     def resume(self, source: StreamGenerator) -> None:
         super().resume(source)
         self.evaluator.resume(source.name)
+
+    @abstractmethod
+    def emit(self, results: Sequence[Any]) -> None:
+        """Tell the results of windows, in their order."""
+
+    def advance_output(self, watermark: int) -> None:
+        """Promise that nothing comes before ``watermark`` any more."""
+        self.output.advance(watermark)
+
+    def tell_idle(self, is_idle: bool) -> None:
+        if self._is_behind:
+            self._has_to_be_idle = is_idle
+        else:
+            super().tell_idle(is_idle)
+
+    def _tell_time(self) -> None:
+        """Say how far the output is, unless windows have to close before."""
+        self.judge()
+        if self.evaluator.is_due:
+            self._is_behind = True
+            self.behind.fell(self)
+            return
+        self._is_behind = False
+        least = self.least_watermark
+        if least is not None:
+            # A window that is still open ends at ``least`` or later; its results come after it.
+            self.advance_output(least + 1)
+        if self._has_to_end:
+            self._has_to_end = False
+            self.end_output()
+        if self._has_to_be_idle is not None:
+            is_idle, self._has_to_be_idle = self._has_to_be_idle, None
+            self.tell_idle(is_idle)
 
     def judge(self) -> None:
         """Tell of windows that needed more than they may. Raises `Quarantined` for too many of
@@ -474,6 +566,111 @@ class WindowUnit(ComputationalUnit):
             self._on_failure(self)
         if self.evaluator.quarantine:
             raise Quarantined(self.evaluator.quarantine)
+
+    # -- behind ------------------------------------------------------------------------------
+
+    @property
+    def is_within(self) -> bool:
+        """Whether a window is half done."""
+        return self._task is not None
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether it can go on now."""
+        return self._task is None or self._task.is_ready
+
+    def go_on(self, turns: Turns, *, to_end: bool = False) -> list[Went]:
+        """Close windows for as long as ``turns`` has time, tell their results, and take what was
+        put by; gives what was done. ``to_end``: until the window that is half done has closed.
+        """
+        done: list[Went] = []
+        self._guarded(lambda: self._go_on(turns, done, to_end=to_end))
+        self._catch_up()
+        return done
+
+    def again(self, went: Went) -> None:
+        """Do what `go_on` did."""
+        self._guarded(lambda: self._again(went))
+        self._catch_up()
+
+    def between_windows(self, change: Callable[[], T]) -> T:
+        """Do what changes the evaluator from without: not in the middle of a window."""
+        if self._task is not None:
+            # Its result is told in the unit's next turn, as if it had closed there.
+            self._task.go_on(to_end=True)
+        return change()
+
+    def _go_on(self, turns: Turns, done: list[Went], *, to_end: bool) -> None:
+        task = self._task or turns.begin(self.evaluator.close_next)
+        before, is_done = task.spent, True
+        try:
+            is_done = task.go_on(to_end=to_end)
+        finally:
+            # Those before one that fails have closed nevertheless.
+            self._task = None if is_done else task
+            self._spent += task.spent - before
+            done += self._went()
+            self.emit(self.evaluator.taken())
+        self.judge()
+        if self._spent > turns.most:
+            text = f"its windows took {self._spent:.0f} s, and more of them wait"
+            if self.evaluator.is_due:
+                done.append(Went(self.name, 0, text))
+                raise Overwhelmed(text)
+
+    def _went(self) -> list[Went]:
+        """The windows that have closed since this was asked last; one that was stopped is the last
+        of its kind."""
+        found, closed = [], self.evaluator.closed
+        for overrun in self.evaluator.overruns:
+            if overrun.is_stopped:
+                found.append(Went(self.name, overrun.number + 1 - self._told, overrun.reason))
+                self._told = overrun.number + 1
+        if closed > self._told:
+            found.append(Went(self.name, closed - self._told))
+            self._told = closed
+        return found
+
+    def _again(self, went: Went) -> None:
+        self._told += went.windows
+        try:
+            for left in reversed(range(went.windows)):
+                if not self.evaluator.close_next("" if left else went.stopped):
+                    raise ValueError(f"{self.name} has no window to close")
+        finally:
+            self.emit(self.evaluator.taken())
+        self.judge()
+        if not went.windows:
+            raise Overwhelmed(went.stopped)
+
+    def _puts_by(self, what: str, *given: Any) -> bool:
+        """Whether this is for later: windows have to close before."""
+        if not self._is_behind and not self._put_by:
+            return False
+        self._put_by.append((what, given))
+        return True
+
+    def _catch_up(self) -> None:
+        """Say and take what had to wait for windows that have closed."""
+        while self.failure is None and self._task is None and not self.evaluator.is_due:
+            self._guarded(self._tell_time)
+            if not self._put_by:
+                break
+            what, given = self._put_by.popleft()
+            getattr(super(), what)(*given)
+        if not self._is_behind:
+            self._spent = 0.0
+            self.behind.left(self)
+
+    def _leave_inputs(self) -> None:
+        if self._task is not None:
+            # Whoever has left it half done would wait for its thread for ever.
+            task, self._task = self._task, None
+            task.go_on(to_end=True)
+        self._put_by.clear()
+        self._is_behind = False
+        self.behind.left(self)
+        super()._leave_inputs()
 
 
 class Answer:
@@ -528,20 +725,7 @@ class QueryUnit(WindowUnit):
         """How the query is evaluated; its costs are estimated from the rates of its streams."""
         return self.evaluator.explain(self.flows())
 
-    def progress(self, source: StreamGenerator, watermark: int) -> None:
-        self._emit(self.evaluator.advance(source.name, watermark))
-        self.judge()
-        least = self.least_watermark
-        if least is not None:
-            # A window that is still open ends at ``least`` or later; its results come after it.
-            self.output.advance(least + 1)
-
-    def finish(self, source: StreamGenerator) -> None:
-        self._emit(self.evaluator.end(source.name))
-        self.judge()
-        super().finish(source)
-
-    def _emit(self, windows: Sequence[WindowResult]) -> None:
-        self.windows += len(windows)
-        for window in windows:
-            self._answer.give(window)
+    def emit(self, results: Sequence[WindowResult]) -> None:
+        self.windows += len(results)
+        for result in results:
+            self._answer.give(result)

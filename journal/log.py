@@ -128,7 +128,7 @@ class Log:
     def entry(self, payload: bytes, room: int = 0) -> Iterator[Entry]:
         """``payload`` (not empty) is kept with the next commit if the block ends without an error,
         and never was if it raises. The block may put another in its place that has up to ``room``
-        bytes more.
+        bytes more, or an empty one: then nothing is kept.
 
         Raises `JournalFull` when the disk has no room for it, and `JournalBroken`, before the block
         begins. Contract: one block at a time.
@@ -138,6 +138,8 @@ class Log:
         position, entry = self.position + 1, Entry(payload)
         segment = self._with_room(size_of(payload) + room)
         yield entry
+        if not entry.payload:
+            return
         size = size_of(entry.payload)
         with self._lock:
             try:

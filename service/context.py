@@ -8,13 +8,13 @@ from typing import Annotated, Any
 
 from fastapi import Depends, Request
 
-from ..engine.commands import Command, ReadAlready, Tick
+from ..engine.commands import Command, EndStream, Publish, ReadAlready, Tick
 from ..engine.engine import Engine
 from ..streams.time import Clock
 from .access import Gate
 from .event_clients import ClientKey, address_of
 from .isolation.services import Isolation
-from .keeper import Keeper
+from .keeper import ANYTIME, Keeper
 from .live import LiveBodies
 from .metrics import Metrics
 from .settings import Settings
@@ -67,9 +67,14 @@ class Service:
         self.feeds.close()
 
     async def do(self, command: Command, known: ReadAlready | None = None) -> Any:
-        """Do ``command`` at once; return what it gives when it is kept."""
+        """Do ``command``; return what it gives when it is kept. Who publishes waits a moment for
+        those who read the stream."""
+        if not isinstance(command, ANYTIME):
+            await self.keeper.quiet()
         found = self.keeper.do(command, known)
         await self.keeper.kept()
+        if isinstance(command, Publish | EndStream):
+            await self.keeper.caught_up(command.stream)
         return found
 
     def tick(self) -> None:

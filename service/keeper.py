@@ -3,6 +3,9 @@
     found = service.keeper.do(command)     # at once: the engine has done it
     await service.keeper.kept()            # then it may be told: it survives
 
+Windows of continuous queries that take long are closed a little at a time, after the command that
+made them due and between those that come next (`pausing`).
+
 Requests that wait together share one write and sync of the log. What came of commands that are not
 kept yet is shown to nobody: `Audience`. Without a data directory all of this costs nothing.
 """
@@ -12,14 +15,16 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from typing import Any, Protocol
 
 from ..engine.checkpoint import CheckpointError
-from ..engine.commands import Command, ReadAlready, done
+from ..engine.commands import Command, EndStream, Publish, ReadAlready, Tick, done
 from ..engine.engine import Engine
 from ..engine.recorded import RecordedEngine
 from ..journal.errors import JournalError
 from .logs import log
+from .pausing import FIRST, FURTHER, Pausing
 from .settings import Settings
 
 JOURNAL = "journal"
@@ -29,8 +34,18 @@ _AGAIN = 10.0
 """Seconds after a checkpoint that failed until the next one is tried."""
 _WAITING = 4 << 20
 """So many bytes may wait to be kept."""
+_PASSES = 3
+"""So often others have their turn between two turns of windows: a request takes some."""
+_LOOK = 0.01
+"""Seconds between two looks whether a stream's readers have caught up."""
+_PATIENCE = 2.0
+"""Seconds that who publishes waits for them: so a replay goes as fast as its queries do."""
 _LATEST = 1.0
 """Seconds until what nobody waits for is kept."""
+
+
+ANYTIME = (Publish, Tick, EndStream)
+"""What can be done while a window is half done: units put by what they hear."""
 
 
 class Audience(Protocol):
@@ -61,6 +76,12 @@ class Keeper:
     ) -> None:
         self._engine = engine
         self._recorded = recorded
+        turns = engine.behind.turns
+        self._pausing = turns if isinstance(turns, Pausing) else None
+        self._catching_up: asyncio.Task[None] | None = None
+        self._woken = asyncio.Event()
+        self._holding = 0
+        """So many wait until no window is half done."""
         self._troubles = troubles
         self._audience: Audience | None = None
         self._commit: asyncio.Task[None] | None = None
@@ -93,7 +114,18 @@ class Keeper:
         self._audience = audience
 
     def do(self, command: Command, known: ReadAlready | None = None) -> Any:
-        """Do ``command``; see `RecordedEngine.do`."""
+        """Do ``command``; see `RecordedEngine.do`. What it makes due is done in part."""
+        if self._engine.behind.is_within and not isinstance(command, ANYTIME):
+            # Whoever can wait has (`quiet`).
+            self._go_on(0.0, begins=False, to_end=True)
+        found = self._done(command, known)
+        if self._engine.behind and self._pausing is not None and self._catching_up is None:
+            self._catching_up = asyncio.get_running_loop().create_task(self._catch_up())
+            with suppress(JournalError):  # told, and tried again
+                self._go_on(FIRST)
+        return found
+
+    def _done(self, command: Command, known: ReadAlready | None) -> Any:
         if self._recorded is None:
             return done(self._engine, command, known)
         try:
@@ -102,8 +134,74 @@ class Keeper:
             self._fail(JOURNAL, error)
             raise
         finally:
-            if self._recorded.failure is not None:
-                self._troubles[ENGINE] = self._recorded.failure
+            self._look()
+
+    def _go_on(self, seconds: float, *, begins: bool = True, to_end: bool = False) -> None:
+        """Close windows for so long. Raises `JournalError`: none is closed then."""
+        assert self._pausing is not None
+        self._pausing.allow(seconds)
+        if self._recorded is None:
+            self._engine.go_on(begins=begins, to_end=to_end)
+            return
+        try:
+            self._recorded.go_on(begins=begins, to_end=to_end)
+        except JournalError as error:
+            self._fail(JOURNAL, error)
+            raise
+        finally:
+            self._look()
+
+    def _look(self) -> None:
+        if self._recorded is not None and self._recorded.failure is not None:
+            self._troubles[ENGINE] = self._recorded.failure
+
+    async def _catch_up(self) -> None:
+        """Close windows, and let others do what they have to in between, until nobody is behind."""
+        assert self._pausing is not None
+        loop = asyncio.get_running_loop()
+
+        def wake() -> None:
+            loop.call_soon_threadsafe(self._woken.set)
+
+        self._pausing.on_ready = wake
+        behind = self._engine.behind
+        try:
+            while behind:
+                for _ in range(_PASSES):
+                    await asyncio.sleep(0)
+                if behind.is_waiting:
+                    await self._woken.wait()
+                self._woken.clear()
+                if self._holding and not behind.is_within:
+                    continue
+                try:
+                    self._go_on(FURTHER, begins=not self._holding)
+                except JournalError:
+                    await asyncio.sleep(_LOOK)
+            self.hasten()
+        except Exception as error:  # noqa: BLE001  told by log and /readyz
+            self._troubles[ENGINE] = f"{type(error).__name__}: {error}"
+            log().exception("closing windows failed")
+        finally:
+            self._catching_up = None
+
+    async def quiet(self) -> None:
+        """Return when no window is half done: before what changes more than streams."""
+        self._holding += 1
+        try:
+            while self._engine.behind.is_within:
+                await asyncio.sleep(0.001)
+        finally:
+            self._holding -= 1
+
+    async def caught_up(self, stream: str) -> None:
+        """Return when nobody who reads ``stream`` is behind, or a moment has passed."""
+        if not self._engine.behind:
+            return
+        loop = asyncio.get_running_loop()
+        until = loop.time() + _PATIENCE
+        while self._engine.is_behind(stream) and loop.time() < until:
+            await asyncio.sleep(_LOOK)
 
     def check_room(self, size: int) -> None:
         """Before so many bytes are looked at: they can be kept. Raises `JournalError`."""
@@ -197,6 +295,7 @@ class Keeper:
 
     async def _checkpoint(self, recorded: RecordedEngine) -> None:
         """One that fails is told in ``troubles``, and tried again when it is time again."""
+        await self.quiet()
         try:
             unwritten = recorded.checkpoint()
             await self.kept()
@@ -222,7 +321,14 @@ class Keeper:
         await asyncio.get_running_loop().run_in_executor(self._thread, work)
 
     def close(self) -> None:
-        """Keep all there is, with a checkpoint, and let the directory go."""
+        """Keep all there is, with a checkpoint, and let the directory go. What is behind stays so,
+        and goes on at the next start."""
+        if self._catching_up is not None:
+            self._catching_up.cancel()
+        if self._pausing is not None:
+            with suppress(JournalError):  # told; then the state is not ahead of the log
+                self._go_on(0.0, begins=False, to_end=True)
+            self._pausing.close()
         self._thread.shutdown()
         if self._recorded is not None:
             try:

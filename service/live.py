@@ -67,9 +67,11 @@ class LiveSamples(ABC):
         """The body is whole: publish what is left."""
 
     async def keep_up(self) -> None:
-        """Wait while too much waits to be kept. Raises `JournalError`."""
+        """Wait while too much waits to be kept, and a moment for those who read the stream. Raises
+        `JournalError`."""
         if self._keeper.is_behind:
             await self._keeper.kept()
+        await self._keeper.caught_up(self._name)
 
     def _target(self) -> StreamGenerator:
         """Asked each time: the stream may have been declared anew, or removed, meanwhile."""

@@ -99,7 +99,11 @@ class Settings(BaseSettings):
     query_results: int = Field(default=100_000, gt=0)
     """Solutions that a continuous query may have of one window."""
     query_deadline: float = Field(default=1.0, gt=0)
-    """Seconds that Oxigraph may take for one window, where columns cannot evaluate it."""
+    """Seconds that Oxigraph may take for one question, where columns cannot evaluate a window."""
+    query_seconds: float = Field(default=5.0, gt=0)
+    """Seconds of processor time that one window of a continuous query may take."""
+    query_behind: float = Field(default=60.0, gt=0)
+    """A query whose windows have taken so many without catching up is cut off."""
     ontology_deadline: float = Field(default=20.0, gt=0)
     """Seconds for reading an ontology, and as many for what all of them entail."""
     ontology_triples: int = Field(default=100_000, gt=0)

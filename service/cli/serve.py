@@ -12,7 +12,6 @@ from typing import Annotated, Any
 import typer
 
 from ... import __version__
-from ...continuous.budget import Budget
 from ...engine.engine import Engine
 from ...engine.loading import load_processes
 from ...engine.recorded import RecordedEngine
@@ -83,7 +82,8 @@ def serve(
     token = known.issue("flights", Scope.ADMIN) if flights and known.required else ""
     windows = Windows(settings)
     try:
-        engine = _engine(settings, watchdog, windows.budget)
+        engine = _engine(settings, watchdog, windows)
+        windows.begin()
     except BaseException:
         listener.close()
         windows.close()
@@ -116,11 +116,15 @@ def serve(
         raise typer.Exit(1)
 
 
-def _engine(settings: Settings, watchdog: Watchdog, budget: Budget) -> Engine | RecordedEngine:
+def _engine(settings: Settings, watchdog: Watchdog, windows: Windows) -> Engine | RecordedEngine:
     """A new engine in memory, or that of the data directory as it was."""
     if settings.data is None:
         return Engine(
-            now=time.time_ns(), runner=watchdog, stopwatch=time.perf_counter_ns, budget=budget
+            now=time.time_ns(),
+            runner=watchdog,
+            stopwatch=time.perf_counter_ns,
+            budget=windows.budget,
+            turns=windows.turns,
         )
 
     def progress(done: int, count: int) -> None:
@@ -132,7 +136,8 @@ def _engine(settings: Settings, watchdog: Watchdog, budget: Budget) -> Engine | 
             now=time.time_ns(),
             runner=watchdog,
             stopwatch=time.perf_counter_ns,
-            budget=budget,
+            budget=windows.budget,
+            turns=windows.turns,
             durability=settings.durability,
             progress=progress,
         )

@@ -1,18 +1,19 @@
 """Oxigraph for continuous queries, in a worker: see `continuous.asking`.
 
-The engine waits for each answer, and with it everybody else: hence a deadline of its own, shorter
-than that of users' queries.
+Whoever closes the window waits for the answer, on a thread of its own where others go on meanwhile
+(`pausing`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from threading import BoundedSemaphore
 from typing import Final
 
 from pyoxigraph import Quad
 
 from ...continuous.asking import Found, Kept, Table
-from ...continuous.budget import BudgetExceeded
+from ...continuous.budget import BudgetExceeded, Stopped
 from ...ontology.replicas import as_nquads
 from .messages import Answer, Ask, BadAnswer, Failed, Job, TooMuch, Truth, term_of, triples_of
 from .messages import Table as Cells
@@ -25,23 +26,24 @@ _OVERHEAD: Final = 1 << 20
 
 
 class IsolatedAsking:
-    """Asks a worker of ``pool``: ``seconds`` for each answer, which has at most ``rows`` rows with
-    ``size`` bytes of text."""
+    """Asks the workers of ``pool``: ``seconds`` for each answer, which has at most ``rows`` rows
+    with ``size`` bytes of text."""
 
     def __init__(self, pool: Pool, seconds: float, rows: int, size: int) -> None:
         self._pool = pool
-        self._seconds = seconds
+        self.seconds = seconds
+        self._places = BoundedSemaphore(pool.count)
         self._rows = rows
         self._size = size
 
     def ask(self, sparql: str, kept: Kept, content: Sequence[Quad]) -> Found:
         """See `Asking`."""
         try:
-            return _found(
-                self._pool.call(lambda worker: self._asked(worker, sparql, kept, content))
-            )
+            with self._places:
+                answer = self._pool.call(lambda worker: self._asked(worker, sparql, kept, content))
+            return _found(answer)
         except (WorkerError, BadAnswer) as error:
-            raise BudgetExceeded(f"Oxigraph was stopped: {error}") from error
+            raise Stopped(f"Oxigraph was stopped: {error}") from error
 
     def _asked(self, worker: Worker, sparql: str, kept: Kept, content: Sequence[Quad]) -> Answer:
         key = str(kept.number)
@@ -64,7 +66,7 @@ class IsolatedAsking:
             self._rows,
             self._size,
         )
-        return worker.call(Job(ask, self._seconds), 16 * self._size + _OVERHEAD)
+        return worker.call(Job(ask, self.seconds), 16 * self._size + _OVERHEAD)
 
 
 def _found(answer: Answer) -> Found:

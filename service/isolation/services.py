@@ -6,28 +6,40 @@ from typing import Final
 
 from ...continuous.budget import Budget
 from ...ontology.ontology import Ontology
+from ..pausing import Pausing
 from ..settings import MEBIBYTE, Settings
 from .asking import IsolatedAsking
 from .documents import IsolatedReasoning
 from .pool import Pool
 from .sparql import IsolatedQueries
 
+WORKERS: Final = 2
+"""So many questions about windows are answered at once."""
+AGAIN: Final = 10
 WINDOW_BYTES: Final = 8 * MEBIBYTE
 """Text that Oxigraph may answer about a window."""
 
 
 class Windows:
-    """The worker for continuous queries: the engine waits for it, one window at a time.
+    """The workers for continuous queries, and the time for them.
 
-    ``budget`` is for the engine, which has to have it before there is an application.
+    ``budget`` and ``turns`` are for the engine, which has to have them before there is an
+    application.
     """
 
     def __init__(self, settings: Settings) -> None:
-        self._pool = Pool(1, settings.worker_memory)
-        asking = IsolatedAsking(
-            self._pool, settings.query_deadline, settings.query_results, WINDOW_BYTES
+        self._pool = Pool(WORKERS, settings.worker_memory)
+        self._deadline = settings.query_deadline
+        # What was done once was done in time: while it is done again the machine may be slower.
+        self._asking = IsolatedAsking(
+            self._pool, AGAIN * self._deadline, settings.query_results, WINDOW_BYTES
         )
-        self.budget = Budget(settings.query_rows, settings.query_results, asking)
+        self.turns = Pausing(settings.query_seconds, settings.query_behind)
+        self.budget = Budget(settings.query_rows, settings.query_results, self._asking, self.turns)
+
+    def begin(self) -> None:
+        """What was done before is done again: from now on deadlines hold."""
+        self._asking.seconds = self._deadline
 
     def warm(self) -> None:
         """Start the worker."""

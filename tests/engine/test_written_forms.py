@@ -13,6 +13,7 @@ import msgspec
 import pytest
 
 from dyknow.engine import commands as c
+from dyknow.engine.behind import Went
 from dyknow.engine.describing import (
     DescribedArgument,
     DescribedPort,
@@ -58,6 +59,7 @@ EXAMPLES = [
             30_000_000_000,
         )
     ),
+    c.GoOn((Went("dyknow_cu1", 3), Went("dyknow_cu2", 1, "it took 5 s"))),
     c.RemoveStream("s5"),
     c.OpenStream("s5_late"),
     c.SetQuality("s5", 0.5),

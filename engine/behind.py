@@ -1,0 +1,131 @@
+"""Units whose windows take long: they fall behind, and catch up a little at a time.
+
+A query's windows are closed by `Behind.go_on`, not by who publishes: so whoever runs the engine can
+do other things in between, and nobody waits for a query that is none of theirs. A unit that is
+behind puts by what its inputs say, in order, so that its stream says what it would say had it never
+been behind, only later.
+
+What a window takes may depend on the machine; what comes of it must not. So `go_on` tells what it
+did, and `again` does that once more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import TYPE_CHECKING, Protocol
+
+import msgspec
+
+if TYPE_CHECKING:
+    from .unit import WindowUnit
+
+
+class Went(msgspec.Struct, frozen=True, array_like=True, omit_defaults=True):
+    """So many windows of ``unit`` closed. ``stopped``: why the last of them has no result, where
+    that depended on the machine; with no windows, why the unit was cut off."""
+
+    unit: str
+    windows: int
+    stopped: str = ""
+
+
+class Overwhelmed(Exception):
+    """A unit cannot keep up with what comes, and is cut off."""
+
+
+class Task(Protocol):
+    """Windows of one unit that are being closed."""
+
+    @property
+    def spent(self) -> float:
+        """Seconds of work that it took so far."""
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether it can go on now; else it does something apart, or waits for it."""
+
+    def go_on(self, *, to_end: bool = False) -> bool:
+        """Work until the time is over, or the windows are; whether they are. Raises what they do.
+
+        ``to_end``: until the present window has closed, however long that takes; then no other is
+        begun.
+        """
+
+
+class Turns(Protocol):
+    """Whoever has the time: it says how much there is for closing windows, and how.
+
+    ``most``: a unit that has worked for so many seconds and is still behind is cut off.
+    """
+
+    most: float
+
+    @property
+    def is_over(self) -> bool:
+        """Whether the time is over."""
+
+    def begin(self, close_next: Callable[[], bool]) -> Task:
+        """Close windows until there are no more."""
+
+
+class Behind:
+    """The units of an engine that are behind, in the order of their turns.
+
+    ``turns`` None: windows close at once, and nobody is ever behind.
+    """
+
+    def __init__(self, turns: Turns | None = None) -> None:
+        self.turns = turns
+        self._units: list[WindowUnit] = []
+
+    def __bool__(self) -> bool:
+        return bool(self._units)
+
+    @property
+    def units(self) -> Sequence[WindowUnit]:
+        """Those that are behind."""
+        return tuple(self._units)
+
+    @property
+    def is_waiting(self) -> bool:
+        """Whether all of them wait for something that is done apart."""
+        return all(not unit.is_ready for unit in self._units)
+
+    @property
+    def is_within(self) -> bool:
+        """Whether a window is half done."""
+        return any(unit.is_within for unit in self._units)
+
+    def fell(self, unit: WindowUnit) -> None:
+        """``unit`` has windows to close."""
+        if unit not in self._units:
+            self._units.append(unit)
+
+    def left(self, unit: WindowUnit) -> None:
+        """``unit`` has caught up, or is no more."""
+        if unit in self._units:
+            self._units.remove(unit)
+
+    def go_on(self, *, begins: bool = True, to_end: bool = False) -> list[Went]:
+        """Close windows for as long as there is time; gives what was done. Not ``begins``: only
+        those that are half done; ``to_end``: until they have closed, however long that takes."""
+        assert self.turns is not None
+        done: list[Went] = []
+        for unit in self.units:
+            if (begins or unit.is_within) and (to_end or unit.is_ready):
+                done += unit.go_on(self.turns, to_end=to_end)
+                if unit in self._units:
+                    # Its next turn comes after those of the others.
+                    self._units.remove(unit)
+                    self._units.append(unit)
+            if self.turns.is_over and not to_end:
+                break
+        return done
+
+    def again(self, done: Iterable[Went]) -> None:
+        """Do what `go_on` did. Raises ``ValueError`` where there is no such thing to do."""
+        for each in done:
+            unit = next((one for one in self._units if one.name == each.unit), None)
+            if unit is None:
+                raise ValueError(f"{each.unit} is not behind")
+            unit.again(each)
