@@ -145,7 +145,8 @@ def _matched(
     rights = np.arange(right.rows) if at_right is None else at_right
     if not names:
         terms.budget.check(len(lefts) * len(rights), "a join without a common variable")
-        return np.repeat(lefts, len(rights)), np.tile(rights, len(lefts))
+        with terms.budget.pauses.apart():
+            return np.repeat(lefts, len(rights)), np.tile(rights, len(lefts))
     pairs = []
     for name in names:
         a, b = left.columns[name], right.columns[name]
@@ -161,14 +162,16 @@ def _matched(
 
 def match_keys(left: Rows, right: Rows, budget: Budget) -> tuple[Rows, Rows]:
     """All pairs of rows with equal codes, as two index arrays."""
-    order = np.argsort(right, kind="stable")
-    ordered = right[order]
-    low = np.searchsorted(ordered, left, "left")
-    count = np.searchsorted(ordered, left, "right") - low
+    with budget.pauses.apart():
+        order = np.argsort(right, kind="stable")
+        ordered = right[order]
+        low = np.searchsorted(ordered, left, "left")
+        count = np.searchsorted(ordered, left, "right") - low
     budget.check(int(count.sum()), "a join")
-    at_left = np.repeat(np.arange(len(left)), count)
-    offset = np.arange(len(at_left)) - np.repeat(np.cumsum(count) - count, count)
-    return at_left, order[np.repeat(low, count) + offset]
+    with budget.pauses.apart():
+        at_left = np.repeat(np.arange(len(left)), count)
+        offset = np.arange(len(at_left)) - np.repeat(np.cumsum(count) - count, count)
+        return at_left, order[np.repeat(low, count) + offset]
 
 
 def _joined(
@@ -176,12 +179,15 @@ def _joined(
 ) -> Relation:
     """The rows of both side by side; where ``at_right`` is -1, of the left alone."""
     columns: dict[str, ObjectColumn] = {}
+    pauses = terms.budget.pauses
     for name, column in left.columns.items():
-        taken = column.take(at_left)
+        with pauses.apart():
+            taken = column.take(at_left)
         if name in right.columns and taken.null is not None:
             taken = coalesce(taken, take_or_null(right.columns[name], at_right), terms.dictionary)
         columns[name] = taken
     for name, column in right.columns.items():
         if name not in columns:
-            columns[name] = take_or_null(column, at_right)
+            with pauses.apart():
+                columns[name] = take_or_null(column, at_right)
     return Relation(columns, len(at_left))

@@ -114,10 +114,7 @@ class Behind:
         for unit in self.units:
             if (begins or unit.is_within) and (to_end or unit.is_ready):
                 done += unit.go_on(self.turns, to_end=to_end)
-                if unit in self._units:
-                    # Its next turn comes after those of the others.
-                    self._units.remove(unit)
-                    self._units.append(unit)
+                self._had_its_turn(unit)
             if self.turns.is_over and not to_end:
                 break
         return done
@@ -129,3 +126,10 @@ class Behind:
             if unit is None:
                 raise ValueError(f"{each.unit} is not behind")
             unit.again(each)
+            self._had_its_turn(unit)
+
+    def _had_its_turn(self, unit: WindowUnit) -> None:
+        """Its next one comes after those of the others."""
+        if unit in self._units:
+            self._units.remove(unit)
+            self._units.append(unit)

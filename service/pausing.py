@@ -201,6 +201,8 @@ class _Task:
 
     def breathe(self) -> None:
         """See `Pauses`."""
+        if self._is_apart:
+            return
         self._pausing.check(time.thread_time() - self._began)
         if self._pausing.is_over and not self._to_end:
             self._wait_for_turn()

@@ -94,7 +94,7 @@ class Settings(BaseSettings):
     """A result of more rows or triples is refused with 422."""
     sparql_bytes: int = Field(default=64 * MEBIBYTE, gt=0)
     """A result of more bytes is refused with 422."""
-    query_rows: int = Field(default=5_000_000, gt=0)
+    query_rows: int = Field(default=2_000_000, gt=0)
     """Rows that one operator of a continuous query may make of one window."""
     query_results: int = Field(default=100_000, gt=0)
     """Solutions that a continuous query may have of one window."""

@@ -18,6 +18,7 @@ from dyknow.service.app import create_app
 from dyknow.service.cli import app
 from dyknow.service.client import Client
 from dyknow.service.logs import LOG_NAME
+from dyknow.service.pausing import Pausing
 from dyknow.service.server import running
 from dyknow.service.settings import Settings
 from dyknow.streams.time import SECOND
@@ -51,14 +52,16 @@ def recorded(request: pytest.FixtureRequest, tmp_path: Path) -> RecordedEngine |
     """With ``--recorded`` (tests/conftest.py) every service has a data directory."""
     if not request.config.getoption("--recorded"):
         return None
-    found = RecordedEngine(tmp_path / "data", now=0, durability=Durability.WRITE)
+    found = RecordedEngine(
+        tmp_path / "data", now=0, durability=Durability.WRITE, turns=Pausing(5, 60)
+    )
     found.engine.epoch = "e1"
     return found
 
 
 @pytest.fixture
 def engine(recorded: RecordedEngine | None) -> Engine:
-    return Engine(epoch="e1") if recorded is None else recorded.engine
+    return Engine(epoch="e1", turns=Pausing(5, 60)) if recorded is None else recorded.engine
 
 
 @pytest.fixture

@@ -1,0 +1,58 @@
+"""Turns that end at random moments: who closes windows for an engine without a service."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from random import Random
+
+
+class Steps:
+    """`Turns` that are over after a random number of windows; ``most`` as there."""
+
+    def __init__(self, random: Random, most: float = float("inf")) -> None:
+        self.most = most
+        self._random = random
+        self._left = 0
+
+    def allow(self, windows: int | None = None) -> None:
+        """So many windows may close now; some, where that is not said."""
+        self._left = self._random.randrange(4) if windows is None else windows
+
+    @property
+    def is_over(self) -> bool:
+        return self._left <= 0
+
+    def begin(self, close_next: Callable[[], bool]) -> _Steps:
+        return _Steps(self, close_next)
+
+    def closed(self) -> None:
+        self._left -= 1
+
+
+class _Steps:
+    """Never pauses within a window."""
+
+    is_ready = True
+
+    def __init__(self, steps: Steps, close_next: Callable[[], bool]) -> None:
+        self.spent = 0.0
+        self._steps = steps
+        self._close_next = close_next
+
+    def go_on(self, *, to_end: bool = False) -> bool:
+        while self._close_next():
+            self.spent += 1
+            self._steps.closed()
+            if self._steps.is_over:
+                break
+        return True
+
+
+def caught_up(go_on: Callable[[], object], behind: object, steps: Steps) -> None:
+    """Close all windows that can."""
+    for _ in range(10_000):
+        if not behind:
+            return
+        steps.allow(1_000)
+        go_on()
+    raise AssertionError("it never catches up")
