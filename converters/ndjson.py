@@ -49,6 +49,8 @@ _PYTHON_TYPES: dict[FieldType, Any] = {
     FieldType.BOOLEAN: bool,
     FieldType.STRING: str,
 }
+_PART = 1000
+"""Lines that are looked at together for the one that is wrong."""
 _NOT_FINITE = re.compile(rb"(?<![\"\w])-?(NaN|Infinity)(?![\"\w])")
 
 
@@ -243,17 +245,32 @@ def _column(field: Field, values: Sequence[Any], pools: dict[str, StringPool]) -
 
 
 def _cause(data: bytes, schema: Schema, message: str) -> WireError:
-    """The first line that is no sample, and why: read again line by line, slowly."""
-    for number, line in enumerate(data.split(b"\n"), 1):
-        if line.strip():
-            try:
-                error = _line_error(line, number, schema)
-            except RecursionError:
-                hint = "values of a sample are plain"
-                error = WireError(number, "the line is nested too deeply", hint)
-            if error is not None:
-                return error
+    """The first line that is no sample, and why: those of the first part that cannot be decoded
+    are read again one by one, slowly."""
+    lines = data.split(b"\n")
+    for first in range(0, len(lines), _PART):
+        part = lines[first : first + _PART]
+        if _are_samples(part, schema):
+            continue
+        for number, line in enumerate(part, first + 1):
+            if line.strip():
+                try:
+                    error = _line_error(line, number, schema)
+                except RecursionError:
+                    hint = "values of a sample are plain"
+                    error = WireError(number, "the line is nested too deeply", hint)
+                if error is not None:
+                    return error
     return WireError(None, message, "send one JSON object a line")
+
+
+def _are_samples(lines: Sequence[bytes], schema: Schema) -> bool:
+    """Whether each line is one, but for what `decode_exactly` looks at later."""
+    try:
+        samples = _decoder(schema).decode_lines(b"\n".join(lines))
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+        return False
+    return len(samples) == sum(1 for line in lines if line.strip())
 
 
 def _line_error(line: bytes, number: int, schema: Schema) -> WireError | None:

@@ -77,6 +77,8 @@ class Behind:
     def __init__(self, turns: Turns | None = None) -> None:
         self.turns = turns
         self._units: list[WindowUnit] = []
+        self._new: list[WindowUnit] = []
+        """Those that have had no turn yet."""
 
     def __bool__(self) -> bool:
         return bool(self._units)
@@ -96,22 +98,32 @@ class Behind:
         """Whether a window is half done."""
         return any(unit.is_within for unit in self._units)
 
+    @property
+    def has_new(self) -> bool:
+        """Whether there are units that have had no turn yet."""
+        return bool(self._new)
+
     def fell(self, unit: WindowUnit) -> None:
         """``unit`` has windows to close."""
         if unit not in self._units:
             self._units.append(unit)
+            self._new.append(unit)
 
     def left(self, unit: WindowUnit) -> None:
         """``unit`` has caught up, or is no more."""
-        if unit in self._units:
-            self._units.remove(unit)
+        for units in (self._units, self._new):
+            if unit in units:
+                units.remove(unit)
 
-    def go_on(self, *, begins: bool = True, to_end: bool = False) -> list[Went]:
-        """Close windows for as long as there is time; gives what was done. Not ``begins``: only
-        those that are half done; ``to_end``: until they have closed, however long that takes."""
+    def go_on(self, *, new: bool = False, begins: bool = True, to_end: bool = False) -> list[Went]:
+        """Close windows for as long as there is time; gives what was done.
+
+        ``new``: only of units that have had no turn yet: most are done with one. Not ``begins``:
+        only those that are half done; ``to_end``: until they have closed, however long that takes.
+        """
         assert self.turns is not None
         done: list[Went] = []
-        for unit in self.units:
+        for unit in tuple(self._new) if new else self.units:
             if (begins or unit.is_within) and (to_end or unit.is_ready):
                 done += unit.go_on(self.turns, to_end=to_end)
                 self._had_its_turn(unit)
@@ -130,6 +142,8 @@ class Behind:
 
     def _had_its_turn(self, unit: WindowUnit) -> None:
         """Its next one comes after those of the others."""
+        if unit in self._new:
+            self._new.remove(unit)
         if unit in self._units:
             self._units.remove(unit)
             self._units.append(unit)

@@ -390,9 +390,11 @@ class Engine:
             self._counted = now
             self._count_subscribers()
 
-    def go_on(self, *, begins: bool = True, to_end: bool = False) -> tuple[Went, ...]:
+    def go_on(
+        self, *, new: bool = False, begins: bool = True, to_end: bool = False
+    ) -> tuple[Went, ...]:
         """Close windows of units that are behind, see `Behind.go_on`; what was done."""
-        done = tuple(self.behind.go_on(begins=begins, to_end=to_end))
+        done = tuple(self.behind.go_on(new=new, begins=begins, to_end=to_end))
         if done:
             self._settle()
             self._collect()

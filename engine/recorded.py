@@ -181,7 +181,7 @@ class RecordedEngine:
         self._standing.note(command, found)
         return found
 
-    def go_on(self, *, begins: bool = True, to_end: bool = False) -> None:
+    def go_on(self, *, new: bool = False, begins: bool = True, to_end: bool = False) -> None:
         """Close windows of units that are behind, see `Behind.go_on`, and write down which.
 
         Raises `JournalFull` and `JournalBroken`: nothing is done then.
@@ -190,7 +190,7 @@ class RecordedEngine:
         self._within = True
         try:
             with self.log.entry(written(GoOn()), _WINDOWS) as entry:
-                done = self.engine.go_on(begins=begins, to_end=to_end)
+                done = self.engine.go_on(new=new, begins=begins, to_end=to_end)
                 entry.payload = written(GoOn(done)) if done else b""
         except JournalError:
             raise

@@ -13,9 +13,10 @@ kept yet is shown to nobody: `Audience`. Without a data directory all of this co
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from typing import Any, Protocol
 
 from ..engine.checkpoint import CheckpointError
@@ -30,6 +31,8 @@ from .settings import Settings
 JOURNAL = "journal"
 CHECKPOINT = "checkpoint"
 ENGINE = "engine"
+_SHARE = 20
+"""A checkpoint for so many times the time that it takes: it holds up all else."""
 _AGAIN = 10.0
 """Seconds after a checkpoint that failed until the next one is tried."""
 _WAITING = 4 << 20
@@ -91,6 +94,10 @@ class Keeper:
         """Bytes of the log at the last checkpoint."""
         self._kept_bytes = 0
         """And at the last commit."""
+        self._worked = 0.0
+        """Seconds of work since the last checkpoint: about as long a start would take."""
+        self._cost = 0.0
+        """Seconds that the last checkpoint held up all else."""
         self._begun: float | None = None
         self._not_before = float("-inf")
         """No checkpoint is tried before."""
@@ -119,41 +126,47 @@ class Keeper:
             # Whoever can wait has (`quiet`).
             self._go_on(0.0, begins=False, to_end=True)
         found = self._done(command, known)
-        if self._engine.behind and self._pausing is not None and self._catching_up is None:
-            self._catching_up = asyncio.get_running_loop().create_task(self._catch_up())
+        behind = self._engine.behind
+        if behind.has_new and not self._holding:
             with suppress(JournalError):  # told, and tried again
-                self._go_on(FIRST)
+                self._go_on(FIRST, new=True)
+        if behind and self._catching_up is None:
+            self._catching_up = asyncio.get_running_loop().create_task(self._catch_up())
+        self._woken.set()
         return found
 
     def _done(self, command: Command, known: ReadAlready | None) -> Any:
         if self._recorded is None:
             return done(self._engine, command, known)
-        try:
+        with self._recording():
             return self._recorded.do(command, known)
-        except JournalError as error:
-            self._fail(JOURNAL, error)
-            raise
-        finally:
-            self._look()
 
-    def _go_on(self, seconds: float, *, begins: bool = True, to_end: bool = False) -> None:
+    def _go_on(
+        self, seconds: float, *, new: bool = False, begins: bool = True, to_end: bool = False
+    ) -> None:
         """Close windows for so long. Raises `JournalError`: none is closed then."""
         assert self._pausing is not None
         self._pausing.allow(seconds)
         if self._recorded is None:
-            self._engine.go_on(begins=begins, to_end=to_end)
+            self._engine.go_on(new=new, begins=begins, to_end=to_end)
             return
+        with self._recording():
+            self._recorded.go_on(new=new, begins=begins, to_end=to_end)
+
+    @contextmanager
+    def _recording(self) -> Iterator[None]:
+        """Something is done that is written down: what goes wrong is told."""
+        assert self._recorded is not None
+        begun = time.monotonic()
         try:
-            self._recorded.go_on(begins=begins, to_end=to_end)
+            yield
         except JournalError as error:
             self._fail(JOURNAL, error)
             raise
         finally:
-            self._look()
-
-    def _look(self) -> None:
-        if self._recorded is not None and self._recorded.failure is not None:
-            self._troubles[ENGINE] = self._recorded.failure
+            self._worked += time.monotonic() - begun
+            if self._recorded.failure is not None:
+                self._troubles[ENGINE] = self._recorded.failure
 
     async def _catch_up(self) -> None:
         """Close windows, and let others do what they have to in between, until nobody is behind."""
@@ -288,16 +301,22 @@ class Keeper:
             # What came after the last commit had begun, and is in it.
             audience.show(audience.mark())
         written = recorded.log.written - self._written
-        is_old = now - self._begun >= settings.checkpoint_interval and written > 0
-        if now >= self._not_before and (is_old or written >= settings.checkpoint_bytes):
+        is_due = (
+            (now - self._begun >= settings.checkpoint_interval and written > 0)
+            or written >= settings.checkpoint_bytes
+            or self._worked >= max(settings.checkpoint_work, _SHARE * self._cost)
+        )
+        if is_due and now >= self._not_before:
             self._begun = now
             await self._checkpoint(recorded)
 
     async def _checkpoint(self, recorded: RecordedEngine) -> None:
         """One that fails is told in ``troubles``, and tried again when it is time again."""
         await self.quiet()
+        begun = time.monotonic()
         try:
             unwritten = recorded.checkpoint()
+            self._worked, self._cost = 0.0, time.monotonic() - begun
             await self.kept()
             await self._beside(unwritten.write)
         except (CheckpointError, JournalError, OSError) as error:

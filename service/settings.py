@@ -31,6 +31,9 @@ class Settings(BaseSettings):
     process (write)."""
     checkpoint_interval: float = Field(default=300.0, gt=0)
     """With ``data``: the state is written down this often, so that a start is quick."""
+    checkpoint_work: float = Field(default=4.0, gt=0)
+    """And after so many seconds of work, as a start does that work again: unless checkpoints would
+    take more than a twentieth of the time."""
     checkpoint_bytes: int = Field(default=256 * MEBIBYTE, gt=0)
     """And whenever the log has grown by so much."""
     processes: list[str] = []
