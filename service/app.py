@@ -55,16 +55,16 @@ from .slow_bodies import SlowBodies
 from .sse import Feeds
 from .tokens import Tokens
 
-# Looked through in this order for each request: batches of samples are the most frequent ones.
+# Looked through in this order for each request: the most frequent ones first.
 RESOURCES = (
     publish,
+    follow,
     live,
     samples,
     templates,
     events,
     queries,
     streams,
-    follow,
     subscriptions,
     annotations,
     transformations,

@@ -1,17 +1,70 @@
-"""Several streams as server-sent events on one connection."""
+"""Streams as server-sent events: one, or several on one connection."""
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Sequence
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request, Response
 
-from ..context import Context
+from ...engine.adaptive import Rematch
+from ..context import Context, Service
 from ..following import MOST_STREAMS, follow_many
+from ..negotiation import EVENT_STREAM
 from ..problems import responses
-from .streams import EVENTS
+from ..sse import event_stream
+from .direct import direct
 
-router = APIRouter(tags=["streams"])
+EVENTS: dict[int | str, dict[str, Any]] = {
+    200: {
+        "description": "server-sent events: sample, gap, end",
+        "content": {EVENT_STREAM: {"schema": {"type": "string"}}},
+    }
+}
+
+SINCE = "`start` of what is kept, or the id of a sample"
+
+
+async def _followed(request: Request) -> Response | None:
+    name = request.path_params.get("name")
+    if name is None:
+        return None
+    since = request.query_params.get("since")
+    return await follow(request.app.state.service, request, name, since)
+
+
+router = APIRouter(tags=["streams"], route_class=direct(_followed))
+
+
+@router.get("/streams/{name}/events", responses={**EVENTS, **responses(404, 406, 429, 503)})
+async def follow_stream(
+    name: str,
+    request: Request,
+    service: Context,
+    since: str | None = Query(None, description=SINCE),
+) -> Response:
+    """The stream's samples as server-sent events, from now on.
+
+    After ``Last-Event-ID`` when a client resumes, or from ``since``. Messages: `sample`, `gap`
+    (samples that are no longer kept), `end` (the stream has ended or was removed; the answer
+    ends with it).
+    """
+    return await follow(service, request, name, since)
+
+
+async def follow(
+    service: Service,
+    request: Request,
+    name: str,
+    since: str | None,
+    switches: Sequence[Rematch] | None = None,
+) -> Response:
+    """The event stream of ``name``; ``switches`` as `event_stream` takes them."""
+    key = service.client_key(request)
+    answer = event_stream(service.feeds, request, key, name, since, switches)
+    # It says where it begins, and that is to be so after a restart, too.
+    await service.keeper.settled()
+    return answer
 
 
 @router.get("/follow", responses={**EVENTS, **responses(404, 406, 422, 429, 503)})
@@ -22,7 +75,7 @@ async def follow_streams(
         list[str],
         Query(min_length=1, max_length=MOST_STREAMS, description="a stream's name; repeat it"),
     ],
-    since: str | None = Query(None, description="`start` of what is kept, or the id of a sample"),
+    since: str | None = Query(None, description=SINCE),
 ) -> Response:
     """The samples of several streams as server-sent events, on one connection.
 

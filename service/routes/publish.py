@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Coroutine
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Header, Request, Response
-from fastapi.routing import APIRoute
 
 from ...engine.commands import Publish
 from ..context import Context
 from ..models import AcceptedModel
 from ..negotiation import ARROW, JSON, NDJSON, content_type
 from ..problems import responses
+from .direct import direct
 
 KEY_LENGTH = 200
 """The longest Idempotency-Key."""
@@ -34,26 +33,16 @@ BODY: dict[str, Any] = {
 }
 
 
-class Direct(APIRoute):
-    """Calls `publish_samples` itself: the framework's dependencies, validation and models take as
-    long as a small batch (docs/design/0005-arrival-to-event.md). It is asked all the same where it
-    would refuse."""
-
-    def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
-        usual = super().get_route_handler()
-
-        async def handle(request: Request) -> Response:
-            key = request.headers.get("idempotency-key")
-            if key is not None and len(key) > KEY_LENGTH:
-                return await usual(request)
-            name, service = request.path_params["name"], request.app.state.service
-            taken = await publish_samples(name, request, service, key)
-            return Response(b'{"accepted":%d}' % taken.accepted, 202, media_type=JSON)
-
-        return handle
+async def _published(request: Request) -> Response | None:
+    key = request.headers.get("idempotency-key")
+    if key is not None and len(key) > KEY_LENGTH:
+        return None
+    name, service = request.path_params["name"], request.app.state.service
+    taken = await publish_samples(name, request, service, key)
+    return Response(b'{"accepted":%d}' % taken.accepted, 202, media_type=JSON)
 
 
-router = APIRouter(tags=["samples"], route_class=Direct)
+router = APIRouter(tags=["samples"], route_class=direct(_published))
 
 
 @router.post(

@@ -9,7 +9,7 @@ from ...streams.time import format_time
 from ..context import Context
 from ..models import StatusModel
 from ..problems import responses
-from .streams import EVENTS, follow
+from .follow import EVENTS, follow
 
 router = APIRouter(tags=["status"])
 

@@ -1,29 +1,19 @@
-"""Streams: declare, list, read, end, follow."""
+"""Streams: declare, list, read, end."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Annotated, Any
+from typing import Annotated
 
-from fastapi import APIRouter, Depends, Path, Query, Request, Response
+from fastapi import APIRouter, Depends, Path, Request, Response
 
-from ...engine.adaptive import Rematch
 from ...engine.commands import DeclareStream, EndStream, RemoveStream, SetQuality
 from ...engine.errors import UnknownStream
 from ..context import Context, Service
 from ..models import QualityIn, StreamIn, StreamModel
-from ..negotiation import EVENT_STREAM, JSON, content_type
+from ..negotiation import JSON, content_type
 from ..problems import responses
-from ..sse import event_stream
 
 router = APIRouter(tags=["streams"])
-
-EVENTS: dict[int | str, dict[str, Any]] = {
-    200: {
-        "description": "server-sent events: sample, gap, end",
-        "content": {EVENT_STREAM: {"schema": {"type": "string"}}},
-    }
-}
 
 NewName = Annotated[
     str,
@@ -113,37 +103,6 @@ async def end_stream(name: str, service: Context) -> Response:
     """
     await service.do(EndStream(name))
     return Response(status_code=204)
-
-
-@router.get("/streams/{name}/events", responses={**EVENTS, **responses(404, 406, 429, 503)})
-async def follow_stream(
-    name: str,
-    request: Request,
-    service: Context,
-    since: str | None = Query(None, description="`start` of what is kept, or the id of a sample"),
-) -> Response:
-    """The stream's samples as server-sent events, from now on.
-
-    After ``Last-Event-ID`` when a client resumes, or from ``since``. Messages: `sample`, `gap`
-    (samples that are no longer kept), `end` (the stream has ended or was removed; the answer
-    ends with it).
-    """
-    return await follow(service, request, name, since)
-
-
-async def follow(
-    service: Service,
-    request: Request,
-    name: str,
-    since: str | None,
-    switches: Sequence[Rematch] | None = None,
-) -> Response:
-    """The event stream of ``name``; ``switches`` as `event_stream` takes them."""
-    key = service.client_key(request)
-    answer = event_stream(service.feeds, request, key, name, since, switches)
-    # It says where it begins, and that is to be so after a restart, too.
-    await service.keeper.settled()
-    return answer
 
 
 def _known(service: Service, name: str) -> bool:

@@ -12,7 +12,8 @@ from ..context import Context
 from ..models import RematchModel, SubscriptionIn, SubscriptionModel
 from ..negotiation import EVENT_STREAM
 from ..problems import Problem, responses
-from .streams import follow, json_only
+from .follow import follow
+from .streams import json_only
 
 router = APIRouter(tags=["subscriptions"])
 
