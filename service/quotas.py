@@ -76,14 +76,10 @@ class Quotas:
         if self._is_full(STREAMS):
             raise self._reached(STREAMS)
 
-    def has_room(self, streams: int) -> bool:
-        """Whether there may be so many streams more."""
-        return self._count(STREAMS) + streams <= self._limits[STREAMS]
-
     def check_streams(self, names: Collection[str]) -> None:
         """Raises a 403 `Problem` if streams of these names would be too many."""
         new = sum(not self._engine.has_stream(name) for name in set(names))
-        if new and not self.has_room(new):
+        if new and self._count(STREAMS) + new > self._limits[STREAMS]:
             raise self._reached(STREAMS)
 
     def _is_full(self, quota: Quota) -> bool:
