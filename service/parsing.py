@@ -29,7 +29,8 @@ MOST_DECLARATIONS: Final = 128
 """Of one text: each costs the engine up to a millisecond."""
 MOST_CONTENTS: Final = 256
 """Features that streams contain, of one request in JSON: what SSL can say in its words."""
-_WORD: Final = re.compile(r"""(?:\s+|\#[^\n]*|//[^\n]*)*+(?:"[^"\n]*+"|\w+|[^\w\s])""")
+# Its end is matched, too: else a comment there would be looked into.
+_WORD: Final = re.compile(r"""(?:\s+|\#[^\n]*|//[^\n]*)*+(?:"[^"\n]*+"|\w+|[^\w\s]|\Z)""")
 _QUERIES = anyio.CapacityLimiter(1)
 """Their parser works one text at a time anyway."""
 _DECLARATIONS = anyio.CapacityLimiter(1)
@@ -87,5 +88,5 @@ def parse_registration(text: str) -> None:
 
 def _check_words(text: str) -> None:
     for number, _ in enumerate(_WORD.finditer(text)):
-        if number == MOST_WORDS:
+        if number > MOST_WORDS:
             raise too_long(f"{MOST_WORDS} words and signs")
