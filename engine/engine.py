@@ -648,7 +648,7 @@ class Engine:
         raise BadArguments("explain needs an event, a template or a query")
 
     def totals(self) -> Totals:
-        """How much there is of what people make. Cost: O(1)."""
+        """How much there is of what people make. Cost: O(ontologies)."""
         configuration = self._configuration
         return Totals(
             len(configuration.streams) - len(configuration.units),
@@ -658,6 +658,8 @@ class Engine:
             + len(self.queries)
             + len(self._specifications),
             len(self._kpl),
+            len(self._transformations),
+            self.ontology.number,
         )
 
     # -- within ------------------------------------------------------------------------------

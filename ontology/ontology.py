@@ -200,6 +200,11 @@ class Ontology:
         """The IRIs of the loaded ontologies' graphs."""
         return tuple(sorted(self._hashes()))
 
+    @property
+    def number(self) -> int:
+        """How many ontologies are loaded. Cost: O(ontologies)."""
+        return len(self._hashes())
+
     def imports(self) -> tuple[str, ...]:
         """What the loaded ontologies import; it was not fetched. Load it by `load` if needed."""
         quads = self.store.quads_for_pattern(None, _IMPORTS, None, DefaultGraph())

@@ -73,7 +73,10 @@ async def annotate(request: Request, service: Context) -> list[AnnotationModel]:
     if kind == TEXT:
         text = utf8(body)
         declared = await read_ssl(text)
-        quotas.check_streams([one.name for one in declared if isinstance(one, StreamDeclaration)])
+        streams = [one.name for one in declared if isinstance(one, StreamDeclaration)]
+        quotas.check_streams(streams)
+        others = [one.name for one in declared if not isinstance(one, StreamDeclaration)]
+        quotas.check_transformations(others)
         found = await service.do(Annotate(text))
         return [AnnotationModel.of(annotation) for annotation in found]
     described: ContentsIn | list[ContentsIn] = json_value(body, Described)

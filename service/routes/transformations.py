@@ -75,6 +75,7 @@ async def register_transformations(
     name that is taken, or code that takes or gives otherwise. Turtle is answered with a list.
     """
     wanted = await _read(request, service)
+    service.gate.quotas.check_transformations(_names(wanted))
     views = await service.do(_command(wanted))
     if len(views) == 1:
         response.headers["Location"] = f"/transformations/{views[0].name}"
