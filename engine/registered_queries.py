@@ -137,6 +137,14 @@ class RegisteredQueries:
         except Exception as error:
             if known is not None:
                 self._lost[name] = _Lost(known.registration, str(error))
+            if isinstance(error, RecursionError):
+                # The text is to blame, however many kinds of things in each other are bounded.
+                raise LanguageError(
+                    "the query is nested too deeply to be evaluated",
+                    asked.source,
+                    Span(0, 0),
+                    "ask with several queries",
+                ) from error
             raise
         if known is not None:
             running.users = running.unit.users = known.users + 1

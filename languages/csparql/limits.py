@@ -23,9 +23,11 @@ MOST_TOKENS: Final = 4096
 MOST_PATTERNS: Final = 128
 """Triple patterns, and steps of property paths."""
 MOST_OPERATORS: Final = 128
-"""Operators that stand in each other: whoever reads an expression recurses. Not those that are
-flat: `||`, `&&` and IN."""
-_OPERATORS: Final = ("+", "-", "*", "/", "!")
+"""Operators that stand in each other: whoever reads an expression recurses. Not those of
+which many are halved: `||` and IN."""
+MOST_PARTS: Final = 160
+"""Groups in braces, FILTER, BIND and VALUES: each stands in the plan on top of those before it."""
+_OPERATORS: Final = ("+", "-", "*", "/", "!", "&&")
 _HINT: Final = "load what it lists as an ontology, or ask with several queries"
 
 
@@ -38,12 +40,18 @@ def check_length(source: str) -> None:
 
 
 def check_tokens(tokens: Sequence[Token], source: str) -> None:
-    """Raises `LanguageError` for more than `MOST_TOKENS` tokens, and for expressions with more than
-    `MOST_OPERATORS` in each other."""
+    """Raises `LanguageError` for more than `MOST_TOKENS` tokens, for more than `MOST_PARTS` parts
+    of patterns, and for expressions with more than `MOST_OPERATORS` in each other."""
     if len(tokens) > MOST_TOKENS:
         raise LanguageError(
             f"the text has more than {MOST_TOKENS} words and signs", source, Span(0, 0), _HINT
         )
+    parts = 0
+    for token in tokens:
+        parts += token.is_mark("{") or token.is_word("FILTER", "BIND", "VALUES")
+        if parts > MOST_PARTS:
+            message = f"more than {MOST_PARTS} groups, FILTER, BIND and VALUES"
+            raise LanguageError(message, source, token.span, "ask with several queries")
     _check_operators(tokens, source)
 
 
