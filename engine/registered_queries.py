@@ -16,6 +16,7 @@ from ..continuous.results import WindowResult
 from ..converters.to_triples import SampleConverter
 from ..languages.csparql import parse_query
 from ..languages.csparql.ast import ContinuousQuery, Dialect
+from ..languages.errors import LanguageError, Span
 from ..matching.space import StreamSpace
 from ..ontology.ontology import Ontology
 from ..rdf.dictionary import TermDictionary
