@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from pyoxigraph import Literal
@@ -15,6 +15,7 @@ from .unsupported import Unsupported
 
 _ARGUMENTS = ("arg", "arg1", "arg2", "arg3", "text", "pattern", "start", "length", "replacement")
 """Where rdflib keeps the arguments of a built-in call, in the order in which they are written."""
+_IN_A_ROW = 64
 _NAMES = {"ISURI": "ISIRI", "URI": "IRI"}
 _NOT_HERE = {
     "BNODE": "BNODE, whose nodes are new in each solution",
@@ -44,7 +45,7 @@ class ExpressionTranslation:
             match node.name:
                 case "ConditionalAndExpression" | "ConditionalOrExpression":
                     operator = "&&" if "And" in node.name else "||"
-                    return _chain(go(node.expr), [(operator, go(one)) for one in node.other])
+                    return _either(operator, [go(node.expr), *map(go, node.other)])
                 case "RelationalExpression":
                     return relation(node)
                 case "AdditiveExpression" | "MultiplicativeExpression":
@@ -94,10 +95,19 @@ class ExpressionTranslation:
                 # rdflib reads `()` as rdf:nil.
                 return Const(Literal(operator == "NOT IN"))
             tests = [Call("=", (left, go(one))) for one in node.other]
-            found = _chain(tests[0], [("||", test) for test in tests[1:]])
+            found = _either("||", tests)
             return found if operator == "IN" else Call("!", (found,))
 
         return go(node)
+
+
+def _either(operator: str, tests: Sequence[Expression]) -> Expression:
+    """All tests by ``&&`` or ``||``, which are associative, errors included (SPARQL 1.1 §17.2): so
+    many of them are halved until they are few, for who reads an expression recurses."""
+    if len(tests) > _IN_A_ROW:
+        half = len(tests) // 2
+        return Call(operator, (_either(operator, tests[:half]), _either(operator, tests[half:])))
+    return _chain(tests[0], [(operator, test) for test in tests[1:]])
 
 
 def _chain(first: Expression, rest: list[tuple[str, Expression]]) -> Expression:

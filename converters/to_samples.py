@@ -234,7 +234,7 @@ class ResultConverter:
         self._namespace = namespace
         self._fields = field_names(predicates)
         self._keep_order = keep_order
-        self._ranks: dict[str, Ids] = {}
+        self._ranks: dict[str, tuple[StringPool, Ids]] = {}
         self._sizes: dict[str, int] = {}
         """How many texts a field had when they were ordered last."""
         for field in schema.fields:
@@ -341,16 +341,17 @@ class ResultConverter:
 
     def _rank(self, name: str, codes: Ids, pool: StringPool) -> Ids:
         """Numbers that order the texts with these codes."""
-        ranks = self._ranks.get(name)
-        if ranks is None or len(ranks) != len(pool):
+        known = self._ranks.get(name)
+        # As many texts may be others: a pool is renewed (`FluentStream.forget_texts`).
+        if known is None or known[0] is not pool or len(known[1]) != len(pool):
             if self._sizes.get(name) != len(pool):
                 # Where new texts come all the time, to sort all would cost more and more.
                 self._sizes[name] = len(pool)
                 distinct, place = np.unique(codes, return_inverse=True)
                 among: Ids = _ranked([pool[code] for code in distinct.tolist()])[place]
                 return among
-            ranks = self._ranks[name] = _ranked(pool.strings())
-        found: Ids = ranks[codes]
+            known = self._ranks[name] = pool, _ranked(pool.strings())
+        found: Ids = known[1][codes]
         return found
 
 

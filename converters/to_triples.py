@@ -62,6 +62,7 @@ class SampleConverter:
         self.annotation = annotation
         self.dictionary = dictionary
         self._tables: list[_Table] = []
+        self._tables_of: dict[tuple[Role, ...], list[_Table]] = {}
         self._nodes: list[_Node] = []
         for position, content in enumerate(annotation.contents):
             if features is not None and content.feature not in features:
@@ -100,12 +101,14 @@ class SampleConverter:
         return TimedTriples(self.dictionary, tuple(tables))
 
     def _add(self, subject: _Subject, roles: tuple[Role, ...], column: _Column) -> None:
-        for table in self._tables:
-            taken = {other.predicate for other in table.columns}
-            if table.roles == roles and column.predicate not in taken:
+        alike = self._tables_of.setdefault(roles, [])
+        for table in alike:
+            if column.predicate not in {other.predicate for other in table.columns}:
                 table.columns.append(column)
                 return
-        self._tables.append(_Table(subject, roles, [column]))
+        table = _Table(subject, roles, [column])
+        alike.append(table)
+        self._tables.append(table)
 
 
 def field_of(schema: Schema, name: str, annotation: StreamAnnotation) -> Field:

@@ -22,6 +22,7 @@ from ..converters.errors import ConversionError
 from ..converters.ndjson import decode_ndjson
 from ..converters.wire import Incoming
 from ..languages.errors import LanguageError
+from ..languages.specification import Specification
 from ..languages.ssl.annotation import CheckedAnnotation, StreamAnnotation
 from ..ontology.errors import OntologyError, QueryRefused
 from ..ontology.ontology import PreparedOntology
@@ -320,6 +321,10 @@ class ApplySpecification(Command, frozen=True, tag="apply specification"):
     def apply(self, engine: Engine) -> SpecificationView:
         return engine.apply_specification(self.text)
 
+    def apply_prepared(self, engine: Engine, specification: Specification) -> SpecificationView:
+        """`apply`, for who has read the text already."""
+        return engine.take_specification(specification)
+
 
 class LoadOntology(Command, frozen=True, tag="load ontology"):
     text: str
@@ -416,7 +421,7 @@ _ENCODER = msgspec.msgpack.Encoder()
 _DECODER: msgspec.msgpack.Decoder[AnyCommand] = msgspec.msgpack.Decoder(AnyCommand)
 
 
-ReadAlready: TypeAlias = Incoming | PreparedOntology
+ReadAlready: TypeAlias = Incoming | PreparedOntology | Specification
 """What the batch or text of a command says, for who has read it already."""
 
 
@@ -426,6 +431,8 @@ def done(engine: Engine, command: Command, known: ReadAlready | None = None) -> 
         case Publish(), Incoming():
             return command.apply_decoded(engine, known)
         case LoadOntology(), PreparedOntology():
+            return command.apply_prepared(engine, known)
+        case ApplySpecification(), Specification():
             return command.apply_prepared(engine, known)
         case _:
             return command.apply(engine)

@@ -74,6 +74,7 @@ class ConfigurationProcess:
     """
 
     transformation: Final = "foreach"
+    knows_codes: Final = False
 
     def __init__(
         self,

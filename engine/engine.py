@@ -16,6 +16,7 @@ from ..converters.wire import Incoming
 from ..languages.csparql import parse_argument, parse_event_request
 from ..languages.csparql.ast import EventRequest, Template
 from ..languages.kpl import parse_policy
+from ..languages.specification import Specification, parse_specification
 from ..languages.ssl.annotation import CheckedAnnotation, Content, StreamAnnotation
 from ..matching.uncollected import uncollected
 from ..ontology.ontology import Ontology, PreparedOntology
@@ -139,6 +140,7 @@ class Engine:
             self._configuration,
             self._changed,
             self._declared.check_name,
+            self._manager.together,
         )
         self._annotations = Annotations(
             self.ontology,
@@ -248,8 +250,9 @@ class Engine:
 
     def annotate(self, ssl: str) -> tuple[CheckedAnnotation, ...]:
         """Annotate streams and transformations by an SSL text; see `Annotations`."""
-        annotated = self._annotations.annotate(ssl)
-        self._settle()
+        with self._manager.together():
+            annotated = self._annotations.annotate(ssl)
+            self._settle()
         return annotated
 
     def describe(self, described: DescribedStream) -> StreamAnnotation:
@@ -259,8 +262,9 @@ class Engine:
 
     def describe_all(self, described: Sequence[DescribedStream]) -> tuple[StreamAnnotation, ...]:
         """Annotate streams in names, all of them or none; see `Annotations`."""
-        annotations = self._annotations.describe_all(described)
-        self._settle()
+        with self._manager.together():
+            annotations = self._annotations.describe_all(described)
+            self._settle()
         return annotations
 
     def set_quality(self, stream: str, quality: float) -> None:
@@ -607,8 +611,12 @@ class Engine:
     def apply_specification(self, text: str | bytes) -> SpecificationView:
         """Insert and remove units as an XML text says ([Introspection15 §3.2]); all of it or
         nothing. Raises `LanguageError`."""
+        return self.take_specification(parse_specification(text))
+
+    def take_specification(self, specification: Specification) -> SpecificationView:
+        """The same with what `parse_specification` made of a text, maybe in another process."""
         with self._manager.together():
-            view = self._specifications.apply(text)
+            view = self._specifications.apply(specification)
             self._settle()
         return view
 
@@ -674,7 +682,7 @@ class Engine:
         raise BadArguments("explain needs an event, a template or a query")
 
     def totals(self) -> Totals:
-        """How much there is of what people make. Cost: O(1)."""
+        """How much there is of what people make. Cost: O(ontologies)."""
         configuration = self._configuration
         return Totals(
             len(configuration.streams) - len(configuration.units),
@@ -684,6 +692,8 @@ class Engine:
             + len(self.queries)
             + len(self._specifications),
             len(self._kpl),
+            len(self._transformations),
+            self.ontology.number,
         )
 
     # -- within ------------------------------------------------------------------------------

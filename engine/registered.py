@@ -10,6 +10,7 @@ import json
 import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 
 from ..languages.ssl import check_ssl, parse_ssl
@@ -46,7 +47,8 @@ class TransformationView:
 
 
 class RegisteredTransformations:
-    """Registers, annotates, keeps and forgets transformations; every change is told."""
+    """Registers, annotates, keeps and forgets transformations; every change is told, several of
+    them ``together``."""
 
     def __init__(
         self,
@@ -55,12 +57,14 @@ class RegisteredTransformations:
         configuration: Configuration,
         changed: Callable[[Change], None],
         check_name: Callable[[str], None],
+        together: Callable[[], AbstractContextManager[None]],
     ) -> None:
         self._ontology = ontology
         self._transformations = transformations
         self._configuration = configuration
         self._changed = changed
         self._check_name = check_name
+        self._together = together
 
     def views(self) -> tuple[TransformationView, ...]:
         """All transformations, in the order of registration."""
@@ -116,8 +120,9 @@ class RegisteredTransformations:
                 raise BadArguments(f"{name!r} is described twice", "give each its own name")
         for each in made:
             self._admit(each, replace)
-        for each in made:
-            self._keep(each)
+        with self._together():
+            for each in made:
+                self._keep(each)
         return tuple(self.view(name) for name in names)
 
     def register_annotated(

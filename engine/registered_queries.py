@@ -16,6 +16,7 @@ from ..continuous.results import WindowResult
 from ..converters.to_triples import SampleConverter
 from ..languages.csparql import parse_query
 from ..languages.csparql.ast import ContinuousQuery, Dialect
+from ..languages.errors import LanguageError, Span
 from ..matching.space import StreamSpace
 from ..ontology.ontology import Ontology
 from ..rdf.dictionary import TermDictionary
@@ -137,6 +138,14 @@ class RegisteredQueries:
         except Exception as error:
             if known is not None:
                 self._lost[name] = _Lost(known.registration, str(error))
+            if isinstance(error, RecursionError):
+                # The text is to blame, however many kinds of things in each other are bounded.
+                raise LanguageError(
+                    "the query is nested too deeply to be evaluated",
+                    asked.source,
+                    Span(0, 0),
+                    "ask with several queries",
+                ) from error
             raise
         if known is not None:
             running.users = running.unit.users = known.users + 1

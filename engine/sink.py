@@ -38,6 +38,8 @@ class Sink:
             raise ValueError(f"{implementation.name} takes {expected} inputs, got {len(inputs)}")
         self.implementation = implementation
         self.inputs = tuple(inputs)
+        self.knows_codes = implementation.batch
+        """Batches are the user's, to keep what he likes."""
         self.name = name or implementation.name
         self.counters = ErrorCounters()
         self.failure: str | None = None

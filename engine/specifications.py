@@ -104,13 +104,13 @@ class Specifications:
 
     # -- faces -------------------------------------------------------------------------------
 
-    def apply(self, text: str | bytes) -> SpecificationView:
-        """Insert and remove what the text says, all of it or nothing.
+    def apply(self, specification: Specification) -> SpecificationView:
+        """Insert and remove what a text says, all of it or nothing.
 
         What is there already, the same, is not made anew. Raises `LanguageError` with the place of
-        what is wrong. Cost: O(units that run + length of the text), and what the units cost.
+        what is wrong. Cost: O(units that run + elements of the text), and what the units cost.
         """
-        return self._apply(parse_specification(text))
+        return self._apply(specification)
 
     def current(self) -> str:
         """The running configuration as a specification. Units that none can make, and those that

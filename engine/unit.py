@@ -53,6 +53,8 @@ class ComputationalUnit(ABC):
     role = Role.UNIT
     waits_for_all: ClassVar[bool] = True
     """Whether what it makes waits for all inputs, so that a sample may come after that."""
+    knows_codes = True
+    """Whether it keeps codes of its inputs' texts beyond a call."""
 
     def __init__(
         self,
@@ -358,6 +360,8 @@ class SelectionUnit(ComputationalUnit):
     Cost: a table look-up per sample; the table grows with the distinct ids of the stream.
     """
 
+    knows_codes = False
+
     def __init__(self, *args: Any, id_field: str, object_id: int, objects: ObjectTable) -> None:
         super().__init__(*args)
         self._id_field = id_field
@@ -437,7 +441,10 @@ class FunctionUnit(ComputationalUnit):
 
 class WindowUnit(ComputationalUnit):
     """A unit that evaluates windows: the samples of its inputs, converted to timed triples, go to
-    ``evaluator``; those that are too late for every window are left out before."""
+    ``evaluator``; those that are too late for every window are left out before. Texts become terms
+    on the way."""
+
+    knows_codes = False
 
     def __init__(
         self,

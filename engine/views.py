@@ -24,12 +24,14 @@ class Since(StrEnum):
 class Totals:
     """How much there is of what people make: ``streams`` that no unit makes, ``templates``,
     ``requests`` (of events, subscriptions, registered queries, inserted units), ``declarations``
-    in KPL."""
+    in KPL, ``transformations`` and ``ontologies`` with those of the program."""
 
     streams: int
     templates: int
     requests: int
     declarations: int
+    transformations: int
+    ontologies: int
 
 
 @dataclass(frozen=True, slots=True)

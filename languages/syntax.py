@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from collections.abc import Set as AbstractSet
-from typing import TypeAlias
+from typing import Final, TypeAlias
 
 from lark import Token, Tree
 from lark.exceptions import UnexpectedCharacters, UnexpectedInput, UnexpectedToken
 
 from .errors import LanguageError, Span
 
+REMEMBERED: Final = 16
+"""So many texts a parser remembers, with what they say."""
 SyntaxHint: TypeAlias = Callable[[str, AbstractSet[str]], str]
 """From what was found (empty at the end of the text) and the terminals that could stand there."""
 

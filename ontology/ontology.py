@@ -112,6 +112,8 @@ class Ontology:
         self._closed: tuple[int, Store] | None = None
         self._churn = 0
         """Quads that have come or gone since the store was made."""
+        self._look_at = _CHURN
+        """When so many have, it is looked at: counting its quads takes as long as there are."""
         self._log = ChangeLog()
         self._start()
 
@@ -197,6 +199,11 @@ class Ontology:
     def ontologies(self) -> tuple[str, ...]:
         """The IRIs of the loaded ontologies' graphs."""
         return tuple(sorted(self._hashes()))
+
+    @property
+    def number(self) -> int:
+        """How many ontologies are loaded. Cost: O(ontologies)."""
+        return len(self._hashes())
 
     def imports(self) -> tuple[str, ...]:
         """What the loaded ontologies import; it was not fetched. Load it by `load` if needed."""
@@ -522,10 +529,15 @@ class Ontology:
     def _renew(self) -> None:
         """Put what there is in a new store when so much has come and gone: one in memory keeps
         some of what was removed, and grows without end (0.6 KB a quad)."""
-        if self.path is None and self._churn > max(_CHURN, 4 * len(self.store)):
-            store = Store()
-            store.extend(self.store)
-            self.store, self._churn = store, 0
+        if self.path is not None or self._churn <= self._look_at:
+            return
+        much = max(_CHURN, 4 * len(self.store))
+        if self._churn <= much:
+            self._look_at = much
+            return
+        store = Store()
+        store.extend(self.store)
+        self.store, self._churn, self._look_at = store, 0, _CHURN
 
     def _elsewhere(self, triple: Triple, removed: set[Quad]) -> bool:
         holders = self.store.quads_for_pattern(

@@ -11,7 +11,7 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 
 from ..engine.engine import Engine
-from ..engine.errors import UnknownTemplate
+from ..engine.errors import UnknownTemplate, UnknownTransformation
 from .problems import Problem
 from .settings import Settings
 
@@ -33,6 +33,11 @@ REQUESTS = Quota(
     "DELETE /events/{id}, /subscriptions/{id} or /queries/{name}",
 )
 DECLARATIONS = Quota("max_declarations", "declarations in KPL", "DELETE /kpl/{name}")
+TRANSFORMATIONS = Quota("max_transformations", "transformations", "DELETE /transformations/{name}")
+ONTOLOGIES = Quota(
+    "max_ontologies", "ontologies", "none can be: replace one, POST /ontologies?name=IRI"
+)
+QUOTAS = (STREAMS, TEMPLATES, REQUESTS, DECLARATIONS, TRANSFORMATIONS, ONTOLOGIES)
 
 MAKES: Mapping[str, Collection[Quota]] = {
     "PUT /streams/{name}": (STREAMS,),
@@ -43,8 +48,11 @@ MAKES: Mapping[str, Collection[Quota]] = {
     "POST /queries": (REQUESTS,),
     "POST /specifications": (REQUESTS,),
     "POST /kpl": (DECLARATIONS, STREAMS),
+    "POST /transformations": (TRANSFORMATIONS,),
+    "PUT /transformations/{name}": (TRANSFORMATIONS,),
 }
-"""What each route may make; POST /annotations asks with the names that it has read."""
+"""What each route may make; POST /annotations, /transformations and /ontologies ask with the names
+that they have read."""
 
 
 class Quotas:
@@ -53,17 +61,15 @@ class Quotas:
     def __init__(self, engine: Engine, settings: Settings) -> None:
         self._engine = engine
         engine.before_demand(self.check_demand)
-        self._limits = {
-            quota: int(getattr(settings, quota.setting))
-            for quota in (STREAMS, TEMPLATES, REQUESTS, DECLARATIONS)
-        }
+        self._limits = {quota: int(getattr(settings, quota.setting)) for quota in QUOTAS}
         self._there: dict[str, Callable[[str], bool]] = {
             "PUT /streams/{name}": engine.has_stream,
             "PUT /templates/{name:path}": self._has_template,
+            "PUT /transformations/{name}": self._has_transformation,
         }
 
     def check(self, route: str, parameters: Mapping[str, str]) -> None:
-        """Raises a 403 `Problem` if ``route`` would make one thing too many. Cost: O(1)."""
+        """Raises a 403 `Problem` if ``route`` would make one thing too many."""
         for quota in MAKES.get(route, ()):
             if self._is_full(quota):
                 there = self._there.get(route)
@@ -76,15 +82,24 @@ class Quotas:
         if self._is_full(STREAMS):
             raise self._reached(STREAMS)
 
-    def has_room(self, streams: int) -> bool:
-        """Whether there may be so many streams more."""
-        return self._count(STREAMS) + streams <= self._limits[STREAMS]
-
     def check_streams(self, names: Collection[str]) -> None:
         """Raises a 403 `Problem` if streams of these names would be too many."""
-        new = sum(not self._engine.has_stream(name) for name in set(names))
-        if new and not self.has_room(new):
-            raise self._reached(STREAMS)
+        self._check_new(STREAMS, names, self._engine.has_stream)
+
+    def check_transformations(self, names: Collection[str]) -> None:
+        """The same of transformations."""
+        self._check_new(TRANSFORMATIONS, names, self._has_transformation)
+
+    def check_ontology(self, name: str) -> None:
+        """The same of an ontology; one of this name is replaced."""
+        self._check_new(ONTOLOGIES, [name], self._engine.ontology.static_graph)
+
+    def _check_new(
+        self, quota: Quota, names: Collection[str], is_there: Callable[[str], bool]
+    ) -> None:
+        new = sum(not is_there(name) for name in set(names))
+        if new and self._count(quota) + new > self._limits[quota]:
+            raise self._reached(quota)
 
     def _is_full(self, quota: Quota) -> bool:
         return self._count(quota) >= self._limits[quota]
@@ -92,6 +107,13 @@ class Quotas:
     def _count(self, quota: Quota) -> int:
         totals = self._engine.totals()
         return int(getattr(totals, quota.setting.removeprefix("max_")))
+
+    def _has_transformation(self, name: str) -> bool:
+        try:
+            self._engine.transformations.get(name)
+        except UnknownTransformation:
+            return False
+        return True
 
     def _has_template(self, name: str) -> bool:
         try:

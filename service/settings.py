@@ -70,6 +70,10 @@ class Settings(BaseSettings):
     """The same, of event requests, subscriptions and registered queries together."""
     max_declarations: int = Field(default=10_000, gt=0)
     """The same, of declarations in KPL."""
+    max_transformations: int = Field(default=1_000, gt=0)
+    """The same, of transformations, those that come with the program among them."""
+    max_ontologies: int = Field(default=100, gt=0)
+    """The same, of ontologies."""
     tick: float = Field(default=0.1, gt=0)
     """How often the engine is told the time."""
     retention_samples: int = Field(default=100_000, gt=0)

@@ -100,7 +100,8 @@ class FluentStream:
     ) -> None:
         self.schema = schema
         self.retention = retention or Retention()
-        self.pools = pools if pools is not None else {}
+        # Its own: which pool a field has changes, and others change theirs at other times.
+        self.pools = dict(pools or {})
         self._runs: list[_Run] = []
         self._longest = max(_FAN, self.retention.samples // 8)
         self._first = first
@@ -143,20 +144,35 @@ class FluentStream:
         self._first = self._next = first
         self.append(batch)
 
-    def forget_texts(self) -> None:
+    def forget_texts(self) -> bool:
         """Give text fields new pools, without the texts that no kept sample has, where most are of
-        that kind. Contract: nobody has codes of this stream but in batches.
+        that kind; whether there was one. Contract: nobody has codes of this stream but in batches.
 
         Cost: O(1), and O(kept samples) once for as many new texts.
         """
+        found = False
         for name, pool in self.pools.items():
             if len(pool) <= max(_TEXTS, _SHARE * len(self)):
                 continue
-            found = self.pools[name] = StringPool()
+            found = True
+            self.pools[name] = StringPool()
             for i, run in enumerate(self._runs):
-                columns = {**run.batch.columns, name: run.batch.columns[name].recoded(found)}
-                batch = SampleBatch(run.batch.available, run.batch.valid, columns)
-                self._runs[i] = run._replace(batch=batch)
+                self._runs[i] = run._replace(batch=self.encoded(run.batch))
+        return found
+
+    def encoded(self, batch: SampleBatch) -> SampleBatch:
+        """``batch`` with its texts in the codes of this stream's pools. Cost: O(columns) where they
+        are; else O(n log n), Python per distinct text."""
+        columns = batch.columns
+        if all(column.pool is self.pools.get(name) for name, column in columns.items()):
+            return batch
+        found = {
+            name: column
+            if column.pool is None
+            else column.recoded(self.pools.setdefault(name, column.pool))
+            for name, column in columns.items()
+        }
+        return SampleBatch(batch.available, batch.valid, found)
 
     def append(self, batch: SampleBatch) -> Segment | None:
         """Continue the stream; returns where the batch went, None if it was empty."""

@@ -26,6 +26,10 @@ from .time import TIME_MAX, TIME_MIN
 class Receiver(Protocol):
     """Whoever subscribes: gets the stream's samples in order of available time."""
 
+    @property
+    def knows_codes(self) -> bool:
+        """Whether it keeps codes of the stream's texts beyond a call, so that they have to stay."""
+
     def receive(self, source: StreamGenerator, batch: SampleBatch) -> None:
         """Samples continue the stream; none of the batch has been seen before."""
 
@@ -219,6 +223,7 @@ class StreamGenerator:
         stamps = None if now is None else self._stamps(len(batch), now)
         if self.is_open:
             self._adopt_from(batch)
+        batch = self.stream.encoded(batch)
         self.stamped = stamps is not None
         self.resume()
         self.wake()
@@ -411,10 +416,14 @@ class StreamGenerator:
             receiver.receive(self, batch)
         for listener in tuple(self._listeners):
             listener.receive(self, batch)
-        if not self._receivers and self._pending is None:
-            # Who reads a stream may know its texts by their codes.
-            self.stream.forget_texts()
+        if not any(receiver.knows_codes for receiver in self._receivers):
+            self._forget_texts()
         self._announce(int(batch.available[-1]))
+
+    def _forget_texts(self) -> None:
+        """Texts that nothing kept or held back has. Contract: no receiver knows codes."""
+        if self.stream.forget_texts() and self._pending is not None:
+            self._pending = self.stream.encoded(self._pending)
 
     def _announce(self, watermark: int) -> None:
         """Tell the subscribers of a watermark that says more than the last one."""

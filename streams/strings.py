@@ -17,8 +17,8 @@ class StringPool:
     codes may be shared, sliced and cached. One pool serves one field of one stream.
 
     Cost: a dict look-up per string encoded, nothing per string carried. Memory: every distinct
-    string once, for as long as the pool lives: that is as long as somebody reads the stream
-    (`FluentStream.forget_texts`).
+    string once, for as long as the pool lives: that is as long as somebody keeps codes of the
+    stream (`FluentStream.forget_texts`).
     """
 
     __slots__ = ("_codes", "_strings")

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable
 from collections.abc import Set as AbstractSet
-from functools import cache
+from functools import cache, lru_cache
 from importlib import resources
 from typing import Final
 
@@ -18,7 +18,7 @@ from lark.exceptions import UnexpectedInput
 from ...streams.policy import Approximation, Order
 from ..errors import LanguageError, Span
 from ..hints import did_you_mean
-from ..syntax import expected_hint, span_of, syntax_error, tokens, trees
+from ..syntax import REMEMBERED, expected_hint, span_of, syntax_error, tokens, trees
 from . import ast
 
 _EXPECTED: Final = {
@@ -67,11 +67,13 @@ def _grammar() -> Lark:
     return Lark(text, start=starts, parser="lalr", lexer="contextual", propagate_positions=True)
 
 
+@lru_cache(maxsize=REMEMBERED)
 def parse_kpl(source: str) -> ast.Specification:
     """The declarations of a KPL text, in order; ``#`` and ``//`` start comments.
 
     Raises `LanguageError` for a text that the grammar refuses; the caret stands under the first
-    thing that cannot be there.
+    thing that cannot be there. The last texts are remembered: who has had one read in another
+    thread need not wait for it.
     """
     nodes = trees(_parse(source, "start"))
     reader = _Reader(source)

@@ -92,18 +92,20 @@ class _Checker:
     def contents(self, stream: StreamDeclaration) -> tuple[Content, ...]:
         self.check_entities(stream)
         contents: list[Content] = []
+        said: set[tuple[str, tuple[Role, ...]]] = set()
         for term in stream.features:
             span = Span(term.span.start, term.span.start + len(term.feature))
             feature = self.feature(term.feature, span)
             roles = self.roles(term, stream)
             unit = self.unit(feature, term.feature, term.unit, term.unit_span)
             self.check_field(term.field, term.field_span)
-            if any(c.feature == feature and c.roles == roles for c in contents):
+            if (feature, roles) in said:
                 raise self.error(
                     f"`{term.feature}` of the same object is declared twice",
                     term.span,
                     "name each feature of an object once; another object needs another argument",
                 )
+            said.add((feature, roles))
             contents.append(Content(feature, term.field, unit, roles))
         return tuple(contents)
 

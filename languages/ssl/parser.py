@@ -6,7 +6,7 @@ Names are not resolved here; `check` does that.
 from __future__ import annotations
 
 from collections.abc import Set as AbstractSet
-from functools import cache
+from functools import cache, lru_cache
 from importlib import resources
 from typing import Final
 
@@ -14,7 +14,7 @@ from lark import Lark, Token, Tree
 from lark.exceptions import UnexpectedInput
 
 from ..errors import LanguageError, Span
-from ..syntax import expected_hint, span_of, syntax_error, tokens, trees
+from ..syntax import REMEMBERED, expected_hint, span_of, syntax_error, tokens, trees
 from .ast import (
     Argument,
     CompunitDeclaration,
@@ -51,11 +51,13 @@ def _grammar() -> Lark:
     return Lark(text, parser="lalr", lexer="contextual", propagate_positions=True)
 
 
+@lru_cache(maxsize=REMEMBERED)
 def parse_ssl(source: str) -> tuple[Declaration, ...]:
     """The declarations of an SSL text, in order; `#` starts a comment.
 
     Raises `LanguageError` for a text that Listing 1's grammar refuses; the caret stands under
-    the first thing that cannot be there.
+    the first thing that cannot be there. The last texts are remembered: who has had one read in
+    another thread need not wait for it.
     """
     try:
         tree = _grammar().parse(source)

@@ -1,4 +1,5 @@
-"""What a worker does: queries over a copy of the ontology, SPARQL over quads, RDF texts, closures.
+"""What a worker does: queries over a copy of the ontology, SPARQL over quads, RDF texts, closures,
+specifications in XML.
 
 Nothing here is bounded but sizes of results: time and memory are the process's (`child`).
 """
@@ -25,30 +26,41 @@ from pyoxigraph import (
     serialize,
 )
 
+from ...languages.errors import LanguageError
+from ...languages.specification import parse_specification
+from ...languages.specification.markup import NAMESPACE
 from ...ontology.closure import closure_of
 from ...ontology.errors import OntologyError, QueryRefused
 from ...ontology.query_guard import check_user_query
 from ...ontology.reading import TextFormat, read_triples
 from ...ontology.turtle import ALL_PREFIXES
+from .elements import UNIT
+from .elements import rows_of as element_rows
 from .formats import GRAPHS, TABLES
 from .messages import (
     Answer,
     Ask,
+    Elements,
     Entail,
     Failed,
     Follow,
+    Misread,
     Query,
     Read,
+    ReadSpecification,
     Refused,
     Row,
     Table,
     TooMuch,
     Truth,
+    Work,
     Written,
     cell_of,
     rows_of,
     triples_of,
 )
+
+_EMPTY_SPECIFICATION = f'<specification xmlns="{NAMESPACE}"/>'
 
 
 class Worker:
@@ -68,8 +80,9 @@ class Worker:
         closed = self.answer(Entail(read.rows, 1000))
         assert isinstance(closed, Table)
         self.answer(Ask("SELECT", "", None, b"", [], 1, 1))
+        self.answer(ReadSpecification(_EMPTY_SPECIFICATION, 1, 1))
 
-    def answer(self, work: Follow | Query | Ask | Read | Entail) -> Answer:
+    def answer(self, work: Work) -> Answer:
         """The answer to a job; errors that it may have are answers too."""
         try:
             match work:
@@ -83,10 +96,14 @@ class Worker:
                     return _read(work)
                 case Entail():
                     return _entail(work)
+                case ReadSpecification():
+                    return _read_specification(work)
         except _Enough as enough:
             return TooMuch(enough.what, enough.limit)
         except (QueryRefused, OntologyError) as error:
             return Refused(error.message, error.hint, error.line, error.column)
+        except LanguageError as error:
+            return Misread(error.message, error.hint, error.span.start, error.span.end)
         except MemoryError:
             return Failed("it needs more memory than it may have")
         except RecursionError:
@@ -157,6 +174,19 @@ def _entail(work: Entail) -> Answer:
     if len(added) > work.most:
         return TooMuch("triples", work.most)
     return Table([], sorted(rows_of(added), key=str))
+
+
+def _read_specification(work: ReadSpecification) -> Answer:
+    found = parse_specification(work.text)
+    rows = element_rows(found)
+    for what, number, most in (
+        ("elements", len(rows), work.elements),
+        ("units to insert", sum(1 for row in rows if row[0] == UNIT), work.parts),
+        ("units to remove", len(found.removals), work.parts),
+    ):
+        if number > most:
+            return TooMuch(what, most)
+    return Elements(rows)
 
 
 class _Enough(Exception):

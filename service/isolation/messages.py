@@ -18,6 +18,9 @@ if TYPE_CHECKING:  # it brings numpy, which no worker needs
 Cell: TypeAlias = tuple[int, str, str]
 """A term: what it is, its text, the datatype or language of a literal."""
 Row: TypeAlias = list[Cell | None]
+ElementRow: TypeAlias = tuple[int, int, str, str | None, int, int]
+"""An element of a specification (`elements`): what it is, the row that it stands in, the type or
+the value, the name, where its tag begins and ends."""
 PREFIX = 8
 """Bytes of a message's length before it, big-endian."""
 _IRI, _BLANK, _TYPED, _TAGGED = range(4)
@@ -74,10 +77,22 @@ class Entail(msgspec.Struct, tag="entail", frozen=True):
     most: int
 
 
+class ReadSpecification(msgspec.Struct, tag="read specification", frozen=True):
+    """A specification in XML, decoded; of at most so many insertions, as many removals, and
+    ``elements`` of all kinds."""
+
+    text: str
+    parts: int
+    elements: int
+
+
+Work: TypeAlias = Follow | Query | Ask | Read | Entail | ReadSpecification
+
+
 class Job(msgspec.Struct, frozen=True):
     """What is to be done, and how many seconds of a processor it may take."""
 
-    work: Follow | Query | Ask | Read | Entail
+    work: Work
     seconds: float
 
 
@@ -109,6 +124,21 @@ class Refused(msgspec.Struct, tag="refused", frozen=True):
     column: int | None = None
 
 
+class Elements(msgspec.Struct, tag="elements", frozen=True):
+    """A specification (`elements`)."""
+
+    rows: list[ElementRow]
+
+
+class Misread(msgspec.Struct, tag="misread", frozen=True):
+    """The text is to blame, between the characters ``start`` and ``end``."""
+
+    message: str
+    hint: str
+    start: int
+    end: int
+
+
 class Failed(msgspec.Struct, tag="failed", frozen=True):
     """The evaluation of a right text found an error."""
 
@@ -122,7 +152,7 @@ class TooMuch(msgspec.Struct, tag="too-much", frozen=True):
     limit: int
 
 
-Answer: TypeAlias = Written | Table | Truth | Refused | Failed | TooMuch
+Answer: TypeAlias = Written | Table | Truth | Refused | Elements | Misread | Failed | TooMuch
 
 encode = msgspec.msgpack.Encoder().encode
 decode_job = msgspec.msgpack.Decoder(Job).decode

@@ -9,9 +9,10 @@ from ...ontology.ontology import Ontology
 from ..pausing import Pausing
 from ..settings import MEBIBYTE, Settings
 from .asking import IsolatedAsking
-from .documents import IsolatedReasoning
+from .documents import WAITING, IsolatedReasoning
 from .pool import Pool
 from .sparql import IsolatedQueries
+from .specifications import IsolatedSpecifications
 
 WORKERS: Final = 2
 """So many questions about windows are answered at once."""
@@ -68,16 +69,20 @@ class Isolation:
         self.documents = IsolatedReasoning(
             self._documents, settings.ontology_deadline, settings.ontology_triples
         )
+        # A pool of their own: an ontology takes its worker for many seconds.
+        self._specifications = Pool(1, settings.worker_memory, WAITING)
+        self.specifications = IsolatedSpecifications(self._specifications)
+        self._pools = (self._sparql, self._documents, self._specifications)
 
     @property
     def ended(self) -> int:
         """How many workers came to their end in the middle of a job."""
-        return self._sparql.ended + self._documents.ended
+        return sum(pool.ended for pool in self._pools)
 
     @property
     def busy(self) -> int:
         """How many workers are at work."""
-        return self._sparql.busy + self._documents.busy
+        return sum(pool.busy for pool in self._pools)
 
     def warm(self) -> None:
         """Start all workers: the first who ask should not wait for them."""
@@ -85,10 +90,10 @@ class Isolation:
 
     def open(self) -> None:
         """There are workers from now on: an application may start again after it has ended."""
-        self._sparql.open()
-        self._documents.open()
+        for pool in self._pools:
+            pool.open()
 
     def close(self) -> None:
         """End all workers."""
-        self._sparql.close()
-        self._documents.close()
+        for pool in self._pools:
+            pool.close()

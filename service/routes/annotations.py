@@ -9,18 +9,15 @@ from fastapi.responses import JSONResponse, PlainTextResponse, Response
 from pydantic import Field
 
 from ...engine.commands import Annotate, Describe
-from ...languages.ssl import parse_ssl
 from ...languages.ssl.ast import StreamDeclaration
 from ..context import Context
 from ..models import AnnotationModel, ContentsIn, schema_of, text_schema
 from ..negotiation import JSON, TEXT, accepted, content_type, json_value, utf8
-from ..parsing import check_length
+from ..parsing import MOST_CONTENTS, MOST_DECLARATIONS, check_length, read_ssl, too_long
 from ..problems import responses
 
 router = APIRouter(tags=["annotations"])
 
-STREAMS = 1000
-"""So many streams are annotated in one request in JSON."""
 EXAMPLE = "stream s1 contains altitude(Aircraft) = alt [ft] for every Aircraft = icao24"
 DESCRIBED = {
     "stream": "s1",
@@ -42,7 +39,11 @@ BODY = {
                 "schema": {
                     "anyOf": [
                         schema_of(ContentsIn),
-                        {"type": "array", "items": schema_of(ContentsIn), "maxItems": STREAMS},
+                        {
+                            "type": "array",
+                            "items": schema_of(ContentsIn),
+                            "maxItems": MOST_DECLARATIONS,
+                        },
                     ]
                 },
                 "example": DESCRIBED,
@@ -50,7 +51,7 @@ BODY = {
         },
     }
 }
-Described: TypeAlias = ContentsIn | Annotated[list[ContentsIn], Field(max_length=STREAMS)]
+Described: TypeAlias = ContentsIn | Annotated[list[ContentsIn], Field(max_length=MOST_DECLARATIONS)]
 
 
 @router.post(
@@ -68,19 +69,21 @@ async def annotate(request: Request, service: Context) -> list[AnnotationModel]:
     kind = content_type(request, (TEXT, JSON))
     body = await request.body()
     check_length(body)
+    quotas = service.gate.quotas
     if kind == TEXT:
         text = utf8(body)
-        quotas = service.gate.quotas
-        # Each declaration of a stream has the word in it: most texts need not be read twice.
-        if not quotas.has_room(text.count("stream")):
-            quotas.check_streams(
-                [one.name for one in parse_ssl(text) if isinstance(one, StreamDeclaration)]
-            )
+        declared = await read_ssl(text)
+        streams = [one.name for one in declared if isinstance(one, StreamDeclaration)]
+        quotas.check_streams(streams)
+        others = [one.name for one in declared if not isinstance(one, StreamDeclaration)]
+        quotas.check_transformations(others)
         found = await service.do(Annotate(text))
         return [AnnotationModel.of(annotation) for annotation in found]
     described: ContentsIn | list[ContentsIn] = json_value(body, Described)
     several = described if isinstance(described, list) else [described]
-    service.gate.quotas.check_streams([each.stream for each in several])
+    if sum(len(each.contents) for each in several) > MOST_CONTENTS:
+        raise too_long(f"{MOST_CONTENTS} contents")
+    quotas.check_streams([each.stream for each in several])
     made = await service.do(Describe(tuple(each.described() for each in several)))
     return [AnnotationModel.of(annotation) for annotation in made]
 

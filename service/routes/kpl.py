@@ -11,7 +11,7 @@ from ...engine.commands import AddKpl, RemoveKpl
 from ..context import Context
 from ..models import DeclarationModel, OneDeclarationModel, RemovedModel, text_schema
 from ..negotiation import JSON, TEXT, accepted, text_body
-from ..parsing import check_length
+from ..parsing import check_length, read_kpl
 from ..problems import responses
 
 router = APIRouter(tags=["kpl"])
@@ -43,6 +43,7 @@ async def declare(request: Request, service: Context, unit: Unit = "ms") -> list
     """
     check_length(await request.body())
     text = await text_body(request, (TEXT,))
+    await read_kpl(text)
     return [DeclarationModel.of(view) for view in await service.do(AddKpl(text, unit))]
 
 

@@ -44,7 +44,9 @@ _NO_BASE = NamedNode("urn:dyknow:no-base:")
 _NAME_IT = "say what it is called: ?name=<IRI>, or --name IRI"
 
 
-@router.post("/ontologies", status_code=201, openapi_extra=BODY, responses=responses(413, 415, 503))
+@router.post(
+    "/ontologies", status_code=201, openapi_extra=BODY, responses=responses(403, 413, 415, 503)
+)
 async def load_ontology(
     request: Request,
     service: Context,
@@ -69,6 +71,7 @@ async def load_ontology(
 
     def prepare() -> tuple[str, PreparedOntology]:
         known = _own_name(text, format, documents) if name is None else name
+        service.gate.quotas.check_ontology(known)
         return known, ontology.prepare(text, name=known, format=format, reasoning=documents)
 
     known, prepared = await while_connected(request, lambda: documents.run(prepare))

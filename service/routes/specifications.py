@@ -8,6 +8,7 @@ from fastapi import APIRouter, Request, Response
 
 from ...engine.commands import ApplySpecification
 from ..context import Context
+from ..isolation.serving import while_connected
 from ..models import InsertionModel, SpecificationModel, text_schema
 from ..negotiation import TEXT_XML, XML, content_type
 from ..parsing import check_length
@@ -35,7 +36,7 @@ ANSWER: dict[int | str, dict[str, Any]] = {200: {"content": {XML: {"schema": {"t
 
 
 @router.post(
-    "/specifications", openapi_extra=BODY, responses=responses(403, 404, 409, 413, 415, 422)
+    "/specifications", openapi_extra=BODY, responses=responses(403, 404, 409, 413, 415, 422, 503)
 )
 async def apply(request: Request, service: Context) -> SpecificationModel:
     """Insert and remove units, all that the text says as one change, or nothing.
@@ -47,7 +48,10 @@ async def apply(request: Request, service: Context) -> SpecificationModel:
     # Bytes: the text says itself how it is encoded.
     body = await request.body()
     check_length(body)
-    view = await service.do(ApplySpecification(body))
+    specification = await while_connected(
+        request, lambda: service.isolation.specifications.read(body)
+    )
+    view = await service.do(ApplySpecification(body), specification)
     service.feeds.review()
     return SpecificationModel.of(view)
 

@@ -16,7 +16,7 @@ from ...rdf.namespaces import local_name, shorten
 from ..context import Context, Service
 from ..models import TemplateModel, text_schema
 from ..negotiation import JSON, SPARQL_QUERY, TEXT, accepted, text_body
-from ..parsing import parse_aside
+from ..parsing import parse_aside, parse_registration
 from ..problems import Problem, responses
 
 router = APIRouter(tags=["templates"])
@@ -51,7 +51,7 @@ IfNoneMatch = Annotated[str | None, Header()]
 async def register_template(request: Request, service: Context) -> Response:
     """Register a template. It becomes a property of its event concept and survives a restart."""
     text = await text_body(request, TEXTS)
-    await parse_aside(parse_template, text)
+    await parse_aside(parse_registration, text)
     view = await service.do(RegisterTemplate(text))
     return _answer(view, 201)
 
@@ -97,7 +97,7 @@ async def put_template(
 ) -> Response:
     """Register the template of this name, or replace it. Running requests keep what they have."""
     text = await text_body(request, TEXTS)
-    await parse_aside(parse_template, text)
+    await parse_aside(parse_registration, text)
     registered = parse_template(text).name
     if name not in (registered, f"<{registered}>", shorten(registered), local_name(registered)):
         raise Problem(

@@ -21,6 +21,7 @@ from ..context import Context, Service
 from ..isolation.serving import while_connected
 from ..models import TransformationIn, TransformationModel, WorthIn, schema_of, text_schema
 from ..negotiation import JSON, TURTLE, content_type, json_value, utf8
+from ..parsing import check_number, read_ssl
 from ..problems import Problem, responses
 from .streams import json_only
 
@@ -74,6 +75,7 @@ async def register_transformations(
     name that is taken, or code that takes or gives otherwise. Turtle is answered with a list.
     """
     wanted = await _read(request, service)
+    service.gate.quotas.check_transformations(_names(wanted))
     views = await service.do(_command(wanted))
     if len(views) == 1:
         response.headers["Location"] = f"/transformations/{views[0].name}"
@@ -148,10 +150,14 @@ async def _read(request: Request, service: Service) -> Wanted:
     body = await request.body()
     if kind == TURTLE:
         text, documents = utf8(body), service.isolation.documents
-        return await while_connected(
+        several = await while_connected(
             request, lambda: documents.run(lambda: read_transformations(text, documents))
         )
+        check_number(several)
+        return several
     wanted: TransformationIn = json_value(body, TransformationIn)
+    if wanted.annotation is not None:
+        await read_ssl(wanted.annotation)
     described = (wanted.name, wanted.output) != (None, None) or bool(wanted.inputs)
     if described == (wanted.annotation is not None):
         what = "both ways" if described else "neither way"

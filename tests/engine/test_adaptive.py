@@ -1327,6 +1327,8 @@ def test_what_is_removed_is_forgotten_with_no_subscription_there(world):
 class Watcher:
     """Whoever reads the status stream, and asks what the subscription reads while it is told."""
 
+    knows_codes = False
+
     def __init__(self, world, id):
         self.world, self.id, self.seen = world, id, []
 

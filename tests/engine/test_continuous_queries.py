@@ -557,3 +557,39 @@ def test_literals_keep_what_fields_cannot_hold(flying):
     assert flying.queries.latest("q").solutions.rows() == [
         {"word": Literal("Hallo", language="de")}
     ]
+
+
+@pytest.mark.parametrize(
+    "condition",
+    [
+        f"?v IN ({', '.join(map(str, range(300, 900)))})",
+        f"?v NOT IN ({', '.join(map(str, range(600)))}, {', '.join(map(str, range(900, 1200)))})",
+        " || ".join(f"?v = {number}" for number in range(600, 900)),
+        " && ".join(f"?v != {number}" for number in range(900, 1001)),
+        # An error in one of many is none where another decides.
+        "1 / 0 > 1 || " + " || ".join(f"?v = {number}" for number in range(600, 900)),
+    ],
+    ids=["IN", "NOT IN", "or", "and", "an error"],
+)
+def test_long_lists_in_conditions(flying, condition):
+    text = f"""REGISTER QUERY among AS SELECT ?v FROM STREAM {S5} [RANGE 20s STEP 20s]
+        WHERE {{ ?o dyknow:speed ?v . FILTER({condition}) }}"""
+    flying.queries.register(text)
+    speeds = range(600, 1001, 7)
+    play(flying, [(n / 100, {"id": f"uav{n}", "spd": float(n), "alt": 1.0}) for n in speeds])
+    told = sorted(values["v"] for _, values in samples(flying, "among"))
+    assert told == [float(n) for n in speeds if n < 900]
+
+
+def test_what_is_nested_too_deeply_after_all_is_refused(flying, monkeypatch):
+    """Bounds of the text see to it that nothing is; were it so, the text would be to blame."""
+
+    def deep(*_):
+        raise RecursionError
+
+    monkeypatch.setattr("dyknow.continuous.solving.Reading.translated", deep)
+    with pytest.raises(LanguageError, match="nested too deeply to be evaluated"):
+        flying.queries.register(SELECT)
+    assert flying.queries.views() == ()
+    monkeypatch.undo()
+    assert flying.queries.register(SELECT).state == "running"

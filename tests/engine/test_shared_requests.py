@@ -166,6 +166,8 @@ def test_who_follows_an_answer_hears_of_time(shared):
     heard = []
 
     class Reader:
+        knows_codes = False
+
         def receive(self, source, batch):
             heard.append(("samples", len(batch)))
 

@@ -29,6 +29,7 @@ from dyknow.languages.csparql import (
     with_streams,
 )
 from dyknow.languages.csparql.functions import calls
+from dyknow.languages.csparql.limits import MOST_OPERATORS, MOST_PARTS
 from dyknow.languages.csparql.tokens import tokenize
 from dyknow.languages.errors import LanguageError
 
@@ -221,3 +222,49 @@ def test_citybench() -> None:
         printed = format_query(query)
         assert "REGISTER" not in printed
         assert format_query(parse_query(printed)) == printed
+
+
+def condition(text: str) -> str:
+    window = "[RANGE 5s STEP 1s]"
+    return (
+        f"REGISTER QUERY q AS SELECT ?o FROM STREAM <http://e/s> {window}\n"
+        f"WHERE {{ ?o <http://e/p> ?v . FILTER({text}) }}"
+    )
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "?v > 1{}",
+        "?v > 1 + (2 * (3 - 4 {}))",
+        "(1 {}) / ?v + 2 - 3 > ?v",
+        "COALESCE(1 + 2, 3 {}) > 1 + 1",
+        "EXISTS {{ ?o ?p ?w FILTER(?w > 1 {}) }}",
+    ],
+)
+def test_operators_in_each_other_are_bounded(text: str) -> None:
+    own = {"(2 * (": 3, "(1 {}) /": 3, "COALESCE": 1}
+    others = next((count for part, count in own.items() if part in text), 0)
+    parse_query(condition(text.format("+ 1" * (MOST_OPERATORS - others))))
+    with pytest.raises(LanguageError, match="more than 128 operators") as caught:
+        parse_query(condition(text.format("+ 1" * (MOST_OPERATORS - others + 1))))
+    assert (caught.value.line, caught.value.column > 300) == (2, True)
+
+
+def test_many_signs_that_are_not_in_each_other() -> None:
+    parse_query(condition(f"?v IN ({', '.join(['-1'] * 500)})"))
+    parse_query(condition(" || ".join(["?v = -1"] * 100)))
+    values = condition("true").replace("FILTER(true)", f"VALUES ?v {{ {'-1 ' * 500} }}")
+    parse_query(values)
+
+
+@pytest.mark.parametrize(
+    ("part", "costs"),
+    [("FILTER(?v > 1)", 1), ("FILTER EXISTS {}", 2), ("OPTIONAL {}", 1), ("VALUES ?w { 1 }", 2)],
+)
+def test_parts_of_patterns_are_bounded(part: str, costs: int) -> None:
+    before = 2  # the group of WHERE and the FILTER that is there
+    most = (MOST_PARTS - before) // costs
+    parse_query(condition("true").replace("}", " ".join(["", *[part] * most, "}"])))
+    with pytest.raises(LanguageError, match="more than 160 groups"):
+        parse_query(condition("true").replace("}", " ".join(["", *[part] * (most + 1), "}"])))

@@ -5,6 +5,7 @@ import re
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
+import msgspec
 from hypothesis import given, reject, settings
 from hypothesis import strategies as st
 from lxml import etree
@@ -22,8 +23,12 @@ from dyknow.languages.specification import (
 from dyknow.languages.specification.document import read
 from dyknow.languages.specification.markup import BLANKS, NAMESPACE, scan
 from dyknow.languages.specification.refusals import refusal
+from dyknow.service.isolation.elements import rows_of, specification_of
+from dyknow.service.isolation.messages import BadAnswer, ElementRow
 
 HERE = Span(0, 0)
+encode = msgspec.msgpack.encode
+decode = msgspec.msgpack.Decoder(list[ElementRow]).decode
 CASES = Path(__file__).parent.parent / "cases" / "specification"
 ROOM = Path(__file__).parents[2] / "languages" / "specification"
 SCHEMA = etree.XMLSchema(etree.parse(str(ROOM / "specification.xsd")))
@@ -231,3 +236,34 @@ def test_tags_and_attributes_are_where_they_are_said_to_be(body: str) -> None:
             place = value.place
             assert text[place.span.start : place.span.end] == name
             assert text[place.value.start : place.value.end] == value.text == node.get(name)
+
+
+@given(specifications())
+def test_what_a_worker_says_is_what_it_read(specification: Specification) -> None:
+    printed = format_specification(specification)
+    read_there = parse_specification(printed)
+    rows = decode(encode(rows_of(read_there)))
+    read_here = specification_of(rows, printed)
+    assert read_here == read_there
+    # Places are no part of what is equal, and stand in messages.
+    assert repr(read_here) == repr(read_there)
+
+
+numbers = st.integers(-2, 9)
+strange = st.lists(
+    st.tuples(
+        numbers, numbers, st.sampled_from(["", "t"]), st.none() | st.just("n"), numbers, numbers
+    ),
+    max_size=6,
+)
+
+
+@given(strange)
+def test_of_strange_rows_nothing_is_made_or_what_says_them(rows: list[ElementRow]) -> None:
+    try:
+        made = specification_of(rows, "xxxx")
+    except BadAnswer:
+        return
+    again = rows_of(made)
+    assert len(again) == len(rows)
+    assert specification_of(again, "xxxx") == made

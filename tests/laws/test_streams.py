@@ -184,6 +184,8 @@ def test_long_histories_answer_as_defined_however_they_were_put_together(drawn, 
 class Recorder:
     """A receiver that checks the watermark's promise on every call."""
 
+    knows_codes = False
+
     def __init__(self):
         self.samples = []
         self.watermark = None

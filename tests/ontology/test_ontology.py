@@ -316,3 +316,18 @@ def test_answers_are_serialized(plain: Ontology) -> None:
         plain.query_serialized("ASK {}", "turtle")
     with pytest.raises(QueryRefused, match="SELECT"):
         plain.query_rows("ASK {}")
+
+
+def test_a_store_in_memory_is_made_anew_now_and_then() -> None:
+    """Its quads are counted a few times only, however often the stream space changes."""
+    ontology = Ontology.open()
+    first = ontology.store
+    size = len(first)
+    name = Triple(own("s1"), own("hasName"), Literal("s1"))
+    for _ in range(4 * size):
+        ontology.mirror([name], [])
+        ontology.mirror([], [name])
+    assert ontology.store is not first
+    ontology.mirror([name], [])
+    assert len(ontology.store) == size + 2  # in its graph and in the default graph
+    assert column(ontology, "SELECT ?n { :s1 :hasName ?n }") == {"s1"}

@@ -102,8 +102,8 @@ def served() -> Iterator[Served]:
 
 
 SHORT = {
-    "/kpl": "strmgen a = " + "f(" * 20_000 + "s5" + ")" * 20_000,
-    "/annotations": "stream s5 contains speed" + "(" * 20_000 + ")" * 20_000 + " = spd",
+    "/kpl": "strmgen a = " + "f(" * 500 + "s5" + ")" * 500,
+    "/annotations": "stream s5 contains speed" + "(" * 900 + ")" * 900 + " = spd",
     "/specifications": "<a>" * 10_000 + "</a>" * 10_000,
 }
 """What is short enough to be parsed."""

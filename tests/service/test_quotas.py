@@ -29,6 +29,18 @@ FROM STREAM <http://www.ida.liu.se/dyknow/s1.trdf> [RANGE 5s STEP 1s]
 WHERE {{ ?o a dyknow:UAV }}"""
 SPEED = "stream {name} contains speed(UAV) = speed [m.s-1] for every UAV = id"
 
+COMPUNIT = "compunit {name} transforms a:latitude [deg], b:longitude [deg] to c:speed [m.s-1]"
+PREFIXES = """@prefix : <http://www.dyknow.eu/ontology#> .
+@prefix dyknow: <http://www.ida.liu.se/dyknow/> .
+"""
+LISTING = """:{name} a :Transformation ; :hasAnnotation [
+  :hasInputAnnotation [ :describesFeature dyknow:latitude ;
+    :nextSegment [ :hasInputAnnotation [ :describesFeature dyknow:longitude ] ] ] ;
+  :hasOutputAnnotation [ :describesFeature dyknow:speed ; :hasUnit "m.s-1" ] ] ;
+  :hasImplementation [ :hasName "coordinatesToSpeed" ] ."""
+KNOWN = Engine().totals().transformations
+SHIPPED = Engine().totals().ontologies
+
 
 @pytest.fixture
 def settings() -> Settings:
@@ -41,6 +53,8 @@ def settings() -> Settings:
         max_templates=1,
         max_requests=3,
         max_declarations=2,
+        max_transformations=KNOWN + 1,
+        max_ontologies=SHIPPED + 1,
     )
 
 
@@ -165,6 +179,50 @@ def test_declarations_in_kpl(client: Client) -> None:
     assert refused(caught.value, "max_declarations")
     client.remove_kpl("b")
     assert client.declare_kpl("source float c")
+
+
+def test_transformations_however_they_are_described(http: httpx.Client) -> None:
+    def in_json(name: str) -> httpx.Response:
+        annotation = COMPUNIT.format(name=name)
+        body = {"annotation": annotation, "implementation": "coordinatesToSpeed"}
+        return http.post("/transformations", json=body)
+
+    def in_turtle(method: str, path: str, *names: str) -> httpx.Response:
+        text = PREFIXES + "\n".join(LISTING.format(name=name) for name in names)
+        return http.request(method, path, content=text, headers={"Content-Type": "text/turtle"})
+
+    def in_ssl(name: str) -> httpx.Response:
+        text = COMPUNIT.format(name=name)
+        return http.post("/annotations", content=text, headers={"Content-Type": "text/plain"})
+
+    def is_full(answer: httpx.Response) -> bool:
+        problem = answer.json()
+        return answer.status_code == 403 and "max_transformations is " in problem["detail"]
+
+    assert is_full(in_turtle("POST", "/transformations", "mine", "other"))
+    assert in_json("mine").status_code == 201
+    assert is_full(in_json("other"))
+    assert is_full(in_ssl("other"))
+    assert is_full(in_turtle("POST", "/transformations", "other"))
+    assert is_full(in_turtle("PUT", "/transformations/other", "other"))
+    assert in_ssl("coordinatesToSpeed").status_code == 201
+    assert in_turtle("PUT", "/transformations/mine", "mine").status_code == 200
+    assert len(http.get("/transformations").json()) == KNOWN + 1
+    assert http.delete("/transformations/mine").status_code == 204
+    assert in_turtle("POST", "/transformations", "other").status_code == 201
+
+
+def test_ontologies(http: httpx.Client) -> None:
+    def load(name: str) -> httpx.Response:
+        text = f"<http://e.org/{name}> a <http://www.w3.org/2002/07/owl#Ontology> ."
+        return http.post("/ontologies", content=text, headers={"Content-Type": "text/turtle"})
+
+    assert load("first").status_code == 201
+    problem = load("second")
+    assert (problem.status_code, problem.json()["title"]) == (403, "quota reached")
+    assert "max_ontologies is " in problem.json()["detail"]
+    assert load("first").status_code == 201
+    assert "http://e.org/second" not in http.get("/ontologies").json()
 
 
 def test_refusals_are_counted(full: Client, http: httpx.Client) -> None:

@@ -163,6 +163,8 @@ def test_a_large_batch_is_not_copied():
 
 
 class Reader:
+    knows_codes = True
+
     def receive(self, source, batch):
         self.batch = batch
 

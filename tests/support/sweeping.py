@@ -3,6 +3,9 @@
 `at_every_chance` makes every safe point a sweep, however few terms have come, and every call of an
 evaluator or reader a safe point. *reused*: what comes next gets the ids that were freed, so that
 who still has them sees other terms. *retired*: no term ever gets them, and reading one raises.
+
+Texts are forgotten at every chance, too: each batch of a stream of which nobody keeps codes gives
+its fields new pools (`FluentStream.forget_texts`).
 """
 
 from collections.abc import Callable, Iterator
@@ -18,6 +21,7 @@ from dyknow.continuous.instances import TemplateEvaluator
 from dyknow.converters.ntriples import TripleReader
 from dyknow.rdf.dictionary import ForgottenTerm, TermDictionary
 from dyknow.rdf.timed import Kind
+from dyknow.streams import fluent
 
 WAYS = ("reused", "retired")
 _EVALUATORS = (ContinuousEvaluator, TemplateEvaluator)
@@ -42,8 +46,15 @@ def at_every_chance(way: str) -> Iterator[None]:
             for name in ("triples", "graphs")
         ]
         patches += [_patched(TermValues, n, _checked) for n in ("canonical", "encoded", "typed")]
-        with _all(patches):
+        with _all(patches), texts_at_every_chance():
             yield
+
+
+@contextmanager
+def texts_at_every_chance() -> Iterator[None]:
+    """However few texts have come."""
+    with patch.multiple(fluent, _TEXTS=-1, _SHARE=-1):
+        yield
 
 
 def _sweep(dictionary: TermDictionary) -> int:
