@@ -55,6 +55,15 @@ class Outside:
         """By the names of `Engine`'s arguments."""
         return {each.name: getattr(self, each.name) for each in fields(self)}
 
+    def named(self) -> dict[str, object]:
+        """All of it by the names under which a state speaks of it, user-written code included:
+        where that is defined is no matter of the state."""
+        found = {name: value for name, value in self.given().items() if value is not None}
+        for each in self.processes.all():
+            found[f"process {each.name}"] = each
+            found[f"code of {each.name}"] = each.code
+        return found
+
 
 class CheckpointError(Exception):
     """The state cannot be written, or not be read by this program."""
@@ -85,7 +94,7 @@ def state_of(
     Raises `CheckpointError` where something in it cannot be written.
     """
     target = io.BytesIO()
-    names = {id(value): name for name, value in outside.given().items() if value is not None}
+    names = {id(value): name for name, value in outside.named().items()}
     try:
         _deep(lambda: _Writer(target, names, unkept).dump((engine, more)))
     except Exception as error:  # user code may be in it, and raise anything
@@ -101,7 +110,7 @@ def engine_of(state: bytes, outside: Outside) -> tuple[Engine, Any]:
     Raises `CheckpointError` for what cannot be read.
     """
     try:
-        engine, more = _deep(lambda: _Reader(io.BytesIO(state), outside.given()).load())
+        engine, more = _deep(lambda: _Reader(io.BytesIO(state), outside).load())
     except Exception as error:  # a pickle that is not whole may raise whatever it names
         raise CheckpointError(f"the state cannot be read: {error}") from error
     return engine, more
@@ -131,12 +140,15 @@ class _Writer(pickle.Pickler):
 
 
 class _Reader(pickle.Unpickler):
-    def __init__(self, source: io.BytesIO, outside: dict[str, object]) -> None:
+    def __init__(self, source: io.BytesIO, outside: Outside) -> None:
         super().__init__(source)
-        self._outside = outside
+        self._outside: dict[str, object] = {**outside.given(), **outside.named()}
 
     def persistent_load(self, name: str) -> object:
-        return self._outside[name]
+        found = self._outside.get(name, self)
+        if found is self:
+            raise CheckpointError(f"there is no {name} any more")
+        return found
 
 
 def _reduce_function(value: FunctionType) -> Any:

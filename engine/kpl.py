@@ -189,7 +189,7 @@ def _counters(process: Process | None) -> dict[str, object]:
         case PolicyUnit():
             return counts_of(process)
         case SampledSource():
-            return {"missed": process.missed}
+            return {"missed": process.missed, "without room": process.without_room}
         case ConfigurationProcess():
             return {
                 "objects": len(process.objects),

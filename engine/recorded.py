@@ -42,12 +42,9 @@ from .engine import Engine
 from .portable import Portable, Standing, engine_from, portable_of
 from .processes import PROCESSES, Processes
 from .supervision import DIRECT, Runner
-from .tape import Tape
+from .tape import READINGS, Tape
 
 T = TypeVar("T")
-
-_READINGS = 1 << 16
-"""Bytes that are kept free for what sources say in a tick, which is not known before."""
 
 
 class RecordedRunner:
@@ -152,8 +149,10 @@ class RecordedEngine:
         self._write_opened()
         self._within = True
         try:
-            with self.log.entry(written(command), _READINGS) as entry:
-                self._runner.tape.record()
+            with self.log.entry(written(command)) as entry:
+                # What sources say is not known before: the tape asks for room as they say it.
+                begun = len(entry.payload) + READINGS
+                self._runner.tape.record(lambda size: entry.has_room(begun + size))
                 found = done(self.engine, command, known)
                 readings = self._runner.tape.taken()
                 if readings and isinstance(command, Tick):
@@ -175,6 +174,11 @@ class RecordedEngine:
             self._asked_for.clear()
         self._standing.note(command, found)
         return found
+
+    @property
+    def unread(self) -> str | None:
+        """Which sources are not asked at present, and why; None: all are."""
+        return self._runner.tape.unread
 
     def checkpoint(self) -> Unwritten:
         """The state as it is now, to be written by `Unwritten.write`, in any thread.

@@ -25,6 +25,7 @@ from .settings import Settings
 JOURNAL = "journal"
 CHECKPOINT = "checkpoint"
 ENGINE = "engine"
+SOURCES = "sources"
 _AGAIN = 10.0
 """Seconds after a checkpoint that failed until the next one is tried."""
 _WAITING = 4 << 20
@@ -104,6 +105,7 @@ class Keeper:
         finally:
             if self._recorded.failure is not None:
                 self._troubles[ENGINE] = self._recorded.failure
+            self._note(SOURCES, self._recorded.unread)
 
     def check_room(self, size: int) -> None:
         """Before so many bytes are looked at: they can be kept. Raises `JournalError`."""
@@ -231,10 +233,17 @@ class Keeper:
                 # What was acknowledged is in the log: the next start does it again.
                 log().error("no checkpoint at the end", reason=str(error))
 
+    def _note(self, what: str, reason: str | None) -> None:
+        """``what`` does not work for this ``reason``; None: it does."""
+        if reason is None:
+            self._recover(what)
+            return
+        if self._troubles.get(what) != reason:
+            log().error(f"{what} failed", reason=reason)
+        self._troubles[what] = reason
+
     def _fail(self, what: str, error: Exception) -> None:
-        if self._troubles.get(what) != str(error):
-            log().error(f"{what} failed", reason=str(error))
-        self._troubles[what] = str(error)
+        self._note(what, str(error))
 
     def _recover(self, what: str) -> None:
         if self._troubles.pop(what, None) is not None:

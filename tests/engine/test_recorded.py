@@ -3,9 +3,11 @@ programs' checkpoints (the law is tests/laws/test_recorded.py)."""
 
 import pickle
 import random
+import threading
 
 import pytest
 from pyoxigraph import NamedNode, Quad
+from simulated_disk import SimulatedDisk
 
 import dyknow.engine.recorded as recorded_module
 from dyknow.continuous.asking import Kept
@@ -28,7 +30,9 @@ from dyknow.engine.errors import UnknownStream
 from dyknow.engine.processes import Processes
 from dyknow.engine.recorded import RecordedEngine
 from dyknow.engine.reports import Report
+from dyknow.engine.supervision import UnitBlocked
 from dyknow.engine.views import StreamDeclaration
+from dyknow.journal.errors import JournalFull
 from dyknow.journal.log import Durability
 from dyknow.streams.sample import Field, FieldType
 from dyknow.streams.time import SECOND
@@ -204,3 +208,165 @@ def test_quads_out_of_a_checkpoint_are_taken_for_no_others():
     assert one is other
     assert list(one.quads) == quads
     assert len({kept.number, one.number, Kept().number}) == 3
+
+
+def speakers(size):
+    """A source that says as much as ``size()`` says, and one that says little."""
+    registry = Processes()
+
+    @registry.sampled("Text", "100ms", name="chatter")
+    def chatter(time):
+        return "x" * size() + str(random.random())
+
+    registry.sampled("float", "100ms", name="dice")(lambda time: random.random())
+    return registry
+
+
+SPEAKERS = "sort Text = (value string)\nsource Text chatter\nsource float dice"
+
+
+def no_room_from_now_on(recorded, disk, room=0):
+    """Not even what the log has made before."""
+    disk.room = room
+    for segment in recorded.log._open:
+        segment._room = segment.end
+
+
+def counted(recorded, name):
+    return recorded.engine.kpl_declaration(name)[0].counters
+
+
+def test_sources_that_say_more_than_there_is_room_for_are_not_asked(tmp_path):
+    disk = SimulatedDisk()
+    sizes = [100]
+    first = opened(tmp_path, processes=speakers(lambda: sizes[0]), disk=disk)
+    first.do(AddKpl(SPEAKERS))
+    for now in range(0, SECOND, SECOND // 10):
+        first.do(Tick(now))
+    no_room_from_now_on(first, disk, 100_000)
+    sizes[0] = 300_000
+    for now in range(SECOND, 2 * SECOND, SECOND // 10):
+        first.do(Tick(now))
+    # It is asked once and then no more; the other one, for which there is room, is.
+    assert "chatter" in first.unread
+    assert "dice" not in first.unread
+    assert counted(first, "chatter")["without room"] == 10
+    assert len(rows(first.engine, "chatter")) == 10
+    assert len(rows(first.engine, "dice")) == 20
+    first.log.commit()
+    disk.room = None
+    for now in range(2 * SECOND, 3 * SECOND, SECOND // 10):
+        first.do(Tick(now))
+    assert first.unread is None
+    assert len(rows(first.engine, "chatter")) == 20
+    said = [rows(first.engine, name) for name in ("chatter", "dice", "status")]
+    cut_off(first)
+    again = opened(tmp_path, processes=speakers(lambda: 100))
+    assert again.recovery.notes == []
+    assert [rows(again.engine, name) for name in ("chatter", "dice", "status")] == said
+    assert counted(again, "chatter")["without room"] == 10
+    again.close()
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_wherever_the_room_ends_what_is_done_is_what_is_written_down(tmp_path, seed):
+    pick = random.Random(seed)
+    disk = SimulatedDisk()
+    registry = speakers(lambda: pick.choice((0, 10, 5_000, 200_000)))
+    first = opened(tmp_path, processes=registry, disk=disk)
+    first.do(AddKpl(SPEAKERS))
+    for now in range(0, 4 * SECOND, SECOND // 5):
+        if pick.random() < 0.4:
+            no_room_from_now_on(first, disk, pick.choice((0, 300, 1_000, 10_000, 400_000)))
+        try:
+            first.do(Tick(now))
+        except JournalFull:
+            disk.room = None
+            first.do(Tick(now))
+    told = [(rows(first.engine, name), counted(first, name)) for name in ("chatter", "dice")]
+    disk.room = None
+    cut_off(first)
+    again = opened(tmp_path, processes=registry)
+    assert [
+        (rows(again.engine, name), counted(again, name)) for name in ("chatter", "dice")
+    ] == told
+    again.close()
+
+
+def test_other_commands_ask_for_the_room_they_need_and_no_more(tmp_path):
+    disk = SimulatedDisk()
+    first = opened(tmp_path, disk=disk)
+    declare(first, "s")
+    no_room_from_now_on(first, disk, 400)
+    say(first, 1)
+    first.do(Tick(SECOND))
+    with pytest.raises(JournalFull):
+        say(first, *range(2, 9))
+    assert len(rows(first.engine, "s")) == 0
+    assert first.engine.stream("s").counters.accepted == 1
+    disk.room = None
+    first.close()
+
+
+class Patience:
+    """A runner that waits for nobody: what ``late`` holds up is given up, and comes back when the
+    next one is asked."""
+
+    tape = None
+
+    def __init__(self):
+        self.late = None
+
+    def run(self, work, deadline, progress):
+        if self.late is None:
+            return work()
+        held, self.late = self.late, None
+        thread = threading.Thread(target=work)
+        thread.start()
+        held.begun.wait()
+        held.thread = thread
+        raise UnitBlocked("it did not come back within 2s")
+
+
+class Held:
+    def __init__(self):
+        self.begun, self.go, self.thread = threading.Event(), threading.Event(), None
+
+
+def test_a_source_that_came_back_too_late_stays_stopped(tmp_path):
+    """Also where it comes back while another one is asked."""
+    held, runner = Held(), Patience()
+
+    def registered(slow, quick):
+        registry = Processes()
+        registry.sampled("float", "100ms", name="slow")(slow)
+        registry.sampled("float", "100ms", name="quick")(quick)
+        return registry
+
+    def slow(time):
+        if time < SECOND:
+            return 1.0
+        held.begun.set()
+        held.go.wait()
+        return 2.0
+
+    def quick(time):
+        if time == SECOND:
+            held.go.set()
+            held.thread.join()
+        return float(time)
+
+    first = opened(tmp_path, processes=registered(slow, quick), runner=runner)
+    first.do(AddKpl("source float slow\nsource float quick"))
+    first.do(Tick(SECOND // 2))
+    runner.late = held
+    first.do(Tick(SECOND))
+    first.do(Tick(2 * SECOND))
+    told = [rows(first.engine, name) for name in ("slow", "quick", "status")]
+    failure = first.engine.kpl_declaration("slow")[0].failure
+    assert "did not come back" in failure
+    cut_off(first)
+    again = opened(tmp_path, processes=registered(lambda _: 3.0, lambda _: 4.0))
+    assert [rows(again.engine, name) for name in ("slow", "quick", "status")] == told
+    assert again.engine.kpl_declaration("slow")[0].failure == failure
+    again.close()
