@@ -99,12 +99,14 @@ class Publish(Command, frozen=True, tag="publish"):
 class Begin(Command, frozen=True, tag="begin"):
     """The life of an engine begins at ``now`` (ns), by a ``program``. The first of all commands.
 
-    Of its ``epoch`` the ids of events are.
+    Of its ``epoch`` the ids of events are. ``processes``: the modules of the user-written ones
+    that the program has, by their names.
     """
 
     epoch: str
     now: int
     program: str
+    processes: dict[str, str] = {}
 
     def apply(self, engine: Engine) -> None:
         engine.epoch = self.epoch
@@ -121,6 +123,17 @@ class Refused(Command, frozen=True, tag="refused"):
             read(self.command).apply(engine)
         except REFUSALS:
             return
+
+
+class TellUnkept(Command, frozen=True, tag="unkept"):
+    """What ``process`` remembers is in no checkpoint, for this ``reason``: those who look on are
+    told."""
+
+    process: str
+    reason: str
+
+    def apply(self, engine: Engine) -> None:
+        engine.tell_unkept(self.process, self.reason)
 
 
 class EndStream(Command, frozen=True, tag="end stream"):
@@ -374,6 +387,7 @@ class RemoveTransformation(Command, frozen=True, tag="remove transformation"):
 AnyCommand: TypeAlias = (
     Begin
     | Refused
+    | TellUnkept
     | Tick
     | Publish
     | EndStream
@@ -401,6 +415,21 @@ AnyCommand: TypeAlias = (
     | ChangeTransformation
     | RemoveTransformation
 )
+DEFINING = (
+    DeclareStream,
+    Annotate,
+    Describe,
+    RegisterTemplate,
+    RequestEvent,
+    Subscribe,
+    SubscribeToFeature,
+    RegisterQuery,
+    ApplySpecification,
+    LoadOntology,
+    RegisterTransformations,
+    RegisterAnnotatedTransformation,
+)
+"""Commands by which people say what there is to be, for as long as they do not take it back."""
 _ENCODER = msgspec.msgpack.Encoder()
 _DECODER: msgspec.msgpack.Decoder[AnyCommand] = msgspec.msgpack.Decoder(AnyCommand)
 

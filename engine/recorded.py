@@ -9,6 +9,7 @@ same streams: the same samples under the same numbers, byte by byte.
 from __future__ import annotations
 
 import secrets
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -26,21 +27,26 @@ from ..ontology.ontology import Ontology
 from .busy import Stopwatch
 from .checkpoint import CheckpointError, Outside, engine_of, program, state_of
 from .commands import (
+    DEFINING,
     REFUSALS,
+    AddKpl,
     Begin,
     Command,
     OpenStream,
     Publish,
     ReadAlready,
     Refused,
+    RemoveKpl,
     Tick,
     done,
     read,
     written,
 )
 from .engine import Engine
-from .portable import Portable, Standing, engine_from, portable_of
+from .missing import missing, origins, told
+from .portable import Portable, PortableHead, Standing, engine_from, portable_of
 from .processes import PROCESSES, Processes
+from .remembering import Unkept
 from .supervision import DIRECT, Runner
 from .tape import READINGS, Tape
 
@@ -102,6 +108,13 @@ class RecordedEngine:
         self.recovery = Recovery()
         self._runner = RecordedRunner(runner)
         self._outside = Outside(processes, self._runner, stopwatch, budget)
+        self._program = program(processes)
+        self._needed: dict[str, str] = {}
+        """User-written processes that an earlier run had, with their modules."""
+        self._unplaced: Counter[str] = Counter()
+        """Batches that this program could not take again, by stream and why."""
+        self._writer = self._program
+        """The program that has written what is read at a start."""
         self._standing = Standing()
         self._within = False
         self._asked_for: list[OpenStream] = []
@@ -132,6 +145,8 @@ class RecordedEngine:
             if self._directory.old_store is not None:
                 self.checkpoint().write()
                 self._directory.forget_old_store()
+            elif not self.recovery.is_continued:
+                self._settle_down()
         except BaseException:
             self._directory.close()
             raise
@@ -188,11 +203,11 @@ class RecordedEngine:
         if self.failure is not None:
             raise CheckpointError(f"the state is not to be trusted: {self.failure}")
         position = self.log.position
-        unkept: list[str] = []
-        state = state_of(self.engine, self._standing, self._outside, unkept)
-        portable = msgspec.msgpack.encode(portable_of(self.engine, self._standing))
-        found = Checkpoint(position, program(), portable, state)
-        return Unwritten(found, self.log, self._checkpoints, tuple(unkept))
+        state = state_of(self.engine, self._standing, self._outside)
+        processes = self._missing() | origins(self._outside.processes)
+        portable = portable_of(self.engine, self._standing, processes, state.unkept)
+        found = Checkpoint(position, self._program, msgspec.msgpack.encode(portable), state.data)
+        return Unwritten(found, self.log, self._checkpoints, state.unkept)
 
     def close(self, *, checkpoint: bool = True) -> None:
         """Commit what there is; with ``checkpoint`` the next start has nothing to do again."""
@@ -241,11 +256,39 @@ class RecordedEngine:
             if progress is not None and self.recovery.replayed % 1000 == 0:
                 progress(self.recovery.replayed, count)
         self._runner.tape.is_playing = False
+        self._check_writer()
+        for reason, times in self._unplaced.items():
+            self.recovery.notes.append(f"{times} batches could not be taken again: {reason}")
+        self.engine = engine
+        for name, module in self._missing().items():
+            self.recovery.notes.append(told(name, module))
+            if not self.recovery.is_continued:
+                engine.tell_not_restored(told(name, module))
         if not self.recovery.is_continued:
-            begin = Begin(secrets.token_hex(4), now, program())
+            begin = self._begin(now)
             self.log.append(written(begin))
             begin.apply(engine)
         return engine
+
+    def _begin(self, now: int) -> Begin:
+        known = origins(self._outside.processes)
+        return Begin(secrets.token_hex(4), now, self._program, self._missing() | known)
+
+    def _missing(self) -> dict[str, str]:
+        """User-written processes that are needed and not there, with their modules."""
+        if all(name in self._outside.processes for name in self._needed):
+            return {}
+        waiting = [written(command) for command in self._standing.waiting]
+        spoken_of = [self.engine.ontology.quads(), *waiting]
+        return missing(self._needed, self._outside.processes, spoken_of)
+
+    def _settle_down(self) -> None:
+        """Write a checkpoint of a life that has just begun: else each start before the first one
+        would begin another, whose ids nobody can resume."""
+        try:
+            self.checkpoint().write()
+        except (CheckpointError, JournalError, OSError) as error:
+            self.recovery.notes.append(f"no checkpoint yet: {error}")
 
     def _from_checkpoint(self, now: int) -> tuple[Engine, int] | None:
         """The engine of the newest checkpoint that is sound, and its position."""
@@ -268,10 +311,20 @@ class RecordedEngine:
 
     def _from(self, kept: Checkpoint, now: int) -> Engine:
         """The engine of a checkpoint; raises `CheckpointError`."""
-        reason = f"the directory was written by {kept.program}, this is {program()}"
-        if kept.program == program():
+        reason = _of_another(kept.program, self._program)
+        try:
+            head = msgspec.msgpack.decode(kept.portable, type=PortableHead)
+        except msgspec.DecodeError as error:
+            raise CheckpointError(f"{reason}; {error}") from error
+        self._writer = kept.program
+        self._needed |= head.processes
+        if kept.program == self._program:
             try:
                 engine, self._standing = engine_of(kept.state, self._outside)
+                for each in head.unkept:
+                    if each.is_computing:
+                        # What it makes from here on is not what those who looked on have seen.
+                        self._begin_anew(f"the state of a process was not kept: {each}")
                 return engine
             except CheckpointError as error:
                 # Of user-written processes it may name what is not there any more.
@@ -291,7 +344,9 @@ class RecordedEngine:
         store = self._directory.old_store
         ontology = None if store is None else Ontology.copied(store)
         if not self.log.position:
-            self.log.append(written(Begin(secrets.token_hex(4), now, program())))
+            known = origins(self._outside.processes)
+            begin = Begin(secrets.token_hex(4), now, self._program, known)
+            self.log.append(written(begin))
             self.log.commit()
             if store is not None:
                 self.recovery.notes.append(
@@ -303,11 +358,12 @@ class RecordedEngine:
                 f"there is no sound checkpoint, and the log begins with record {self.log.first}",
                 "restore the folder from a backup (dyknow restore)",
             )
-        begin = next(read(data) for _, data in self.log.read(0))
-        if not isinstance(begin, Begin):
-            raise JournalDamaged(f"the log begins with {type(begin).__name__}")
-        if begin.program != program():
-            self._begin_anew(f"the directory was written by {begin.program}, this is {program()}")
+        first = next(read(data) for _, data in self.log.read(0))
+        if not isinstance(first, Begin):
+            raise JournalDamaged(f"the log begins with {type(first).__name__}")
+        begin = first
+        self._writer = begin.program
+        self._needed |= begin.processes
         engine = Engine(
             epoch=begin.epoch,
             now=begin.now,
@@ -325,11 +381,48 @@ class RecordedEngine:
         program or an error in it."""
         try:
             command = read(data)
-            if isinstance(command, Tick):
-                self._runner.tape.play(command.readings)
+        except msgspec.DecodeError as error:
+            self._begin_anew(f"record {position} cannot be read: {error}")
+            return
+        if isinstance(command, Begin):
+            self._writer = command.program
+            self._needed |= command.processes
+        else:
+            self._check_writer()
+        if isinstance(command, Tick):
+            self._runner.tape.play(command.readings)
+        try:
             self._standing.note(command, command.apply(engine))
+        except REFUSALS as error:
+            self._refused_again(engine, position, command, error)
         except Exception as error:  # noqa: BLE001  the service starts without it, and says so
             self._begin_anew(f"record {position} could not be done again: {error}")
+
+    def _check_writer(self) -> None:
+        """What another program has done need not be what comes of it here."""
+        if self._writer != self._program and self.recovery.is_continued:
+            self._begin_anew(_of_another(self._writer, self._program))
+
+    def _refused_again(
+        self, engine: Engine, position: int, command: Command, error: Exception
+    ) -> None:
+        """What was accepted is refused: say so, and keep what can be done at another start."""
+        match command:
+            case Publish(stream=stream):
+                self._unplaced[f"{stream}: {error}"] += 1
+                self.recovery.is_continued = False
+                return
+            case AddKpl(text=text, unit=unit):
+                engine.restore_kpl(text, unit)
+            case RemoveKpl(name=name) if engine.forget_kpl(name):
+                return
+            case _ if isinstance(command, DEFINING):
+                self._standing.again(command, engine)
+        self._begin_anew(f"record {position} could not be done again: {error}")
+
+
+def _of_another(writer: str, program: str) -> str:
+    return f"the directory was written by {writer}, this is {program}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -339,7 +432,7 @@ class Unwritten:
     checkpoint: Checkpoint
     log: Log
     checkpoints: Checkpoints
-    unkept: tuple[str, ...]
+    unkept: tuple[Unkept, ...]
     """User-written processes whose state cannot be written down: what they are, and why."""
 
     def write(self) -> None:

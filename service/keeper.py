@@ -15,9 +15,10 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Protocol
 
 from ..engine.checkpoint import CheckpointError
-from ..engine.commands import Command, ReadAlready, done
+from ..engine.commands import Command, ReadAlready, TellUnkept, done
 from ..engine.engine import Engine
 from ..engine.recorded import RecordedEngine
+from ..engine.remembering import Unkept
 from ..journal.errors import JournalError
 from .logs import log
 from .settings import Settings
@@ -75,8 +76,8 @@ class Keeper:
         self._not_before = float("-inf")
         """No checkpoint is tried before."""
         self._tended = float("-inf")
-        self._unkept: set[str] = set()
-        """Of what it was told that it is not in checkpoints, or why there are none."""
+        self._unkept: set[Unkept] = set()
+        """Processes of which was told that what they remember is not in checkpoints."""
 
     @property
     def is_recording(self) -> bool:
@@ -206,18 +207,17 @@ class Keeper:
         except (CheckpointError, JournalError, OSError) as error:
             # Each try costs as much as one that succeeds.
             self._not_before = asyncio.get_running_loop().time() + _AGAIN
-            if not isinstance(error, CheckpointError):
-                self._fail(CHECKPOINT, error)
-            elif str(error) not in self._unkept:
-                # All is kept by the log alone, and a start takes longer.
-                self._unkept.add(str(error))
-                log().warning("no checkpoint", reason=str(error))
+            # All is kept by the log alone, which grows, and a start takes longer.
+            self._fail(CHECKPOINT, error)
             return
         self._written = recorded.log.written
-        for process in set(unwritten.unkept) - self._unkept:
-            self._unkept.add(process)
-            log().warning("the state of a process would not survive a restart", process=process)
         self._recover(CHECKPOINT)
+        for process in set(unwritten.unkept) - self._unkept:
+            self.do(TellUnkept(process.process, process.reason))
+            self._unkept.add(process)
+            log().warning(
+                "the state of a process would not survive a restart", process=str(process)
+            )
 
     async def _beside(self, work: Callable[[], object]) -> None:
         """Do what waits for the disk in the journal's own thread, one thing at a time."""
