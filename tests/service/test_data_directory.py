@@ -376,7 +376,7 @@ def test_long_texts_are_abbreviated(tmp_path):
     assert json.loads(full[1])["text"] == text
 
 
-UNITS = '''
+UNITS = """
 import threading
 
 import dyknow
@@ -394,7 +394,7 @@ class Holding:
 @dyknow.source(sort="float", period="50ms")
 def ticking(time):
     return 1.0
-'''
+"""
 HELD = """sort v = (value float)
 sort total = (value float)
 source float ticking
