@@ -650,6 +650,19 @@ class Engine:
             return self.queries.explain(query)
         raise BadArguments("explain needs an event, a template or a query")
 
+    @property
+    def next_ids(self) -> tuple[str, str]:
+        """What the next request and the next subscription would be called."""
+        return f"event{self._requests.number + 1}", f"subscription{self._subscriptions.number + 1}"
+
+    def keep_id(self, id: str) -> None:
+        """The next request or subscription is called ``id``, as it was in an earlier run, if that
+        is later than all there were."""
+        for name, made in (("event", self._requests), ("subscription", self._subscriptions)):
+            number = id.removeprefix(name)
+            if number != id and number.isdigit():
+                made.number_after(int(number) - 1)
+
     def tell_not_restored(self, reason: str) -> None:
         """Tell on the status stream what of an earlier run does not go on, and why."""
         self._changed(Change(ChangeKind.NOT_RESTORED, specification=reason))

@@ -68,7 +68,8 @@ class Portable(msgspec.Struct):
     """``quads``: N-Quads. ``standing``: what was asked for and has no name, oldest first.
     ``keys``: those under which batches came. ``processes``: the modules of the user-written ones
     that are needed, by their names; ``unkept``: those that remember what is not in the state.
-    ``waiting``: what was accepted and could not be done again."""
+    ``waiting``: what was accepted and could not be done again. ``ids``: those of ``standing``, then
+    those that would be given next."""
 
     format: int
     now: int
@@ -79,6 +80,7 @@ class Portable(msgspec.Struct):
     processes: dict[str, str] = {}
     unkept: list[Unkept] = []
     waiting: list[AnyCommand] = []
+    ids: list[str] = []
 
 
 class PortableHead(msgspec.Struct):
@@ -135,16 +137,18 @@ def portable_of(
     """What of ``engine`` any version understands. Cost: O(samples kept)."""
     kept = [each for each in engine.published() if each.schema.fields]
     named = engine.ontology.queries()
+    unnamed = {id: each for id, each in standing.commands.items() if id not in named}
     return Portable(
         1,
         engine.now,
         engine.ontology.quads(),
         [_kept(each) for each in kept],
-        [command for name, command in standing.commands.items() if name not in named],  # type: ignore[misc]
+        list(unnamed.values()),  # type: ignore[arg-type]
         list(engine.intake.keys),
         dict(processes or {}),
         list(unkept),
         list(standing.waiting),  # type: ignore[arg-type]
+        [*unnamed, *engine.next_ids],
     )
 
 
@@ -175,10 +179,17 @@ def engine_from(
     for text in lost:
         engine.tell_not_restored(text)
     standing = Standing()
-    for command in (*portable.standing, *portable.waiting):
+    count = len(portable.standing)
+    # By their ids people give them up. An earlier version kept none.
+    ids = portable.ids[:count] or [""] * count
+    asked = [*zip(ids, portable.standing, strict=True), *(("", one) for one in portable.waiting)]
+    for id, command in asked:
+        engine.keep_id(id)
         reason = standing.again(command, engine)
         if reason is not None:
             lost.append(f"not restored, and kept: {reason}")
+    for next_id in portable.ids[count:]:
+        engine.keep_id(next_id)
     return engine, standing, lost
 
 

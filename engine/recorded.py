@@ -258,7 +258,9 @@ class RecordedEngine:
         self._runner.tape.is_playing = False
         self._check_writer()
         for reason, times in self._unplaced.items():
-            self.recovery.notes.append(f"{times} batches could not be taken again: {reason}")
+            note = f"{times} batches could not be taken again: {reason}"
+            self.recovery.notes.append(note)
+            engine.tell_not_restored(note)
         self.engine = engine
         for name, module in self._missing().items():
             self.recovery.notes.append(told(name, module))
@@ -345,8 +347,7 @@ class RecordedEngine:
         ontology = None if store is None else Ontology.copied(store)
         if not self.log.position:
             known = origins(self._outside.processes)
-            begin = Begin(secrets.token_hex(4), now, self._program, known)
-            self.log.append(written(begin))
+            self.log.append(written(Begin(secrets.token_hex(4), now, self._program, known)))
             self.log.commit()
             if store is not None:
                 self.recovery.notes.append(
@@ -361,12 +362,11 @@ class RecordedEngine:
         first = next(read(data) for _, data in self.log.read(0))
         if not isinstance(first, Begin):
             raise JournalDamaged(f"the log begins with {type(first).__name__}")
-        begin = first
-        self._writer = begin.program
-        self._needed |= begin.processes
+        self._writer = first.program
+        self._needed |= first.processes
         engine = Engine(
-            epoch=begin.epoch,
-            now=begin.now,
+            epoch=first.epoch,
+            now=first.now,
             ontology=ontology,
             **self._outside.given(),
         )

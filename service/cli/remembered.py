@@ -43,7 +43,9 @@ def found_processes(found: Inspection, *, modules_are_known: bool) -> list[str]:
             lines.append(f"missing: {told(name, module)}")
         else:
             lines.append(f"a start needs the user-written process {name!r} of module {module!r}")
-    lines += [f"not kept: {each}" for each in head.unkept]
+    for each in head.unkept:
+        anew = "; ids of events begin anew" if each.is_computing else ""
+        lines.append(f"not kept: {each}{anew}")
     return lines
 
 

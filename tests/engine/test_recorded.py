@@ -18,6 +18,7 @@ from dyknow.engine.checkpoint import CheckpointError, program
 from dyknow.engine.commands import (
     AddKpl,
     Annotate,
+    CancelEvent,
     DeclareStream,
     OpenStream,
     Publish,
@@ -29,6 +30,7 @@ from dyknow.engine.commands import (
     Subscribe,
     SubscribeToFeature,
     Tick,
+    Unsubscribe,
     read,
 )
 from dyknow.engine.errors import UnknownStream
@@ -134,8 +136,14 @@ def test_another_program_goes_on_from_what_it_understands(tmp_path, monkeypatch,
     first = opened(tmp_path)
     declare(first, "s")
     first.do(RegisterTemplate(high_speed))
+    first.do(RequestEvent("dyknow:HighSpeedEvent(?o, dyknow:UAV, 1)"))
     first.do(RequestEvent("dyknow:HighSpeedEvent(?o, dyknow:UAV, 2)"))
+    first.do(CancelEvent("event1"))
+    first.do(Subscribe("s"))
     first.do(Subscribe("s", "sample every 1s"))
+    first.do(Unsubscribe("subscription1"))
+    first.do(RequestEvent("dyknow:HighSpeedEvent(?o, dyknow:UAV, 3)"))
+    first.do(CancelEvent("event3"))
     first.do(
         RegisterQuery(
             "SELECT ?o ?v FROM STREAM <http://www.ida.liu.se/dyknow/s.trdf> "
@@ -160,7 +168,8 @@ def test_another_program_goes_on_from_what_it_understands(tmp_path, monkeypatch,
         before.watermark,
     )
     assert rows(later.engine, "s") == kept
-    assert [view.id for view in later.engine.events()] == ["event1"]
+    assert [view.id for view in later.engine.events()] == ["event2"]
+    assert [view.id for view in later.engine.subscriptions()] == ["subscription2"]
     assert len(later.engine.subscriptions()) == len(later.engine.queries) == 1
     assert (
         later.engine.template("HighSpeedEvent").source
@@ -168,6 +177,8 @@ def test_another_program_goes_on_from_what_it_understands(tmp_path, monkeypatch,
     )
     say(later, 10, 20, 21)
     assert later.engine.stream("s").last_number > before.last_number
+    # Nor is an id given twice.
+    assert later.do(RequestEvent("dyknow:HighSpeedEvent(?o, dyknow:UAV, 4)")).id == "event4"
     later.close()
     monkeypatch.undo()
 
