@@ -9,6 +9,7 @@ from functools import cached_property
 
 from ..rdf.timed import TripleRows
 from ..streams.compiled import JIT
+from .chance import has_chance
 from .columns import Relation
 from .contents import Contents
 from .incremental import Incremental
@@ -37,6 +38,7 @@ class Execution:
         self.windows = windows
         self.static = static
         self.names_now = names_now(plan)
+        self.has_chance = has_chance(plan)
         self.distinct = windows.options.semantics == "set"
         self.incremental: Incremental | None = None
         self.patterns: PatternSolver | None = None
@@ -64,7 +66,7 @@ class Execution:
         variables that are looked at in what the plan gives."""
         windows = self.windows.schedule.windows
         counted = any(one.counted for one in windows)
-        if self.incremental is not None or not JIT or self.names_now or counted:
+        if self.incremental is not None or not JIT or self.names_now or self.has_chance or counted:
             return
         plan = pattern_parts(self.plan)
         parts = tuple(served_parts(plan))
@@ -141,6 +143,8 @@ class Execution:
             return "windows without content are evaluated too"
         if self.names_now:
             return "it asks for NOW()"
+        if self.has_chance:
+            return "it asks for what is drawn anew for each window"
         for node in walk(self.plan):
             if not isinstance(node, _SCANS):
                 continue

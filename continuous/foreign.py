@@ -12,11 +12,10 @@ from ..languages.csparql import term_text
 from ..rdf.dictionary import Term
 from ..rdf.timed import ObjectColumn
 from .asking import NOTHING, Asking, Found, Table
+from .chance import VOLATILE, drawn
 from .columns import Relation, TermValues, key_codes, term_column
 from .expressions import INFIX, Call, Const, Expression, Var, variables
 
-VOLATILE: Final = frozenset({"RAND", "UUID", "STRUUID"})
-"""Functions that have another value each time."""
 _PREFIX: Final = {"!": "!", "NEGATE": "-"}
 _VALUE: Final = "urn:dyknow:value:"
 
@@ -28,13 +27,14 @@ def ask(
 
     Cost: Python and Oxigraph a distinct combination of values, a text to parse each time.
     """
+    expression, columns = _with_drawn(expression, columns, rows, terms)
+    if isinstance(expression, Var):
+        return columns[expression.name]
     names = sorted(variables(expression))
     relation = Relation({name: columns[name] for name in names if name in columns}, rows)
     if not rows:
         return term_column([], terms.dictionary.transient_id)
-    if is_volatile(expression):
-        first = inverse = np.arange(rows)
-    elif relation.columns:
+    if relation.columns:
         keys = [[column] for column in relation.columns.values()]
         codes = key_codes(keys, terms.dictionary)[0]
         _, first, inverse = np.unique(codes, return_index=True, return_inverse=True)
@@ -53,6 +53,25 @@ def ask(
     with terms.budget.pauses.apart():
         answers = _answers(expression, known, table, terms.budget.asking)
     return term_column(answers, terms.dictionary.transient_id).take(inverse)
+
+
+def _with_drawn(
+    expression: Expression, columns: Mapping[str, ObjectColumn], rows: int, terms: TermValues
+) -> tuple[Expression, Mapping[str, ObjectColumn]]:
+    """The expression with a variable for each call that is drawn, and the columns with what it
+    gives."""
+    found = dict(columns)
+
+    def go(expression: Expression) -> Expression:
+        if not isinstance(expression, Call):
+            return expression
+        if expression.name in VOLATILE:
+            name = f"\0r{len(found)}"
+            found[name] = term_column(list(drawn(expression, rows)), terms.dictionary.transient_id)
+            return Var(name)
+        return Call(expression.name, tuple(map(go, expression.arguments)))
+
+    return go(expression), found
 
 
 def _answers(
@@ -97,13 +116,6 @@ def _by_row(found: Found) -> dict[Term | None, Term | None]:
     assert isinstance(found, Table)
     row, answer = found.variables.index("row"), found.variables.index("answer")
     return {solution[row]: solution[answer] for solution in found.rows}
-
-
-def is_volatile(expression: Expression) -> bool:
-    """Whether the value is another one each time that it is asked for."""
-    if not isinstance(expression, Call):
-        return False
-    return expression.name in VOLATILE or any(map(is_volatile, expression.arguments))
 
 
 def sparql_text(expression: Expression, places: Mapping[str, str]) -> str:

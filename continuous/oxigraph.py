@@ -6,6 +6,7 @@ triples: under bag semantics a window that holds some is asked by `bag.counting`
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -18,6 +19,7 @@ from pyoxigraph import (
     Literal,
     NamedNode,
     Quad,
+    Triple,
 )
 from rdflib.plugins.sparql.parserutils import CompValue
 from rdflib.term import URIRef
@@ -70,6 +72,7 @@ class OxigraphWindows:
         self.static = static
         self.terms = terms
         self.predicates, self.classes = named(algebra)
+        self._label = f"q{hashlib.blake2b(self.sparql.encode(), digest_size=4).hexdigest()}"
         self._version: int | None = None
         self._quads: dict[Quad, None] = {}
         self._kept = NOTHING
@@ -114,7 +117,27 @@ class OxigraphWindows:
         budget = self.terms.budget
         with budget.pauses.apart():
             found = budget.asking.ask(_at_time(sparql, end), self._kept, asked)
+        found = self._named_again(found, end, asked)
         return replace(self._read(found, start, end), merged=merged)
+
+    def _named_again(self, found: Found, end: int, asked: Iterable[Quad]) -> Found:
+        """What was found, with blank nodes that the query has made named by the window: Oxigraph
+        calls them otherwise each time, and a window may be computed again."""
+        if isinstance(found, bool):
+            return found
+        rows = found.rows if isinstance(found, Table) else found
+        made = dict.fromkeys(term for row in rows for term in row if isinstance(term, BlankNode))
+        if not made:
+            return found
+        known = {t for q in (*asked, *self._kept.quads) for t in (q.subject, q.object)}
+        names: dict[Any, Any] = {
+            node: BlankNode(f"{self._label}t{end}n{number}".replace("-", "m"))
+            for number, node in enumerate(node for node in made if node not in known)
+        }
+        if isinstance(found, Table):
+            again = [[names.get(term, term) for term in row] for row in rows]
+            return Table(found.variables, again)
+        return [Triple(*(names.get(term, term) for term in triple)) for triple in found]
 
     def _read(self, found: Found, start: int, end: int) -> WindowResult:
         dictionary = self.terms.dictionary

@@ -16,6 +16,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
+from .chance import has_chance
 from .expressions import Call, Var
 from .logical import (
     Aggregate,
@@ -109,6 +110,8 @@ def joint(query: Query, names: Sequence[str]) -> Joint:
     """
     if names_now(query.plan):
         raise Unfit("", "it asks for NOW()")
+    if has_chance(query.plan):
+        raise Unfit("", "it asks for what is drawn anew for each window")
     core, steps = _spine(query.plan)
     for name in names:
         if any(isinstance(step, Extend) and step.variable == name for step in steps):

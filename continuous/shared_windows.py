@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import abstractmethod
 
 from ..languages.csparql.ast import ContinuousQuery, StreamOperator, TimeWindow
-from .foreign import is_volatile
+from .chance import is_volatile
 from .instance_results import InstanceResults
 from .logical import Blank, Construct, Order, Query, expressions_of, walk
 from .options import Options

@@ -15,6 +15,8 @@ from ..languages.csparql.ast import ContinuousQuery
 from ..languages.csparql.shape import query_shape
 from ..languages.errors import Span
 from ..rdf.dictionary import Term
+from .budget import BudgetExceeded
+from .chance import names_chance, with_seeds
 from .columns import NeedsOxigraph
 from .execution import Execution, WindowRows
 from .explain import Stages
@@ -96,6 +98,8 @@ class Solver:
             reading.graphs,
             distinct=windows.options.semantics == "set",
         )
+        bound = sorted((variable.value, str(term)) for variable, term in query.bindings.items())
+        self._seed = f"{reading.sparql} {bound}"
         self._difference: Difference | None = None
         if windows.differs:
             self._difference = Difference(query.operator, self.terms)
@@ -115,6 +119,11 @@ class Solver:
                 self.execution.join_patterns(head_variables(self.translated.head))
         except Unsupported as unsupported:
             self.reason = str(unsupported)
+            if names_chance(reading.tree):
+                raise ValueError(
+                    f"RAND(), UUID() and STRUUID() do not go together with {unsupported}: "
+                    "Oxigraph would draw others when a window is computed again"
+                ) from unsupported
             if asks_for_times(reading.tree):
                 raise ValueError(
                     f"times of triples and {unsupported} do not go together in one query"
@@ -150,6 +159,8 @@ class Solver:
             head, plan = self.translated.head, execution.plan
             if execution.names_now:
                 plan = at_time(plan, shown)
+            if execution.has_chance:
+                plan = with_seeds(plan, f"{self._seed} {shown}")
             for source in execution.sources(rows, self.profile):
                 try:
                     relation = execute(plan, source, self.terms)
@@ -160,6 +171,11 @@ class Solver:
                     # Not folded, columns may do; else Oxigraph is as exact, bags too; where it is
                     # not, the result says so (`merged`).
                     continue
+            if execution.has_chance:
+                raise BudgetExceeded(
+                    "RAND(), UUID() and STRUUID() need values that columns can compute: "
+                    "Oxigraph would give others when the window is computed again"
+                )
         return self.oxigraph.solve(rows.tables, start, shown)
 
     def known(self, flows: Mapping[str, Flow]) -> Known:

@@ -27,6 +27,7 @@ class ChangeKind(StrEnum):
     UNIT_STOPPED_BY_RULE = "unit stopped by rule"
     INPUTS_CHANGED = "inputs changed"
     NOT_RESTORED = "not restored"
+    UNKEPT = "state not kept"
     REFUSED = "report refused"
 
 

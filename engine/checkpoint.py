@@ -8,13 +8,15 @@ a checkpoint keeps `program` beside it, and reads none of another.
 
 from __future__ import annotations
 
+import copyreg
 import hashlib
 import importlib.util
 import io
+import marshal
 import pickle
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, fields
 from functools import cache
 from importlib.metadata import version
@@ -31,6 +33,7 @@ from .behind import Turns
 from .busy import Stopwatch
 from .engine import Engine
 from .processes import Processes
+from .remembering import REMEMBERING, Unkept, kept_of
 from .supervision import Instance, Runner
 
 T = TypeVar("T")
@@ -39,6 +42,8 @@ _ROOT = Path(__file__).parent.parent
 _DEEP = 100_000
 """Frames: units that read each other's streams are a chain of objects as long as their chain."""
 _STACK = 512 << 20
+_PICKLED = ("msgspec", "numba", "numpy", "pyoxigraph")
+"""Packages whose objects are in a state, or whose versions decide what comes of it."""
 _COMPILED = type(importlib.import_module("numba").njit(lambda: None))
 
 
@@ -57,15 +62,68 @@ class Outside:
         """By the names of `Engine`'s arguments."""
         return {each.name: getattr(self, each.name) for each in fields(self)}
 
+    def named(self) -> dict[str, object]:
+        """All of it by the names under which a state speaks of it, user-written code included:
+        where that is defined is no matter of the state."""
+        found = {name: value for name, value in self.given().items() if value is not None}
+        for each in self.processes.all():
+            found[f"process {each.name}"] = each
+            found[f"code of {each.name}"] = each.code
+        return found
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """The bytes of a state, and what could not be written of it."""
+
+    data: bytes
+    unkept: tuple[Unkept, ...]
+
 
 class CheckpointError(Exception):
     """The state cannot be written, or not be read by this program."""
 
 
+def program(processes: Processes | None = None) -> str:
+    """What a checkpoint is for: this version of the program and of Python, by its very text, with
+    these user-written processes, by the texts of their modules, and of what is loaded of the
+    packages that these are in.
+
+    Contract: called when the modules have been loaded, and soon: it reads their files.
+    """
+    known = () if processes is None else processes.all()
+    if not known:
+        return _program()
+    digest = hashlib.sha256(repr(sorted(each.name for each in known)).encode())
+    for name, text in sorted(_modules(each.code for each in known).items()):
+        digest.update(f"\0{name}\0".encode() + text)
+    return f"{_program()}, processes {digest.hexdigest()[:16]}"
+
+
+def _modules(codes: Iterable[Any]) -> dict[str, bytes]:
+    """The text of each module of user-written code, by its name; of code that has none, what it is
+    compiled to."""
+    found = {}
+    for code in codes:
+        package = code.__module__.partition(".")[0]
+        for name, module in tuple(sys.modules.items()):
+            if name.partition(".")[0] == package:
+                path = getattr(module, "__file__", None)
+                if path is not None and Path(path).is_file():
+                    found[name] = Path(path).read_bytes()
+        if code.__module__ not in found:
+            compiled = getattr(code, "__code__", None)
+            found[f"{code.__module__}.{code.__qualname__}"] = (
+                b"" if compiled is None else marshal.dumps(compiled)
+            )
+    return found
+
+
 @cache
-def program() -> str:
-    """What a checkpoint is for: this version of the program and of Python, by its very text."""
+def _program() -> str:
     digest = hashlib.sha256()
+    for package in _PICKLED:
+        digest.update(f"{package} {version(package)}\0".encode())
     for path in sorted(_ROOT.rglob("*.py")):
         place = path.relative_to(_ROOT)
         if (
@@ -77,23 +135,30 @@ def program() -> str:
     return f"dyknow {version('dyknow')}, Python {python}, {digest.hexdigest()[:16]}"
 
 
-def state_of(
-    engine: Engine, more: object, outside: Outside, unkept: list[str] | None = None
-) -> bytes:
+def state_of(engine: Engine, more: object, outside: Outside) -> State:
     """The state of ``engine``, and ``more`` that belongs to it. What is ``outside``, with which the
-    engine was made, stays there. ``unkept`` is told of user-written processes whose
-    state cannot be written: they start again without it.
+    engine was made, stays there. What user-written processes remember and cannot be written is left
+    out, and told.
 
-    Raises `CheckpointError` where something in it cannot be written.
+    Raises `CheckpointError` where something else cannot be written.
     """
-    target = io.BytesIO()
-    names = {id(value): name for name, value in outside.given().items() if value is not None}
+    names = {id(value): name for name, value in outside.named().items()}
     try:
-        _deep(lambda: _Writer(target, names, unkept).dump((engine, more)))
-    except Exception as error:  # user code may be in it, and raise anything
+        try:
+            return _written((engine, more), names, None)
+        except Exception:  # noqa: BLE001  user code may be in it, and raise anything
+            # Whose fault it is is looked for only where there is one: that costs as much again.
+            return _written((engine, more), names, [])
+    except Exception as error:
         told = f"{type(error).__name__}: {error}"
         raise CheckpointError(f"the state cannot be written: {told}") from error
-    return target.getvalue()
+
+
+def _written(graph: object, names: dict[int, str], unkept: list[Unkept] | None) -> State:
+    target = io.BytesIO()
+    writer = _Writer(target, names, unkept)
+    _deep(lambda: writer.dump(graph))
+    return State(target.getvalue(), tuple(unkept or ()))
 
 
 def engine_of(state: bytes, outside: Outside) -> tuple[Engine, Any]:
@@ -103,42 +168,59 @@ def engine_of(state: bytes, outside: Outside) -> tuple[Engine, Any]:
     Raises `CheckpointError` for what cannot be read.
     """
     try:
-        engine, more = _deep(lambda: _Reader(io.BytesIO(state), outside.given()).load())
+        engine, more = _deep(lambda: _Reader(io.BytesIO(state), outside).load())
     except Exception as error:  # a pickle that is not whole may raise whatever it names
         raise CheckpointError(f"the state cannot be read: {error}") from error
     return engine, more
 
 
 class _Writer(pickle.Pickler):
+    """``unkept``: what of user-written processes cannot be written is left out, and told there;
+    None: that raises."""
+
     def __init__(
-        self, target: io.BytesIO, outside: dict[int, str], unkept: list[str] | None
+        self, target: io.BytesIO, outside: dict[int, str], unkept: list[Unkept] | None
     ) -> None:
         super().__init__(target, protocol=5)
         self._outside = outside
         self._unkept = unkept
+        self._forgotten: set[int] = set()
+        """Instances that are left out, by their ids: they are there as long as this is."""
 
     def persistent_id(self, value: Any) -> str | None:
         return self._outside.get(id(value))
 
     def reducer_override(self, value: Any) -> Any:
-        if type(value) is Instance and value.is_made:
-            try:
-                pickle.dumps(value.get())
-            except Exception as error:  # noqa: BLE001  user code, and there is something to tell
-                if self._unkept is not None:
-                    self._unkept.append(f"{type(value.get()).__name__}: {error}")
-                return Instance, (value.make,)
+        if self._unkept is not None and isinstance(value, REMEMBERING):
+            kept, unkept = kept_of(value, self._why_not)
+            if unkept:
+                self._unkept += unkept
+                self._forgotten.add(id(kept.get("_instance")))
+            return copyreg.__newobj__, (type(value),), kept  # type: ignore[attr-defined]
+        if type(value) is Instance and id(value) in self._forgotten:
+            return Instance, (value.make,)
         reduce = _REDUCERS.get(type(value))
         return NotImplemented if reduce is None else reduce(value)
 
+    def _why_not(self, value: object) -> Exception | None:
+        """Why ``value`` cannot be written; None: it can."""
+        try:
+            _Writer(io.BytesIO(), self._outside, None).dump(value)
+        except Exception as error:  # noqa: BLE001  user code, and there is something to tell
+            return error
+        return None
+
 
 class _Reader(pickle.Unpickler):
-    def __init__(self, source: io.BytesIO, outside: dict[str, object]) -> None:
+    def __init__(self, source: io.BytesIO, outside: Outside) -> None:
         super().__init__(source)
-        self._outside = outside
+        self._outside: dict[str, object] = {**outside.given(), **outside.named()}
 
     def persistent_load(self, name: str) -> object:
-        return self._outside[name]
+        found = self._outside.get(name, self)
+        if found is self:
+            raise CheckpointError(f"there is no {name} any more")
+        return found
 
 
 def _reduce_function(value: FunctionType) -> Any:

@@ -101,12 +101,14 @@ class Publish(Command, frozen=True, tag="publish"):
 class Begin(Command, frozen=True, tag="begin"):
     """The life of an engine begins at ``now`` (ns), by a ``program``. The first of all commands.
 
-    Of its ``epoch`` the ids of events are.
+    Of its ``epoch`` the ids of events are. ``processes``: the modules of the user-written ones
+    that the program has, by their names.
     """
 
     epoch: str
     now: int
     program: str
+    processes: dict[str, str] = {}
 
     def apply(self, engine: Engine) -> None:
         engine.epoch = self.epoch
@@ -132,6 +134,17 @@ class GoOn(Command, frozen=True, tag="go on"):
 
     def apply(self, engine: Engine) -> None:
         engine.go_on_again(self.done)
+
+
+class TellUnkept(Command, frozen=True, tag="unkept"):
+    """What ``process`` remembers is in no checkpoint, for this ``reason``: those who look on are
+    told."""
+
+    process: str
+    reason: str
+
+    def apply(self, engine: Engine) -> None:
+        engine.tell_unkept(self.process, self.reason)
 
 
 class EndStream(Command, frozen=True, tag="end stream"):
@@ -389,6 +402,7 @@ class RemoveTransformation(Command, frozen=True, tag="remove transformation"):
 AnyCommand: TypeAlias = (
     Begin
     | Refused
+    | TellUnkept
     | Tick
     | Publish
     | GoOn
@@ -417,6 +431,21 @@ AnyCommand: TypeAlias = (
     | ChangeTransformation
     | RemoveTransformation
 )
+DEFINING = (
+    DeclareStream,
+    Annotate,
+    Describe,
+    RegisterTemplate,
+    RequestEvent,
+    Subscribe,
+    SubscribeToFeature,
+    RegisterQuery,
+    ApplySpecification,
+    LoadOntology,
+    RegisterTransformations,
+    RegisterAnnotatedTransformation,
+)
+"""Commands by which people say what there is to be, for as long as they do not take it back."""
 _ENCODER = msgspec.msgpack.Encoder()
 _DECODER: msgspec.msgpack.Decoder[AnyCommand] = msgspec.msgpack.Decoder(AnyCommand)
 

@@ -601,6 +601,17 @@ class Engine:
         `UnknownDeclaration`."""
         return self._kpl.view(name), self._kpl.used_by(name)
 
+    def restore_kpl(self, text: str, unit: str = "ms") -> None:
+        """Declare of a KPL text, that an earlier run has taken, what holds; the others are told and
+        kept, as after a restart. Raises nothing."""
+        with self._manager.together():
+            self._kpl.add_what_holds(text, unit)
+
+    def forget_kpl(self, name: str) -> bool:
+        """Forget what was declared in KPL by an earlier run and does not hold any more; whether
+        there was such a declaration."""
+        return self._kpl.forget(name)
+
     def remove_kpl(self, name: str, *, cascade: bool = False) -> tuple[str, ...]:
         """Stop and forget a declaration; see `Application.remove`."""
         with self._manager.together():
@@ -680,6 +691,27 @@ class Engine:
         if query is not None:
             return self.queries.explain(query)
         raise BadArguments("explain needs an event, a template or a query")
+
+    @property
+    def next_ids(self) -> tuple[str, str]:
+        """What the next request and the next subscription would be called."""
+        return f"event{self._requests.number + 1}", f"subscription{self._subscriptions.number + 1}"
+
+    def keep_id(self, id: str) -> None:
+        """The next request or subscription is called ``id``, as it was in an earlier run, if that
+        is later than all there were."""
+        for name, made in (("event", self._requests), ("subscription", self._subscriptions)):
+            number = id.removeprefix(name)
+            if number != id and number.isdigit():
+                made.number_after(int(number) - 1)
+
+    def tell_not_restored(self, reason: str) -> None:
+        """Tell on the status stream what of an earlier run does not go on, and why."""
+        self._changed(Change(ChangeKind.NOT_RESTORED, specification=reason))
+
+    def tell_unkept(self, process: str, reason: str) -> None:
+        """Tell on the status stream that what a user-written process remembers is not kept."""
+        self._changed(Change(ChangeKind.UNKEPT, transformation=process, specification=reason))
 
     def totals(self) -> Totals:
         """How much there is of what people make. Cost: O(ontologies)."""

@@ -32,6 +32,8 @@ from .supervision import ProcessError
 Row: TypeAlias = tuple[int, int, dict[str, Value]]
 """``(available, valid, values)`` of one sample that fits the output's fields."""
 
+Mark: TypeAlias = tuple[int, Schema | None]
+
 VALUE = "value"
 """The field of an output whose fields nobody gave, where the process answers with bare values."""
 
@@ -76,10 +78,21 @@ class Answers:
         """What has been reported and not passed on yet."""
         return self._reports
 
-    def hear(self, report: Report | None) -> None:
-        """What was reported, where that is known already."""
+    def again(self, row: Row | None, report: Report | None) -> None:
+        """`row` gave this when it was done first."""
+        if row is not None:
+            self._check(row[2])
         if report is not None:
             self._reports.append(report)
+
+    def mark(self) -> Mark:
+        """What answers have said by now."""
+        return len(self._reports), self._schema
+
+    def forget(self, mark: Mark) -> None:
+        """What was answered since ``mark`` was never said."""
+        count, self._schema = mark
+        del self._reports[count:]
 
     def row(self, answer: object, time: int, valid: int) -> Row | None:
         """The sample that an answer given at ``time`` means; None for no_sample.

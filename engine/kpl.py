@@ -16,6 +16,7 @@ from ..languages.kpl import (
     SortDeclaration,
     SourceDeclaration,
     StreamDeclaration,
+    ast,
     check_kpl,
     format_kpl,
     parse_kpl,
@@ -121,12 +122,45 @@ class KplDeclarations:
         except (LanguageError, DyknowError):
             # Something does not hold any more: what can be without it is restored.
             for text in kept.split(_SEPARATOR):
-                try:
-                    self._declare(text)
-                except (LanguageError, DyknowError) as error:
-                    self._not_restored[text] = str(error)
-                    reason = f"{error}\n{text}"
-                    self._changed(Change(ChangeKind.NOT_RESTORED, specification=reason))
+                self._declare_again(text)
+
+    def add_what_holds(self, text: str, unit: str = "ms") -> None:
+        """Declare what an earlier run was told and had not kept yet, as `restore` does."""
+        try:
+            self._declare(text, unit)
+        except (LanguageError, DyknowError):
+            for each in self._parts(text, unit):
+                self._declare_again(each)
+        self._keep()
+
+    def forget(self, name: str) -> bool:
+        """Forget what was not restored, by its name, label or key; whether it was there."""
+        for text in tuple(self._not_restored):
+            if _is_called(name, text):
+                del self._not_restored[text]
+                self._keep()
+                return True
+        return False
+
+    def _declare_again(self, text: str) -> None:
+        try:
+            self._declare(text)
+        except (LanguageError, DyknowError) as error:
+            self._not_restored[text] = str(error)
+            reason = f"{error}\n{text}"
+            self._changed(Change(ChangeKind.NOT_RESTORED, specification=reason))
+
+    def _parts(self, text: str, unit: str) -> tuple[str, ...]:
+        """The declarations of a text as they are kept; in one where it makes no sense now."""
+        has_unit = False
+        try:
+            specification = parse_kpl(text)
+            has_unit = specification.unit is not None
+            new, _ = check_kpl(specification, text, self._ontology.vocabulary, self.signature, unit)
+        except LanguageError:
+            lines = [line for line in text.splitlines() if line.strip()]
+            return ("\n".join(lines if has_unit else [f"unit {unit}", *lines]),)
+        return tuple(format_kpl(declaration) for declaration in new)
 
     def _declare(self, text: str, unit: str = "ms") -> tuple[CheckedDeclaration, ...]:
         vocabulary = self._ontology.vocabulary
@@ -165,6 +199,25 @@ class KplDeclarations:
         )
 
 
+def _is_called(name: str, text: str) -> bool:
+    """Whether a declaration, as it is kept, is of this name, label or key."""
+    try:
+        declarations = parse_kpl(text).declarations
+    except LanguageError:
+        return False
+    for declaration in declarations:
+        match declaration:
+            case ast.Strmgen(label):
+                if text[label.span.start : label.span.end] == name:
+                    return True
+            case ast.Foreach():
+                pass
+            case _:
+                if declaration.name.text == name:
+                    return True
+    return False
+
+
 def _lost(text: str, reason: str) -> DeclarationView:
     """A declaration of an earlier run that does not hold any more."""
     return DeclarationView(
@@ -189,7 +242,7 @@ def _counters(process: Process | None) -> dict[str, object]:
         case PolicyUnit():
             return counts_of(process)
         case SampledSource():
-            return {"missed": process.missed}
+            return {"missed": process.missed, "without room": process.without_room}
         case ConfigurationProcess():
             return {
                 "objects": len(process.objects),

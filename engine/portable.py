@@ -9,7 +9,7 @@ same life of the engine, and the ids of its events say so.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -35,6 +35,7 @@ from .commands import (
 )
 from .engine import Engine
 from .intake import UsedKey
+from .remembering import Unkept
 
 
 class KeptColumn(msgspec.Struct):
@@ -65,7 +66,10 @@ class KeptStream(msgspec.Struct):
 
 class Portable(msgspec.Struct):
     """``quads``: N-Quads. ``standing``: what was asked for and has no name, oldest first.
-    ``keys``: those under which batches came."""
+    ``keys``: those under which batches came. ``processes``: the modules of the user-written ones
+    that are needed, by their names; ``unkept``: those that remember what is not in the state.
+    ``waiting``: what was accepted and could not be done again. ``ids``: those of ``standing``, then
+    those that would be given next."""
 
     format: int
     now: int
@@ -73,17 +77,31 @@ class Portable(msgspec.Struct):
     streams: list[KeptStream]
     standing: list[AnyCommand]
     keys: list[UsedKey] = []
+    processes: dict[str, str] = {}
+    unkept: list[Unkept] = []
+    waiting: list[AnyCommand] = []
+    ids: list[str] = []
+
+
+class PortableHead(msgspec.Struct):
+    """What of a `Portable` is of interest before a state is read."""
+
+    processes: dict[str, str] = {}
+    unkept: list[Unkept] = []
 
 
 @dataclass(slots=True)
 class Standing:
     """The commands whose results have no name by which the ontology would keep them: requests,
-    subscriptions, queries without a name; by their ids, oldest first."""
+    subscriptions, queries without a name; by their ids, oldest first. ``waiting``: those that were
+    accepted and could not be done again by this program; another one tries."""
 
     commands: dict[str, Command]
+    waiting: list[Command]
 
     def __init__(self, commands: Iterable[tuple[str, Command]] = ()) -> None:
         self.commands = dict(commands)
+        self.waiting = []
 
     def note(self, command: Command, found: Any) -> None:
         """``command`` was done, and gave ``found``."""
@@ -97,18 +115,40 @@ class Standing:
             case RemoveQuery(name=name):
                 self.commands.pop(name, None)
 
+    def again(self, command: Command, engine: Engine) -> str | None:
+        """Do what an earlier run has accepted; where that is refused now it waits, and the reason
+        is told."""
+        try:
+            self.note(command, command.apply(engine))
+        except REFUSALS as error:
+            self.waiting.append(command)
+            reason = f"{error}\n{command}"
+            engine.tell_not_restored(reason)
+            return reason
+        return None
 
-def portable_of(engine: Engine, standing: Standing) -> Portable:
+
+def portable_of(
+    engine: Engine,
+    standing: Standing,
+    processes: Mapping[str, str] | None = None,
+    unkept: Iterable[Unkept] = (),
+) -> Portable:
     """What of ``engine`` any version understands. Cost: O(samples kept)."""
     kept = [each for each in engine.published() if each.schema.fields]
     named = engine.ontology.queries()
+    unnamed = {id: each for id, each in standing.commands.items() if id not in named}
     return Portable(
         1,
         engine.now,
         engine.ontology.quads(),
         [_kept(each) for each in kept],
-        [command for name, command in standing.commands.items() if name not in named],  # type: ignore[misc]
+        list(unnamed.values()),  # type: ignore[arg-type]
         list(engine.intake.keys),
+        dict(processes or {}),
+        list(unkept),
+        list(standing.waiting),  # type: ignore[arg-type]
+        [*unnamed, *engine.next_ids],
     )
 
 
@@ -129,16 +169,27 @@ def engine_from(
     for kept in portable.streams:
         generator = there.get(kept.name)
         if generator is None:
-            lost.append(f"stream {kept.name}: nobody declares it any more")
+            lost.append(
+                f"stream {kept.name}: nobody declares it any more; its {_count(kept)} samples are "
+                "not taken over"
+            )
         else:
-            _restore(generator, kept)
+            lost += _restore(generator, kept)
     engine.intake.remember(each for each in portable.keys if each.stream in there)
+    for text in lost:
+        engine.tell_not_restored(text)
     standing = Standing()
-    for command in portable.standing:
-        try:
-            standing.note(command, command.apply(engine))
-        except REFUSALS as error:
-            lost.append(f"{command}: {error}")
+    count = len(portable.standing)
+    # By their ids people give them up. An earlier version kept none.
+    ids = portable.ids[:count] or [""] * count
+    asked = [*zip(ids, portable.standing, strict=True), *(("", one) for one in portable.waiting)]
+    for id, command in asked:
+        engine.keep_id(id)
+        reason = standing.again(command, engine)
+        if reason is not None:
+            lost.append(f"not restored, and kept: {reason}")
+    for next_id in portable.ids[count:]:
+        engine.keep_id(next_id)
     return engine, standing, lost
 
 
@@ -169,21 +220,43 @@ def _column(column: Column) -> KeptColumn:
     return KeptColumn(column.type, own.values.tobytes(), null, list(own.pool.strings()))
 
 
-def _restore(generator: StreamGenerator, kept: KeptStream) -> None:
-    """Let ``generator``, that nobody has used yet, go on from what was kept."""
+def _count(kept: KeptStream) -> int:
+    return len(kept.available) // np.dtype(np.int64).itemsize
+
+
+def _restore(generator: StreamGenerator, kept: KeptStream) -> list[str]:
+    """Let ``generator``, that nobody has used yet, go on from what was kept; gives what of that it
+    has no place for. Its numbers go on in any case."""
     schema = Schema(tuple(kept.fields))
     if generator.is_open:
         pools = {f.name: StringPool() for f in schema.fields if f.type is FieldType.STRING}
         generator.adopt(schema, pools)
-    elif generator.schema != schema:
-        return
+    count, lost = _count(kept), []
+    if generator.schema != schema:
+        left = [f"{f.name} ({f.type})" for f in schema.fields if f not in generator.schema.fields]
+        new = [f"{f.name} ({f.type})" for f in generator.schema.fields if f not in schema.fields]
+        lost.append(
+            f"stream {kept.name} has other fields than it had: of its {count} samples "
+            f"{', '.join(left) or 'nothing'} is not taken over"
+            + (f", and they have no value of {', '.join(new)}" if new else "")
+        )
     columns = {}
-    for name, column in kept.columns.items():
+    for field in generator.schema.fields:
+        column = kept.columns.get(field.name)
+        if column is None or column.type is not field.type:
+            column = KeptColumn(
+                field.type,
+                np.zeros(count, field.type.dtype).tobytes(),
+                np.ones(count, np.bool_).tobytes(),
+                [""] if field.type is FieldType.STRING else None,
+            )
         values = np.frombuffer(column.values, column.type.dtype)
         null = None if column.null is None else np.frombuffer(column.null, np.bool_)
         pool = None if column.texts is None else StringPool(column.texts)
         found = Column(column.type, values, null, pool)
-        columns[name] = found if pool is None else found.recoded(generator.stream.pools[name])
+        columns[field.name] = (
+            found if pool is None else found.recoded(generator.stream.pools[field.name])
+        )
     available, valid = (np.frombuffer(each, np.int64) for each in (kept.available, kept.valid))
     generator.go_on(
         SampleBatch(available, valid, columns),
@@ -194,3 +267,4 @@ def _restore(generator: StreamGenerator, kept: KeptStream) -> None:
         watermark=kept.watermark,
         is_ended=kept.is_ended,
     )
+    return lost

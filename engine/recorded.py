@@ -9,6 +9,7 @@ same streams: the same samples under the same numbers, byte by byte.
 from __future__ import annotations
 
 import secrets
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -27,7 +28,9 @@ from .behind import Turns
 from .busy import Stopwatch
 from .checkpoint import CheckpointError, Outside, engine_of, program, state_of
 from .commands import (
+    DEFINING,
     REFUSALS,
+    AddKpl,
     Begin,
     Command,
     GoOn,
@@ -35,23 +38,24 @@ from .commands import (
     Publish,
     ReadAlready,
     Refused,
+    RemoveKpl,
     Tick,
     done,
     read,
     written,
 )
 from .engine import Engine
-from .portable import Portable, Standing, engine_from, portable_of
+from .missing import missing, origins, told
+from .portable import Portable, PortableHead, Standing, engine_from, portable_of
 from .processes import PROCESSES, Processes
+from .remembering import Unkept
 from .supervision import DIRECT, Runner
-from .tape import Tape
+from .tape import READINGS, Tape
 
 T = TypeVar("T")
 
 _WINDOWS = 1 << 16
 """Bytes that are kept free for which windows have closed, which is not known before."""
-_READINGS = 1 << 16
-"""Bytes that are kept free for what sources say in a tick, which is not known before."""
 
 
 class RecordedRunner:
@@ -110,6 +114,13 @@ class RecordedEngine:
         self.recovery = Recovery()
         self._runner = RecordedRunner(runner)
         self._outside = Outside(processes, self._runner, stopwatch, budget, turns)
+        self._program = program(processes)
+        self._needed: dict[str, str] = {}
+        """User-written processes that an earlier run had, with their modules."""
+        self._unplaced: Counter[str] = Counter()
+        """Batches that this program could not take again, by stream and why."""
+        self._writer = self._program
+        """The program that has written what is read at a start."""
         self._standing = Standing()
         self._within = False
         self._asked_for: list[OpenStream] = []
@@ -140,6 +151,8 @@ class RecordedEngine:
             if self._directory.old_store is not None:
                 self.checkpoint().write()
                 self._directory.forget_old_store()
+            elif not self.recovery.is_continued:
+                self._settle_down()
         except BaseException:
             self._directory.close()
             raise
@@ -157,8 +170,10 @@ class RecordedEngine:
         self._write_opened()
         self._within = True
         try:
-            with self.log.entry(written(command), _READINGS) as entry:
-                self._runner.tape.record()
+            with self.log.entry(written(command)) as entry:
+                # What sources say is not known before: the tape asks for room as they say it.
+                begun = len(entry.payload) + READINGS
+                self._runner.tape.record(lambda size: entry.has_room(begun + size))
                 found = done(self.engine, command, known)
                 readings = self._runner.tape.taken()
                 if readings and isinstance(command, Tick):
@@ -189,7 +204,8 @@ class RecordedEngine:
         self._write_opened()
         self._within = True
         try:
-            with self.log.entry(written(GoOn()), _WINDOWS) as entry:
+            self.log.check_room(_WINDOWS)
+            with self.log.entry(written(GoOn())) as entry:
                 done = self.engine.go_on(new=new, begins=begins, to_end=to_end)
                 entry.payload = written(GoOn(done)) if done else b""
         except JournalError:
@@ -201,6 +217,11 @@ class RecordedEngine:
             self._within = False
             self._asked_for.clear()
 
+    @property
+    def unread(self) -> str | None:
+        """Which sources are not asked at present, and why; None: all are."""
+        return self._runner.tape.unread
+
     def checkpoint(self) -> Unwritten:
         """The state as it is now, to be written by `Unwritten.write`, in any thread.
 
@@ -210,11 +231,11 @@ class RecordedEngine:
         if self.failure is not None:
             raise CheckpointError(f"the state is not to be trusted: {self.failure}")
         position = self.log.position
-        unkept: list[str] = []
-        state = state_of(self.engine, self._standing, self._outside, unkept)
-        portable = msgspec.msgpack.encode(portable_of(self.engine, self._standing))
-        found = Checkpoint(position, program(), portable, state)
-        return Unwritten(found, self.log, self._checkpoints, tuple(unkept))
+        state = state_of(self.engine, self._standing, self._outside)
+        processes = self._missing() | origins(self._outside.processes)
+        portable = portable_of(self.engine, self._standing, processes, state.unkept)
+        found = Checkpoint(position, self._program, msgspec.msgpack.encode(portable), state.data)
+        return Unwritten(found, self.log, self._checkpoints, state.unkept)
 
     def close(self, *, checkpoint: bool = True) -> None:
         """Commit what there is; with ``checkpoint`` the next start has nothing to do again."""
@@ -263,11 +284,41 @@ class RecordedEngine:
             if progress is not None and self.recovery.replayed % 1000 == 0:
                 progress(self.recovery.replayed, count)
         self._runner.tape.is_playing = False
+        self._check_writer()
+        for reason, times in self._unplaced.items():
+            note = f"{times} batches could not be taken again: {reason}"
+            self.recovery.notes.append(note)
+            engine.tell_not_restored(note)
+        self.engine = engine
+        for name, module in self._missing().items():
+            self.recovery.notes.append(told(name, module))
+            if not self.recovery.is_continued:
+                engine.tell_not_restored(told(name, module))
         if not self.recovery.is_continued:
-            begin = Begin(secrets.token_hex(4), now, program())
+            begin = self._begin(now)
             self.log.append(written(begin))
             begin.apply(engine)
         return engine
+
+    def _begin(self, now: int) -> Begin:
+        known = origins(self._outside.processes)
+        return Begin(secrets.token_hex(4), now, self._program, self._missing() | known)
+
+    def _missing(self) -> dict[str, str]:
+        """User-written processes that are needed and not there, with their modules."""
+        if all(name in self._outside.processes for name in self._needed):
+            return {}
+        waiting = [written(command) for command in self._standing.waiting]
+        spoken_of = [self.engine.ontology.quads(), *waiting]
+        return missing(self._needed, self._outside.processes, spoken_of)
+
+    def _settle_down(self) -> None:
+        """Write a checkpoint of a life that has just begun: else each start before the first one
+        would begin another, whose ids nobody can resume."""
+        try:
+            self.checkpoint().write()
+        except (CheckpointError, JournalError, OSError) as error:
+            self.recovery.notes.append(f"no checkpoint yet: {error}")
 
     def _from_checkpoint(self, now: int) -> tuple[Engine, int] | None:
         """The engine of the newest checkpoint that is sound, and its position."""
@@ -290,10 +341,20 @@ class RecordedEngine:
 
     def _from(self, kept: Checkpoint, now: int) -> Engine:
         """The engine of a checkpoint; raises `CheckpointError`."""
-        reason = f"the directory was written by {kept.program}, this is {program()}"
-        if kept.program == program():
+        reason = _of_another(kept.program, self._program)
+        try:
+            head = msgspec.msgpack.decode(kept.portable, type=PortableHead)
+        except msgspec.DecodeError as error:
+            raise CheckpointError(f"{reason}; {error}") from error
+        self._writer = kept.program
+        self._needed |= head.processes
+        if kept.program == self._program:
             try:
                 engine, self._standing = engine_of(kept.state, self._outside)
+                for each in head.unkept:
+                    if each.is_computing:
+                        # What it makes from here on is not what those who looked on have seen.
+                        self._begin_anew(f"the state of a process was not kept: {each}")
                 return engine
             except CheckpointError as error:
                 # Of user-written processes it may name what is not there any more.
@@ -313,7 +374,8 @@ class RecordedEngine:
         store = self._directory.old_store
         ontology = None if store is None else Ontology.copied(store)
         if not self.log.position:
-            self.log.append(written(Begin(secrets.token_hex(4), now, program())))
+            known = origins(self._outside.processes)
+            self.log.append(written(Begin(secrets.token_hex(4), now, self._program, known)))
             self.log.commit()
             if store is not None:
                 self.recovery.notes.append(
@@ -325,14 +387,14 @@ class RecordedEngine:
                 f"there is no sound checkpoint, and the log begins with record {self.log.first}",
                 "restore the folder from a backup (dyknow restore)",
             )
-        begin = next(read(data) for _, data in self.log.read(0))
-        if not isinstance(begin, Begin):
-            raise JournalDamaged(f"the log begins with {type(begin).__name__}")
-        if begin.program != program():
-            self._begin_anew(f"the directory was written by {begin.program}, this is {program()}")
+        first = next(read(data) for _, data in self.log.read(0))
+        if not isinstance(first, Begin):
+            raise JournalDamaged(f"the log begins with {type(first).__name__}")
+        self._writer = first.program
+        self._needed |= first.processes
         engine = Engine(
-            epoch=begin.epoch,
-            now=begin.now,
+            epoch=first.epoch,
+            now=first.now,
             ontology=ontology,
             **self._outside.given(),
         )
@@ -347,11 +409,51 @@ class RecordedEngine:
         program or an error in it."""
         try:
             command = read(data)
-            if isinstance(command, Tick):
-                self._runner.tape.play(command.readings)
+        except msgspec.DecodeError as error:
+            self._begin_anew(f"record {position} cannot be read: {error}")
+            return
+        if isinstance(command, Begin):
+            self._writer = command.program
+            self._needed |= command.processes
+        else:
+            self._check_writer()
+        if isinstance(command, Tick):
+            self._runner.tape.play(command.readings)
+        try:
             self._standing.note(command, command.apply(engine))
+        except REFUSALS as error:
+            self._refused_again(engine, position, command, error)
         except Exception as error:  # noqa: BLE001  the service starts without it, and says so
             self._begin_anew(f"record {position} could not be done again: {error}")
+
+    def _check_writer(self) -> None:
+        """What another program has done need not be what comes of it here."""
+        if self._writer != self._program and self.recovery.is_continued:
+            self._begin_anew(_of_another(self._writer, self._program))
+
+    def _refused_again(
+        self, engine: Engine, position: int, command: Command, error: Exception
+    ) -> None:
+        """What was accepted is refused: say so, and keep what can be done at another start."""
+        match command:
+            case Publish(stream=stream):
+                self._unplaced[f"{stream}: {error}"] += 1
+                self.recovery.is_continued = False
+                return
+            case GoOn() if not self.recovery.is_continued:
+                # Of another program other windows are due; they close when it is their turn.
+                return
+            case AddKpl(text=text, unit=unit):
+                engine.restore_kpl(text, unit)
+            case RemoveKpl(name=name) if engine.forget_kpl(name):
+                return
+            case _ if isinstance(command, DEFINING):
+                self._standing.again(command, engine)
+        self._begin_anew(f"record {position} could not be done again: {error}")
+
+
+def _of_another(writer: str, program: str) -> str:
+    return f"the directory was written by {writer}, this is {program}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -361,7 +463,7 @@ class Unwritten:
     checkpoint: Checkpoint
     log: Log
     checkpoints: Checkpoints
-    unkept: tuple[str, ...]
+    unkept: tuple[Unkept, ...]
     """User-written processes whose state cannot be written down: what they are, and why."""
 
     def write(self) -> None:

@@ -130,6 +130,15 @@ class EventRequests:
         )
         return self.view(id)
 
+    @property
+    def number(self) -> int:
+        """That of the latest request, whether it runs or not."""
+        return self._number
+
+    def number_after(self, number: int) -> None:
+        """The next request has a number after this one, and after those there are."""
+        self._number = max(self._number, number)
+
     def cancel(self, id: str) -> None:
         """One user less; raises `UnknownRequest`."""
         request = self._request(id)

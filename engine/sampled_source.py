@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -16,12 +16,13 @@ from .supervision import (
     ErrorCounters,
     Instance,
     ProcessEvent,
+    RecordedBlock,
     RecordedError,
     Runner,
     Supervisor,
     describe,
 )
-from .tape import Reading
+from .tape import Reading, Turn
 
 
 class SampledSource:
@@ -30,8 +31,9 @@ class SampledSource:
 
     A sample is available at its due time unless it brings a later one, and valid at its due time
     unless it says otherwise. A tick reads at most ``behind`` due times, the latest; earlier ones
-    are counted in ``missed``: a sensor that is asked late tells nothing of the past. A source that
-    stops by its rule ends its output; ``failure`` says why.
+    are counted in ``missed``: a sensor that is asked late tells nothing of the past. Where what it
+    says is written down, and there is no room for it, it is not asked: ``without_room`` counts
+    these due times (`Tape`). A source that stops by its rule ends its output; ``failure`` says why.
 
     ``parameters`` are those of the code, as text. Cost: Python per reading. Memory: none that
     grows.
@@ -56,6 +58,7 @@ class SampledSource:
         self.counters = ErrorCounters()
         self.failure: str | None = None
         self.missed = 0
+        self.without_room = 0
         self._next = start
         self._behind = behind
         self._answers = Answers(output, on_report)
@@ -85,7 +88,7 @@ class SampledSource:
             self.missed += missed
             times = [self._next + k * period for k in range(missed, due)]
             self._next += due * period
-            self._supervisor.run([(t, None) for t in times], self._read, self._answers.offer)
+            self._run(times)
         if self.failure is None and now < TIME_MAX:
             self.output.advance(now + 1)
 
@@ -99,15 +102,30 @@ class SampledSource:
         self.failure = reason
         self.output.end()
 
-    def _read(self, time: int, _: None) -> Row | None:
+    def _run(self, times: Sequence[int]) -> None:
+        items = [(time, None) for time in times]
         tape = self._runner.tape
         if tape is None:
-            return self._ask(time)
-        reading = tape.ask(self.name, time, partial(self._reading, time))
+            self._supervisor.run(items, lambda time, _: self._ask(time), self._answers.offer)
+            return
+        turn = tape.turn(self.name, self.output.name)
+        came = self._supervisor.run(
+            items, lambda time, _: self._read(turn, time), self._answers.offer
+        )
+        self.without_room += turn.end(came.calls, came.time, came.blocked)
+
+    def _read(self, turn: Turn, time: int) -> Row | None:
+        before = self._answers.mark()
+        reading = turn.ask(time, partial(self._reading, time))
+        if reading is None:
+            self._answers.forget(before)
+            return None
+        if reading.is_blocked:
+            raise RecordedBlock(reading.error)
         if reading.error is not None:
             raise RecordedError(reading.error)
-        if tape.is_playing:
-            self._answers.hear(reading.report)
+        if turn.is_playing:
+            self._answers.again(reading.sample, reading.report)
         return reading.sample
 
     def _ask(self, time: int) -> Row | None:

@@ -109,6 +109,7 @@ class SemanticsManager:
                 | ChangeKind.UNIT_RESTARTED
                 | ChangeKind.UNIT_STOPPED_BY_RULE
                 | ChangeKind.NOT_RESTORED
+                | ChangeKind.UNKEPT
                 | ChangeKind.REFUSED
             ):
                 pass  # the structure of the stream space is as it was

@@ -78,6 +78,15 @@ class Subscriptions:
         self._number += 1
         return f"subscription{self._number}"
 
+    @property
+    def number(self) -> int:
+        """That of the latest subscription, whether it runs or not."""
+        return self._number
+
+    def number_after(self, number: int) -> None:
+        """The next subscription has a number after this one, and after those there are."""
+        self._number = max(self._number, number)
+
     def cancel(self, id: str) -> None:
         """Give a subscription up; raises `UnknownRequest`."""
         subscription = self._get(id)

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
 from types import TracebackType
-from typing import Generic, Protocol, TypeAlias, TypeVar, assert_never
+from typing import Generic, NamedTuple, Protocol, TypeAlias, TypeVar, assert_never
 
 from ..streams.time import SECOND
 from .tape import Tape
@@ -134,6 +134,14 @@ class _Made(Generic[Result]):
     result: Result
 
 
+class Came(NamedTuple):
+    """So many ``calls`` came back; the next one, for ``time``, did not: ``blocked`` says so."""
+
+    calls: int
+    time: int = 0
+    blocked: str | None = None
+
+
 class Supervisor:
     """Calls a process item by item and answers its failures by its rule.
 
@@ -168,14 +176,15 @@ class Supervisor:
         items: Sequence[tuple[int, Item]],
         step: Callable[[int, Item], Result],
         deliver: Callable[[Sequence[Result]], None],
-    ) -> None:
+    ) -> Came:
         """``step(time, item)`` for each in order; what was made goes to ``deliver``, then what
         went wrong is told. After a stop the rest of the items is left alone.
 
         What is no `Exception` (KeyboardInterrupt, SystemExit) passes through.
         """
+        came = Came(0)
         if self._stopped is not None or not items:
-            return
+            return came
         log: list[_Made[Result] | _Failure] = []
         row = self._in_a_row
 
@@ -186,6 +195,8 @@ class Supervisor:
                 try:
                     log.append(_Made(step(time, item)))
                     row = 0
+                except RecordedBlock:
+                    raise
                 except Exception as error:  # noqa: BLE001  isolated, counted and told by the rule
                     row += 1
                     verdict = self._verdict(row)
@@ -198,14 +209,17 @@ class Supervisor:
         try:
             self._runner.run(work, self.rule.deadline, lambda: len(log))
             entries = log
+            came = Came(len(entries))
         except UnitBlocked as blocked:
             entries = log.copy()
+            came = Came(len(entries))
             if len(entries) < len(items):  # else the last call came back at the last moment
                 time = items[len(entries)][0]
-                text = describe(blocked)
-                entries.append(_Failure(time, text, _Verdict.STOPPED))
+                came = Came(len(entries), time, describe(blocked))
+                entries.append(_Failure(time, describe(blocked), _Verdict.STOPPED))
         self._in_a_row = row
         self._settle(entries, deliver)
+        return came
 
     def _verdict(self, in_a_row: int) -> _Verdict:
         match self.rule.on_error:
@@ -293,6 +307,10 @@ class Instance(Generic[T]):
 
 class RecordedError(Exception):
     """What went wrong when it was done first; its text is what was said of it then."""
+
+
+class RecordedBlock(RecordedError, UnitBlocked):
+    """It did not come back when it was done first."""
 
 
 def describe(error: BaseException) -> str:

@@ -8,17 +8,17 @@ from __future__ import annotations
 
 import errno
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
 from .disk import DISK, Disk
-from .errors import JournalBroken, JournalDamaged, JournalFull
+from .errors import JournalBroken, JournalDamaged, JournalError, JournalFull
 from .examination import HINT, Examination, examine
 from .high_water import HighWater, Mark
-from .segment import Segment, path_of, size_of, walk
+from .segment import HEAD, Segment, path_of, size_of, walk
 
 SEGMENT = 64 << 20
 """A file takes so many bytes, and the record that passes them."""
@@ -37,9 +37,14 @@ class Durability(StrEnum):
 
 @dataclass(slots=True)
 class Entry:
-    """What is about to be kept."""
+    """What is about to be kept.
+
+    ``has_room(size)`` says whether another payload of so many bytes may take its place, and from
+    then on that is sure; it may be called in another thread, one call at a time.
+    """
 
     payload: bytes
+    has_room: Callable[[int], bool]
 
 
 class Log:
@@ -125,18 +130,18 @@ class Log:
             return sum(path_of(self._folder, first).stat().st_size for first in self._firsts)
 
     @contextmanager
-    def entry(self, payload: bytes, room: int = 0) -> Iterator[Entry]:
+    def entry(self, payload: bytes) -> Iterator[Entry]:
         """``payload`` (not empty) is kept with the next commit if the block ends without an error,
-        and never was if it raises. The block may put another in its place that has up to ``room``
-        bytes more, or an empty one: then nothing is kept.
+        and never was if it raises. The block may put another in its place, of a size for which
+        there is room (`Entry.has_room`), or an empty one: then nothing is kept.
 
         Raises `JournalFull` when the disk has no room for it, and `JournalBroken`, before the block
         begins. Contract: one block at a time.
         """
         if not payload:
             raise ValueError("a record is not empty")
-        position, entry = self.position + 1, Entry(payload)
-        segment = self._with_room(size_of(payload) + room)
+        position, entry = self.position + 1, Entry(payload, self._has_room)
+        segment = self._with_room(size_of(payload))
         yield entry
         if not entry.payload:
             return
@@ -155,6 +160,13 @@ class Log:
     def check_room(self, size: int) -> None:
         """Raises `JournalFull` and `JournalBroken` where `entry` would, of so many bytes."""
         self._with_room(size)
+
+    def _has_room(self, size: int) -> bool:
+        try:
+            self._with_room(HEAD + size)
+        except JournalError:
+            return False
+        return True
 
     def _with_room(self, size: int) -> Segment:
         if self._broken is not None:

@@ -20,9 +20,10 @@ from contextlib import contextmanager, suppress
 from typing import Any, Protocol
 
 from ..engine.checkpoint import CheckpointError
-from ..engine.commands import Command, EndStream, Publish, ReadAlready, Tick, done
+from ..engine.commands import Command, EndStream, Publish, ReadAlready, TellUnkept, Tick, done
 from ..engine.engine import Engine
 from ..engine.recorded import RecordedEngine
+from ..engine.remembering import Unkept
 from ..journal.errors import JournalError
 from .logs import log
 from .pausing import FIRST, FURTHER, Pausing
@@ -31,6 +32,7 @@ from .settings import Settings
 JOURNAL = "journal"
 CHECKPOINT = "checkpoint"
 ENGINE = "engine"
+SOURCES = "sources"
 _SHARE = 20
 """A checkpoint for so many times the time that it takes: it holds up all else."""
 _AGAIN = 10.0
@@ -102,8 +104,8 @@ class Keeper:
         self._not_before = float("-inf")
         """No checkpoint is tried before."""
         self._tended = float("-inf")
-        self._unkept: set[str] = set()
-        """Of what it was told that it is not in checkpoints, or why there are none."""
+        self._unkept: set[Unkept] = set()
+        """Processes of which was told that what they remember is not in checkpoints."""
 
     @property
     def is_recording(self) -> bool:
@@ -167,6 +169,7 @@ class Keeper:
             self._worked += time.monotonic() - begun
             if self._recorded.failure is not None:
                 self._troubles[ENGINE] = self._recorded.failure
+            self._note(SOURCES, self._recorded.unread)
 
     async def _catch_up(self) -> None:
         """Close windows, and let others do what they have to in between, until nobody is behind."""
@@ -322,18 +325,18 @@ class Keeper:
         except (CheckpointError, JournalError, OSError) as error:
             # Each try costs as much as one that succeeds.
             self._not_before = asyncio.get_running_loop().time() + _AGAIN
-            if not isinstance(error, CheckpointError):
-                self._fail(CHECKPOINT, error)
-            elif str(error) not in self._unkept:
-                # All is kept by the log alone, and a start takes longer.
-                self._unkept.add(str(error))
-                log().warning("no checkpoint", reason=str(error))
+            # All is kept by the log alone, which grows, and a start takes longer.
+            self._fail(CHECKPOINT, error)
             return
         self._written = recorded.log.written
-        for process in set(unwritten.unkept) - self._unkept:
-            self._unkept.add(process)
-            log().warning("the state of a process would not survive a restart", process=process)
         self._recover(CHECKPOINT)
+        for process in set(unwritten.unkept) - self._unkept:
+            await self.quiet()
+            self.do(TellUnkept(process.process, process.reason))
+            self._unkept.add(process)
+            log().warning(
+                "the state of a process would not survive a restart", process=str(process)
+            )
 
     async def _beside(self, work: Callable[[], object]) -> None:
         """Do what waits for the disk in the journal's own thread, one thing at a time."""
@@ -356,10 +359,17 @@ class Keeper:
                 # What was acknowledged is in the log: the next start does it again.
                 log().error("no checkpoint at the end", reason=str(error))
 
+    def _note(self, what: str, reason: str | None) -> None:
+        """``what`` does not work for this ``reason``; None: it does."""
+        if reason is None:
+            self._recover(what)
+            return
+        if self._troubles.get(what) != reason:
+            log().error(f"{what} failed", reason=reason)
+        self._troubles[what] = reason
+
     def _fail(self, what: str, error: Exception) -> None:
-        if self._troubles.get(what) != str(error):
-            log().error(f"{what} failed", reason=str(error))
-        self._troubles[what] = str(error)
+        self._note(what, str(error))
 
     def _recover(self, what: str) -> None:
         if self._troubles.pop(what, None) is not None:

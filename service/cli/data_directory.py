@@ -14,26 +14,45 @@ import typer
 
 from ...engine.checkpoint import program
 from ...engine.commands import Begin, read
+from ...engine.loading import load_processes
+from ...engine.processes import PROCESSES
 from ...journal.directory import format_of, locked
 from ...journal.errors import JournalError
 from ...journal.examination import files_of
 from ...journal.inspection import Inspection, inspect
 from ...journal.repair import repair as repair_directory
 from ...journal.segment import scan, walk
+from ..settings import Settings
 from .output import Json, err, fail, out, show_json, show_table
+from .remembered import found_processes, writer_of
 
 Directory = Annotated[Path, typer.Argument(help="A data directory.", metavar="DIR")]
 _BRIEF = 60
 """Characters of a text or body that are shown."""
 
 
-def check(directory: Directory, json: Json = False) -> None:
-    """Look at a data directory, also of a running service: status 1 if it is damaged."""
-    found = _inspected(directory)
+def check(
+    directory: Directory,
+    processes: Annotated[
+        list[str] | None,
+        typer.Option(help="A module or .py file of the next start. May be repeated."),
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Look at a data directory, also of a running service: status 1 if it is damaged.
+
+    With --processes (or DYKNOW_PROCESSES) it tells what a start with these modules would miss.
+    """
+    modules = processes or Settings().processes
+    errors = [each.error for each in load_processes(modules) if each.error is not None]
+    found = _inspected(directory, needs_modules=bool(modules))
+    needed = found_processes(found, modules_are_known=bool(modules))
     if json:
-        show_json(_told(found))
+        show_json({**_told(found), "processes": needed, "not_loaded": errors})
     else:
         _show(found)
+        for line in (*(f"not loaded: {each}" for each in errors), *needed):
+            out().print(line, markup=False)
     if not found.is_sound:
         raise typer.Exit(1)
 
@@ -121,11 +140,17 @@ def _value(value: Any, full: bool) -> Any:
     return value
 
 
-def _inspected(directory: Path) -> Inspection:
+def _inspected(directory: Path, *, needs_modules: bool = False) -> Inspection:
+    own = program(PROCESSES)
     try:
-        return inspect(directory, program(), _begun_by)
+        found = inspect(directory, own, _begun_by)
+        writer = writer_of(found)
+        if not needs_modules and writer is not None and writer.startswith(f"{program()}, "):
+            # By this program, with user-written processes that a start is going to have, too.
+            found = inspect(directory, writer, _begun_by)
     except JournalError as error:
         raise fail(error.message, error.hint) from error
+    return found
 
 
 def _begun_by(data: bytes) -> str | None:

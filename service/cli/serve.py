@@ -148,6 +148,7 @@ def _engine(settings: Settings, watchdog: Watchdog, windows: Windows) -> Engine 
     recovery = engine.recovery
     for note in recovery.notes:
         err().print(f"note: {note}", markup=False)
+        log().warning("start", note=note)
     err().print(
         f"{settings.data}: state of command {recovery.position:,}, "
         f"{recovery.replayed:,} done again since",

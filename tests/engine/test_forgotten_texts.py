@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from contextlib import nullcontext
 
 import pytest
@@ -104,9 +103,8 @@ def read(made: Engine, readers: set[str]) -> None:
 
 
 @pytest.fixture
-def few(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def few(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fluent, "_TEXTS", 50)
-    yield
 
 
 @pytest.mark.usefixtures("few")

@@ -98,6 +98,9 @@ EXAMPLES = [
     ),
     c.ChangeTransformation("t", 2.0, 0.5),
     c.RemoveTransformation("t"),
+    c.Begin("3f2a91c1", 0, "dyknow 0.1.0, Python 3.11.7, 0123", {"Smooth": "my_units"}),
+    c.TellUnkept("Smooth", "self.lock is a lock and cannot be pickled (…)"),
+    c.Tick(8, (Reading("pos", 7, error="UnitBlocked: it did not come back", is_blocked=True),)),
 ]
 PORTABLE = Portable(
     1,

@@ -1,11 +1,15 @@
 """``dyknow check, repair, backup, restore, log``: looking into a data directory."""
 
 import json
+import os
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import httpx
 import pytest
+from serving import COMMAND, Serving
 from simulated_disk import Killed
 from typer.testing import CliRunner
 
@@ -28,6 +32,7 @@ from dyknow.streams.sample import Field, FieldType
 from dyknow.streams.time import SECOND
 
 SPEEDS = StreamDeclaration("s5", (Field("n", FieldType.INTEGER),), 0, Retention(), DYKNOW, None)
+NDJSON = {"content-type": "application/x-ndjson"}
 TEMPLATE = "templates/library/high_speed.rq"
 
 
@@ -369,3 +374,97 @@ def test_long_texts_are_abbreviated(tmp_path):
     assert lines[2] == {"position": 3, "bytes": lines[2]["bytes"], "do": "tick", "now": 5}
     full = run("log", tmp_path / "data", "--full").stdout.splitlines()
     assert json.loads(full[1])["text"] == text
+
+
+UNITS = """
+import threading
+
+import dyknow
+
+
+@dyknow.computational_unit(output="total", inputs=["v"])
+class Holding:
+    def __init__(self):
+        self.lock = threading.Lock()
+
+    def __call__(self, time, samples, state):
+        return samples[0].value, state
+
+
+@dyknow.source(sort="float", period="50ms")
+def ticking(time):
+    return 1.0
+"""
+HELD = """sort v = (value float)
+sort total = (value float)
+source float ticking
+source v s
+compunit total Holding(v)
+strmgen x = s
+strmgen held = Holding(x)"""
+
+
+def test_a_module_that_cannot_be_kept_or_is_gone_is_told_everywhere(tmp_path):
+    module = tmp_path / "holding_units.py"
+    module.write_text(UNITS)
+    data, loaded = tmp_path / "data", ("--processes", str(module))
+    serving = Serving(data, *loaded, DYKNOW_CHECKPOINT_INTERVAL="0.1")
+    try:
+        http = serving.http
+        http.put("/streams/s", json={"fields": {"value": "float"}}).raise_for_status()
+        http.post("/kpl", content=HELD, headers={"content-type": "text/plain"}).raise_for_status()
+        sample = {"valid": "2026-01-01T00:00:00Z", "value": 1.5}
+        http.post("/streams/s/samples", json=sample, headers=NDJSON).raise_for_status()
+        told = serving.until(lambda: changes(http, "state not kept"))
+        assert [each["transformation"] for each in told] == ["Holding"]
+        assert "self.lock is a lock" in told[0]["specification"]
+        assert any("self.lock" in line for line in serving.lines)
+        assert http.get("/readyz").status_code == 200
+    finally:
+        serving.kill()
+    checked = run_anew("check", data)
+    assert "a start needs the user-written process 'Holding' of module 'holding_units'" in checked
+    assert "not kept: Holding: self.lock is a lock and cannot be pickled" in checked
+    assert checked.count("ids of events begin anew") == 1  # because of that
+    assert "missing" not in run_anew("check", data, *loaded)
+    # Without the module it says so, and what was declared waits.
+    without = Serving(data)
+    try:
+        for lines in (without.lines, [each["specification"] for each in restored(without.http)]):
+            for name in ("Holding", "ticking"):
+                assert any(f"{name!r} of module 'holding_units' is missing" in it for it in lines)
+        kinds = {each["name"]: each["kind"] for each in without.http.get("/kpl").json()}
+        assert kinds["strmgen held = Holding(x)"] == "not restored"
+    finally:
+        without.kill()
+    empty = tmp_path / "empty_units.py"
+    empty.write_text("")
+    checked = run_anew("check", data, "--processes", str(empty))
+    assert "missing: the user-written process 'Holding' of module 'holding_units'" in checked
+    again = Serving(data, *loaded)
+    try:
+        kinds = {each["name"]: each["kind"] for each in again.http.get("/kpl").json()}
+        assert kinds["held"] == "strmgen"
+        count = again.http.get("/streams/ticking").json()["last"]
+        again.until(lambda: again.http.get("/streams/ticking").json()["last"] > count)
+        assert not any("missing" in line for line in again.lines)
+    finally:
+        again.stop()
+
+
+def changes(http, change):
+    lines = http.get("/streams/status/samples").text.splitlines()
+    return [each for line in lines if (each := json.loads(line))["change"] == change]
+
+
+def restored(http):
+    return changes(http, "not restored")
+
+
+def run_anew(*arguments):
+    """A command in a process of its own: it loads modules."""
+    command = [sys.executable, "-c", COMMAND, *map(str, arguments)]
+    done = subprocess.run(
+        command, capture_output=True, text=True, check=True, env={**os.environ, "COLUMNS": "300"}
+    )
+    return done.stdout

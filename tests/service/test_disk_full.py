@@ -1,12 +1,14 @@
 """A disk without room, or one that fails: writes are refused, reading goes on, nothing is lost."""
 
 import logging
+import resource
 import time
 from pathlib import Path
 
 import httpx
 import pytest
-from httpx_sse import connect_sse
+from httpx_sse import EventSource, connect_sse
+from serving import Serving
 from simulated_disk import SimulatedDisk
 
 from dyknow.engine.recorded import RecordedEngine
@@ -283,3 +285,87 @@ def test_a_disk_that_fails_ends_writing_and_a_restart_recovers(
         for n, key in ((1, "one"), (2, "two"), (3, "three")):
             assert post(http, n, key).json() == {"accepted": 1}
         assert kept(http) == [1, 2, 3]
+
+
+SOURCES = """
+import random
+from pathlib import Path
+
+import dyknow
+
+
+@dyknow.source(sort="Text", period="50ms")
+def chatter(time):
+    return str(random.random()) + "x" * int(Path({size!r}).read_text())
+
+
+@dyknow.source(sort="float", period="50ms")
+def dice(time):
+    return random.random()
+"""
+
+
+def limit_files(process, size):
+    """No file of ``process`` may get longer: a real disk that is full for it."""
+    resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))
+
+
+def test_sources_that_say_more_than_a_full_disk_has_room_for_break_nothing(tmp_path):
+    """On the real disk: sources are asked again when there is room, without a restart."""
+    size = tmp_path / "size"
+    size.write_text("10")
+    units = tmp_path / "chattering.py"
+    units.write_text(SOURCES.format(size=str(size)))
+    arguments = (tmp_path / "data", "--processes", str(units))
+    serving = Serving(*arguments)
+    try:
+        http = serving.http
+        fields = {"n": "integer", "t": "string"}
+        http.put("/streams/s5", json={"fields": fields}).raise_for_status()
+        kpl = "sort Text = (value string)\nsource Text chatter\nsource float dice"
+        http.post("/kpl", content=kpl, headers=TEXT).raise_for_status()
+        serving.until(lambda: len(said(http, "chatter")) > 2)
+        (log,) = (tmp_path / "data" / "journal").glob("*.log")
+        limit_files(serving.process, log.stat().st_size)
+        while (status := publish_text(http, 100_000)) == 202:
+            pass
+        assert status == 507
+        assert publish_text(http, 10) == 202
+        size.write_text("400000")
+        serving.until(lambda: counters(http, "chatter")["without room"] > 5)
+        assert "chatter" in http.get("/readyz").text
+        before = len(said(http, "dice"))
+        assert len(serving.until(lambda: said(http, "dice")[before + 3 :])) > 0
+        assert publish_text(http, 10) == 202
+        size.write_text("10")
+        limit_files(serving.process, resource.RLIM_INFINITY)
+        serving.until(lambda: http.get("/readyz").status_code == 200)
+        before = len(said(http, "chatter"))
+        serving.until(lambda: len(said(http, "chatter")) > before + 3)
+        assert publish_text(http, 100_000) == 202
+        with http.stream("GET", "/streams/chatter/events?since=start") as answer:
+            events = EventSource(answer).iter_sse()
+            shown = [next(events).json() for _ in range(before)]
+    finally:
+        serving.kill()
+    again = Serving(*arguments)
+    try:
+        with again.http.stream("GET", "/streams/chatter/events?since=start") as answer:
+            events = EventSource(answer).iter_sse()
+            assert [next(events).json() for _ in range(before)] == shown
+        assert counters(again.http, "chatter")["without room"] > 5
+    finally:
+        again.stop()
+
+
+def said(http, name):
+    return http.get(f"/streams/{name}/samples").text.splitlines()
+
+
+def counters(http, name):
+    return next(each["counters"] for each in http.get("/kpl").json() if each["name"] == name)
+
+
+def publish_text(http, size):
+    body = {"valid": time.time_ns(), "n": 1, "t": "x" * size}
+    return http.post("/streams/s5/samples", json=body, headers=NDJSON).status_code

@@ -190,7 +190,7 @@ def test_what_another_program_wrote_goes_on_under_new_ids(written, settings, clo
     before, epoch = told(recorded), recorded.engine.epoch
     requests = [each.id for each in recorded.engine.events()]
     recorded.close()
-    monkeypatch.setattr("dyknow.engine.recorded.program", lambda: "dyknow 0.2.0")
+    monkeypatch.setattr("dyknow.engine.recorded.program", lambda *_: "dyknow 0.2.0")
     again = RecordedEngine(path, now=12 * SECOND)
     engine = again.engine
     assert not again.recovery.is_continued
@@ -235,7 +235,7 @@ def test_what_another_program_wrote_and_left_by_a_kill_goes_on(written, monkeypa
     before, epoch = told(recorded), recorded.engine.epoch
     recorded.log.close()
     recorded._directory.close()
-    monkeypatch.setattr("dyknow.engine.recorded.program", lambda: "dyknow 0.2.0")
+    monkeypatch.setattr("dyknow.engine.recorded.program", lambda *_: "dyknow 0.2.0")
     again = RecordedEngine(path, now=14 * SECOND)
     assert again.recovery.replayed == 1
     assert told(again) == before
@@ -250,8 +250,8 @@ def test_what_another_program_wrote_and_left_by_a_kill_goes_on(written, monkeypa
 def test_what_another_program_wrote_without_a_checkpoint_is_done_again(written, monkeypatch):
     path, recorded = written
     recorded.close(checkpoint=False)
-    monkeypatch.setattr("dyknow.engine.recorded.program", lambda: "dyknow 0.2.0")
-    monkeypatch.setattr("dyknow.service.cli.data_directory.program", lambda: "dyknow 0.2.0")
+    monkeypatch.setattr("dyknow.engine.recorded.program", lambda *_: "dyknow 0.2.0")
+    monkeypatch.setattr("dyknow.service.cli.data_directory.program", lambda *_: "dyknow 0.2.0")
     start = json.loads(CliRunner().invoke(app, ["check", str(path), "--json"]).stdout)["start"]
     assert start.startswith("goes on from the beginning")
     assert program() in start

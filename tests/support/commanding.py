@@ -56,6 +56,10 @@ QUERIES = (
     "WHERE { ?o (dyknow:speed|dyknow:heading) ?v . BIND (STR(?o) AS ?p) }",
     f"SELECT ?o (SUM(?v) AS ?sum) FROM STREAM {_S} [LANDMARK STEP 2s] "
     "WHERE { ?o dyknow:speed ?v } GROUP BY ?o",
+    f"SELECT ?o (RAND() + ?v AS ?r) (STRUUID() AS ?u) FROM STREAM {_S} [RANGE 3s STEP 1s] "
+    "WHERE { ?o dyknow:speed ?v }",
+    f"SELECT ?o (STR(BNODE()) AS ?b) (STR(NOW()) AS ?n) FROM STREAM {_S} [RANGE 3s STEP 1s] "
+    "WHERE { ?o dyknow:speed ?v }",
     f"CONSTRUCT {{ ?o dyknow:speed ?w }} FROM <{IRI}ontology.rdf> FROM STREAM {_S} "
     "[RANGE 2s STEP 1s] WHERE { ?o a dyknow:UAV . ?o dyknow:speed ?v . BIND (?v * 2 AS ?w) }",
     f"SELECT ?o ?v FROM STREAM {_S} [RANGE 2s STEP 1s] WHERE {{ ?o dyknow:speed ?v }} "
