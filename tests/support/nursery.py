@@ -70,7 +70,7 @@ def serve(data: Path, die: tuple[str, int, float] | None, listener) -> None:
     disk = Disk() if die is None else DyingDisk(*die)
     # Small files and frequent checkpoints: all that happens in a month happens in a minute.
     recorded = RecordedEngine(data, now=time.time_ns(), disk=disk, segment=1 << 15)
-    settings = Settings(port=0, checkpoint_bytes=1 << 14, tick=0.02)
+    settings = Settings(port=0, checkpoint_bytes=1 << 12, tick=0.02)
     run(create_app(recorded, settings, time.time_ns), listener)
 
 
