@@ -10,15 +10,20 @@ kept yet is shown to nobody: `Audience`. Without a data directory all of this co
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Protocol
 
+import anyio
+import anyio.to_thread
+
 from ..engine.checkpoint import CheckpointError
 from ..engine.commands import Command, ReadAlready, done
 from ..engine.engine import Engine
-from ..engine.recorded import RecordedEngine
+from ..engine.recorded import DiskUse, RecordedEngine
 from ..journal.errors import JournalError
+from .journal_metrics import JournalTimes
 from .logs import log
 from .settings import Settings
 
@@ -31,6 +36,8 @@ _WAITING = 4 << 20
 """So many bytes may wait to be kept."""
 _LATEST = 1.0
 """Seconds until what nobody waits for is kept."""
+_PATIENCE = 1.0
+"""Seconds in which a disk tells how full it is."""
 
 
 class Audience(Protocol):
@@ -66,6 +73,7 @@ class Keeper:
         self._commit: asyncio.Task[None] | None = None
         self._hastening: set[asyncio.Task[None]] = set()
         self._thread = ThreadPoolExecutor(1, "dyknow-journal")
+        self._looking = anyio.CapacityLimiter(1)
         self._written = 0
         """Bytes of the log at the last checkpoint."""
         self._kept_bytes = 0
@@ -74,6 +82,8 @@ class Keeper:
         self._not_before = float("-inf")
         """No checkpoint is tried before."""
         self._tended = float("-inf")
+        self.times = JournalTimes()
+        """What writing takes."""
         self._unkept: set[str] = set()
         """Of what it was told that it is not in checkpoints, or why there are none."""
 
@@ -121,6 +131,20 @@ class Keeper:
         recorded = self._recorded
         return recorded is not None and recorded.log.written - self._kept_bytes > _WAITING
 
+    @property
+    def waiting(self) -> tuple[int, int]:
+        """How many commands, and bytes of them, are done and wait to be kept."""
+        recorded = self._recorded
+        if recorded is None:
+            return 0, 0
+        log_ = recorded.log
+        return log_.position - log_.durable, log_.written - self._kept_bytes
+
+    @property
+    def position(self) -> int:
+        """How many commands the log has taken since there is one."""
+        return 0 if self._recorded is None else self._recorded.log.position
+
     async def kept(self) -> None:
         """Return when all that is done by now is kept. Raises `JournalError`: then it may not be,
         and the same sent again under its Idempotency-Key does no harm."""
@@ -159,18 +183,28 @@ class Keeper:
         mark = None if self._audience is None else self._audience.mark()
         size = self._recorded.log.written
         try:
-            await self._beside(self._recorded.log.commit)
+            await self._beside(self._commit_now)
         except JournalError as error:
+            self.times.commit_failures.inc()
             if self._audience is not None:
                 self._audience.keep_unseen(mark)
             self._fail(JOURNAL, error)
             raise
         finally:
             self._commit = None
+        self.times.committed.inc(size - self._kept_bytes)
         self._kept_bytes = size
         self._recover(JOURNAL)
         if self._audience is not None:
             self._audience.show(mark)
+
+    def _commit_now(self) -> None:
+        """In the journal's own thread."""
+        assert self._recorded is not None
+        log_ = self._recorded.log
+        before, begun = log_.durable, time.perf_counter()
+        until = log_.commit()
+        self.times.commit(time.perf_counter() - begun, until - before)
 
     async def tend(self, settings: Settings) -> None:
         """What is to be done now and then: keep what nobody waits for, if somebody is to see it or
@@ -198,10 +232,13 @@ class Keeper:
     async def _checkpoint(self, recorded: RecordedEngine) -> None:
         """One that fails is told in ``troubles``, and tried again when it is time again."""
         try:
-            unwritten = recorded.checkpoint()
+            with self.times.step("state"):
+                unwritten = recorded.checkpoint()
             await self.kept()
-            await self._beside(unwritten.write)
+            with self.times.step("disk"):
+                await self._beside(unwritten.write)
         except (CheckpointError, JournalError, OSError) as error:
+            self.times.checkpoint_failures.inc()
             # Each try costs as much as one that succeeds.
             self._not_before = asyncio.get_running_loop().time() + _AGAIN
             if not isinstance(error, CheckpointError):
@@ -216,6 +253,18 @@ class Keeper:
             self._unkept.add(process)
             log().warning("the state of a process would not survive a restart", process=process)
         self._recover(CHECKPOINT)
+
+    async def disk_use(self) -> DiskUse | None:
+        """What the data directory takes of the disk; None without one. Raises ``OSError``, and
+        ``TimeoutError`` where the disk does not answer."""
+        recorded = self._recorded
+        if recorded is None:
+            return None
+        with anyio.fail_after(_PATIENCE):
+            # A limiter of its own: a disk that hangs takes no thread from anybody else.
+            return await anyio.to_thread.run_sync(
+                recorded.disk_use, limiter=self._looking, abandon_on_cancel=True
+            )
 
     async def _beside(self, work: Callable[[], object]) -> None:
         """Do what waits for the disk in the journal's own thread, one thing at a time."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import gc
+import signal
 import threading
 import time
 from collections.abc import Sequence
@@ -19,7 +19,6 @@ from ...engine.recorded import RecordedEngine
 from ...journal.errors import JournalError
 from ...journal.log import Durability
 from ...ontology.errors import OntologyError
-from ...streams.compiled import compile_all
 from ..app import create_app
 from ..context import Service
 from ..descriptors import raise_limit
@@ -28,6 +27,7 @@ from ..logs import configure, log
 from ..server import bind, run, url_of
 from ..settings import Settings
 from ..tokens import Scope, Tokens, TokensError
+from ..warming import Warming
 from ..watchdog import Watchdog
 from .demo import STREAM
 from .demo import flights as play_flights
@@ -71,6 +71,9 @@ def serve(
     except TokensError as error:
         raise fail(error.message, error.hint) from error
     load(settings.processes)
+    if settings.tokens_file is not None and hasattr(signal, "SIGHUP"):
+        # Until there is somebody to hear it: what changes meanwhile is noticed then.
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
         listener = bind(settings)
     except OSError as error:
@@ -82,26 +85,29 @@ def serve(
     watchdog = Watchdog()
     token = known.issue("flights", Scope.ADMIN) if flights and known.required else ""
     windows = Windows(settings)
+    warming = Warming()
+    warming.loops()
+    warming.workers("windows", windows.pool)
     try:
         engine = _engine(settings, watchdog, windows.budget)
     except BaseException:
         listener.close()
         windows.close()
         raise
-    app = create_app(engine, settings, time.time_ns, known)
+    app = create_app(engine, settings, time.time_ns, known, windows)
     url = url_of(listener)
     err().print(f"DyKnow serves at {url} (documentation: {url}/docs)", markup=False)
-    # Beside the start: the first query and the first large batch should not wait for compilers.
-    threading.Thread(target=warm, name="warm", daemon=True).start()
-    for isolated in (windows, app.state.service.isolation):
-        threading.Thread(target=isolated.warm, name="warm-workers", daemon=True).start()
+    service: Service = app.state.service
+    service.warming = warming
+    warming.workers("sparql", service.isolation.pools["sparql"])
+    warming.application(app)
+    _reload_on_hangup(service, settings)
     stopping = threading.Event()
     if flights:
         playing = (url, stopping.is_set, token)
         player = threading.Thread(target=play_flights, args=playing, daemon=True)
         player.start()
         err().print(f"The recorded flights play into stream {STREAM}, as if they flew now.")
-    service: Service = app.state.service
     values = settings.model_dump(mode="json", exclude_defaults=True)
     log().info("serving", version=__version__, url=url, epoch=service.engine.epoch, settings=values)
     try:
@@ -109,11 +115,18 @@ def serve(
     finally:
         stopping.set()
         watchdog.close()
-        for isolated in (windows, app.state.service.isolation):
+        for isolated in (windows, service.isolation):
             isolated.close()
     log().info("stopped", by_force=by_force)
     if by_force:
         raise typer.Exit(1)
+
+
+def _reload_on_hangup(service: Service, settings: Settings) -> None:
+    """SIGHUP reads the file of tokens again; without one it ends the service, as it always does."""
+    file = service.token_file
+    if file is not None and settings.tokens_file is not None and hasattr(signal, "SIGHUP"):
+        signal.signal(signal.SIGHUP, lambda *_: file.ask())
 
 
 def _engine(settings: Settings, watchdog: Watchdog, budget: Budget) -> Engine | RecordedEngine:
@@ -149,14 +162,6 @@ def _engine(settings: Settings, watchdog: Watchdog, budget: Budget) -> Engine | 
         markup=False,
     )
     return engine
-
-
-def warm() -> None:
-    """Compile the loops, then have the garbage collector pass over all that is there by now: it
-    stays for good, and a collection that looks at it lets everybody wait for 100 ms."""
-    compile_all()
-    gc.collect()
-    gc.freeze()
 
 
 def load(processes: Sequence[str]) -> None:

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Final
+
+import anyio
+import anyio.to_thread
 
 from ...continuous.budget import Budget
 from ...ontology.ontology import Ontology
@@ -14,6 +18,8 @@ from .sparql import IsolatedQueries
 
 WINDOW_BYTES: Final = 8 * MEBIBYTE
 """Text that Oxigraph may answer about a window."""
+_AGAIN: Final = 5.0
+"""Seconds until workers that could not be started are tried again."""
 
 
 class Windows:
@@ -23,25 +29,24 @@ class Windows:
     """
 
     def __init__(self, settings: Settings) -> None:
-        self._pool = Pool(1, settings.worker_memory)
+        self.pool = Pool(1, settings.worker_memory)
         asking = IsolatedAsking(
-            self._pool, settings.query_deadline, settings.query_results, WINDOW_BYTES
+            self.pool, settings.query_deadline, settings.query_results, WINDOW_BYTES
         )
         self.budget = Budget(settings.query_rows, settings.query_results, asking)
 
-    def warm(self) -> None:
-        """Start the worker."""
-        self._pool.warm()
-
     def close(self) -> None:
         """End it."""
-        self._pool.close()
+        self.pool.close()
 
 
 class Isolation:
-    """The workers of a service, by what they do."""
+    """The workers of a service, by what they do. ``windows`` are the engine's, where it has some:
+    they are told of, and ended by whoever made them."""
 
-    def __init__(self, settings: Settings, ontology: Ontology) -> None:
+    def __init__(
+        self, settings: Settings, ontology: Ontology, windows: Windows | None = None
+    ) -> None:
         self._sparql = Pool(
             settings.sparql_workers, settings.worker_memory, settings.sparql_waiting
         )
@@ -56,20 +61,28 @@ class Isolation:
         self.documents = IsolatedReasoning(
             self._documents, settings.ontology_deadline, settings.ontology_triples
         )
+        self.pools: Mapping[str, Pool] = {
+            "sparql": self._sparql,
+            "documents": self._documents,
+            **({} if windows is None else {"windows": windows.pool}),
+        }
+        """All workers, by what they do."""
 
-    @property
-    def ended(self) -> int:
-        """How many workers came to their end in the middle of a job."""
-        return self._sparql.ended + self._documents.ended
+    def reasons(self) -> list[str]:
+        """Why some of that cannot be done at present: nothing if all can."""
+        return [
+            f"workers: none for {name}: {pool.failure}"
+            for name, pool in self.pools.items()
+            if pool.is_down
+        ]
 
-    @property
-    def busy(self) -> int:
-        """How many workers are at work."""
-        return self._sparql.busy + self._documents.busy
-
-    def warm(self) -> None:
-        """Start all workers: the first who ask should not wait for them."""
-        self._sparql.warm()
+    async def tend(self) -> None:
+        """For as long as the service runs: start workers again that could not be started."""
+        while True:
+            await anyio.sleep(_AGAIN)
+            for pool in self.pools.values():
+                if pool.is_down:
+                    await anyio.to_thread.run_sync(pool.mend, abandon_on_cancel=True)
 
     def open(self) -> None:
         """There are workers from now on: an application may start again after it has ended."""
