@@ -13,6 +13,7 @@ import asyncio
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextvars import Context
 from typing import Any, Protocol
 
 import anyio
@@ -159,7 +160,7 @@ class Keeper:
     def hasten(self) -> None:
         """Begin to keep what is done, for those who look on: nobody waits for it."""
         if not self.is_kept and self._commit is None:
-            task = asyncio.get_running_loop().create_task(self.settled())
+            task = asyncio.get_running_loop().create_task(self.settled(), context=Context())
             self._hastening.add(task)
             task.add_done_callback(self._hastening.discard)
 
@@ -173,7 +174,10 @@ class Keeper:
 
     async def _committed(self) -> None:
         if self._commit is None:
-            self._commit = asyncio.get_running_loop().create_task(self._commit_once())
+            # It is nobody's request's alone, and the log is not to say so.
+            self._commit = asyncio.get_running_loop().create_task(
+                self._commit_once(), context=Context()
+            )
             # Those who wait hear of an error; if they have gone, `troubles` tells it.
             self._commit.add_done_callback(lambda done: done.cancelled() or done.exception())
         await asyncio.shield(self._commit)
