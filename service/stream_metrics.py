@@ -142,7 +142,7 @@ class _Told:
         for i, (label, values) in enumerate(things):
             if i < self._most:
                 for line, value in zip(lines, values, strict=True):
-                    line.append("" if value is None else f"{label}}} {value}")
+                    line.append("" if value is None else f"{label}}} {float(value)}")
             else:
                 self._add(further, values)
             if i % SLICE == SLICE - 1:
@@ -150,7 +150,7 @@ class _Told:
         self._count(further)
         for line, value in zip(lines, further, strict=True):
             if value is not None:
-                line.append(f"{others}}} {value}")
+                line.append(f"{others}}} {float(value)}")
         return await self._written(lines)
 
     def _add(self, further: list[float | None], values: Values) -> None:
