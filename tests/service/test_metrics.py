@@ -288,7 +288,6 @@ def test_a_request_that_nobody_follows_is_as_far_as_its_template(
         found = scraped(http)
         lags = found["dyknow_unit_lag_seconds"]
         assert lags.keys() == found["dyknow_unit_windows_total"].keys()
-        assert len(lags) == 3
         assert all(lag <= 5 for lag in lags.values()), lags
 
 
