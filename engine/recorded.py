@@ -18,7 +18,7 @@ from typing import Any, TypeVar
 import msgspec
 
 from ..continuous.budget import UNLIMITED, Budget
-from ..journal.checkpoints import Checkpoint, Checkpoints
+from ..journal.checkpoints import Checkpoint, Checkpoints, Kept
 from ..journal.directory import DataDirectory
 from ..journal.disk import DISK, Disk
 from ..journal.errors import JournalDamaged, JournalError
@@ -82,6 +82,17 @@ class Recovery:
     notes: list[str] = field(default_factory=list)
 
 
+@dataclass(frozen=True, slots=True)
+class DiskUse:
+    """What a data directory takes: bytes and files of the log, the newest checkpoint, if there is
+    one, and the bytes that there is room for."""
+
+    log_bytes: int
+    log_files: int
+    free: int
+    checkpoint: Kept | None
+
+
 class RecordedEngine:
     """The engine of a data directory. Called from one thread; `log` may be committed in another.
 
@@ -132,6 +143,7 @@ class RecordedEngine:
         is done, and not when it is done again."""
         self.failure: str | None = None
         """What failed within a command, so that nobody knows what of it was done."""
+        self._disk = disk
         self._directory = DataDirectory(path, disk)
         try:
             self._checkpoints = Checkpoints(self._directory.checkpoints, disk)
@@ -236,6 +248,15 @@ class RecordedEngine:
         portable = portable_of(self.engine, self._standing, processes, state.unkept)
         found = Checkpoint(position, self._program, msgspec.msgpack.encode(portable), state.data)
         return Unwritten(found, self.log, self._checkpoints, state.unkept)
+
+    def disk_use(self) -> DiskUse:
+        """What it takes of the disk at present. May be asked in any thread. Raises ``OSError``."""
+        return DiskUse(
+            self.log.size,
+            self.log.segments,
+            self._disk.free(self._directory.path),
+            self._checkpoints.newest(),
+        )
 
     def close(self, *, checkpoint: bool = True) -> None:
         """Commit what there is; with ``checkpoint`` the next start has nothing to do again."""

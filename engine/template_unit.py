@@ -216,6 +216,11 @@ class InstanceUnit(ComputationalUnit):
         return self._template.reads
 
     @property
+    def lag(self) -> int | None:
+        # What it promises itself is told only where somebody follows it.
+        return self._template.lag
+
+    @property
     def least_watermark(self) -> int | None:
         return self._template.least_watermark
 

@@ -86,6 +86,8 @@ class ComputationalUnit(ABC):
         """Who closes its windows, if it has any."""
         self.windows = 0
         """How many windows it has evaluated."""
+        self.overruns = 0
+        """How many windows have no result because they needed more than they may."""
         self.late_streams: dict[StreamGenerator, StreamGenerator] = {}
         """Those that take the late samples of inputs, as far as somebody asked for them."""
         self._after: int | None = None
@@ -241,6 +243,21 @@ class ComputationalUnit(ABC):
     def resume(self, source: StreamGenerator) -> None:
         """Wait for an input again that had ended."""
         self._ended.discard(source)
+
+    @property
+    def is_quarantined(self) -> bool:
+        """Whether it was cut off because windows needed more than they may."""
+        return False
+
+    @property
+    def lag(self) -> int | None:
+        """How far (ns) what it promises is behind what its inputs have said: so much of that is in
+        no result yet. None while it has promised nothing, or its inputs have said nothing."""
+        said = [one.stream.last_available for one in self.sources]
+        known = [available for available in said if available is not None]
+        if not known or self.output.watermark is None:
+            return None
+        return max(0, max(known) - self.output.watermark)
 
     @property
     def least_watermark(self) -> int | None:
@@ -468,6 +485,10 @@ class WindowUnit(ComputationalUnit):
         """What is to be told when it has caught up."""
 
     @property
+    def is_quarantined(self) -> bool:
+        return bool(self.evaluator.quarantine)
+
+    @property
     def reads(self) -> Sequence[StreamGenerator]:
         """The streams whose samples are in the windows."""
         return self.inputs
@@ -567,6 +588,7 @@ class WindowUnit(ComputationalUnit):
         """Tell of windows that needed more than they may. Raises `Quarantined` for too many of
         them: then no more are evaluated, and the unit is cut off."""
         overruns, self.evaluator.overruns = self.evaluator.overruns, []
+        self.overruns += len(overruns)
         for overrun in overruns:
             text = f"the window that ends {format_time(overrun.end)} has no result"
             self.counters.note(f"{text}: {overrun.reason}", overrun.end)

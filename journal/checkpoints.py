@@ -49,6 +49,15 @@ class Checkpoint:
     state: bytes
 
 
+@dataclass(frozen=True, slots=True)
+class Kept:
+    """A checkpoint as a file: its position, its bytes, when (ns since 1970) it was written."""
+
+    position: int
+    size: int
+    written: int
+
+
 class Checkpoints:
     """Those of one folder. Raises ``OSError``."""
 
@@ -62,6 +71,16 @@ class Checkpoints:
     def positions(self) -> list[int]:
         """Of which positions there are checkpoints, newest first."""
         return positions_in(self._folder)
+
+    def newest(self) -> Kept | None:
+        """The newest one as a file; None where there is none. May be asked in any thread."""
+        for position in self.positions():
+            try:
+                found = self._path(position).stat()
+            except FileNotFoundError:  # a newer one has taken its place meanwhile
+                continue
+            return Kept(position, found.st_size, found.st_mtime_ns)
+        return None
 
     def write(self, checkpoint: Checkpoint) -> None:
         """Keep ``checkpoint``, and of the others the newest. Raises `JournalFull` and

@@ -45,6 +45,11 @@ class Disk:
         finally:
             os.close(folder)
 
+    def free(self, path: Path) -> int:
+        """Bytes that there is room for where ``path`` is."""
+        found = os.statvfs(path)
+        return found.f_bavail * found.f_frsize
+
     def make_folder(self, path: Path) -> None:
         """See to it that the folder is there, on the disk, too; and those that it is in."""
         missing = [each for each in (path, *path.parents) if not each.is_dir()]

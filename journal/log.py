@@ -129,6 +129,11 @@ class Log:
         with self._lock:
             return sum(path_of(self._folder, first).stat().st_size for first in self._firsts)
 
+    @property
+    def segments(self) -> int:
+        """How many files there are."""
+        return len(self._firsts)
+
     @contextmanager
     def entry(self, payload: bytes) -> Iterator[Entry]:
         """``payload`` (not empty) is kept with the next commit if the block ends without an error,

@@ -116,7 +116,9 @@ class Gate:
         if kind.lower() == b"bearer":
             return self.known(token.strip())
         if not given and b"cookie" in headers and self._is_own_page(scope, headers, place):
-            return self.sessions.caller(b";".join(headers[b"cookie"]))
+            found = self.sessions.caller(b";".join(headers[b"cookie"]))
+            # A session ends with its token, and has the scopes that this has now.
+            return None if found is None else self.tokens.current(found)
         return None
 
     def _is_own_page(self, scope: Scope, headers: _Headers, place: Place | None) -> bool:
@@ -124,6 +126,11 @@ class Gate:
         if origins := headers.get(b"origin"):
             return is_same(origins[0], scope["scheme"], place)
         return _fetch_metadata(headers).is_own
+
+
+def revoked() -> Problem:
+    """The end of a request whose token is not accepted any more."""
+    return _unknown(401, "the token was accepted, and is no more", 'error="invalid_token"')
 
 
 def client_key(request: Request) -> str:

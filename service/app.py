@@ -18,7 +18,7 @@ from .body import BodyLimit, UnderWay
 from .context import Service
 from .descriptors import places
 from .event_clients import EventClients
-from .isolation.services import Isolation
+from .isolation.services import Isolation, Windows
 from .keeper import Keeper
 from .live import LiveBodies
 from .logs import log
@@ -53,6 +53,7 @@ from .sessions import Sessions
 from .settings import Settings
 from .slow_bodies import SlowBodies
 from .sse import Feeds
+from .token_file import TokenFile
 from .tokens import Tokens
 
 # Looked through in this order for each request: the most frequent ones first.
@@ -89,13 +90,15 @@ def create_app(
     settings: Settings,
     clock: Clock,
     tokens: Tokens | None = None,
+    windows: Windows | None = None,
 ) -> FastAPI:
     """The service over ``engine`` as an ASGI application.
 
     ``clock`` tells the time in ns; the lifespan ticks the engine with it. The engine must not be
     used by anybody else but in the thread that runs the application. One that is recorded is closed
     when the application ends. ``tokens`` are those of the settings, unless they have been read
-    before; raises `TokensError` where they cannot be used.
+    before; raises `TokensError` where they cannot be used. ``windows`` are the workers of the
+    engine's budget, if it has some, to be told of.
     """
     tokens = Tokens.of(settings) if tokens is None else tokens
     recorded: RecordedEngine | None = None
@@ -109,6 +112,7 @@ def create_app(
         settings.sse_clients_each,
         settings.sse_ping,
         settings.sse_send_timeout,
+        tokens,
     )
     if keeper.is_recording:
         feeds = Feeds(engine, settings.sse_cache, clients, lambda: keeper.is_kept)
@@ -116,26 +120,32 @@ def create_app(
     else:
         feeds = Feeds(engine, settings.sse_cache, clients)
     bodies = UnderWay()
+    isolation = Isolation(settings, engine.ontology, windows)
     service = Service(
         engine,
         settings,
         clock,
         feeds,
-        LiveBodies(),
-        Metrics(engine, feeds, bodies, clock),
-        Isolation(settings, engine.ontology),
+        LiveBodies(tokens),
+        Metrics(engine, feeds, bodies, clock, keeper, isolation, settings.metrics_streams),
+        isolation,
         clock(),
         Gate.of(settings, tokens, Sessions(clock), Quotas(engine, settings)),
         keeper,
         troubles,
         client_key=client_key,
     )
+    service.metrics.tell_readiness(service.reasons)
+    service.token_file = TokenFile(settings, tokens, service.metrics.tokens_read, service.revoke)
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         async with anyio.create_task_group() as tasks:
             tasks.start_soon(_tick, service)
             service.isolation.open()
+            tasks.start_soon(service.isolation.tend)
+            if service.token_file is not None:
+                tasks.start_soon(service.token_file.watch)
             yield
             service.leave()
             service.isolation.close()

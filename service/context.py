@@ -19,6 +19,8 @@ from .live import LiveBodies
 from .metrics import Metrics
 from .settings import Settings
 from .sse import Feeds
+from .token_file import TokenFile
+from .warming import Warming
 
 LATE = 5.0
 """Seconds without a tick after which the service is not ready: something holds its loop up."""
@@ -43,12 +45,20 @@ class Service:
     when it is over (`reasons`)."""
     ticked: float | None = None
     """When the last tick ended, by the monotonic clock (s); None before the first."""
+    token_file: TokenFile | None = None
+    """Reads the tokens again when they change."""
+    warming: Warming | None = None
+    """What goes on beside the start; the service is not ready before it is over."""
     client_key: ClientKey = address_of
     """Whose event streams are counted together (`Settings.sse_clients_each`)."""
 
     def reasons(self) -> list[str]:
         """Why the service is not ready: nothing if it is."""
-        found = [f"{who}: {what}" for who, what in self.troubles.items()]
+        # A copy: some are put there and taken away by other threads.
+        found = [f"{who}: {what}" for who, what in tuple(self.troubles.items())]
+        found += self.isolation.reasons()
+        if self.warming is not None:
+            found += self.warming.reasons()
         if self.ticked is None:
             found.append("starting: the engine has not been told the time yet")
         else:
@@ -56,6 +66,10 @@ class Service:
             if late > max(LATE, 10 * self.settings.tick):
                 found.append(f"the engine's tick is late: the last one was {late:.1f} s ago")
         return found
+
+    def revoke(self) -> int:
+        """Let those go whose tokens are not accepted any more; how many."""
+        return self.feeds.all.revoke() + self.bodies.revoke()
 
     def stop(self) -> None:
         """The service is told to stop: it is not ready any more."""

@@ -16,6 +16,7 @@ from starlette.requests import Request
 from starlette.types import Message, Send
 
 from .problems import Problem
+from .tokens import Caller, Scope, Tokens
 
 SLICE = 64
 """So many clients are woken before the loop looks at anything else."""
@@ -25,9 +26,11 @@ LEAVE = 2.0
 """Seconds that clients have, when the service stops, to take what they were sent."""
 RETRY = 5
 """Seconds after which a client that found no place should ask again."""
-REASONS = ("ended", "removed", "left", "stalled", "shutdown", "failed")
-"""Why an answer ends: its stream did, or was removed; the client went, or took nothing; the
-service stops; an error, which is in the log."""
+REASONS = ("ended", "removed", "left", "stalled", "revoked", "shutdown", "failed")
+"""Why an answer ends: its stream did, or was removed; the client went, or took nothing; its token
+is not accepted any more; the service stops; an error, which is in the log."""
+OPEN = Tokens()
+"""No token is asked for."""
 
 
 def address_of(request: Request) -> str:
@@ -45,13 +48,16 @@ class EventClient:
         "_patience",
         "_waiting",
         "blocked_since",
+        "caller",
         "key",
         "quiet_since",
         "reason",
     )
 
-    def __init__(self, key: str) -> None:
+    def __init__(self, key: str, caller: Caller | None = None) -> None:
         self.key = key
+        self.caller = caller
+        """Whose token it came with."""
         self.blocked_since: float | None = None
         """When the send began that is under way; None between sends."""
         self.quiet_since = 0.0
@@ -160,10 +166,13 @@ class EventClients:
     """All clients of event streams.
 
     At most ``total`` together and ``each`` of one key (see `admit`); ``heartbeat`` s without a
-    message bring a comment (0: none); who takes nothing for ``timeout`` s is cut off.
+    message bring a comment (0: none); who takes nothing for ``timeout`` s is cut off, and so is
+    whose token is not among ``tokens`` any more.
     """
 
-    def __init__(self, total: int, each: int, heartbeat: float, timeout: float) -> None:
+    def __init__(
+        self, total: int, each: int, heartbeat: float, timeout: float, tokens: Tokens = OPEN
+    ) -> None:
         self.total = total
         self.each = each
         self.ends: Counter[str] = Counter(dict.fromkeys(REASONS, 0))
@@ -175,6 +184,7 @@ class EventClients:
         self.rounds = Rounds()
         self._heartbeat = heartbeat
         self._timeout = timeout
+        self._tokens = tokens
         self._clients: dict[EventClient, None] = {}
         self._of_key: Counter[str] = Counter()
         self._timer: asyncio.TimerHandle | None = None
@@ -188,7 +198,7 @@ class EventClients:
         """How many there are that have not taken what they were sent."""
         return sum(client.blocked_since is not None for client in self._clients)
 
-    def admit(self, key: str) -> EventClient:
+    def admit(self, key: str, caller: Caller | None = None) -> EventClient:
         """A client that is counted with those of the same ``key``: a token, an address.
 
         Raises `Problem` 429 when it has all that it may have, 503 when nobody gets a further one.
@@ -212,7 +222,7 @@ class EventClients:
                 hint="ask again after the seconds in Retry-After",
                 headers=headers,
             )
-        return EventClient(key)
+        return EventClient(key, caller)
 
     def join(self, client: EventClient) -> None:
         """An admitted client's answer begins."""
@@ -228,6 +238,18 @@ class EventClients:
         self._of_key[client.key] -= 1
         if not self._of_key[client.key]:
             del self._of_key[client.key]
+
+    def revoke(self) -> int:
+        """Cut those off whose token is not accepted any more, or does not read; how many."""
+        gone = [one for one in self._clients if not self._tokens.allows(one.caller, Scope.READ)]
+        for client in gone:
+            client.cut("revoked")
+        return len(gone)
+
+    def check(self, client: EventClient) -> None:
+        """The same of one whose answer begins: its token may have gone since it asked."""
+        if not self._tokens.allows(client.caller, Scope.READ):
+            client.cut("revoked")
 
     def close(self) -> None:
         """Let all go: the service stops. Each gets the end of its answer, if it takes it soon."""

@@ -113,6 +113,7 @@ class EventStream(EventSourceResponse):
         try:
             self._messages.join(client)
             async with client.begin():
+                self._clients.check(client)
                 start = {"status": self.status_code, "headers": self.raw_headers}
                 await client.send(send, {"type": "http.response.start", **start})
                 body = "http.response.body"

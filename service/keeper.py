@@ -17,14 +17,19 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
+from contextvars import Context
 from typing import Any, Protocol
+
+import anyio
+import anyio.to_thread
 
 from ..engine.checkpoint import CheckpointError
 from ..engine.commands import Command, EndStream, Publish, ReadAlready, TellUnkept, Tick, done
 from ..engine.engine import Engine
-from ..engine.recorded import RecordedEngine
+from ..engine.recorded import DiskUse, RecordedEngine
 from ..engine.remembering import Unkept
 from ..journal.errors import JournalError
+from .journal_metrics import JournalTimes
 from .logs import log
 from .pausing import FIRST, FURTHER, Pausing
 from .settings import Settings
@@ -47,6 +52,8 @@ _PATIENCE = 2.0
 """Seconds that who publishes waits for them: so a replay goes as fast as its queries do."""
 _LATEST = 1.0
 """Seconds until what nobody waits for is kept."""
+_DISK = 1.0
+"""Seconds in which a disk tells how full it is."""
 
 
 ANYTIME = (Publish, Tick, EndStream)
@@ -92,6 +99,7 @@ class Keeper:
         self._commit: asyncio.Task[None] | None = None
         self._hastening: set[asyncio.Task[None]] = set()
         self._thread = ThreadPoolExecutor(1, "dyknow-journal")
+        self._looking = anyio.CapacityLimiter(1)
         self._written = 0
         """Bytes of the log at the last checkpoint."""
         self._kept_bytes = 0
@@ -106,6 +114,8 @@ class Keeper:
         self._tended = float("-inf")
         self._unkept: set[Unkept] = set()
         """Processes of which was told that what they remember is not in checkpoints."""
+        self.times = JournalTimes()
+        """What writing takes."""
 
     @property
     def is_recording(self) -> bool:
@@ -133,7 +143,9 @@ class Keeper:
             with suppress(JournalError):  # told, and tried again
                 self._go_on(FIRST, new=True)
         if behind and self._catching_up is None:
-            self._catching_up = asyncio.get_running_loop().create_task(self._catch_up())
+            self._catching_up = asyncio.get_running_loop().create_task(
+                self._catch_up(), context=Context()
+            )
         self._woken.set()
         return found
 
@@ -235,6 +247,20 @@ class Keeper:
         recorded = self._recorded
         return recorded is not None and recorded.log.written - self._kept_bytes > _WAITING
 
+    @property
+    def waiting(self) -> tuple[int, int]:
+        """How many commands, and bytes of them, are done and wait to be kept."""
+        recorded = self._recorded
+        if recorded is None:
+            return 0, 0
+        log_ = recorded.log
+        return log_.position - log_.durable, log_.written - self._kept_bytes
+
+    @property
+    def position(self) -> int:
+        """How many commands the log has taken since there is one."""
+        return 0 if self._recorded is None else self._recorded.log.position
+
     async def kept(self) -> None:
         """Return when all that is done by now is kept. Raises `JournalError`: then it may not be,
         and the same sent again under its Idempotency-Key does no harm."""
@@ -249,7 +275,7 @@ class Keeper:
     def hasten(self) -> None:
         """Begin to keep what is done, for those who look on: nobody waits for it."""
         if not self.is_kept and self._commit is None:
-            task = asyncio.get_running_loop().create_task(self.settled())
+            task = asyncio.get_running_loop().create_task(self.settled(), context=Context())
             self._hastening.add(task)
             task.add_done_callback(self._hastening.discard)
 
@@ -263,7 +289,10 @@ class Keeper:
 
     async def _committed(self) -> None:
         if self._commit is None:
-            self._commit = asyncio.get_running_loop().create_task(self._commit_once())
+            # It is nobody's request's alone, and the log is not to say so.
+            self._commit = asyncio.get_running_loop().create_task(
+                self._commit_once(), context=Context()
+            )
             # Those who wait hear of an error; if they have gone, `troubles` tells it.
             self._commit.add_done_callback(lambda done: done.cancelled() or done.exception())
         await asyncio.shield(self._commit)
@@ -273,18 +302,28 @@ class Keeper:
         mark = None if self._audience is None else self._audience.mark()
         size = self._recorded.log.written
         try:
-            await self._beside(self._recorded.log.commit)
+            await self._beside(self._commit_now)
         except JournalError as error:
+            self.times.commit_failures.inc()
             if self._audience is not None:
                 self._audience.keep_unseen(mark)
             self._fail(JOURNAL, error)
             raise
         finally:
             self._commit = None
+        self.times.committed.inc(size - self._kept_bytes)
         self._kept_bytes = size
         self._recover(JOURNAL)
         if self._audience is not None:
             self._audience.show(mark)
+
+    def _commit_now(self) -> None:
+        """In the journal's own thread."""
+        assert self._recorded is not None
+        log_ = self._recorded.log
+        before, begun = log_.durable, time.perf_counter()
+        until = log_.commit()
+        self.times.commit(time.perf_counter() - begun, until - before)
 
     async def tend(self, settings: Settings) -> None:
         """What is to be done now and then: keep what nobody waits for, if somebody is to see it or
@@ -318,11 +357,14 @@ class Keeper:
         await self.quiet()
         begun = time.monotonic()
         try:
-            unwritten = recorded.checkpoint()
+            with self.times.step("state"):
+                unwritten = recorded.checkpoint()
             self._worked, self._cost = 0.0, time.monotonic() - begun
             await self.kept()
-            await self._beside(unwritten.write)
+            with self.times.step("disk"):
+                await self._beside(unwritten.write)
         except (CheckpointError, JournalError, OSError) as error:
+            self.times.checkpoint_failures.inc()
             # Each try costs as much as one that succeeds.
             self._not_before = asyncio.get_running_loop().time() + _AGAIN
             # All is kept by the log alone, which grows, and a start takes longer.
@@ -336,6 +378,18 @@ class Keeper:
             self._unkept.add(process)
             log().warning(
                 "the state of a process would not survive a restart", process=str(process)
+            )
+
+    async def disk_use(self) -> DiskUse | None:
+        """What the data directory takes of the disk; None without one. Raises ``OSError``, and
+        ``TimeoutError`` where the disk does not answer."""
+        recorded = self._recorded
+        if recorded is None:
+            return None
+        with anyio.fail_after(_DISK):
+            # A limiter of its own: a disk that hangs takes no thread from anybody else.
+            return await anyio.to_thread.run_sync(
+                recorded.disk_use, limiter=self._looking, abandon_on_cancel=True
             )
 
     async def _beside(self, work: Callable[[], object]) -> None:

@@ -26,9 +26,12 @@ from ..engine.commands import BatchKind, Publish
 from ..engine.engine import Engine
 from ..streams.generator import StreamGenerator
 from ..streams.time import Clock
+from .access import CALLER, revoked
 from .body import HELD, Held
+from .event_clients import OPEN
 from .keeper import Keeper
 from .problems import Problem
+from .tokens import Caller, Scope, Tokens
 
 _LINE = re.compile(rb"[^\n]*\n|[^\n]+")
 
@@ -210,22 +213,52 @@ class LiveTables(LiveSamples):
             raise WireError(None, "the body ends within an Arrow message")
 
 
-class LiveBodies:
-    """Those that are under way, so that they can be let go when the service stops."""
+class _UnderWay:
+    """One body: ``wait`` is what it waits within for more."""
 
-    def __init__(self) -> None:
-        self._waits: set[asyncio.Timeout] = set()
+    __slots__ = ("caller", "wait")
+
+    def __init__(self, caller: Caller | None) -> None:
+        self.caller = caller
+        self.wait: asyncio.Timeout | None = None
+
+    def wake(self) -> None:
+        """It need not wait any longer."""
+        if self.wait is not None:
+            self.wait.reschedule(0)
+
+
+class LiveBodies:
+    """Those that are under way, so that they can be let go when the service stops, or their token
+    is not among ``tokens`` any more."""
+
+    def __init__(self, tokens: Tokens = OPEN) -> None:
+        self._under_way: set[_UnderWay] = set()
+        self._tokens = tokens
         self._closing = False
 
     async def publish(self, request: Request, live: LiveSamples, patience: float) -> None:
         """Publish the samples of the request's body until it ends.
 
-        Raises what `LiveSamples` raises; 408 and 503 `Problem` when nothing has come for
-        ``patience`` seconds and when the service stops; `ClientDisconnect` when the client is gone.
+        Raises what `LiveSamples` raises; 408, 401 and 503 `Problem` when nothing has come for
+        ``patience`` seconds, when the token is revoked and when the service stops;
+        `ClientDisconnect` when the client is gone.
         """
+        body = _UnderWay(request.scope.get(CALLER))
+        self._under_way.add(body)
+        try:
+            await self._publish(request, body, live, patience)
+        finally:
+            self._under_way.discard(body)
+
+    async def _publish(
+        self, request: Request, under_way: _UnderWay, live: LiveSamples, patience: float
+    ) -> None:
         body: Held = request.scope[HELD]
         while not self._closing:
-            message = await self._next(request, patience)
+            if not self._may_go_on(under_way):
+                raise revoked()
+            message = await self._next(request, under_way, patience)
             if message["type"] == "http.disconnect":
                 raise ClientDisconnect
             live.take(message.get("body", b""))
@@ -241,16 +274,15 @@ class LiveBodies:
             hint="send the samples that were not accepted when the service is back",
         )
 
-    async def _next(self, request: Request, patience: float) -> Message:
+    async def _next(self, request: Request, under_way: _UnderWay, patience: float) -> Message:
         try:
-            async with asyncio.timeout(patience) as wait:
-                self._waits.add(wait)
+            async with asyncio.timeout(patience) as under_way.wait:
                 try:
                     return await request.receive()
                 finally:
-                    self._waits.discard(wait)
+                    under_way.wait = None
         except TimeoutError:
-            if self._closing:
+            if self._closing or not self._may_go_on(under_way):
                 return {"type": "http.request", "body": b"", "more_body": True}
             raise Problem(
                 408,
@@ -262,5 +294,15 @@ class LiveBodies:
     def close(self) -> None:
         """Let all go: the service stops. Each sender is told what was accepted."""
         self._closing = True
-        for wait in self._waits:
-            wait.reschedule(0)
+        for body in self._under_way:
+            body.wake()
+
+    def revoke(self) -> int:
+        """Let those go whose token is not accepted any more, or does not publish; how many."""
+        gone = [body for body in self._under_way if not self._may_go_on(body)]
+        for body in gone:
+            body.wake()
+        return len(gone)
+
+    def _may_go_on(self, body: _UnderWay) -> bool:
+        return self._tokens.allows(body.caller, Scope.PUBLISH)

@@ -7,11 +7,12 @@ be tens of thousands; everything else by the client library of Prometheus.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 from prometheus_client import (
     CollectorRegistry,
     Counter,
+    Gauge,
     Histogram,
     Info,
     ProcessCollector,
@@ -24,23 +25,47 @@ from .. import __version__
 from ..engine.engine import Engine
 from ..streams.time import Clock
 from .body import UnderWay
+from .isolation.metrics import WorkerMetrics
+from .isolation.services import Isolation
+from .journal_metrics import JournalState
+from .keeper import Keeper
+from .logs import log
 from .sse import Feeds
-from .stream_metrics import stream_metrics
+from .stream_metrics import StreamMetrics
 
 CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 _MOMENTS = (0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0)
 """Bounds of histograms of what the event loop does, in seconds."""
+_METHODS = frozenset(("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"))
+OTHER = "other"
+"""The label of methods that nobody serves: whoever likes may send as many as there are words."""
 
 
 class Metrics:
     """The service's own registry: several services in one process do not meet."""
 
-    def __init__(self, engine: Engine, feeds: Feeds, bodies: UnderWay, clock: Clock) -> None:
-        self._engine = engine
+    def __init__(
+        self,
+        engine: Engine,
+        feeds: Feeds,
+        bodies: UnderWay,
+        clock: Clock,
+        keeper: Keeper,
+        isolation: Isolation,
+        streams: int,
+    ) -> None:
+        """``streams``: so many streams and units are told one by one."""
         self._clock = clock
+        self._keeper = keeper
+        self._streams = StreamMetrics(engine, streams)
+        self._journal = JournalState(keeper)
         self._registry = registry = CollectorRegistry()
         ProcessCollector(registry=registry)
         registry.register(_Service(engine, feeds, bodies))
+        registry.register(self._journal)
+        keeper.times.register(registry)
+        registry.register(WorkerMetrics(isolation.pools))
+        self._ready = Gauge("dyknow_ready", "Whether the service is ready", registry=registry)
         build = {"version": __version__, "python": sys.version.split()[0]}
         Info("dyknow_build", "What runs", registry=registry).info(build)
         self._requests = Counter(
@@ -61,6 +86,14 @@ class Metrics:
             ["reason"],
             registry=registry,
         )
+        self._reloads = Counter(
+            "dyknow_tokens_reloads",
+            "How often the file of tokens was read again",
+            ["outcome"],
+            registry=registry,
+        )
+        for outcome in ("taken", "refused"):
+            self._reloads.labels(outcome)
         self.tick_failures = Counter("dyknow_tick_failures", "Ticks that failed", registry=registry)
         self.tick_seconds = Histogram(
             "dyknow_tick_seconds",
@@ -77,7 +110,7 @@ class Metrics:
 
     def request(self, method: str, route: str, status: int, seconds: float | None) -> None:
         """Count a request; ``seconds`` None for one that has no end of its own."""
-        self._requests.labels(method, route, str(status)).inc()
+        self._requests.labels(method if method in _METHODS else OTHER, route, str(status)).inc()
         if seconds is not None:
             self._seconds.labels(route).observe(seconds)
 
@@ -85,9 +118,23 @@ class Metrics:
         """Count a refusal by what the service protects itself from."""
         self._refusals.labels(reason).inc()
 
+    def tokens_read(self, outcome: str) -> None:
+        """The file of tokens was read again."""
+        self._reloads.labels(outcome).inc()
+
+    def tell_readiness(self, reasons: Callable[[], list[str]]) -> None:
+        """``reasons`` says why the service is not ready."""
+        self._ready.set_function(lambda: not reasons())
+
     async def text(self) -> bytes:
         """All metrics in the text format of Prometheus."""
-        return generate_latest(self._registry) + await stream_metrics(self._engine, self._clock())
+        try:
+            self._journal.use = await self._keeper.disk_use()
+        except (OSError, TimeoutError) as error:
+            # What is not known is not told; everything else is.
+            self._journal.use = None
+            log().warning("the disk does not say how full it is", reason=str(error))
+        return generate_latest(self._registry) + await self._streams.text(self._clock())
 
 
 class _Service(Collector):
@@ -103,7 +150,10 @@ class _Service(Collector):
 
     def collect(self) -> Iterable[Metric]:
         clients = self._clients
-        yield _gauge("dyknow_event_requests", "Event requests that run", len(self._engine.events()))
+        engine = self._engine
+        yield _gauge("dyknow_streams", "Streams that there are", len(engine.generators()))
+        yield _gauge("dyknow_units", "Units that there are", len(engine.units()))
+        yield _gauge("dyknow_event_requests", "Event requests that run", len(engine.events()))
         yield _gauge("dyknow_bodies", "Requests under way", self._bodies.bodies)
         yield _gauge("dyknow_bodies_bytes", "Bytes of bodies under way", self._bodies.bytes)
         yield _gauge("dyknow_event_stream_clients", "Clients of event streams", len(clients))

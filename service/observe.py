@@ -13,7 +13,7 @@ from starlette.requests import ClientDisconnect
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from .body import HELD, Held
-from .logs import log
+from .logs import REQUEST, log
 from .problems import REQUEST_ID, problem_of, stopping
 
 HEAD = "dyknow.head"
@@ -53,6 +53,7 @@ class Observe:
         # A copy, so that the server still sees its own HEAD and frames the answer accordingly.
         scope = {**scope, "method": "GET", HEAD: True} if method == "HEAD" else dict(scope)
         id = scope[REQUEST_ID] = self._id(scope)
+        REQUEST.set(id)
         begun = time.perf_counter()
         status = 500
         started = endless = False

@@ -117,6 +117,8 @@ class Settings(BaseSettings):
     """Triples that the ontologies may have together, and as many that they may entail."""
     worker_memory: int = Field(default=512 * MEBIBYTE, ge=16 * MEBIBYTE)
     """What one worker process may take beside its program."""
+    metrics_streams: int = Field(default=1_000, ge=0)
+    """So many streams, and units, /metrics tells one by one; all others together."""
     slow_request: float = Field(default=1.0, gt=0)
     """A request that takes longer is a warning in the log."""
     drain: float = Field(default=0.0, ge=0)

@@ -25,6 +25,7 @@ from ..engine.errors import UnknownStream
 from ..streams.generator import StreamGenerator
 from ..streams.sample import SampleBatch
 from ..streams.time import format_time
+from .access import CALLER
 from .event_clients import EventClient, EventClients
 from .event_messages import PIECE_BYTES, Block, Blocks, MessageCache
 from .event_response import EventStream, Messages
@@ -429,7 +430,8 @@ def respond(
     headers = {POSITION: position}
     if request.scope.get(HEAD):
         return Response(headers=headers, media_type=EVENT_STREAM)
-    return EventStream(feeds.all, feeds.all.admit(key), messages, headers)
+    client = feeds.all.admit(key, request.scope.get(CALLER))
+    return EventStream(feeds.all, client, messages, headers)
 
 
 def message(event: str, data: dict[str, object]) -> bytes:

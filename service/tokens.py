@@ -1,7 +1,7 @@
 """Bearer tokens (RFC 6750): who may read, publish, administer (docs/access.md).
 
 A line a token, `<scope>[,<scope>] <name> <token or sha256:hex>`, in a file or the environment.
-Kept are hashes only. Read once, at the start; used by service/access.
+Kept are hashes only. Used by service/access; `token_file` reads the file again when it changes.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import re
 import secrets
 import stat
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
 
@@ -44,14 +44,32 @@ class Scope(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Caller:
-    """Whose token it is, and what it allows, included scopes too."""
+    """Whose token it is, and what it allows, included scopes too. ``digest`` is the token's hash:
+    two tokens may have one name."""
 
     name: str
     scopes: frozenset[Scope]
+    digest: bytes = field(default=b"", repr=False)
 
     def may(self, scope: Scope) -> bool:
         """Whether the token allows ``scope``."""
         return scope in self.scopes
+
+
+@dataclass(frozen=True, slots=True)
+class Stamp:
+    """What tells a file from what it was: another place, size, or time (ns) of its last change."""
+
+    place: int
+    size: int
+    changed: int
+
+    @classmethod
+    def of(cls, status: os.stat_result) -> Stamp | None:
+        """None for what is no file that could be read again: a pipe."""
+        if not stat.S_ISREG(status.st_mode):
+            return None
+        return cls(status.st_ino, status.st_size, status.st_mtime_ns)
 
 
 class TokensError(Exception):
@@ -66,8 +84,17 @@ class TokensError(Exception):
 class Tokens:
     """The tokens that are accepted. None at all: the service is open to whoever reaches it."""
 
-    def __init__(self, callers: Iterable[tuple[bytes, Caller]] = ()) -> None:
+    def __init__(
+        self, callers: Iterable[tuple[bytes, Caller]] = (), stamp: Stamp | None = None
+    ) -> None:
         self._callers = dict(callers)
+        self._issued: dict[bytes, Caller] = {}
+        self.stamp = stamp
+        """Of the file that they were read from; None if there is none, or it is a pipe."""
+
+    def __len__(self) -> int:
+        """How many there are."""
+        return len(self._callers)
 
     @property
     def required(self) -> bool:
@@ -83,10 +110,28 @@ class Tokens:
         """
         return self._callers.get(digest_of(token))
 
+    def allows(self, caller: Caller | None, scope: Scope) -> bool:
+        """Whether what ``caller`` began may go on: its token is accepted still, with ``scope``.
+        None: no token was asked for."""
+        if caller is None:
+            return True
+        now = self.current(caller)
+        return now is not None and now.may(scope)
+
+    def current(self, caller: Caller) -> Caller | None:
+        """What the token of ``caller`` stands for now; None if it is not accepted any more."""
+        return self._callers.get(caller.digest)
+
+    def replace(self, others: Tokens) -> None:
+        """From now on accept ``others``, and those of this process."""
+        self._callers = others._callers | self._issued
+        self.stamp = others.stamp
+
     def issue(self, name: str, *scopes: Scope) -> str:
         """A new token for a part of this process; it lives as long as this does."""
         token = new_token()
-        self._callers[digest_of(token.encode())] = Caller(name, including(scopes))
+        digest = digest_of(token.encode())
+        self._issued[digest] = self._callers[digest] = Caller(name, including(scopes), digest)
         return token
 
     @classmethod
@@ -97,8 +142,10 @@ class Tokens:
         to listen elsewhere than on this machine's own addresses.
         """
         found: dict[bytes, Caller] = {}
+        stamp = None
         if settings.tokens_file is not None:
-            found |= read_tokens(_text_of(settings.tokens_file), str(settings.tokens_file), found)
+            data, stamp = _text_of(settings.tokens_file)
+            found |= read_tokens(data, str(settings.tokens_file), found)
         if text := settings.tokens.get_secret_value():
             found |= read_tokens(text.replace(";", "\n"), "DYKNOW_TOKENS", found)
         if not found and not is_loopback(settings.host):
@@ -108,7 +155,7 @@ class Tokens:
                 "make one: dyknow token me --scope admin --add tokens.txt; then: dyknow serve "
                 f"--host {settings.host} --tokens tokens.txt (docs/access.md)",
             )
-        return cls(found.items())
+        return cls(found.items(), stamp)
 
 
 def new_token() -> str:
@@ -162,7 +209,7 @@ def read_tokens(text: str, origin: str, known: Iterable[bytes] = ()) -> dict[byt
             raise TokensError(f"{place}: this token is there already", "make another one")
         if not is_name(parts[1]):
             raise TokensError(f"{place}: a name has letters, digits and . _ @ -, at most 64", FORM)
-        found[digest] = Caller(parts[1], including(_scopes(parts[0], place)))
+        found[digest] = Caller(parts[1], including(_scopes(parts[0], place)), digest)
     if not found:
         raise TokensError(f"{origin} has no tokens", "make one: dyknow token --help")
     return found
@@ -196,12 +243,13 @@ def _digest(text: str, place: str) -> bytes:
     return digest_of(text.encode())
 
 
-def _text_of(path: Path) -> str:
-    """The file's text. Raises `TokensError` also for one that others may read or change: who reads
-    it may act in the name of everybody in it."""
+def _text_of(path: Path) -> tuple[str, Stamp | None]:
+    """The file's text, and its stamp. Raises `TokensError` also for one that others may read or
+    change: who reads it may act in the name of everybody in it."""
     try:
         with path.open("rb") as file:
-            mode = os.fstat(file.fileno()).st_mode
+            status = os.fstat(file.fileno())
+            mode = status.st_mode
             # A pipe is its reader's alone, whatever its mode says; Windows has no such modes.
             if os.name == "posix" and stat.S_ISREG(mode) and mode & 0o037:
                 raise TokensError(
@@ -216,6 +264,6 @@ def _text_of(path: Path) -> str:
     if len(data) > LARGEST:
         raise TokensError(f"{path} is no file of tokens: it has more than {LARGEST} bytes", FORM)
     try:
-        return data.decode()
+        return data.decode(), Stamp.of(status)
     except UnicodeDecodeError as error:
         raise TokensError(f"{path} is no UTF-8 at byte {error.start}", FORM) from error

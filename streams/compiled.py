@@ -50,12 +50,18 @@ class Kernel:
             return self._compiled
 
 
-def compile_all() -> None:
-    """Compile every loop of the modules that are imported, one after the other.
+def _untold(_done: int, _count: int) -> None:
+    """Nobody waits for it."""
+
+
+def compile_all(tell: Callable[[int, int], None] = _untold) -> None:
+    """Compile every loop of the modules that are imported, one after the other; ``tell`` hears how
+    many are done, and of how many.
 
     The very first time this takes half a minute; later, 30 ms a loop to read it. For a thread
     beside a service that is starting: whoever needs a loop before waits for that one at most.
     """
     if JIT:
-        for kernel in _KERNELS:
+        for done, kernel in enumerate(_KERNELS, start=1):
             kernel.compile()
+            tell(done, len(_KERNELS))

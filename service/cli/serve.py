@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import gc
+import json
+import signal
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -18,7 +19,6 @@ from ...engine.recorded import RecordedEngine
 from ...journal.errors import JournalError
 from ...journal.log import Durability
 from ...ontology.errors import OntologyError
-from ...streams.compiled import compile_all
 from ..app import create_app
 from ..context import Service
 from ..descriptors import raise_limit
@@ -27,10 +27,14 @@ from ..logs import configure, log
 from ..server import bind, run, url_of
 from ..settings import Settings
 from ..tokens import Scope, Tokens, TokensError
+from ..warming import Warming
 from ..watchdog import Watchdog
 from .demo import STREAM
 from .demo import flights as play_flights
-from .output import err, fail
+from .output import JSON_WANTED, err, fail
+
+Say = Callable[[str], None]
+"""Tells people something."""
 
 
 def serve(
@@ -65,11 +69,16 @@ def serve(
     given["tokens_file"] = tokens
     settings = Settings(**{key: value for key, value in given.items() if value is not None})
     configure(settings.log_level, settings.log_json)
+    say = _say_in_the_log if settings.log_json else _say
+    JSON_WANTED.set(settings.log_json)
     try:
         known = Tokens.of(settings)
     except TokensError as error:
         raise fail(error.message, error.hint) from error
-    load(settings.processes)
+    load(settings.processes, say)
+    if settings.tokens_file is not None and hasattr(signal, "SIGHUP"):
+        # Until there is somebody to hear it: what changes meanwhile is noticed then.
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
         listener = bind(settings)
     except OSError as error:
@@ -81,42 +90,65 @@ def serve(
     watchdog = Watchdog()
     token = known.issue("flights", Scope.ADMIN) if flights and known.required else ""
     windows = Windows(settings)
+    warming = Warming()
+    warming.loops()
+    warming.workers("windows", windows.pool)
     try:
-        engine = _engine(settings, watchdog, windows)
+        engine = _engine(settings, watchdog, windows, say)
         windows.begin()
     except BaseException:
         listener.close()
         windows.close()
         raise
-    app = create_app(engine, settings, time.time_ns, known)
+    app = create_app(engine, settings, time.time_ns, known, windows)
     url = url_of(listener)
-    err().print(f"DyKnow serves at {url} (documentation: {url}/docs)", markup=False)
-    # Beside the start: the first query and the first large batch should not wait for compilers.
-    threading.Thread(target=warm, name="warm", daemon=True).start()
-    for isolated in (windows, app.state.service.isolation):
-        threading.Thread(target=isolated.warm, name="warm-workers", daemon=True).start()
+    say(f"DyKnow serves at {url} (documentation: {url}/docs)")
+    service: Service = app.state.service
+    service.warming = warming
+    warming.workers("sparql", service.isolation.pools["sparql"])
+    warming.application(app)
+    _reload_on_hangup(service, settings)
     stopping = threading.Event()
     if flights:
         playing = (url, stopping.is_set, token)
         player = threading.Thread(target=play_flights, args=playing, daemon=True)
         player.start()
-        err().print(f"The recorded flights play into stream {STREAM}, as if they flew now.")
-    service: Service = app.state.service
-    values = settings.model_dump(mode="json", exclude_defaults=True)
+        say(f"The recorded flights play into stream {STREAM}, as if they flew now.")
+    # By way of JSON, which has no infinity.
+    values = json.loads(settings.model_dump_json(exclude_defaults=True))
     log().info("serving", version=__version__, url=url, epoch=service.engine.epoch, settings=values)
     try:
         by_force = run(app, listener)
     finally:
         stopping.set()
         watchdog.close()
-        for isolated in (windows, app.state.service.isolation):
+        for isolated in (windows, service.isolation):
             isolated.close()
     log().info("stopped", by_force=by_force)
     if by_force:
         raise typer.Exit(1)
 
 
-def _engine(settings: Settings, watchdog: Watchdog, windows: Windows) -> Engine | RecordedEngine:
+def _reload_on_hangup(service: Service, settings: Settings) -> None:
+    """SIGHUP reads the file of tokens again; without one it ends the service, as it always does."""
+    file = service.token_file
+    if file is not None and settings.tokens_file is not None and hasattr(signal, "SIGHUP"):
+        signal.signal(signal.SIGHUP, lambda *_: file.ask())
+
+
+def _say(text: str) -> None:
+    """To people who look on, beside the log."""
+    err().print(text, markup=False)
+
+
+def _say_in_the_log(text: str) -> None:
+    """Where programs read standard error, every line is one of the log."""
+    log().info(text)
+
+
+def _engine(
+    settings: Settings, watchdog: Watchdog, windows: Windows, say: Say
+) -> Engine | RecordedEngine:
     """A new engine in memory, or that of the data directory as it was."""
     if settings.data is None:
         return Engine(
@@ -128,7 +160,7 @@ def _engine(settings: Settings, watchdog: Watchdog, windows: Windows) -> Engine 
         )
 
     def progress(done: int, count: int) -> None:
-        err().print(f"  {done:,} of {count:,} commands done again", markup=False)
+        say(f"  {done:,} of {count:,} commands done again")
 
     try:
         engine = RecordedEngine(
@@ -147,29 +179,20 @@ def _engine(settings: Settings, watchdog: Watchdog, windows: Windows) -> Engine 
         raise fail(f"{settings.data} cannot be used: {error}") from error
     recovery = engine.recovery
     for note in recovery.notes:
-        err().print(f"note: {note}", markup=False)
+        say(f"note: {note}")
         log().warning("start", note=note)
-    err().print(
+    say(
         f"{settings.data}: state of command {recovery.position:,}, "
-        f"{recovery.replayed:,} done again since",
-        markup=False,
+        f"{recovery.replayed:,} done again since"
     )
     return engine
 
 
-def warm() -> None:
-    """Compile the loops, then have the garbage collector pass over all that is there by now: it
-    stays for good, and a collection that looks at it lets everybody wait for 100 ms."""
-    compile_all()
-    gc.collect()
-    gc.freeze()
-
-
-def load(processes: Sequence[str]) -> None:
+def load(processes: Sequence[str], say: Say = _say) -> None:
     """Load user-written processes, of installed packages too; a module that is named and cannot be
     loaded is an error, of an installed one it is said and left."""
     for report in load_processes(processes):
         if report.error and report.origin in processes:
             raise fail(f"{report.origin}: {report.error}")
         if report.error:
-            err().print(f"not loaded: {report.origin}: {report.error}", markup=False)
+            say(f"not loaded: {report.origin}: {report.error}")

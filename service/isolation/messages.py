@@ -154,6 +154,12 @@ class TooMuch(msgspec.Struct, tag="too-much", frozen=True):
 
 Answer: TypeAlias = Written | Table | Truth | Refused | Elements | Misread | Failed | TooMuch
 
+
+def tag_of(message: msgspec.Struct) -> str:
+    """What kind of job or answer it is, as it is sent."""
+    return str(message.__struct_config__.tag)
+
+
 encode = msgspec.msgpack.Encoder().encode
 decode_job = msgspec.msgpack.Decoder(Job).decode
 _decode_answer = msgspec.msgpack.Decoder(Answer).decode

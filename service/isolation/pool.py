@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import threading
+from collections import Counter
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Final
 
 import anyio
 import anyio.to_thread
+from prometheus_client import Histogram
 
 from .messages import Answer
-from .worker import Worker, WorkerError
+from .worker import End, Worker, WorkerError
 
 MOST_JOBS: Final = 20_000
 """A worker is replaced after so many: a store that is changed for long leaks."""
+_SECONDS: Final = (0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1, 2.5, 5, 10)
 
 
 class Busy(Exception):
@@ -29,8 +33,18 @@ class Pool:
 
     def __init__(self, count: int, memory: int, waiting: int = 0) -> None:
         self.count = count
-        self.ended = 0
-        """How many workers came to their end in the middle of a job."""
+        self.ends: Counter[End] = Counter(dict.fromkeys(End, 0))
+        """How many workers came to their end in the middle of a job, by reason."""
+        self.jobs = Histogram(
+            "dyknow_worker_job_seconds",
+            "How long jobs of workers took",
+            ["kind", "outcome"],
+            registry=None,
+            buckets=_SECONDS,
+        )
+        """By the kind of job and what became of it (`worker.Tell`)."""
+        self.failure: str | None = None
+        """Why no worker could be started at the last try."""
         self._memory = memory
         self._most_waiting = waiting
         self.waiting = 0
@@ -97,17 +111,30 @@ class Pool:
             worker.close()
             worker = None
         if worker is None:
-            worker = Worker.start(self._memory)
+            worker = self._started()
         with self._lock:
             self._working.add(worker)
         return worker
+
+    def _started(self) -> Worker:
+        try:
+            worker = Worker.start(self._memory, self._tell)
+        except WorkerError as error:
+            self.failure = str(error)
+            raise
+        self.failure = None
+        return worker
+
+    def _tell(self, kind: str, outcome: str, seconds: float) -> None:
+        self.jobs.labels(kind, outcome).observe(seconds)
 
     def give(self, worker: Worker) -> None:
         """``worker`` has done what it was taken for, or has come to its end."""
         with self._lock:
             self._working.discard(worker)
             is_alive = worker.is_alive
-            self.ended += not is_alive
+            if not is_alive:
+                self.ends[worker.end or End.CRASH] += 1
             stays = is_alive and not self._closed and worker.jobs < MOST_JOBS
             if stays:
                 self._idle.append(worker)
@@ -115,9 +142,30 @@ class Pool:
             worker.close()
 
     @property
+    def ended(self) -> int:
+        """How many workers came to their end in the middle of a job."""
+        return self.ends.total()
+
+    @property
     def busy(self) -> int:
         """How many workers are at work."""
         return len(self._working)
+
+    @property
+    def idle(self) -> int:
+        """How many wait for work."""
+        return len(self._idle)
+
+    @property
+    def is_down(self) -> bool:
+        """Whether there is no worker, and none could be started when one was needed."""
+        return self.failure is not None and not self._idle and not self._working
+
+    def mend(self) -> None:
+        """Try again to start a worker where there is none. Waits for it."""
+        if self.is_down:
+            with suppress(WorkerError):
+                self.give(self.take())
 
     def open(self) -> None:
         """There are workers again, after `close`."""
@@ -133,7 +181,7 @@ class Pool:
         for worker in idle:
             worker.close()
         for worker in working:
-            worker.kill()
+            worker.kill(End.SHUTDOWN)
 
 
 class _Errand:
@@ -152,7 +200,7 @@ class _Errand:
             with self._lock:
                 self._worker = worker
                 if self._given_up:
-                    worker.kill()
+                    worker.kill(End.LEFT)
             return self._job(worker)
         finally:
             with self._lock:
@@ -164,4 +212,4 @@ class _Errand:
         with self._lock:
             self._given_up = True
             if self._worker is not None:
-                self._worker.kill()
+                self._worker.kill(End.LEFT)

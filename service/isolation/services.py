@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Final
+
+import anyio
+import anyio.to_thread
 
 from ...continuous.budget import Budget
 from ...ontology.ontology import Ontology
@@ -19,6 +23,8 @@ WORKERS: Final = 2
 AGAIN: Final = 10
 WINDOW_BYTES: Final = 8 * MEBIBYTE
 """Text that Oxigraph may answer about a window."""
+_AGAIN: Final = 5.0
+"""Seconds until workers that could not be started are tried again."""
 
 
 class Windows:
@@ -29,11 +35,11 @@ class Windows:
     """
 
     def __init__(self, settings: Settings) -> None:
-        self._pool = Pool(WORKERS, settings.worker_memory)
+        self.pool = Pool(WORKERS, settings.worker_memory)
         self._deadline = settings.query_deadline
         # What was done once was done in time: while it is done again the machine may be slower.
         self._asking = IsolatedAsking(
-            self._pool, AGAIN * self._deadline, settings.query_results, WINDOW_BYTES
+            self.pool, AGAIN * self._deadline, settings.query_results, WINDOW_BYTES
         )
         self.turns = Pausing(settings.query_seconds, settings.query_behind)
         self.budget = Budget(settings.query_rows, settings.query_results, self._asking, self.turns)
@@ -42,19 +48,18 @@ class Windows:
         """What was done before is done again: from now on deadlines hold."""
         self._asking.seconds = self._deadline
 
-    def warm(self) -> None:
-        """Start the worker."""
-        self._pool.warm()
-
     def close(self) -> None:
         """End it."""
-        self._pool.close()
+        self.pool.close()
 
 
 class Isolation:
-    """The workers of a service, by what they do."""
+    """The workers of a service, by what they do. ``windows`` are the engine's, where it has some:
+    they are told of, and ended by whoever made them."""
 
-    def __init__(self, settings: Settings, ontology: Ontology) -> None:
+    def __init__(
+        self, settings: Settings, ontology: Ontology, windows: Windows | None = None
+    ) -> None:
         self._sparql = Pool(
             settings.sparql_workers, settings.worker_memory, settings.sparql_waiting
         )
@@ -72,28 +77,36 @@ class Isolation:
         # A pool of their own: an ontology takes its worker for many seconds.
         self._specifications = Pool(1, settings.worker_memory, WAITING)
         self.specifications = IsolatedSpecifications(self._specifications)
-        self._pools = (self._sparql, self._documents, self._specifications)
+        self._own: Mapping[str, Pool] = {
+            "sparql": self._sparql,
+            "documents": self._documents,
+            "specifications": self._specifications,
+        }
+        self.pools = {**self._own, **({} if windows is None else {"windows": windows.pool})}
+        """All workers, by what they do."""
 
-    @property
-    def ended(self) -> int:
-        """How many workers came to their end in the middle of a job."""
-        return sum(pool.ended for pool in self._pools)
+    def reasons(self) -> list[str]:
+        """Why some of that cannot be done at present: nothing if all can."""
+        return [
+            f"workers: none for {name}: {pool.failure}"
+            for name, pool in self.pools.items()
+            if pool.is_down
+        ]
 
-    @property
-    def busy(self) -> int:
-        """How many workers are at work."""
-        return sum(pool.busy for pool in self._pools)
-
-    def warm(self) -> None:
-        """Start all workers: the first who ask should not wait for them."""
-        self._sparql.warm()
+    async def tend(self) -> None:
+        """For as long as the service runs: start workers again that could not be started."""
+        while True:
+            await anyio.sleep(_AGAIN)
+            for pool in self.pools.values():
+                if pool.is_down:
+                    await anyio.to_thread.run_sync(pool.mend, abandon_on_cancel=True)
 
     def open(self) -> None:
         """There are workers from now on: an application may start again after it has ended."""
-        for pool in self._pools:
+        for pool in self._own.values():
             pool.open()
 
     def close(self) -> None:
         """End all workers."""
-        for pool in self._pools:
+        for pool in self._own.values():
             pool.close()

@@ -9,9 +9,10 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from enum import StrEnum
 from typing import Final
 
-from .messages import PREFIX, Answer, BadAnswer, Job, decode_answer, encode
+from .messages import PREFIX, Answer, BadAnswer, Job, decode_answer, encode, tag_of
 
 START_DEADLINE: Final = 60.0
 """Seconds in which a worker is ready: it only imports, but a machine may be busy."""
@@ -19,16 +20,47 @@ _CHUNK: Final = 1 << 20
 _MEMORY_SIGNALS: Final = (signal.SIGABRT, signal.SIGSEGV, signal.SIGBUS)
 
 
+class End(StrEnum):
+    """Why a worker came to its end in the middle of a job."""
+
+    DEADLINE = "deadline"
+    """It took more time, or more of a processor, than it may."""
+    MEMORY = "memory"
+    """It needed more memory or stack."""
+    CRASH = "crash"
+    """Anything else, also an answer that is none."""
+    LEFT = "left"
+    """Who had asked has gone."""
+    SHUTDOWN = "shutdown"
+    """The service stops."""
+
+
 class WorkerError(Exception):
     """A job that has no answer; its worker is gone. The message says why, for people."""
+
+    end = End.CRASH
 
 
 class TookTooLong(WorkerError):
     """No answer within the deadline."""
 
+    end = End.DEADLINE
+
 
 class Died(WorkerError):
     """The process ended: out of memory or of stack, most likely."""
+
+    def __init__(self, message: str, end: End = End.CRASH) -> None:
+        super().__init__(message)
+        self.end = end
+
+
+Tell = Callable[[str, str, float], None]
+"""Told of each job: its kind, what became of it (the answer's tag, or an `End`), the seconds."""
+
+
+def _unheard(_kind: str, _outcome: str, _seconds: float) -> None:
+    """Nobody counts."""
 
 
 class Worker:
@@ -38,10 +70,13 @@ class Worker:
     Calls wait in the thread that makes them; `kill` may be called from any.
     """
 
-    def __init__(self, process: subprocess.Popen[bytes]) -> None:
+    def __init__(self, process: subprocess.Popen[bytes], tell: Tell = _unheard) -> None:
         self.position: int | None = None
         self.kept: dict[str, int] = {}
         self.jobs = 0
+        self.end: End | None = None
+        """Why it came to its end; None while it has not, or where nobody waited for it."""
+        self._tell = tell
         self._process = process
         assert process.stdin is not None
         assert process.stdout is not None
@@ -50,7 +85,7 @@ class Worker:
         os.set_blocking(self._out, False)
 
     @classmethod
-    def start(cls, memory: int) -> Worker:
+    def start(cls, memory: int, tell: Tell = _unheard) -> Worker:
         """A new process, with ``memory`` bytes for what it is given; ready when this returns.
 
         It starts anew (no fork: this process has threads), and of the environment it gets where
@@ -62,7 +97,20 @@ class Worker:
             "PYTHONDONTWRITEBYTECODE": "1",
             "LC_ALL": "C.UTF-8",
         }
-        process = subprocess.Popen(
+        try:
+            process = cls._process_of(memory, environment)
+        except OSError as error:  # no memory, no room for a process
+            raise WorkerError(f"a worker does not start: {error}") from error
+        worker = cls(process, tell)
+        ready = worker._guarded(lambda: worker._receive(time.monotonic() + START_DEADLINE, 16))
+        if ready != b"ready":
+            worker.kill()
+            raise WorkerError("a worker does not start")
+        return worker
+
+    @staticmethod
+    def _process_of(memory: int, environment: dict[str, str]) -> subprocess.Popen[bytes]:
+        return subprocess.Popen(
             [sys.executable, "-P", "-m", f"{__package__}.child", str(memory)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
@@ -72,12 +120,6 @@ class Worker:
             # What a terminal sends to the service is not for its workers.
             start_new_session=True,
         )
-        worker = cls(process)
-        ready = worker._guarded(lambda: worker._receive(time.monotonic() + START_DEADLINE, 16))
-        if ready != b"ready":
-            worker.kill()
-            raise WorkerError("a worker does not start")
-        return worker
 
     @property
     def pid(self) -> int:
@@ -93,7 +135,20 @@ class Worker:
         Raises `WorkerError`; then the process is gone.
         """
         self.jobs += 1
-        until = time.monotonic() + job.seconds
+        begun = time.monotonic()
+        outcome: str = End.CRASH
+        try:
+            answer = self._answer(job, begun + job.seconds, most)
+            outcome = tag_of(answer)
+        except WorkerError as error:
+            # Who ended it knows better than who found it so.
+            outcome = self.end = self.end or error.end
+            raise
+        finally:
+            self._tell(tag_of(job.work), outcome, time.monotonic() - begun)
+        return answer
+
+    def _answer(self, job: Job, until: float, most: int) -> Answer:
         message = encode(job)
 
         def exchange() -> bytes:
@@ -108,8 +163,9 @@ class Worker:
             self.kill()
             raise Died(f"a worker answered nonsense: {error}") from error
 
-    def kill(self) -> None:
-        """End the process, whatever it does."""
+    def kill(self, end: End | None = None) -> None:
+        """End the process, whatever it does, and say why if nobody else will."""
+        self.end = self.end or end
         self._process.kill()
         self._process.wait()
 
@@ -128,7 +184,7 @@ class Worker:
             raise
         except OSError as error:  # a pipe without anybody at its other end
             self.kill()
-            raise Died(self._last_words()) from error
+            raise self._last_words() from error
 
     def _send(self, data: bytes, until: float) -> None:
         left = memoryview(data)
@@ -149,20 +205,20 @@ class Worker:
             part = os.read(self._out, min(size - len(data), _CHUNK))
             if not part:
                 self._process.wait()
-                raise Died(self._last_words())
+                raise self._last_words()
             data += part
         return bytes(data)
 
-    def _last_words(self) -> str:
+    def _last_words(self) -> Died:
         status = self._process.poll()
         if status is None or status >= 0:
-            return "its process ended"
+            return Died("its process ended")
         number = signal.Signals(-status)
         if number in _MEMORY_SIGNALS:
-            return "it needed more memory or stack than it may have"
+            return Died("it needed more memory or stack than it may have", End.MEMORY)
         if number is signal.SIGXCPU:
-            return "it needed more processor time than it may have"
-        return f"its process was ended by {number.name}"
+            return Died("it needed more processor time than it may have", End.DEADLINE)
+        return Died(f"its process was ended by {number.name}")
 
 
 def _await(descriptor: int, event: int, until: float) -> None:

@@ -87,6 +87,7 @@ async function send(method, path, fields, body, output, signal) {
   output.textContent = "…";
   try {
     const response = await fetch(target, options);
+    if (response.status === 401) await session("log in to send this");
     const kind = response.headers.get("content-type") || "";
     const head = `${response.status} ${response.statusText}  ${kind}\n\n`;
     if (kind.startsWith("text/event-stream")) {
@@ -189,16 +190,26 @@ async function draw() {
     for (const details of document.querySelectorAll("details")) {
       details.hidden = !details.dataset.text.includes(wanted);
     }
+    for (const section of sections.values()) {
+      section.hidden = !section.querySelector("details:not([hidden])");
+    }
   });
 }
 
+// What stands beside the form; red where something is wrong.
+function tell(text, wrong = false) {
+  $("who").textContent = text;
+  $("who").className = wrong ? "wrong" : "";
+}
+
 // Where the service wants tokens: one is given once, and a cookie that scripts do not see is kept.
-async function session() {
+// `wrong` is told to who is not logged in: a session may have ended since.
+async function session(wrong = "") {
   const { required, name, scopes } = await (await fetch("/session")).json();
   $("session").hidden = !required;
-  $("who").textContent = name ? `logged in as ${name} (${scopes.join(", ")})` : "not logged in";
+  if (name) tell(`logged in as ${name} (${scopes.join(", ")})`);
+  else tell(wrong || "not logged in", wrong !== "");
   $("token").hidden = name !== null;
-  $("token").value = "";
   $("log").textContent = name ? "Log out" : "Log in";
   return name;
 }
@@ -213,10 +224,18 @@ async function log(event) {
       headers: { "Content-Type": "application/json" },
       body: JSON.stringify({ token: $("token").value.trim() }),
     });
-  await session();
-  if (!response.ok) $("who").textContent = (await response.json()).detail;
+  const wrong = response.ok ? "" : (await response.json()).detail;
+  await session(wrong);
+  // A token that is not right is there to be mended; one that is has no business in the page.
+  if (wrong) $("token").select();
+  else $("token").value = "";
 }
 
-$("session").addEventListener("submit", log);
-session().catch((error) => { $("who").textContent = String(error); });
+function broken(error) {
+  $("session").hidden = false;
+  tell(`the service does not answer: ${error.message}`, true);
+}
+
+$("session").addEventListener("submit", (event) => log(event).catch(broken));
+session().catch(broken);
 draw().catch((error) => { $("routes").textContent = `The routes cannot be read: ${error}`; });

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+import sys
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -86,15 +88,18 @@ def client(url: str) -> Iterator[Client]:
         yield client
 
 
-@pytest.fixture
+@pytest.fixture(autouse=True)
 def logger() -> Iterator[logging.Logger]:
-    """The service's logger, for tests that `configure` it; afterwards it, and the server's, are as
-    they were."""
-    both = [logging.getLogger(name) for name in (LOG_NAME, "uvicorn")]
-    before = [(each.handlers, each.propagate, each.level) for each in both]
-    yield both[0]
-    for each, (handlers, propagate, level) in zip(both, before, strict=True):
+    """The service's logger, for tests that `configure` it; afterwards all that it changes is as it
+    was."""
+    all_of_them = [logging.getLogger(name) for name in (LOG_NAME, "uvicorn", None)]
+    before = [(each.handlers[:], each.propagate, each.level) for each in all_of_them]
+    hooks = sys.excepthook, threading.excepthook
+    yield all_of_them[0]
+    for each, (handlers, propagate, level) in zip(all_of_them, before, strict=True):
         each.handlers, each.propagate, each.level = handlers, propagate, level
+    sys.excepthook, threading.excepthook = hooks
+    logging.captureWarnings(False)
 
 
 @pytest.fixture

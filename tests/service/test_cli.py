@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import gzip
 import json
 from pathlib import Path
@@ -12,7 +11,6 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from dyknow.service.cli import app
-from dyknow.service.cli.serve import warm
 from dyknow.service.client import Client
 from dyknow.service.triples_file import read_timed_triples
 
@@ -431,15 +429,6 @@ def test_events_of_a_recording_that_has_ended(dyknow: Any, table: Path, template
     assert "hint" not in past.stderr
 
 
-def test_what_is_there_at_the_start_is_not_collected_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("dyknow.service.cli.serve.compile_all", lambda: None)
-    try:
-        warm()
-        assert gc.get_freeze_count() > 0
-    finally:
-        gc.unfreeze()
-
-
 def test_what_the_service_knows_of_itself_is_not_of_1970(monkeypatch: pytest.MonkeyPatch) -> None:
     served: list[Any] = []
 
@@ -450,7 +439,8 @@ def test_what_the_service_knows_of_itself_is_not_of_1970(monkeypatch: pytest.Mon
 
     monkeypatch.setattr("dyknow.service.cli.serve.run", serve)
     monkeypatch.setattr("dyknow.service.cli.serve.configure", lambda *arguments: None)
-    monkeypatch.setattr("dyknow.service.cli.serve.warm", lambda: None)
+    for work in ("loops", "workers", "application"):
+        monkeypatch.setattr(f"dyknow.service.cli.serve.Warming.{work}", lambda *arguments: None)
     result = CliRunner().invoke(app, ["serve", "--port", "0"])
     assert result.exit_code == 0, (result.output, result.exception)
     times = served[0].engine.generator("status").stream.since(0)

@@ -272,11 +272,11 @@ def test_a_client_that_goes_frees_its_worker(engine: Engine) -> None:
         with socket.create_connection((host, int(port))) as gone:
             query = httpx.QueryParams({"query": ENDLESS})
             gone.sendall(f"GET /sparql?{query} HTTP/1.1\r\nHost: localhost\r\n\r\n".encode())
-            _until(lambda: app.state.service.isolation.busy == 1)
+            _until(lambda: app.state.service.isolation.pools["sparql"].busy == 1)
             refused = ask(http, "ASK {}")
             assert refused.status_code == 503
             assert refused.json()["title"] == "too many queries"
-        _until(lambda: app.state.service.isolation.busy == 0)
+        _until(lambda: app.state.service.isolation.pools["sparql"].busy == 0)
         assert ask(http, "ASK {}").status_code == 200
 
 

@@ -6,6 +6,7 @@ import json
 import logging
 import re
 import socket
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,13 +17,15 @@ from prometheus_client.parser import text_string_to_metric_families
 from structlog.stdlib import ProcessorFormatter
 
 from dyknow.engine.engine import Engine
-from dyknow.service.app import create_app
+from dyknow.service.app import TICK, create_app
 from dyknow.service.client import Client
 from dyknow.service.context import LATE, Service
+from dyknow.service.keeper import CHECKPOINT, ENGINE, JOURNAL
 from dyknow.service.logs import LOG_NAME, configure, log
 from dyknow.service.server import running
 from dyknow.service.settings import Settings
 from dyknow.service.stream_metrics import escaped
+from dyknow.service.warming import Warming
 from dyknow.streams.time import SECOND, Clock
 
 PAGE = Path(__file__).parents[2] / "docs" / "operations.md"
@@ -76,7 +79,7 @@ def test_every_metric_is_on_the_page_and_the_other_way_round(
     there = set(re.findall(r"^# TYPE (\w+) ", text, re.MULTILINE))
     # When a counter began is said by the client library, for histograms and counters alike.
     there = {name for name in there if not name.endswith("_created")}
-    written = set(re.findall(r"^\| `(\w+)` \|", PAGE.read_text(), re.MULTILINE))
+    written = set(re.findall(r"^\| `((?:dyknow|process)_\w+)` \|", PAGE.read_text(), re.MULTILINE))
     assert written == there
 
 
@@ -234,6 +237,30 @@ def test_not_ready_for_every_reason_there_is(service_url: tuple[Service, httpx.C
     assert len(http.get("/readyz").json()["reasons"]) == 2
     service.troubles.clear()
     assert http.get("/readyz").status_code == 200
+
+
+def test_every_reason_is_on_the_page(engine: Engine, settings: Settings, clock: Clock) -> None:
+    table = PAGE.read_text().partition("## Readiness")[2].partition("##")[0]
+    rows = re.findall(r"^\| (`.+?`) \|", table, re.MULTILINE)
+    written = {name for row in rows for name in re.findall(r"`(.+?)`", row)}
+    app = create_app(engine, settings, clock)
+    service: Service = app.state.service
+    warming = service.warming = Warming()
+    never = threading.Event()
+    with pytest.MonkeyPatch.context() as still:
+        still.setattr(Warming, "_run", lambda *arguments: never.wait(20))
+        warming.loops()
+        warming.application(app)
+        for name in ("sparql", "windows"):
+            warming.workers(name, service.isolation.pools["sparql"])
+    service.isolation.pools["sparql"].failure = "no memory"
+    service.stop()
+    service.troubles |= dict.fromkeys((TICK, JOURNAL, CHECKPOINT, ENGINE), "why")
+    found = service.reasons()
+    service.ticked = time.monotonic() - LATE - 1
+    found += [reason for reason in service.reasons() if "late" in reason]
+    never.set()
+    assert written == {reason.partition(":")[0] for reason in found}
 
 
 def test_starting_and_a_late_tick_are_reasons(

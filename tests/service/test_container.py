@@ -1,0 +1,154 @@
+"""The container's files say what the program knows: settings, options, paths, a health check that
+checks. No engine is at hand; `docker/check` tries the rest without one."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+import typer.main
+import yaml
+
+from dyknow.engine.engine import Engine
+from dyknow.service.app import create_app
+from dyknow.service.cli import app as commands
+from dyknow.service.context import Service
+from dyknow.service.descriptors import RESERVED
+from dyknow.service.server import GRACE, running
+from dyknow.service.settings import Settings
+from dyknow.streams.time import Clock
+
+ROOT = Path(__file__).parents[2]
+DOCKERFILE = (ROOT / "docker" / "Dockerfile").read_text()
+UNIT = (ROOT / "docs" / "operations.md").read_text().partition("```ini\n")[2].partition("```")[0]
+
+
+@pytest.fixture(scope="module")
+def compose() -> dict[str, Any]:
+    found: dict[str, Any] = yaml.safe_load((ROOT / "docker" / "compose.yaml").read_text())
+    return found
+
+
+@pytest.fixture(scope="module")
+def service(compose: dict[str, Any]) -> dict[str, Any]:
+    (found,) = compose["services"].values()
+    return dict(found)
+
+
+def last(instruction: str) -> str:
+    """What the Dockerfile says last of it: that is what holds."""
+    text = DOCKERFILE.replace("\\\n", " ")
+    return re.findall(rf"^{instruction} (.*)$", text, re.MULTILINE)[-1]
+
+
+def seconds(text: str) -> float:
+    match = re.fullmatch(r"(\d+)(s|m)", text)
+    assert match is not None
+    return int(match[1]) * {"s": 1, "m": 60}[match[2]]
+
+
+def settings_of(environment: dict[str, str]) -> Settings:
+    """Names are settings, and values are of their types."""
+    names = {name.removeprefix("DYKNOW_").lower(): value for name, value in environment.items()}
+    assert all(name.startswith("DYKNOW_") for name in environment)
+    assert names.keys() <= Settings.model_fields.keys()
+    return Settings(**names)  # type: ignore[arg-type]
+
+
+def test_what_is_built_is_there(service: dict[str, Any]) -> None:
+    context = ROOT / "docker" / service["build"]["context"]
+    assert (context / service["build"]["dockerfile"]).read_text() == DOCKERFILE
+    assert context.resolve() == ROOT
+    for script in re.findall(r"/source/(\S+)", DOCKERFILE):
+        assert (ROOT / script).is_file()
+
+
+def test_the_command_is_one_and_its_paths_agree(service: dict[str, Any]) -> None:
+    assert json.loads(last("ENTRYPOINT")) == ["dyknow"]
+    command, *options = json.loads(last("CMD"))
+    known = typer.main.get_command(commands).commands[command]  # type: ignore[attr-defined]
+    context = known.make_context(command, options)
+    assert str(context.params["data"]) == last("VOLUME")
+    assert context.params["host"] == "0.0.0.0"
+    (volume,) = service["volumes"]
+    assert volume.partition(":")[2] == last("VOLUME")
+    (port,) = service["ports"]
+    assert port == f"127.0.0.1:8000:{context.params['port']}"
+    assert last("EXPOSE") == str(context.params["port"])
+
+
+def test_nobody_is_root_and_only_the_data_may_be_written(service: dict[str, Any]) -> None:
+    assert last("USER") == "dyknow"
+    assert re.search(r"--uid 10001 --home-dir /data .* dyknow", DOCKERFILE)
+    assert service["read_only"] is True
+    assert service["cap_drop"] == ["ALL"]
+    assert service["security_opt"] == ["no-new-privileges:true"]
+    assert service["init"] is True
+
+
+def test_the_settings_are_settings(service: dict[str, Any]) -> None:
+    settings = settings_of(service["environment"])
+    assert settings.log_json
+    # Time to stop, and a checkpoint at the end.
+    assert seconds(service["stop_grace_period"]) >= settings.drain + GRACE + 20
+    files = service["ulimits"]["nofile"]
+    assert min(files["soft"], files["hard"]) >= settings.max_connections + RESERVED
+
+
+def test_tokens_are_a_secret_that_is_in_no_image_and_no_commit(
+    compose: dict[str, Any], service: dict[str, Any]
+) -> None:
+    (name,) = service["secrets"]
+    assert settings_of(service["environment"]).tokens_file == Path("/run/secrets") / name
+    file = Path("docker") / compose["secrets"][name]["file"]
+    assert str(file) in (ROOT / ".dockerignore").read_text().splitlines()
+    assert f"/{file}" in (ROOT / ".gitignore").read_text().splitlines()
+
+
+def test_the_health_check_says_whether_it_is_ready(
+    engine: Engine, settings: Settings, clock: Clock
+) -> None:
+    options, _, command = last("HEALTHCHECK").partition(" CMD ")
+    # The very first start compiles the loops.
+    assert seconds(re.findall(r"--start-period=(\w+)", options)[0]) >= 60
+    python, *arguments = json.loads(command)
+    assert python == "python"
+    app = create_app(engine, settings, clock)
+    found: Service = app.state.service
+    with running(app, settings) as url:
+        arguments[-1] = arguments[-1].replace("http://127.0.0.1:8000", url)
+        assert url in arguments[-1]
+
+        def check() -> int:
+            return subprocess.run([sys.executable, *arguments], capture_output=True).returncode
+
+        end = time.monotonic() + 20
+        while httpx.get(f"{url}/readyz", trust_env=False).status_code != 200:
+            assert time.monotonic() < end
+        assert check() == 0
+        found.troubles["journal"] = "no room"
+        assert check() != 0
+    assert check() != 0
+
+
+def test_the_unit_of_systemd_is_one_of_this_program() -> None:
+    lines = dict(line.split("=", 1) for line in UNIT.splitlines() if "=" in line)
+    program, command, *options = shlex.split(lines["ExecStart"])
+    assert program.endswith("/dyknow")
+    known = typer.main.get_command(commands).commands[command]  # type: ignore[attr-defined]
+    # The folder of the tokens is of that machine.
+    made = [each if each != "/etc/dyknow/tokens" else __file__ for each in options]
+    assert str(known.make_context(command, made).params["data"]).startswith("/var/lib/")
+    environment = dict(each.split("=", 1) for each in shlex.split(lines["Environment"]))
+    settings = settings_of(environment)
+    assert int(lines["TimeoutStopSec"]) > settings.drain + GRACE
+    assert int(lines["LimitNOFILE"]) >= settings.max_connections + RESERVED
+    assert "-HUP" in lines["ExecReload"]
