@@ -153,6 +153,11 @@ class _Service(Collector):
         engine = self._engine
         yield _gauge("dyknow_streams", "Streams that there are", len(engine.generators()))
         yield _gauge("dyknow_units", "Units that there are", len(engine.units()))
+        yield _gauge(
+            "dyknow_units_behind",
+            "Units with windows that wait to be closed",
+            len(engine.behind.units),
+        )
         yield _gauge("dyknow_event_requests", "Event requests that run", len(engine.events()))
         yield _gauge("dyknow_bodies", "Requests under way", self._bodies.bodies)
         yield _gauge("dyknow_bodies_bytes", "Bytes of bodies under way", self._bodies.bytes)
