@@ -7,15 +7,21 @@ which may have a deadline as well (service/isolation); `asking.DIRECT` waits as 
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, TypeVar
 
 from .asking import DIRECT, Asking
 from .pauses import STRAIGHT, Pauses
 
+Item = TypeVar("Item")
 LOOKS: Final = 4
 """The compiled loop may look at so many rows for each that an operator may make: a look is cheap,
 and where a filter refuses everything there is nothing else to count."""
+
+
+PACE: Final = 2_000
+"""After so many steps in Python, some milliseconds, others may have a moment."""
 
 
 OVERRUNS: Final = 3
@@ -51,11 +57,13 @@ class Overrun:
 @dataclass(frozen=True, slots=True)
 class Budget:
     """``rows``: how many one operator may make of one window; ``results``: how many solutions a
-    query may have of one; None for any number. ``asking`` evaluates what columns cannot;
+    query may have of one; ``text``: how many characters one aggregate may put together; None for
+    any number. ``asking`` evaluates what columns cannot;
     ``pauses`` are taken on the way."""
 
     rows: int | None = None
     results: int | None = None
+    text: int | None = None
     asking: Asking = DIRECT
     pauses: Pauses = STRAIGHT
 
@@ -73,6 +81,20 @@ class Budget:
         self.pauses.breathe()
         if self.results is not None and rows > self.results:
             raise BudgetExceeded(f"{rows} solutions, at most {self.results} may be")
+
+    def check_text(self, characters: int, what: str) -> None:
+        """Raises `BudgetExceeded` where an aggregate puts more text together than it may."""
+        if self.text is not None and characters > self.text:
+            raise BudgetExceeded(
+                f"{what} makes {characters} characters of a window, at most {self.text} may be"
+            )
+
+    def paced(self, items: Iterable[Item]) -> Iterator[Item]:
+        """``items``, with a moment for others now and then. Raises as `Pauses.breathe` does."""
+        for number, item in enumerate(items):
+            if not number % PACE:
+                self.pauses.breathe()
+            yield item
 
     @property
     def looks(self) -> int:

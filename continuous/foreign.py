@@ -43,12 +43,13 @@ def ask(
         first, inverse = np.zeros(1, np.int64), np.zeros(rows, np.int64)
     known = [name for name in names if name in relation.columns]
     picked = {name: relation.columns[name].take(first) for name in known}
+    columns_of = [(column, column.present) for column in picked.values()]
     table = [
         [
-            column.term_at(row, terms.dictionary) if column.present[row] else None
-            for column in picked.values()
+            column.term_at(row, terms.dictionary) if present[row] else None
+            for column, present in columns_of
         ]
-        for row in range(len(first))
+        for row in terms.budget.paced(range(len(first)))
     ]
     with terms.budget.pauses.apart():
         answers = _answers(expression, known, table, terms.budget.asking)

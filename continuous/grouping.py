@@ -154,14 +154,17 @@ def _concatenated(
     if value.kind is Kind.TERM:
         sorts = terms.sorts(value.values)
         strings = value.present & ((sorts == Sort.STRING) | (sorts == Sort.TEXT))
-    for row, at in enumerate(group.tolist()):
+    characters = 0
+    for row, at in enumerate(terms.budget.paced(group.tolist())):
         if not strings[row]:
             failed[at] = True
             continue
         term = dictionary.term(int(value.values[row]))
         assert isinstance(term, Literal)
+        characters += len(term.value) + len(separator)
+        terms.budget.check_text(characters, "GROUP_CONCAT")
         texts[at].append(term.value)
     ids = np.full(count, NO_TERM, np.int32)
-    for at in np.flatnonzero(~failed).tolist():
+    for at in terms.budget.paced(np.flatnonzero(~failed).tolist()):
         ids[at] = dictionary.transient_id(Literal(separator.join(texts[at])))
     return ObjectColumn(Kind.TERM, ids, failed if failed.any() else None)

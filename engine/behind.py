@@ -44,8 +44,12 @@ class Task(Protocol):
     def is_ready(self) -> bool:
         """Whether it can go on now; else it does something apart, or waits for it."""
 
+    def end(self) -> None:
+        """Begin no further window."""
+
     def go_on(self, *, to_end: bool = False) -> bool:
-        """Work until the time is over, or the windows are; whether they are. Raises what they do.
+        """Work until the time is over, or the windows are; whether no window is half done. Raises
+        what they do.
 
         ``to_end``: until the present window has closed, however long that takes; then no other is
         begun.
@@ -115,21 +119,27 @@ class Behind:
             if unit in units:
                 units.remove(unit)
 
-    def go_on(self, *, new: bool = False, begins: bool = True, to_end: bool = False) -> list[Went]:
+    def go_on(self, *, new: bool = False, begins: bool = True) -> list[Went]:
         """Close windows for as long as there is time; gives what was done.
 
         ``new``: only of units that have had no turn yet: most are done with one. Not ``begins``:
-        only those that are half done; ``to_end``: until they have closed, however long that takes.
+        only those that are half done.
         """
         assert self.turns is not None
         done: list[Went] = []
         for unit in tuple(self._new) if new else self.units:
-            if (begins or unit.is_within) and (to_end or unit.is_ready):
-                done += unit.go_on(self.turns, to_end=to_end)
+            if (begins or unit.is_within) and unit.is_ready:
+                done += unit.go_on(self.turns, begins=begins)
                 self._had_its_turn(unit)
-            if self.turns.is_over and not to_end:
+            if self.turns.is_over:
                 break
         return done
+
+    def finish(self) -> None:
+        """Close the windows that are half done, however long that takes. What they give is told,
+        and counts as done, when it is the turn of their units."""
+        for unit in self.units:
+            unit.finish_window()
 
     def again(self, done: Iterable[Went]) -> None:
         """Do what `go_on` did. Raises ``ValueError`` where there is no such thing to do."""

@@ -394,11 +394,9 @@ class Engine:
             self._counted = now
             self._count_subscribers()
 
-    def go_on(
-        self, *, new: bool = False, begins: bool = True, to_end: bool = False
-    ) -> tuple[Went, ...]:
+    def go_on(self, *, new: bool = False, begins: bool = True) -> tuple[Went, ...]:
         """Close windows of units that are behind, see `Behind.go_on`; what was done."""
-        done = tuple(self.behind.go_on(new=new, begins=begins, to_end=to_end))
+        done = tuple(self.behind.go_on(new=new, begins=begins))
         if done:
             self._settle()
             self._collect()

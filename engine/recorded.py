@@ -208,7 +208,7 @@ class RecordedEngine:
         self._standing.note(command, found)
         return found
 
-    def go_on(self, *, new: bool = False, begins: bool = True, to_end: bool = False) -> None:
+    def go_on(self, *, new: bool = False, begins: bool = True) -> None:
         """Close windows of units that are behind, see `Behind.go_on`, and write down which.
 
         Raises `JournalFull` and `JournalBroken`: nothing is done then.
@@ -218,7 +218,7 @@ class RecordedEngine:
         try:
             self.log.check_room(_WINDOWS)
             with self.log.entry(written(GoOn())) as entry:
-                done = self.engine.go_on(new=new, begins=begins, to_end=to_end)
+                done = self.engine.go_on(new=new, begins=begins)
                 entry.payload = written(GoOn(done)) if done else b""
         except JournalError:
             raise

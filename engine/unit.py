@@ -475,6 +475,7 @@ class WindowUnit(ComputationalUnit):
         self._put_by: deque[tuple[str, tuple[Any, ...]]] = deque()
         """What inputs have said since the unit is behind."""
         self._task: Task | None = None
+        self._error: Exception | None = None
         self._is_behind = False
         self._spent = 0.0
         """Seconds that its windows took since it fell behind."""
@@ -608,12 +609,11 @@ class WindowUnit(ComputationalUnit):
         """Whether it can go on now."""
         return self._task is None or self._task.is_ready
 
-    def go_on(self, turns: Turns, *, to_end: bool = False) -> list[Went]:
+    def go_on(self, turns: Turns, *, begins: bool = True) -> list[Went]:
         """Close windows for as long as ``turns`` has time, tell their results, and take what was
-        put by; gives what was done. ``to_end``: until the window that is half done has closed.
-        """
+        put by; gives what was done. Not ``begins``: none but the one that is half done."""
         done: list[Went] = []
-        self._guarded(lambda: self._go_on(turns, done, to_end=to_end))
+        self._guarded(lambda: self._go_on(turns, done, begins=begins))
         self._catch_up()
         return done
 
@@ -624,16 +624,31 @@ class WindowUnit(ComputationalUnit):
 
     def between_windows(self, change: Callable[[], T]) -> T:
         """Do what changes the evaluator from without: not in the middle of a window."""
-        if self._task is not None:
-            # Its result is told in the unit's next turn, as if it had closed there.
-            self._task.go_on(to_end=True)
+        self.finish_window()
         return change()
 
-    def _go_on(self, turns: Turns, done: list[Went], *, to_end: bool) -> None:
+    def finish_window(self) -> None:
+        """Close the window that is half done, however long that takes; what it gives is told in the
+        unit's next turn, and what it raises, too."""
+        if self._task is None:
+            return
+        task, self._task = self._task, None
+        before = task.spent
+        try:
+            task.go_on(to_end=True)
+        except Exception as error:  # noqa: BLE001  raised in its turn
+            self._error = error
+        self._spent += task.spent - before
+
+    def _go_on(self, turns: Turns, done: list[Went], *, begins: bool) -> None:
         task = self._task or turns.begin(self.evaluator.close_next)
         before, is_done = task.spent, True
+        if not begins or self._spent > turns.most:
+            task.end()
         try:
-            is_done = task.go_on(to_end=to_end)
+            if self._error is not None:
+                raise self._error
+            is_done = task.go_on()
         finally:
             # Those before one that fails have closed nevertheless.
             self._task = None if is_done else task
@@ -641,11 +656,10 @@ class WindowUnit(ComputationalUnit):
             done += self._went()
             self.emit(self.evaluator.taken())
         self.judge()
-        if self._spent > turns.most:
+        if is_done and self._spent > turns.most and self.evaluator.is_due:
             text = f"its windows took {self._spent:.0f} s, and more of them wait"
-            if self.evaluator.is_due:
-                done.append(Went(self.name, 0, text))
-                raise Overwhelmed(text)
+            done.append(Went(self.name, 0, text))
+            raise Overwhelmed(text)
 
     def _went(self) -> list[Went]:
         """The windows that have closed since this was asked last; one that was stopped is the last
@@ -692,10 +706,8 @@ class WindowUnit(ComputationalUnit):
             self.behind.left(self)
 
     def _leave_inputs(self) -> None:
-        if self._task is not None:
-            # Whoever has left it half done would wait for its thread for ever.
-            task, self._task = self._task, None
-            task.go_on(to_end=True)
+        # Else its thread would wait for ever.
+        self.finish_window()
         self._put_by.clear()
         self._is_behind = False
         self.behind.left(self)

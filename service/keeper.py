@@ -134,9 +134,9 @@ class Keeper:
 
     def do(self, command: Command, known: ReadAlready | None = None) -> Any:
         """Do ``command``; see `RecordedEngine.do`. What it makes due is done in part."""
-        if self._engine.behind.is_within and not isinstance(command, ANYTIME):
+        if not isinstance(command, ANYTIME):
             # Whoever can wait has (`quiet`).
-            self._go_on(0.0, begins=False, to_end=True)
+            self._engine.behind.finish()
         found = self._done(command, known)
         behind = self._engine.behind
         if behind.has_new and not self._holding:
@@ -155,17 +155,15 @@ class Keeper:
         with self._recording():
             return self._recorded.do(command, known)
 
-    def _go_on(
-        self, seconds: float, *, new: bool = False, begins: bool = True, to_end: bool = False
-    ) -> None:
+    def _go_on(self, seconds: float, *, new: bool = False, begins: bool = True) -> None:
         """Close windows for so long. Raises `JournalError`: none is closed then."""
         assert self._pausing is not None
         self._pausing.allow(seconds)
         if self._recorded is None:
-            self._engine.go_on(new=new, begins=begins, to_end=to_end)
+            self._engine.go_on(new=new, begins=begins)
             return
         with self._recording():
-            self._recorded.go_on(new=new, begins=begins, to_end=to_end)
+            self._recorded.go_on(new=new, begins=begins)
 
     @contextmanager
     def _recording(self) -> Iterator[None]:
@@ -189,7 +187,8 @@ class Keeper:
         loop = asyncio.get_running_loop()
 
         def wake() -> None:
-            loop.call_soon_threadsafe(self._woken.set)
+            with suppress(RuntimeError):  # the loop has come to its end
+                loop.call_soon_threadsafe(self._woken.set)
 
         self._pausing.on_ready = wake
         behind = self._engine.behind
@@ -218,6 +217,10 @@ class Keeper:
         self._holding += 1
         try:
             while self._engine.behind.is_within:
+                if JOURNAL in self._troubles:
+                    # No window is told of before there is room.
+                    self._engine.behind.finish()
+                    return
                 await asyncio.sleep(0.001)
         finally:
             self._holding -= 1
@@ -402,8 +405,7 @@ class Keeper:
         if self._catching_up is not None:
             self._catching_up.cancel()
         if self._pausing is not None:
-            with suppress(JournalError):  # told; then the state is not ahead of the log
-                self._go_on(0.0, begins=False, to_end=True)
+            self._engine.behind.finish()
             self._pausing.close()
         self._thread.shutdown()
         if self._recorded is not None:

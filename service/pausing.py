@@ -139,11 +139,13 @@ class _Task:
         """Whether the turn was taken while it was apart: then it waits for it."""
         self._is_ready = threading.Event()
         self._is_ready.set()
-        self._to_end = False
+        self._to_end = self._is_last = False
         self._is_done = False
         self._error: BaseException | None = None
-        self._began = 0.0
-        """Processor time of the thread when the present window began."""
+        self._begun = self._began = 0.0
+        """Processor time of the thread when the first and the present window began."""
+        self._waited = 0.0
+        """Seconds that it did nothing itself while it was apart."""
         self.spent = 0.0
         """See `engine.behind.Task`."""
 
@@ -152,16 +154,18 @@ class _Task:
         """See `engine.behind.Task`."""
         return self._is_ready.is_set()
 
+    def end(self) -> None:
+        """See `engine.behind.Task`."""
+        self._is_last = True
+
     def go_on(self, *, to_end: bool = False) -> bool:
         """See `engine.behind.Task`."""
         self._to_end |= to_end
-        while True:
+        while not self._is_done:
             if to_end:
                 self._is_ready.wait()
             self._hand_over()
-            if self._is_done:
-                break
-            if not to_end:
+            if not self._is_done and not to_end:
                 return False
         if self._error is not None:
             raise self._error
@@ -188,15 +192,17 @@ class _Task:
 
     def work(self) -> None:
         """Close windows until there are no more, or the time is over."""
-        begun = time.thread_time()
+        self._begun = time.thread_time()
         try:
             while True:
                 self._began = time.thread_time()
-                if not self._close_next() or self._to_end or self._pausing.is_over:
+                found = self._close_next()
+                self._count()
+                if not found or self._to_end or self._is_last or self._pausing.is_over:
                     break
         except BaseException as error:  # noqa: BLE001  raised where it is waited for
             self._error = error
-        self.spent = time.thread_time() - begun
+        self._count()
         self._is_done = True
 
     def breathe(self) -> None:
@@ -204,16 +210,20 @@ class _Task:
         if self._is_apart:
             return
         self._pausing.check(time.thread_time() - self._began)
+        self._count()
         if self._pausing.is_over and not self._to_end:
             self._wait_for_turn()
 
     @contextmanager
     def apart(self) -> Iterator[None]:
         """See `Pauses`."""
+        wall, own = time.monotonic(), time.thread_time()
         self._is_apart = True
         try:
             yield
         finally:
+            own = time.thread_time() - own
+            self._waited += max(0.0, time.monotonic() - wall - own)
             with self._lock:
                 self._is_apart = False
                 was_left, self._is_left = self._is_left, False
@@ -223,6 +233,9 @@ class _Task:
                 assert self._thread is not None
                 self._thread.turn.acquire()
         self.breathe()
+
+    def _count(self) -> None:
+        self.spent = time.thread_time() - self._begun + self._waited
 
     def _wait_for_turn(self) -> None:
         assert self._thread is not None

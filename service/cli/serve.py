@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -87,6 +88,8 @@ def serve(
             "choose another --port",
         ) from error
     raise_limit()
+    # What works beside the event loop has the interpreter for so long before the loop may go on.
+    sys.setswitchinterval(0.001)
     watchdog = Watchdog()
     token = known.issue("flights", Scope.ADMIN) if flights and known.required else ""
     windows = Windows(settings)

@@ -22,7 +22,7 @@ WORKERS: Final = 2
 """So many questions about windows are answered at once."""
 AGAIN: Final = 10
 WINDOW_BYTES: Final = 8 * MEBIBYTE
-"""Text that Oxigraph may answer about a window."""
+"""Text that Oxigraph may answer about a window, and that GROUP_CONCAT may put together."""
 _AGAIN: Final = 5.0
 """Seconds until workers that could not be started are tried again."""
 
@@ -42,7 +42,9 @@ class Windows:
             self.pool, AGAIN * self._deadline, settings.query_results, WINDOW_BYTES
         )
         self.turns = Pausing(settings.query_seconds, settings.query_behind)
-        self.budget = Budget(settings.query_rows, settings.query_results, self._asking, self.turns)
+        self.budget = Budget(
+            settings.query_rows, settings.query_results, WINDOW_BYTES, self._asking, self.turns
+        )
 
     def begin(self) -> None:
         """What was done before is done again: from now on deadlines hold."""

@@ -98,3 +98,24 @@ def test_three_windows_in_a_row() -> None:
     assert [end // SECOND for end, _ in told] == [1]
     assert len(overruns) == OVERRUNS
     assert "3 windows in a row" in quarantine
+
+
+def test_texts_that_are_put_together_count_by_their_characters() -> None:
+    body = "?a dyknow:speed ?b"
+    text = SOURCE.replace("?a ?c", "(GROUP_CONCAT(STR(?a); SEPARATOR=', ') AS ?all)") % body
+    dictionary = TermDictionary()
+    size = len(f"{DYKNOW}o0, ")
+    for least, fits in ((3 * size, True), (3 * size - 1, False)):
+        evaluator = ContinuousEvaluator(
+            parse_query(text), dictionary, Background(), ["s"], budget=Budget(text=least)
+        )
+        rows = [(1 + i, NamedNode(f"{DYKNOW}o{i}"), SPEED, Literal(i)) for i in range(3)]
+        evaluator.push("s", from_terms(rows, dictionary))
+        results = evaluator.end("s")
+        assert bool(results) is fits
+        told = [each.reason for each in evaluator.overruns]
+        assert told == (
+            []
+            if fits
+            else [f"GROUP_CONCAT makes {3 * size} characters of a window, at most {least} may be"]
+        )

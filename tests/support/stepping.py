@@ -38,12 +38,16 @@ class _Steps:
         self.spent = 0.0
         self._steps = steps
         self._close_next = close_next
+        self._is_last = False
+
+    def end(self) -> None:
+        self._is_last = True
 
     def go_on(self, *, to_end: bool = False) -> bool:
         while self._close_next():
             self.spent += 1
             self._steps.closed()
-            if self._steps.is_over:
+            if self._steps.is_over or self._is_last:
                 break
         return True
 
