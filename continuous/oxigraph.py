@@ -52,7 +52,8 @@ class OxigraphWindows:
     Cost a window: a Python object a triple of the window and of the static triples that the query
     can touch (chosen once a version of the background), then Oxigraph's; under bag semantics a
     look-up a triple more, and twice the store where triples are equal. Memory: one such store.
-    Raises ``ValueError`` for a text that Oxigraph does not take.
+    Raises ``ValueError`` for a text that Oxigraph does not take. Blank nodes that the query makes
+    are called by ``seed`` and the window.
     """
 
     def __init__(
@@ -64,6 +65,7 @@ class OxigraphWindows:
         graphs: Graphs | None = None,
         *,
         distinct: bool,
+        seed: str = "",
     ) -> None:
         _parsed(sparql)
         self.graphs = graphs or Graphs()
@@ -72,7 +74,9 @@ class OxigraphWindows:
         self.static = static
         self.terms = terms
         self.predicates, self.classes = named(algebra)
-        self._label = f"q{hashlib.blake2b(self.sparql.encode(), digest_size=4).hexdigest()}"
+        self._label = (
+            f"q{hashlib.blake2b(f'{self.sparql} {seed}'.encode(), digest_size=8).hexdigest()}"
+        )
         self._version: int | None = None
         self._quads: dict[Quad, None] = {}
         self._kept = NOTHING

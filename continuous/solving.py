@@ -90,6 +90,9 @@ class Solver:
         self.static = static
         self.terms = static.terms
         reading = Reading.of(query, windows.schedule)
+        bound = sorted((variable.value, str(term)) for variable, term in query.bindings.items())
+        # With its name, streams and windows: another query draws other values.
+        self._seed = f"{query.source} {bound}"
         self.oxigraph = OxigraphWindows(
             reading.sparql,
             reading.tree,
@@ -97,9 +100,8 @@ class Solver:
             self.terms,
             reading.graphs,
             distinct=windows.options.semantics == "set",
+            seed=self._seed,
         )
-        bound = sorted((variable.value, str(term)) for variable, term in query.bindings.items())
-        self._seed = f"{reading.sparql} {bound}"
         self._difference: Difference | None = None
         if windows.differs:
             self._difference = Difference(query.operator, self.terms)

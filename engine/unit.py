@@ -656,7 +656,8 @@ class WindowUnit(ComputationalUnit):
             done += self._went()
             self.emit(self.evaluator.taken())
         self.judge()
-        if is_done and self._spent > turns.most and self.evaluator.is_due:
+        # What waits for it may be one window now, and one with each message that was put by.
+        if is_done and self._spent > turns.most and (self.evaluator.is_due or self._put_by):
             text = f"its windows took {self._spent:.0f} s, and more of them wait"
             done.append(Went(self.name, 0, text))
             raise Overwhelmed(text)

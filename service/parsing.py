@@ -30,7 +30,7 @@ MOST_DECLARATIONS: Final = 128
 MOST_CONTENTS: Final = 256
 """Features that streams contain, of one request in JSON: what SSL can say in its words."""
 # Its end is matched, too: else a comment there would be looked into.
-_WORD: Final = re.compile(r"""(?:\s+|\#[^\n]*|//[^\n]*)*+(?:"[^"\n]*+"|\w+|[^\w\s]|\Z)""")
+_WORD: Final = re.compile(r"""(?:\s+|\#[^\n\r]*|//[^\n\r]*)*+("[^"\n]*+"|\w+|[^\w\s]|\Z)""")
 _QUERIES = anyio.CapacityLimiter(1)
 """Their parser works one text at a time anyway."""
 _DECLARATIONS = anyio.CapacityLimiter(1)
@@ -87,6 +87,7 @@ def parse_registration(text: str) -> None:
 
 
 def _check_words(text: str) -> None:
-    for number, _ in enumerate(_WORD.finditer(text)):
+    words = (found for found in _WORD.finditer(text) if found[1])
+    for number, _ in enumerate(words, 1):
         if number > MOST_WORDS:
             raise too_long(f"{MOST_WORDS} words and signs")

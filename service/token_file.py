@@ -73,7 +73,9 @@ class TokenFile:
             fresh = await anyio.to_thread.run_sync(Tokens.of, self._settings)
         except TokensError as error:
             self._told("refused")
-            log().error("tokens not taken, the old ones hold", reason=error.message)
+            log().error(
+                "tokens not taken, the old ones hold", reason=error.message, hint=error.hint
+            )
             return None
         self._tokens.replace(fresh)
         self._told("taken")

@@ -58,18 +58,20 @@ class Caller:
 
 @dataclass(frozen=True, slots=True)
 class Stamp:
-    """What tells a file from what it was: another place, size, or time (ns) of its last change."""
+    """What tells a file from what it was: another place, size, or time (ns) of its last change, of
+    what is in it or of who may read it."""
 
     place: int
     size: int
     changed: int
+    marked: int
 
     @classmethod
     def of(cls, status: os.stat_result) -> Stamp | None:
         """None for what is no file that could be read again: a pipe."""
         if not stat.S_ISREG(status.st_mode):
             return None
-        return cls(status.st_ino, status.st_size, status.st_mtime_ns)
+        return cls(status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns)
 
 
 class TokensError(Exception):

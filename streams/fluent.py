@@ -144,15 +144,16 @@ class FluentStream:
         self._first = self._next = first
         self.append(batch)
 
-    def forget_texts(self) -> bool:
+    def forget_texts(self, held: int = 0) -> bool:
         """Give text fields new pools, without the texts that no kept sample has, where most are of
-        that kind; whether there was one. Contract: nobody has codes of this stream but in batches.
+        that kind; whether there was one. ``held``: so many samples elsewhere have texts of it, too.
+        Contract: nobody has codes of this stream but in batches.
 
         Cost: O(1), and O(kept samples) once for as many new texts.
         """
         found = False
         for name, pool in self.pools.items():
-            if len(pool) <= max(_TEXTS, _SHARE * len(self)):
+            if len(pool) <= max(_TEXTS, _SHARE * (len(self) + held)):
                 continue
             found = True
             self.pools[name] = StringPool()

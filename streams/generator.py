@@ -422,7 +422,8 @@ class StreamGenerator:
 
     def _forget_texts(self) -> None:
         """Texts that nothing kept or held back has. Contract: no receiver knows codes."""
-        if self.stream.forget_texts() and self._pending is not None:
+        held = 0 if self._pending is None else len(self._pending)
+        if self.stream.forget_texts(held) and self._pending is not None:
             self._pending = self.stream.encoded(self._pending)
 
     def _announce(self, watermark: int) -> None:

@@ -135,7 +135,9 @@ class Pool:
             is_alive = worker.is_alive
             if not is_alive:
                 self.ends[worker.end or End.CRASH] += 1
-            stays = is_alive and not self._closed and worker.jobs < MOST_JOBS
+            # While all were started beside those who asked, there may be more than there are to be.
+            is_wanted = len(self._idle) + len(self._working) < self.count
+            stays = is_alive and is_wanted and not self._closed and worker.jobs < MOST_JOBS
             if stays:
                 self._idle.append(worker)
         if not stays:

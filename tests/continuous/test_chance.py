@@ -43,6 +43,28 @@ def test_two_calls_of_a_row_and_two_queries_draw_apart():
     assert 0.3 < sum(float(each.value) for each in values) / len(values) < 0.7
 
 
+@pytest.mark.parametrize("call", ["UUID()", "BNODE()"])
+@pytest.mark.parametrize(
+    "other",
+    [
+        "FROM STREAM <urn:s> [RANGE 3s STEP 1s]",
+        "FROM STREAM <urn:t> [RANGE 2s STEP 1s]",
+        "REGISTER QUERY q AS",
+    ],
+)
+def test_queries_of_other_windows_streams_or_names_draw_apart(call, other):
+    body = f"SELECT ?o ({call} AS ?x) {{}} WHERE {{{{ ?o <urn:p> ?v }}}}"
+    query = body.format(HEAD)
+    another = f"{other} {query}" if "REGISTER" in other else body.format(other)
+    made = []
+    for text in (query, another):
+        stream = "urn:t" if "<urn:t>" in text else "urn:s"
+        found = dyknow.evaluate(text, streams={stream: TRIPLES})
+        made.append({row["x"] for window in found for row in window.solutions})
+    assert made[0]
+    assert made[0].isdisjoint(made[1])
+
+
 def test_rand_in_a_filter_draws_for_each_row():
     query = f"SELECT ?o {HEAD} WHERE {{ ?o <urn:p> ?v FILTER (RAND() < 0.5) }}"
     counts = [len(rows) for _, rows in windows(query)]

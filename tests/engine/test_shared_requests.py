@@ -290,3 +290,14 @@ def test_an_answer_is_idle_with_all_that_it_is_made_of(shared):
     assert shared.stream(late_comer.stream).is_idle
     say(shared, "slow", 2, clock=7)
     assert not any(shared.stream(view.stream).is_idle for view in (*views, late_comer))
+
+
+def test_a_request_that_nobody_follows_is_as_far_as_its_template(shared):
+    """Its own stream is promised nothing while it has no results."""
+    for threshold in (100, 110, 120):
+        ask(shared, "?o", threshold)
+    fly(shared, 50, a=150)
+    fly(shared, 50, since=100, a=1)
+    lags = {unit.transformation: unit.lag for unit in shared.units()}
+    assert lags.keys() == {"cSparql", "selectInstance"}
+    assert all(lag is not None and lag <= SECOND for lag in lags.values()), lags

@@ -270,27 +270,6 @@ def test_a_unit_is_behind_what_was_published_to_it(
         assert 0 <= lag <= 1
 
 
-def test_a_request_that_nobody_follows_is_as_far_as_its_template(
-    engine: Engine, settings: Settings, clock: Clock
-) -> None:
-    with serving(engine, settings, clock) as (_, http):
-        http.put("/streams/s5", json={"fields": {"id": "string", "v": "float"}})
-        http.post("/annotations", content="stream s5 contains speed(UAV) = v for every UAV = id")
-        template = (Path(__file__).parents[2] / "templates/library/high_speed.rq").read_text()
-        text = {"Content-Type": "text/plain"}
-        http.post("/templates", content=template, headers=text).raise_for_status()
-        for limit in (100, 200):
-            event = f"dyknow:HighSpeedEvent(?o, dyknow:UAV, {limit})"
-            http.post("/events", content=event, headers=text).raise_for_status()
-        for last in (clock() - 100 * SECOND, clock()):
-            body = samples(50, last, lambda i: {"id": "a", "v": 1.0})
-            http.post("/streams/s5/samples", content=body, headers=LINES).raise_for_status()
-        found = scraped(http)
-        lags = found["dyknow_unit_lag_seconds"]
-        assert lags.keys() == found["dyknow_unit_windows_total"].keys()
-        assert all(lag <= 5 for lag in lags.values()), lags
-
-
 # -- the data directory --------------------------------------------------------------------------
 
 

@@ -329,6 +329,63 @@ def test_a_unit_that_cannot_keep_up_is_cut_off_alone() -> None:
         assert (beside["state"], beside["windows"]) == ("running", 11)
 
 
+def test_a_unit_that_cannot_keep_up_with_a_live_stream_is_cut_off() -> None:
+    """Each batch makes one window due: what waits is mostly what was put by."""
+
+    def work() -> None:
+        for _ in range(3):
+            end = time.thread_time() + 0.004
+            while time.thread_time() < end:
+                pass
+            pausing.breathe()
+
+    pausing = Pausing(5, 0.3)
+    engine = engine_with(QUERIES[1], pausing)
+    (unit,) = engine.units()
+    closed = unit.evaluator._closed  # type: ignore[attr-defined]
+
+    def slow(end: int, reports: bool) -> bool:
+        work()
+        return bool(closed(end, reports))
+
+    unit.evaluator._closed = slow  # type: ignore[attr-defined]
+    for second in range(1, 400):
+        Publish("s", "ndjson", batch(second, 1), second * SECOND).apply(engine)
+        pausing.allow(0)
+        engine.go_on()
+        if unit.failure is not None:
+            break
+    assert unit.failure is not None
+    assert unit.failure.startswith("Overwhelmed")
+    assert second > 15
+    assert not engine.behind
+    pausing.close()
+
+
+def test_what_fails_while_the_unit_is_changed_is_told_in_its_turn() -> None:
+    pausing = patient()
+    engine = engine_with(QUERIES[1], pausing)
+    (unit,) = engine.units()
+
+    def fails(end: int, reports: bool) -> bool:
+        pausing.breathe()
+        raise ArithmeticError("no")
+
+    unit.evaluator._closed = fails  # type: ignore[attr-defined]
+    for second in range(1, 3):
+        Publish("s", "ndjson", batch(second, 1), second * SECOND).apply(engine)
+    pausing.allow(0)
+    engine.go_on()
+    assert engine.behind.is_within
+    engine.behind.finish()
+    assert not engine.behind.is_within
+    assert unit.failure is None
+    engine.go_on()
+    assert unit.failure == "ArithmeticError: no"
+    assert not engine.behind
+    pausing.close()
+
+
 def test_what_is_behind_when_the_service_stops_goes_on_at_the_next_start(tmp_path: Path) -> None:
     def opened() -> RecordedEngine:
         return RecordedEngine(tmp_path, now=0, durability=Durability.WRITE, turns=patient())

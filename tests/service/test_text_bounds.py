@@ -52,6 +52,13 @@ def test_what_ssl_may_declare_in_one_text(http: httpx.Client) -> None:
     assert "words and signs" in too_long(send("stream s contains " + ", ".join(contents)))
     short = "\n".join(f"stream s{i} contains speed(uav1)=v" for i in range(MOST_DECLARATIONS + 1))
     assert f"{MOST_DECLARATIONS} declarations" in too_long(send(short))
+    # White space at the end is no word, and a comment ends with a carriage return, too.
+    text = "stream s contains " + ", ".join(contents[:-1])
+    least = MOST_WORDS - 2 - 7 * (len(contents) - 1) + 1
+    assert "words" not in send(f"{text}{' a' * (least - 1)}\n ").json()["detail"]
+    assert "words and signs" in too_long(send(f"{text}{' a' * least}"))
+    many = "stream s contains " + ", ".join(contents)
+    assert "words and signs" in too_long(send(f"#\r{many}"))
     # Comments are no words, and a word that nothing is said after is an error as before.
     assert send(SPEED.format("t") + " # and so on" * MOST_WORDS).status_code == 201
     assert send("stream").json()["line"] == 1

@@ -125,6 +125,22 @@ def test_a_file_that_cannot_be_used_changes_nothing(
         until(lambda: may(http, OTHER) == 200)
 
 
+def test_a_file_that_others_could_read_is_taken_once_they_cannot(
+    service: tuple[Service, httpx.Client], path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    _, http = service
+    with caplog.at_level(logging.INFO, LOG_NAME):
+        new = path.with_suffix(".new")
+        new.write_text(f"admin me {ADMIN}\nread other {OTHER}")
+        new.chmod(0o644)
+        new.replace(path)
+        until(lambda: reloads(http, "refused") == 1)
+        (line,) = (record for record in caplog.records if "not taken" in str(record.msg))
+        assert "chmod 600" in str(line.msg)
+        path.chmod(0o600)
+        until(lambda: may(http, OTHER) == 200)
+
+
 def test_a_file_that_is_being_written_is_waited_for(
     service: tuple[Service, httpx.Client], path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
