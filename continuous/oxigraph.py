@@ -119,7 +119,7 @@ class OxigraphWindows:
             sparql = self.counting
         merged = (bool(copies) or (again and not self.distinct)) and self.counting is None
         budget = self.terms.budget
-        with budget.pauses.apart():
+        with budget.pauses.apart(waits=True):
             found = budget.asking.ask(_at_time(sparql, end), self._kept, asked)
         found = self._named_again(found, end, asked)
         return replace(self._read(found, start, end), merged=merged)

@@ -17,9 +17,10 @@ class Pauses(Protocol):
         """Others may go on here, and this later. Raises `budget.Stopped` where it has taken too
         long, or is not wanted any more."""
 
-    def apart(self) -> AbstractContextManager[None]:
+    def apart(self, *, waits: bool = False) -> AbstractContextManager[None]:
         """What is done within touches nothing but what is its own: others may go on meanwhile, and
-        what comes after it waits for its turn. Raises at its end as `breathe` does."""
+        what comes after it waits for its turn. ``waits``: it is another process that does it.
+        Raises at its end as `breathe` does."""
 
 
 class Straight:
@@ -28,7 +29,7 @@ class Straight:
     def breathe(self) -> None:
         return
 
-    def apart(self) -> AbstractContextManager[None]:
+    def apart(self, *, waits: bool = False) -> AbstractContextManager[None]:
         return _ALWAYS
 
 

@@ -12,6 +12,7 @@ did, and `again` does that once more.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from itertools import groupby
 from typing import TYPE_CHECKING, Protocol
 
 import msgspec
@@ -99,7 +100,7 @@ class Behind:
 
     @property
     def is_within(self) -> bool:
-        """Whether a window is half done."""
+        """Whether a window is half done, or what it gave is not told."""
         return any(unit.is_within for unit in self._units)
 
     @property
@@ -131,7 +132,7 @@ class Behind:
             if (begins or unit.is_within) and unit.is_ready:
                 done += unit.go_on(self.turns, begins=begins)
                 self._had_its_turn(unit)
-            if self.turns.is_over:
+            if begins and self.turns.is_over:
                 break
         return done
 
@@ -143,11 +144,11 @@ class Behind:
 
     def again(self, done: Iterable[Went]) -> None:
         """Do what `go_on` did. Raises ``ValueError`` where there is no such thing to do."""
-        for each in done:
-            unit = next((one for one in self._units if one.name == each.unit), None)
+        for name, turn in groupby(done, lambda each: each.unit):
+            unit = next((one for one in self._units if one.name == name), None)
             if unit is None:
-                raise ValueError(f"{each.unit} is not behind")
-            unit.again(each)
+                raise ValueError(f"{name} is not behind")
+            unit.again(tuple(turn))
             self._had_its_turn(unit)
 
     def _had_its_turn(self, unit: WindowUnit) -> None:

@@ -601,8 +601,12 @@ class WindowUnit(ComputationalUnit):
 
     @property
     def is_within(self) -> bool:
-        """Whether a window is half done."""
-        return self._task is not None
+        """Whether a window is half done, or what it gave is not told."""
+        return (
+            self._task is not None
+            or self.evaluator.closed > self._told
+            or (self._error is not None and self.failure is None)
+        )
 
     @property
     def is_ready(self) -> bool:
@@ -617,9 +621,9 @@ class WindowUnit(ComputationalUnit):
         self._catch_up()
         return done
 
-    def again(self, went: Went) -> None:
+    def again(self, turn: Sequence[Went]) -> None:
         """Do what `go_on` did."""
-        self._guarded(lambda: self._again(went))
+        self._guarded(lambda: self._again(turn))
         self._catch_up()
 
     def between_windows(self, change: Callable[[], T]) -> T:
@@ -641,18 +645,21 @@ class WindowUnit(ComputationalUnit):
         self._spent += task.spent - before
 
     def _go_on(self, turns: Turns, done: list[Went], *, begins: bool) -> None:
-        task = self._task or turns.begin(self.evaluator.close_next)
-        before, is_done = task.spent, True
-        if not begins or self._spent > turns.most:
+        task, is_done = self._task, True
+        if task is None and begins:
+            task = turns.begin(self.evaluator.close_next)
+        if task is not None and (not begins or self._spent > turns.most):
             task.end()
+        before = 0.0 if task is None else task.spent
         try:
             if self._error is not None:
                 raise self._error
-            is_done = task.go_on()
+            if task is not None:
+                is_done = task.go_on()
         finally:
             # Those before one that fails have closed nevertheless.
             self._task = None if is_done else task
-            self._spent += task.spent - before
+            self._spent += 0.0 if task is None else task.spent - before
             done += self._went()
             self.emit(self.evaluator.taken())
         self.judge()
@@ -675,17 +682,22 @@ class WindowUnit(ComputationalUnit):
             self._told = closed
         return found
 
-    def _again(self, went: Went) -> None:
-        self._told += went.windows
+    def _again(self, turn: Sequence[Went]) -> None:
         try:
-            for left in reversed(range(went.windows)):
-                if not self.evaluator.close_next("" if left else went.stopped):
-                    raise ValueError(f"{self.name} has no window to close")
+            for went in turn:
+                self._told += went.windows
+                # One that was half done at a checkpoint has closed before it, and is told now.
+                while self.evaluator.closed < self._told:
+                    is_last = self.evaluator.closed == self._told - 1
+                    if not self.evaluator.close_next(went.stopped if is_last else ""):
+                        raise ValueError(f"{self.name} has no window to close")
+            if self._error is not None:
+                raise self._error
         finally:
             self.emit(self.evaluator.taken())
         self.judge()
-        if not went.windows:
-            raise Overwhelmed(went.stopped)
+        if not turn[-1].windows:
+            raise Overwhelmed(turn[-1].stopped)
 
     def _puts_by(self, what: str, *given: Any) -> bool:
         """Whether this is for later: windows have to close before."""
@@ -696,7 +708,7 @@ class WindowUnit(ComputationalUnit):
 
     def _catch_up(self) -> None:
         """Say and take what had to wait for windows that have closed."""
-        while self.failure is None and self._task is None and not self.evaluator.is_due:
+        while self.failure is None and not self.is_within and not self.evaluator.is_due:
             self._guarded(self._tell_time)
             if not self._put_by:
                 break

@@ -127,7 +127,9 @@ class Log:
     def size(self) -> int:
         """Bytes of the files on the disk."""
         with self._lock:
-            return sum(path_of(self._folder, first).stat().st_size for first in self._firsts)
+            firsts = tuple(self._firsts)
+        # Without the lock, for which commands wait: a disk may take its time.
+        return sum(_size_of(path_of(self._folder, first)) for first in firsts)
 
     @property
     def segments(self) -> int:
@@ -326,3 +328,10 @@ def _full() -> JournalFull:
         "there is no room left on the disk of the data directory",
         "make room; the service goes on by itself",
     )
+
+
+def _size_of(path: Path) -> int:
+    try:
+        return path.stat().st_size
+    except FileNotFoundError:  # no checkpoint needs it any more
+        return 0

@@ -134,11 +134,12 @@ class Keeper:
 
     def do(self, command: Command, known: ReadAlready | None = None) -> Any:
         """Do ``command``; see `RecordedEngine.do`. What it makes due is done in part."""
-        if not isinstance(command, ANYTIME):
-            # Whoever can wait has (`quiet`).
-            self._engine.behind.finish()
-        found = self._done(command, known)
         behind = self._engine.behind
+        if behind.is_within and not isinstance(command, ANYTIME):
+            # Whoever can wait has (`quiet`). What was closed before is written down before.
+            behind.finish()
+            self._go_on(0.0, begins=False)
+        found = self._done(command, known)
         if behind.has_new and not self._holding:
             with suppress(JournalError):  # told, and tried again
                 self._go_on(FIRST, new=True)

@@ -224,7 +224,7 @@ class _UnderWay:
 
     def wake(self) -> None:
         """It need not wait any longer."""
-        if self.wait is not None:
+        if self.wait is not None and not self.wait.expired():
             self.wait.reschedule(0)
 
 

@@ -66,10 +66,10 @@ class Pausing:
         if task is not None:
             task.breathe()
 
-    def apart(self) -> AbstractContextManager[None]:
+    def apart(self, *, waits: bool = False) -> AbstractContextManager[None]:
         """See `Pauses`."""
         task: _Task | None = getattr(self._here, "task", None)
-        return _NOTHING if task is None else task.apart()
+        return _NOTHING if task is None else task.apart(waits)
 
     def close(self) -> None:
         """Let the threads go that do nothing."""
@@ -145,7 +145,7 @@ class _Task:
         self._begun = self._began = 0.0
         """Processor time of the thread when the first and the present window began."""
         self._waited = 0.0
-        """Seconds that it did nothing itself while it was apart."""
+        """Seconds that another process worked for it."""
         self.spent = 0.0
         """See `engine.behind.Task`."""
 
@@ -215,15 +215,15 @@ class _Task:
             self._wait_for_turn()
 
     @contextmanager
-    def apart(self) -> Iterator[None]:
+    def apart(self, waits: bool) -> Iterator[None]:
         """See `Pauses`."""
-        wall, own = time.monotonic(), time.thread_time()
+        begun = time.monotonic()
         self._is_apart = True
         try:
             yield
         finally:
-            own = time.thread_time() - own
-            self._waited += max(0.0, time.monotonic() - wall - own)
+            if waits:
+                self._waited += time.monotonic() - begun
             with self._lock:
                 self._is_apart = False
                 was_left, self._is_left = self._is_left, False

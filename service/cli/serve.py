@@ -182,8 +182,10 @@ def _engine(
         raise fail(f"{settings.data} cannot be used: {error}") from error
     recovery = engine.recovery
     for note in recovery.notes:
-        say(f"note: {note}")
-        log().warning("start", note=note)
+        if settings.log_json:
+            log().warning("start", note=note)
+        else:
+            say(f"note: {note}")
     say(
         f"{settings.data}: state of command {recovery.position:,}, "
         f"{recovery.replayed:,} done again since"

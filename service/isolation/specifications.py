@@ -15,8 +15,8 @@ from ...languages.specification import Specification
 from ...languages.specification.decoding import decoded
 from .elements import specification_of
 from .messages import Answer, BadAnswer, Elements, Failed, Job, Misread, ReadSpecification, TooMuch
-from .pool import Pool
-from .worker import TookTooLong, WorkerError
+from .pool import Busy, Pool
+from .worker import NoWorker, TookTooLong, WorkerError
 
 SECONDS: Final = 5.0
 """Ten times what the longest text takes."""
@@ -42,6 +42,8 @@ class IsolatedSpecifications:
         try:
             answer = await self._pool.run(lambda worker: worker.call(work, _BYTES), 2 * SECONDS)
             return await anyio.to_thread.run_sync(_read, answer, source)
+        except NoWorker as error:
+            raise Busy from error
         except (WorkerError, BadAnswer) as error:
             hint = "" if isinstance(error, TookTooLong) else "send it in several parts"
             raise LanguageError(

@@ -41,6 +41,10 @@ class WorkerError(Exception):
     end = End.CRASH
 
 
+class NoWorker(WorkerError):
+    """None starts: nothing is wrong with the job."""
+
+
 class TookTooLong(WorkerError):
     """No answer within the deadline."""
 
@@ -89,7 +93,7 @@ class Worker:
         """A new process, with ``memory`` bytes for what it is given; ready when this returns.
 
         It starts anew (no fork: this process has threads), and of the environment it gets where
-        modules are found and nothing else. Raises `WorkerError` if it does not come up.
+        modules are found and nothing else. Raises `NoWorker` if it does not come up.
         """
         environment = {
             "PYTHONPATH": os.pathsep.join(part for part in sys.path if part),
@@ -100,12 +104,12 @@ class Worker:
         try:
             process = cls._process_of(memory, environment)
         except OSError as error:  # no memory, no room for a process
-            raise WorkerError(f"a worker does not start: {error}") from error
+            raise NoWorker(f"a worker does not start: {error}") from error
         worker = cls(process, tell)
         ready = worker._guarded(lambda: worker._receive(time.monotonic() + START_DEADLINE, 16))
         if ready != b"ready":
             worker.kill()
-            raise WorkerError("a worker does not start")
+            raise NoWorker("a worker does not start")
         return worker
 
     @staticmethod

@@ -25,12 +25,16 @@ class Steps:
     def begin(self, close_next: Callable[[], bool]) -> _Steps:
         return _Steps(self, close_next)
 
+    def pauses(self) -> bool:
+        """Whether the window that is begun is half done when the turn ends."""
+        return self._random.random() < 0.2
+
     def closed(self) -> None:
         self._left -= 1
 
 
 class _Steps:
-    """Never pauses within a window."""
+    """Now and then a window is half done: it was begun, and has not closed."""
 
     is_ready = True
 
@@ -44,12 +48,17 @@ class _Steps:
         self._is_last = True
 
     def go_on(self, *, to_end: bool = False) -> bool:
-        while self._close_next():
+        # Only a window that is there can be half done.
+        is_due = self._close_next.__self__.is_due  # type: ignore[attr-defined]
+        while to_end or not (is_due and self._steps.pauses()):
+            if not self._close_next():
+                return True
             self.spent += 1
             self._steps.closed()
-            if self._steps.is_over or self._is_last:
-                break
-        return True
+            if self._steps.is_over or self._is_last or to_end:
+                return True
+            is_due = self._close_next.__self__.is_due  # type: ignore[attr-defined]
+        return False
 
 
 def caught_up(go_on: Callable[[], object], behind: object, steps: Steps) -> None:
