@@ -378,9 +378,10 @@ def test_what_fails_while_the_unit_is_changed_is_told_in_its_turn() -> None:
     engine.go_on()
     assert engine.behind.is_within
     engine.behind.finish()
-    assert not engine.behind.is_within
+    # It is not told before it is the unit's turn.
+    assert engine.behind.is_within
     assert unit.failure is None
-    engine.go_on()
+    engine.go_on(begins=False)
     assert unit.failure == "ArithmeticError: no"
     assert not engine.behind
     pausing.close()
