@@ -139,7 +139,7 @@ def test_serve_is_ready_when_its_workers_are() -> None:
                 if sample.name == "dyknow_workers"
             }
         assert workers["sparql", "idle"] == 3
-        assert workers["windows", "idle"] == 1
+        assert workers["windows", "idle"] == services.WORKERS
     finally:
         process.terminate()
         process.communicate(timeout=30)
