@@ -1,7 +1,8 @@
 """Checkpoints: states at positions of the log, whole or not there.
 
 A file is a line of JSON, that says what it is, then the state. It gets its name when all of it is
-on the disk. The newest two are kept: where one is damaged, the other and more of the log do.
+on the disk. The newest two are kept: where one is damaged, the other and more of the log do. Which
+there are stands in ``kept.json``, so that one that is gone is missed.
 """
 
 from __future__ import annotations
@@ -14,12 +15,14 @@ from typing import Final
 
 import msgspec
 
+from .directory import write_whole
 from .disk import DISK, Disk
 from .errors import JournalBroken, JournalDamaged, JournalFull, UnknownFormat
 
 FORMAT: Final = 1
 KEPT: Final = 2
 NAME: Final = ".checkpoint"
+LIST: Final = "kept.json"
 _FULL: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
@@ -72,6 +75,10 @@ class Checkpoints:
         """Of which positions there are checkpoints, newest first."""
         return positions_in(self._folder)
 
+    def gone(self) -> list[str]:
+        """Which were there and are not, for people."""
+        return gone_from(self._folder)
+
     def newest(self) -> Kept | None:
         """The newest one as a file; None where there is none. May be asked in any thread."""
         for position in self.positions():
@@ -93,6 +100,8 @@ class Checkpoints:
             self._write_part(part, checkpoint)
             self._disk.rename(part, path)
             self._disk.sync_folder(self._folder)
+            # Before the older ones go: what it names is there at any time.
+            write_list(self._folder, self._disk, self.positions()[:KEPT])
         except OSError as error:
             if part.exists():
                 self._disk.remove(part)
@@ -130,6 +139,24 @@ def positions_in(folder: Path) -> list[int]:
     """Of which positions there are checkpoints in ``folder``, newest first."""
     found = (int(path.stem) for path in folder.glob(f"*{NAME}") if path.stem.isdigit())
     return sorted(found, reverse=True)
+
+
+def write_list(folder: Path, disk: Disk, positions: list[int]) -> None:
+    """From now on checkpoints of these positions are in ``folder``. Raises ``OSError``."""
+    write_whole(disk, folder / LIST, msgspec.json.encode(positions) + b"\n")
+
+
+def gone_from(folder: Path) -> list[str]:
+    """Which checkpoints were in ``folder`` and are not, or that what says so is damaged; for
+    people. Raises ``OSError``."""
+    named = folder / LIST
+    try:
+        # None yet, or a version that wrote none.
+        known = msgspec.json.decode(named.read_bytes(), type=list[int]) if named.exists() else []
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        return [f"{LIST} of the checkpoints is damaged: {error}"]
+    missing = sorted(set(known) - set(positions_in(folder)), reverse=True)
+    return [f"the checkpoint of record {each} is missing" for each in missing]
 
 
 def encoded(checkpoint: Checkpoint) -> bytes:

@@ -5,7 +5,8 @@ cut or lost is missed.
 
 The first copy is synced, when the log is opened, closed and shortened. The second is written over
 after each commit, never before, and is not synced: it tells more, and if the power goes amid a
-write of it, the first is true as well.
+write of it, the first is true as well. Both are on the disk before the log has a file: where that
+has one, a mark that is missing, has another length, or of which neither copy is good, is damaged.
 """
 
 from __future__ import annotations
@@ -40,18 +41,47 @@ class Mark:
         return _HEAD.pack(_MAGIC, zlib.crc32(rest)) + rest
 
 
-def read_mark(folder: Path) -> Mark | None:
-    """That of the log in ``folder``; None where there is none that can be believed."""
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """What a mark's file says. ``mark``: None where nothing of it can be believed. ``fault``: what
+    of it is not as it was written, for people; None: nothing.
+
+    ``is_whole``: no write that was cut short leaves it otherwise. ``is_latest``: no later mark of
+    this log can have been lost.
+    """
+
+    mark: Mark | None
+    fault: str | None = None
+    is_whole: bool = True
+    is_latest: bool = True
+
+
+def read_mark(folder: Path) -> Reading:
+    """That of the log in ``folder``. Raises ``OSError``."""
     path = folder / NAME
-    data = path.read_bytes() if path.exists() else b""
-    found = [mark for start in (0, _SIZE) if (mark := _decoded(data[start : start + _SIZE]))]
+    if not path.exists():
+        return Reading(None, f"{NAME} is missing", is_whole=False, is_latest=False)
+    data = path.read_bytes()
+    copies = [_decoded(data[start : start + _SIZE]) for start in (0, _SIZE)]
+    found = [mark for mark in copies if mark is not None]
     if not found:
-        return None
-    return Mark(
+        fault = f"{NAME} is damaged: neither of its copies is good"
+        return Reading(None, fault, is_whole=False, is_latest=False)
+    mark = Mark(
         max(mark.first for mark in found),
         max(mark.synced for mark in found),
         max(mark.durable for mark in found),
     )
+    if len(data) != 2 * _SIZE:
+        fault = f"{NAME} is damaged: it has {len(data)} bytes instead of {2 * _SIZE}"
+        return Reading(mark, fault, is_whole=False, is_latest=False)
+    if copies[1] is None:
+        # It is the one that tells of the last commits.
+        fault = f"the second copy of {NAME} is not good, the first is used"
+        return Reading(mark, fault, is_latest=False)
+    if copies[0] is None:
+        return Reading(mark, f"the first copy of {NAME} is not good, the second is used")
+    return Reading(mark)
 
 
 def _decoded(data: bytes) -> Mark | None:
@@ -71,6 +101,8 @@ class HighWater:
         path = folder / NAME
         self._disk = disk
         self._file = disk.open(path, new=not path.exists())
+        if path.stat().st_size > 2 * _SIZE:
+            disk.cut(self._file, 2 * _SIZE)
         self._written: Mark | None = None
 
     def write(self, mark: Mark) -> None:

@@ -192,7 +192,7 @@ def test_a_missing_file_is_a_cut(data):
 
 
 def test_a_damaged_checkpoint_is_set_aside_and_nothing_is_lost(data):
-    newest = max((data / "checkpoints").iterdir())
+    newest = max((data / "checkpoints").glob("*.checkpoint"))
     flip(newest, 500)
     found = checked(data, status=1)
     assert found["checkpoints"][0]["damage"]
@@ -419,7 +419,7 @@ def test_a_module_that_cannot_be_kept_or_is_gone_is_told_everywhere(tmp_path):
         assert [each["transformation"] for each in told] == ["Holding"]
         assert "self.lock is a lock" in told[0]["specification"]
         assert any("self.lock" in line for line in serving.lines)
-        assert http.get("/readyz").status_code == 200
+        assert http.get("/readyz").status_code == 200, http.get("/readyz").text
     finally:
         serving.kill()
     checked = run_anew("check", data)
