@@ -142,6 +142,7 @@ def test_after_a_kill_amid_any_call_all_that_was_committed_is_there(
         run.disk = SimulatedDisk()
         run.open()
         assert run.log.lost == 0
+        assert run.log.doubt is None
         run.check(run.log)
         run.log.close()
 

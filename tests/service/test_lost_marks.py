@@ -85,7 +85,7 @@ def shown(recorded):
 
 
 @pytest.mark.parametrize("also_cut", [0, 3])
-@pytest.mark.parametrize("how", ["delete", "empty", "shorter", "longer", "both copies"])
+@pytest.mark.parametrize("how", ["delete", "empty", "shorter", "longer", "all copies"])
 def test_a_mark_that_no_loss_of_power_leaves_so_is_refused_and_repaired(data, how, also_cut):
     epoch, _ = shown(opened(data))
     whole = (data / MARK).read_bytes()
@@ -93,8 +93,8 @@ def test_a_mark_that_no_loss_of_power_leaves_so_is_refused_and_repaired(data, ho
         cut(data, also_cut)
     if how == "delete":
         (data / MARK).unlink()
-    elif how == "both copies":
-        zero(data, 5, 60)
+    elif how == "all copies":
+        zero(data, 5, 80)
     else:
         parts = {"empty": b"", "shorter": whole[:60], "longer": whole + b"\0"}
         (data / MARK).write_bytes(parts[how])
@@ -115,20 +115,20 @@ def test_a_mark_that_no_loss_of_power_leaves_so_is_refused_and_repaired(data, ho
 
 @pytest.mark.parametrize("also_cut", [0, 3])
 def test_where_the_last_commits_are_not_told_of_ids_begin_anew(data, also_cut):
-    """A write that was cut short may leave the second copy so: no start is refused for it."""
+    """A loss of power may leave the later copies so: no start is refused for it."""
     epoch, _ = shown(opened(data))
-    zero(data, COPY, 2 * COPY)
+    zero(data, COPY, 3 * COPY)
     if also_cut:
         cut(data, also_cut)
         with pytest.raises(JournalDamaged, match="records up to 12"):
             opened(data)
         # As it is where the last run was killed: the first copy is of its start.
-        (data / MARK).write_bytes(Mark(1, 6, 6).encoded() + bytes(COPY))
+        (data / MARK).write_bytes(Mark(1, 6, 6).encoded() + bytes(2 * COPY))
     found = checked(data)
-    assert "second copy" in found["damage"][0]
+    assert "only the first copy" in found["damage"][0]
     assert "ids of events begin anew" in found["start"]
     recorded = opened(data)
-    assert any("second copy" in note for note in recorded.recovery.notes)
+    assert any("only the first copy" in note for note in recorded.recovery.notes)
     anew, numbers = shown(recorded)
     assert anew != epoch
     assert numbers == list(range(1, 11 - also_cut))
@@ -141,7 +141,7 @@ def test_a_start_that_is_killed_before_ids_begin_anew_is_followed_by_one_that_do
     epoch, _ = shown(opened(data))
     damaged = data / MARK
     for calls in range(1, 60):
-        zero(data, COPY, 2 * COPY)
+        zero(data, COPY, 3 * COPY)
         disk = SimulatedDisk()
         disk.stop_after = calls
         try:
@@ -151,7 +151,7 @@ def test_a_start_that_is_killed_before_ids_begin_anew_is_followed_by_one_that_do
         else:
             assert shown(recorded)[0] != epoch
             break
-        if damaged.read_bytes()[COPY:] == bytes(COPY):
+        if damaged.read_bytes()[COPY:] == bytes(2 * COPY):
             continue  # It had not come so far.
         anew, _ = shown(opened(data))
         assert anew != epoch, calls
@@ -160,14 +160,33 @@ def test_a_start_that_is_killed_before_ids_begin_anew_is_followed_by_one_that_do
         pytest.fail("it does not end")
 
 
-def test_the_copy_that_is_older_is_not_missed_and_told(data):
+@pytest.mark.parametrize(("which", "name"), [(0, "first"), (1, "second"), (2, "third")])
+def test_of_three_copies_one_is_not_missed_and_told(data, which, name):
     epoch, numbers = shown(opened(data))
-    zero(data, 0, COPY)
-    assert "first copy" in checked(data)["damage"][0]
+    zero(data, which * COPY, (which + 1) * COPY)
+    assert f"the {name} copy" in checked(data)["damage"][0]
+    damaged = shutil.copytree(data, data.parent / "damaged")
+    cut(damaged, 1)
+    with pytest.raises(JournalDamaged, match="records up to 12"):
+        opened(damaged)
     recorded = opened(data)
-    assert any("first copy" in note for note in recorded.recovery.notes)
+    assert any(f"the {name} copy" in note for note in recorded.recovery.notes)
     assert shown(recorded) == (epoch, numbers)
     checked(data, status=0)
+
+
+def test_a_mark_of_an_earlier_version_is_read_and_made_longer(data):
+    """It had two copies; a process may be killed while the third is added."""
+    epoch, numbers = shown(opened(data))
+    earlier = Mark(1, 12, 12).encoded().replace(b"DYKNOWH3", b"DYKNOWHW")
+    for more in (b"", b"DYKNOWH3", 30 * b"x"):
+        (data / MARK).write_bytes(2 * earlier + more)
+        checked(data, status=1 if more else 0)
+        assert shown(opened(data)) == (epoch, numbers)
+        checked(data, status=0)
+        assert (data / MARK).stat().st_size == 3 * COPY
+    (data / MARK).write_bytes(earlier + bytes(COPY))
+    assert shown(opened(data))[0] != epoch
 
 
 def test_check_and_start_agree_on_a_missing_format(data):
