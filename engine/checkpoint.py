@@ -250,8 +250,8 @@ def _slots(kind: type) -> tuple[str, ...] | None:
     """The fields of a frozen dataclass with slots, whose state they are; None of others."""
     if getattr(kind, "__getstate__", None) is not _DATACLASS_STATE:
         return None
-    own = kind.__reduce_ex__, kind.__reduce__
-    if own != (object.__reduce_ex__, object.__reduce__) or hasattr(kind, "__getnewargs__"):
+    usual = ("__reduce__", "__reduce_ex__")
+    if any(getattr(kind, name) is not getattr(object, name) for name in usual):
         return None
     if kind not in _SLOTS:
         _SLOTS[kind] = tuple(each.name for each in fields(kind))
