@@ -9,6 +9,7 @@ a checkpoint keeps `program` beside it, and reads none of another.
 from __future__ import annotations
 
 import copyreg
+import dataclasses
 import hashlib
 import importlib.util
 import io
@@ -22,12 +23,14 @@ from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from types import CellType, CodeType, FunctionType, MappingProxyType, ModuleType
-from typing import Any, TypeVar
+from typing import Any, Final, TypeVar
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from pyoxigraph import Store
 
 from ..continuous.budget import UNLIMITED, Budget
+from ..matching.uncollected import uncollected
 from ..ontology.ontology import quads_of, store_of
 from .behind import Turns
 from .busy import Stopwatch
@@ -44,6 +47,7 @@ _DEEP = 100_000
 _STACK = 512 << 20
 _PICKLED = ("msgspec", "numba", "numpy", "pyoxigraph")
 """Packages whose objects are in a state, or whose versions decide what comes of it."""
+_DATACLASS_STATE: Final = getattr(dataclasses, "_dataclass_getstate", None)
 _COMPILED = type(importlib.import_module("numba").njit(lambda: None))
 
 
@@ -157,7 +161,8 @@ def state_of(engine: Engine, more: object, outside: Outside) -> State:
 def _written(graph: object, names: dict[int, str], unkept: list[Unkept] | None) -> State:
     target = io.BytesIO()
     writer = _Writer(target, names, unkept)
-    _deep(lambda: writer.dump(graph))
+    with uncollected():
+        _deep(lambda: writer.dump(graph))
     return State(target.getvalue(), tuple(unkept or ()))
 
 
@@ -168,7 +173,8 @@ def engine_of(state: bytes, outside: Outside) -> tuple[Engine, Any]:
     Raises `CheckpointError` for what cannot be read.
     """
     try:
-        engine, more = _deep(lambda: _Reader(io.BytesIO(state), outside).load())
+        with uncollected():
+            engine, more = _deep(lambda: _Reader(io.BytesIO(state), outside).load())
     except Exception as error:  # a pickle that is not whole may raise whatever it names
         raise CheckpointError(f"the state cannot be read: {error}") from error
     return engine, more
@@ -187,10 +193,11 @@ class _Writer(pickle.Pickler):
         self._forgotten: set[int] = set()
         """Instances that are left out, by their ids: they are there as long as this is."""
 
-    def persistent_id(self, value: Any) -> str | None:
-        return self._outside.get(id(value))
-
     def reducer_override(self, value: Any) -> Any:
+        # Not as a `persistent_id`, for which every number and text would be asked.
+        name = self._outside.get(id(value))
+        if name is not None:
+            return _outside, (name,)
         if self._unkept is not None and isinstance(value, REMEMBERING):
             kept, unkept = kept_of(value, self._why_not)
             if unkept:
@@ -200,7 +207,13 @@ class _Writer(pickle.Pickler):
         if type(value) is Instance and id(value) in self._forgotten:
             return Instance, (value.make,)
         reduce = _REDUCERS.get(type(value))
-        return NotImplemented if reduce is None else reduce(value)
+        if reduce is not None:
+            return reduce(value)
+        names = _slots(type(value))
+        if names is None:
+            return NotImplemented
+        # As dataclasses do it, which look up the names of the fields for each value.
+        return copyreg.__newobj__, (type(value),), [getattr(value, name) for name in names]  # type: ignore[attr-defined]
 
     def _why_not(self, value: object) -> Exception | None:
         """Why ``value`` cannot be written; None: it can."""
@@ -216,11 +229,36 @@ class _Reader(pickle.Unpickler):
         super().__init__(source)
         self._outside: dict[str, object] = {**outside.given(), **outside.named()}
 
-    def persistent_load(self, name: str) -> object:
+    def find_class(self, module: str, name: str) -> Any:
+        if module == __name__ and name == _outside.__name__:
+            return self._from_outside
+        return super().find_class(module, name)
+
+    def _from_outside(self, name: str) -> object:
         found = self._outside.get(name, self)
         if found is self:
             raise CheckpointError(f"there is no {name} any more")
         return found
+
+
+def _outside(name: str) -> object:
+    """What is outside of a state and has this ``name``: `_Reader` knows it, and calls another."""
+    raise CheckpointError(f"{name} is outside")
+
+
+def _slots(kind: type) -> tuple[str, ...] | None:
+    """The fields of a frozen dataclass with slots, whose state they are; None of others."""
+    if getattr(kind, "__getstate__", None) is not _DATACLASS_STATE:
+        return None
+    usual = ("__reduce__", "__reduce_ex__")
+    if any(getattr(kind, name) is not getattr(object, name) for name in usual):
+        return None
+    if kind not in _SLOTS:
+        _SLOTS[kind] = tuple(each.name for each in fields(kind))
+    return _SLOTS[kind]
+
+
+_SLOTS: Final[WeakKeyDictionary[type, tuple[str, ...]]] = WeakKeyDictionary()
 
 
 def _reduce_function(value: FunctionType) -> Any:

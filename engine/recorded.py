@@ -148,18 +148,23 @@ class RecordedEngine:
         try:
             self._checkpoints = Checkpoints(self._directory.checkpoints, disk)
             self.log = Log(
-                self._directory.journal, durability=durability, segment=segment, disk=disk
+                self._directory.journal,
+                durability=durability,
+                segment=segment,
+                disk=disk,
+                on_doubt=self._directory.note_loss,
             )
             if self.log.torn is not None:
                 self.recovery.notes.append(f"cut off, an unfinished write: {self.log.torn}")
-            if self.log.lost:
-                self._begin_anew(f"the last {self.log.lost} commands that were kept are lost")
+            if self.log.mark_fault is not None and self.log.doubt is None:
+                self.recovery.notes.append(self.log.mark_fault)
             if self._directory.repaired is not None:
-                self._begin_anew(f"the directory was repaired: {self._directory.repaired}")
+                self._begin_anew(self._directory.repaired)
+            self.recovery.notes += self._checkpoints.gone()
             self.engine = self._recovered(now, progress)
             self.engine.on_opened(self._opened)
             self.log.commit()
-            self._directory.forget_repair()
+            self._directory.forget_loss()
             if self._directory.old_store is not None:
                 self.checkpoint().write()
                 self._directory.forget_old_store()

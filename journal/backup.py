@@ -160,7 +160,7 @@ def _write(
         if begin <= position:
             put(f"journal/{path_of(part, begin).name}", bytes(good))
     mark = Mark(first, position, position).encoded()
-    put(f"journal/{MARK}", mark + mark)
+    put(f"journal/{MARK}", 3 * mark)
     manifest = Manifest(FORMAT, first, position, newest or None, program, files)
     write_whole(DISK, part / _MANIFEST, msgspec.json.encode(manifest))
     return manifest

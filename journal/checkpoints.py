@@ -1,7 +1,8 @@
 """Checkpoints: states at positions of the log, whole or not there.
 
 A file is a line of JSON, that says what it is, then the state. It gets its name when all of it is
-on the disk. The newest two are kept: where one is damaged, the other and more of the log do.
+on the disk. The newest two are kept: where one is damaged, the other and more of the log do. Which
+there are stands in ``kept.json``, so that one that is gone is missed.
 """
 
 from __future__ import annotations
@@ -14,12 +15,14 @@ from typing import Final
 
 import msgspec
 
+from .directory import write_whole
 from .disk import DISK, Disk
 from .errors import JournalBroken, JournalDamaged, JournalFull, UnknownFormat
 
 FORMAT: Final = 1
 KEPT: Final = 2
 NAME: Final = ".checkpoint"
+LIST: Final = "kept.json"
 _FULL: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
@@ -72,6 +75,10 @@ class Checkpoints:
         """Of which positions there are checkpoints, newest first."""
         return positions_in(self._folder)
 
+    def gone(self) -> list[str]:
+        """Which were there and are not, for people."""
+        return gone_from(self._folder)
+
     def newest(self) -> Kept | None:
         """The newest one as a file; None where there is none. May be asked in any thread."""
         for position in self.positions():
@@ -93,6 +100,8 @@ class Checkpoints:
             self._write_part(part, checkpoint)
             self._disk.rename(part, path)
             self._disk.sync_folder(self._folder)
+            # Before the older ones go: what it names is there at any time.
+            write_list(self._folder, self._disk, self.positions()[:KEPT])
         except OSError as error:
             if part.exists():
                 self._disk.remove(part)
@@ -108,11 +117,14 @@ class Checkpoints:
         return read_checkpoint(self._path(position))
 
     def _write_part(self, part: Path, checkpoint: Checkpoint) -> None:
-        data = encoded(checkpoint)
+        parts = parts_of(checkpoint)
         file = self._disk.open(part, new=True)
         try:
-            self._disk.allocate(file, 0, len(data))
-            self._disk.write(file, data, 0)
+            self._disk.allocate(file, 0, sum(map(len, parts)))
+            start = 0
+            for part_of_it in parts:
+                self._disk.write(file, part_of_it, start)
+                start += len(part_of_it)
             self._disk.sync(file)
         finally:
             self._disk.close(file)
@@ -132,19 +144,39 @@ def positions_in(folder: Path) -> list[int]:
     return sorted(found, reverse=True)
 
 
-def encoded(checkpoint: Checkpoint) -> bytes:
-    """``checkpoint`` as a file."""
-    body = checkpoint.portable + checkpoint.state
+def write_list(folder: Path, disk: Disk, positions: list[int]) -> None:
+    """From now on checkpoints of these positions are in ``folder``. Raises ``OSError``."""
+    write_whole(disk, folder / LIST, msgspec.json.encode(positions) + b"\n")
+
+
+def gone_from(folder: Path) -> list[str]:
+    """Which checkpoints were in ``folder`` and are not, or that what says so is damaged; for
+    people. Raises ``OSError``."""
+    named = folder / LIST
+    try:
+        # None yet, or a version that wrote none.
+        known = msgspec.json.decode(named.read_bytes(), type=list[int]) if named.exists() else []
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        return [f"{LIST} of the checkpoints is damaged: {error}"]
+    missing = sorted(set(known) - set(positions_in(folder)), reverse=True)
+    return [f"the checkpoint of record {each} is missing" for each in missing]
+
+
+def parts_of(checkpoint: Checkpoint) -> tuple[bytes, bytes, bytes]:
+    """``checkpoint`` as a file: what follows each other in it. Nothing large is copied, which would
+    hold up other threads."""
+    size = len(checkpoint.portable) + len(checkpoint.state)
     head = Head(
         FORMAT,
         checkpoint.position,
         checkpoint.program,
-        len(body),
+        size,
         len(checkpoint.portable),
         0,
     )
-    head = msgspec.structs.replace(head, crc32=_checksum(head, body))
-    return msgspec.json.encode(head) + b"\n" + body
+    checksum = _checksum(head, checkpoint.portable, checkpoint.state)
+    head = msgspec.structs.replace(head, crc32=checksum)
+    return msgspec.json.encode(head) + b"\n", checkpoint.portable, checkpoint.state
 
 
 def read_checkpoint(path: Path) -> Checkpoint:
@@ -166,6 +198,9 @@ def read_checkpoint(path: Path) -> Checkpoint:
     return Checkpoint(head.position, head.program, body[: head.portable], body[head.portable :])
 
 
-def _checksum(head: Head, body: bytes) -> int:
+def _checksum(head: Head, *body: bytes) -> int:
     told = f"{head.format} {head.position} {head.program} {head.bytes} {head.portable}"
-    return zlib.crc32(body, zlib.crc32(told.encode()))
+    found = zlib.crc32(told.encode())
+    for part in body:
+        found = zlib.crc32(part, found)
+    return found

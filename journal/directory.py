@@ -5,7 +5,7 @@
     DIR/journal/           the log: 00000000000000000001.log …
     DIR/checkpoints/       states at positions of the log
     DIR/restoring          a restore has begun and not ended
-    DIR/repaired           what dyknow repair has cut off, until the next start
+    DIR/repaired           what is lost, or may be, until a start has begun new ids
     DIR/ontology/          format 1: an Oxigraph store, read once; kept as ontology.format1
 
 docs/data-directory.md says what each version of DyKnow does with each format.
@@ -58,12 +58,17 @@ class DataDirectory:
 
     @property
     def repaired(self) -> str | None:
-        """What a repair has cut off, and no start has heard of yet: numbers that were given then
-        must not be given again."""
+        """What a repair has cut off or a start has missed, and none has begun anew for yet: numbers
+        that were given then must not be given again."""
         path = self.path / REPAIRED
         return path.read_text(errors="replace").strip() if path.exists() else None
 
-    def forget_repair(self) -> None:
+    def note_loss(self, reason: str) -> None:
+        """What was acknowledged is lost, or may be: however this start ends, numbers begin anew."""
+        told = [each for each in (self.repaired, reason) if each]
+        write_whole(self._disk, self.path / REPAIRED, f"{'; '.join(told)}\n".encode())
+
+    def forget_loss(self) -> None:
         """The log says now that numbers begin anew."""
         if self.repaired is not None:
             self._disk.remove(self.path / REPAIRED)
@@ -98,6 +103,11 @@ class DataDirectory:
             raise JournalDamaged(
                 f"a restore into {self.path} was not finished", "empty it and restore again"
             )
+        if lacks_format(self.path):
+            raise JournalDamaged(
+                f"{self.path} has a journal, and format.json is missing",
+                "dyknow check shows what is there; dyknow repair writes it anew",
+            )
         if format_of(self.path) is None:
             write_whole(self._disk, self.path / "format.json", format_bytes())
         old = self.path / "ontology"
@@ -122,6 +132,13 @@ def write_whole(disk: Disk, path: Path, data: bytes) -> None:
         disk.close(file)
     disk.rename(part, path)
     disk.sync_folder(path.parent)
+
+
+def lacks_format(path: Path) -> bool:
+    """Whether what says the format of the data directory ``path`` is gone: it is on the disk before
+    anything else is there."""
+    others = any((path / name).exists() for name in ("journal", "checkpoints"))
+    return others and not (path / "format.json").exists()
 
 
 def format_of(path: Path) -> int | None:

@@ -3,7 +3,8 @@
 After a loss of power of what was written and not synced any part may be there: the last write is
 unfinished, and is cut off. What was synced is there, or the disk or somebody has damaged it: that
 is told, and nothing is done. Which of both it is tell the records behind the place (`Scan.synced`)
-and the high-water mark.
+and the high-water mark. Where that cannot tell all, nobody knows whether something is missing at
+the log's end: that is told, too.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from .high_water import Mark, read_mark
+from .high_water import Mark, Reading, read_mark
 from .segment import Damage, Scan, scan
 
 HINT = "dyknow check shows it; dyknow repair keeps what is good, or restore a backup"
@@ -27,13 +28,27 @@ class Examination:
     """
 
     scans: tuple[Scan, ...]
-    mark: Mark | None
+    reading: Reading
     whole: int
     first: int
     position: int
     torn: Damage | None
     damage: str | None
     lost: int
+
+    @property
+    def mark(self) -> Mark | None:
+        return self.reading.mark
+
+    @property
+    def doubt(self) -> str | None:
+        """Why records that were acknowledged are gone, or may be, though nothing is damaged that
+        would hinder a start; None: all are there."""
+        if self.lost:
+            return f"the last {self.lost} commands that were kept are lost"
+        if self.mark is not None and not self.reading.is_latest:
+            return f"{self.reading.fault}: what may have followed record {self.position} is lost"
+        return None
 
 
 def files_of(folder: Path) -> list[Path]:
@@ -44,7 +59,8 @@ def files_of(folder: Path) -> list[Path]:
 def examine(folder: Path) -> Examination:
     """Look at the log in ``folder``. Raises `UnknownFormat` and ``OSError``. Cost: reads all."""
     # First: whoever writes meanwhile, the files say more than a mark of before.
-    mark = read_mark(folder)
+    reading = read_mark(folder)
+    mark = reading.mark
     scans = tuple(scan(path) for path in files_of(folder))
     known = mark or Mark()
     whole, torn, overlap = 0, None, None
@@ -71,5 +87,8 @@ def examine(folder: Path) -> Examination:
     if position < synced:
         what = "records are missing" if torn is None else f"damaged: {torn}"
         damage = f"{what}; records up to {synced} were kept, and are good up to {position}"
+    elif damage is None and scans and not reading.is_whole:
+        # It was on the disk before them (`Log`), so no loss of power has taken it.
+        damage = reading.fault
     lost = max(0, known.durable - position)
-    return Examination(scans, mark, whole, first, position, torn, damage, lost)
+    return Examination(scans, reading, whole, first, position, torn, damage, lost)

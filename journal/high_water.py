@@ -1,11 +1,13 @@
 """The high-water mark of a log: how far it went, told outside of its files, so that one that was
 cut or lost is missed.
 
-    twice: "DYKNOWHW", crc32 u32 of the rest, first u64, synced u64, durable u64   (little-endian)
+    thrice: "DYKNOWH3", crc32 u32 of the rest, first u64, synced u64, durable u64  (little-endian)
 
-The first copy is synced, when the log is opened, closed and shortened. The second is written over
-after each commit, never before, and is not synced: it tells more, and if the power goes amid a
-write of it, the first is true as well.
+The first copy is synced, when the log is opened, closed and shortened. The others are written over
+after each commit, never before, in one write, and are not synced: they tell more. Who is killed
+amid that write tears one of them; if the power goes, the first is true as well. All are on the disk
+before the log has a file: where that has one, a mark that is missing, has another length, or of
+which no copy is good, is damaged. Earlier versions wrote two copies that begin with "DYKNOWHW".
 """
 
 from __future__ import annotations
@@ -19,7 +21,8 @@ from typing import Final
 from .disk import Disk
 
 NAME: Final = "high-water-mark"
-_MAGIC: Final = b"DYKNOWHW"
+_MAGIC: Final = b"DYKNOWH3"
+_OLD: Final = b"DYKNOWHW"
 _HEAD: Final = struct.Struct("<8sI")
 _REST: Final = struct.Struct("<QQQ")
 _SIZE: Final = _HEAD.size + _REST.size
@@ -35,23 +38,56 @@ class Mark:
     durable: int = 0
 
     def encoded(self) -> bytes:
-        """As bytes, always as many."""
+        """One copy, always as many bytes."""
         rest = _REST.pack(self.first, self.synced, self.durable)
         return _HEAD.pack(_MAGIC, zlib.crc32(rest)) + rest
 
 
-def read_mark(folder: Path) -> Mark | None:
-    """That of the log in ``folder``; None where there is none that can be believed."""
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """What a mark's file says. ``mark``: None where nothing of it can be believed. ``fault``: what
+    of it is not as it was written, for people; None: nothing.
+
+    ``is_whole``: no write that was cut short leaves it otherwise. ``is_latest``: no later mark of
+    this log can have been lost.
+    """
+
+    mark: Mark | None
+    fault: str | None = None
+    is_whole: bool = True
+    is_latest: bool = True
+
+
+def read_mark(folder: Path) -> Reading:
+    """That of the log in ``folder``. Raises ``OSError``."""
     path = folder / NAME
-    data = path.read_bytes() if path.exists() else b""
-    found = [mark for start in (0, _SIZE) if (mark := _decoded(data[start : start + _SIZE]))]
+    if not path.exists():
+        return Reading(None, f"{NAME} is missing", is_whole=False, is_latest=False)
+    data = path.read_bytes()
+    is_old = data[: len(_OLD)] == _OLD
+    # One that an earlier version has written is being made longer.
+    fits = 2 * _SIZE <= len(data) <= 3 * _SIZE if is_old else len(data) == 3 * _SIZE
+    parts = [data[start : start + _SIZE] for start in range(0, max(len(data), 1), _SIZE)]
+    copies = [_decoded(part) for part in parts[:3]]
+    found = [mark for mark in copies if mark is not None]
     if not found:
-        return None
-    return Mark(
+        fault = f"{NAME} is damaged: no copy in it is good"
+        return Reading(None, fault, is_whole=False, is_latest=False)
+    mark = Mark(
         max(mark.first for mark in found),
         max(mark.synced for mark in found),
         max(mark.durable for mark in found),
     )
+    if not fits:
+        fault = f"{NAME} is damaged: it has {len(data)} bytes instead of {3 * _SIZE}"
+        return Reading(mark, fault, is_whole=False, is_latest=False)
+    if not any(copies[1:]):
+        fault = f"of {NAME} only the first copy is good, and others tell of the last commits"
+        return Reading(mark, fault, is_latest=False)
+    if len(found) < len(copies):
+        which = ("first", "second", "third")[copies.index(None)]
+        return Reading(mark, f"the {which} copy of {NAME} is not good, the others are used")
+    return Reading(mark)
 
 
 def _decoded(data: bytes) -> Mark | None:
@@ -59,7 +95,7 @@ def _decoded(data: bytes) -> Mark | None:
         return None
     magic, checksum = _HEAD.unpack_from(data)
     rest = data[_HEAD.size :]
-    if magic != _MAGIC or zlib.crc32(rest) != checksum:
+    if magic not in (_MAGIC, _OLD) or zlib.crc32(rest) != checksum:
         return None
     return Mark(*_REST.unpack(rest))
 
@@ -71,19 +107,21 @@ class HighWater:
         path = folder / NAME
         self._disk = disk
         self._file = disk.open(path, new=not path.exists())
+        if path.stat().st_size > 3 * _SIZE:
+            disk.cut(self._file, 3 * _SIZE)
         self._written: Mark | None = None
 
     def write(self, mark: Mark) -> None:
         """Let it be ``mark``: no more than is true."""
         if mark != self._written:
-            self._disk.write(self._file, mark.encoded(), _SIZE)
+            self._disk.write(self._file, 2 * mark.encoded(), _SIZE)
             self._written = mark
 
     def keep(self, mark: Mark) -> None:
         """The same, and return when it is on the disk."""
         self.write(mark)
         self._disk.sync(self._file)
-        # Only now: one of both is whole at any time.
+        # Only now: one of them is whole at any time.
         self._disk.write(self._file, mark.encoded(), 0)
         self._disk.sync(self._file)
 

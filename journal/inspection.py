@@ -5,17 +5,35 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TypeAlias
 
-from .checkpoints import checkpoint_path, positions_in, read_checkpoint
-from .directory import REPAIRED, RESTORING, format_of, holder_of
+from .checkpoints import LIST, checkpoint_path, gone_from, positions_in, read_checkpoint
+from .checkpoints import NAME as CHECKPOINT
+from .directory import FORMAT, REPAIRED, RESTORING, format_of, holder_of, lacks_format
 from .errors import JournalDamaged
 from .examination import Examination, examine
+from .high_water import NAME as MARK
 from .segment import walk
 
 BegunBy: TypeAlias = Callable[[bytes], str | None]
 
+_KNOWN = (
+    (
+        "format.json*",
+        "lock",
+        "journal",
+        "checkpoints",
+        f"{REPAIRED}*",
+        f"{RESTORING}*",
+        "ontology",
+        "ontology.format1",
+        "backup.json",
+    ),
+    (f"{'[0-9]' * 20}.log*", f"{MARK}*", f"{'[0-9]' * 20}{CHECKPOINT}*", f"{LIST}*", "*.part"),
+)
+"""Patterns of what may be in a data directory, and in its two folders."""
 _TRIES = 5
 """So often what looks damaged is looked at again where a process writes meanwhile."""
 
@@ -35,7 +53,8 @@ class KnownCheckpoint:
 class Inspection:
     """A data directory. ``format`` 1: an Oxigraph store of an earlier version, nothing else.
 
-    ``damage``: what is wrong, worst first. ``start``: what a start would do, for people.
+    ``damage``: what is wrong, worst first. ``strays``: names in it that are none of its own.
+    ``start``: what a start would do, for people.
     """
 
     path: Path
@@ -44,6 +63,7 @@ class Inspection:
     log: Examination
     checkpoints: tuple[KnownCheckpoint, ...]
     damage: tuple[str, ...]
+    strays: tuple[str, ...]
     start: str
 
     @property
@@ -59,6 +79,9 @@ def inspect(path: Path, program: str, begun_by: BegunBy | None = None) -> Inspec
     ``OSError``. Cost: reads all of it.
     """
     format = format_of(path) if path.is_dir() else None
+    if format is None and lacks_format(path):
+        # Its file is gone, the rest is not.
+        format = FORMAT
     if format is None:
         if not (path / "ontology").is_dir():
             raise JournalDamaged(f"{path} is no data directory", "it has no format.json")
@@ -81,21 +104,39 @@ def _look(
     path: Path, format: int, program: str, holder: str | None, begun_by: BegunBy | None
 ) -> Inspection:
     log = examine(path / "journal")
+    gone = gone_from(path / "checkpoints")
     found = tuple(_checkpoint(path / "checkpoints", p) for p in positions_in(path / "checkpoints"))
     damage = [] if log.damage is None else [log.damage]
     if (path / RESTORING).exists():
         damage.append("a restore was not finished")
-    damage += [each.damage for each in found if each.damage is not None]
+    damage += [each.damage for each in found if each.damage is not None] + gone
+    fault = log.reading.fault
+    if log.scans and fault is not None and fault != log.damage:
+        damage.append(fault)
     sound = [each for each in found if each.damage is None]
     refusal = misfit(log, [each.position for each in sound])
     if refusal is not None and log.damage is None:
         damage.insert(0, refusal)
-    if log.damage is None and refusal is None:
+    if lacks_format(path):
+        damage.insert(0, "format.json is missing")
+        start = "refuses to start: see dyknow repair"
+    elif log.damage is None and refusal is None:
         begun = _begun(log, begun_by) if not sound else None
         start = _start(path, format, log, sound, program, begun or program)
     else:
         start = "refuses to start: see dyknow repair, or restore a backup"
-    return Inspection(path, format, holder, log, found, tuple(damage), start)
+    return Inspection(path, format, holder, log, found, tuple(damage), _strays(path), start)
+
+
+def _strays(path: Path) -> tuple[str, ...]:
+    """Names of files that the program has not made, or no longer looks at."""
+    folders = [each for each in (path, path / "journal", path / "checkpoints") if each.is_dir()]
+    return tuple(
+        str(each.relative_to(path))
+        for folder in folders
+        for each in sorted(folder.iterdir())
+        if not any(fnmatchcase(each.name, known) for known in _KNOWN[folder != path])
+    )
 
 
 def misfit(log: Examination, positions: list[int]) -> str | None:
@@ -141,6 +182,8 @@ def _start(
     named = path / REPAIRED
     if named.exists():
         return f"{told}; ids of events begin anew: {named.read_text().strip()}"
+    if log.doubt is not None:
+        return f"{told}; ids of events begin anew: {log.doubt}"
     if sound and sound[0].program != program:
         return (
             f"takes over definitions and samples of checkpoint {begin}, written by "

@@ -64,8 +64,13 @@ class Log:
         durability: Durability = Durability.FSYNC,
         segment: int = SEGMENT,
         disk: Disk = DISK,
+        on_doubt: Callable[[str], None] = lambda reason: None,
     ) -> None:
-        """Raises `JournalDamaged` where something is damaged that was kept, ``OSError``."""
+        """Raises `JournalDamaged` where something is damaged that was kept, ``OSError``.
+
+        ``on_doubt`` is told why what was acknowledged may be gone, before anything is changed: the
+        next time nothing tells of it any more.
+        """
         self._folder = folder
         self._durability = durability
         self._limit = segment
@@ -85,6 +90,12 @@ class Log:
         """What was cut off: a write that the last run did not finish."""
         self.lost = found.lost
         """So many records were acknowledged, by durability ``write``, and are not there."""
+        self.mark_fault = found.reading.fault if found.scans else None
+        """What of the high-water mark was not as it was written."""
+        self.doubt = found.doubt
+        """Why records that were acknowledged may not be there."""
+        if self.doubt is not None:
+            on_doubt(self.doubt)
         self.position = found.position
         """That of the last payload appended."""
         self.durable = self.position

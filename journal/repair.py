@@ -12,10 +12,12 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-from .directory import REPAIRED, write_whole
+from .checkpoints import KEPT, write_list
+from .directory import REPAIRED, format_bytes, lacks_format, write_whole
 from .disk import DISK, Disk
 from .errors import JournalDamaged
 from .examination import Examination
+from .high_water import NAME as MARK
 from .high_water import HighWater, Mark
 from .inspection import Inspection
 from .segment import HEAD, Found, Scan, header_of, path_of, walk
@@ -43,11 +45,15 @@ def repair(found: Inspection, disk: Disk = DISK) -> Repair:
     sound = [each.position for each in found.checkpoints if each.damage is None]
     first, last = _run(there, sound)
     lost = _lost(found, there, last)
+    if lacks_format(found.path):
+        write_whole(disk, found.path / "format.json", format_bytes())
     if lost is not None:
         write_whole(disk, found.path / REPAIRED, f"{lost} lost\n".encode())
     aside = [_set_aside(disk, each.path) for each in found.checkpoints if each.damage is not None]
     if aside:
         disk.sync_folder(found.path / "checkpoints")
+    disk.make_folder(found.path / "checkpoints")
+    write_list(found.path / "checkpoints", disk, sound[:KEPT])
     taken: set[int] = set()
     for scan in log.scans:
         wanted = [
@@ -60,6 +66,8 @@ def repair(found: Inspection, disk: Disk = DISK) -> Repair:
             aside.append(_rewrite(disk, scan, wanted))
     folder = found.path / "journal"
     disk.make_folder(folder)
+    if log.reading.fault is not None and (folder / MARK).exists():
+        aside.append(_set_aside(disk, folder / MARK))
     water = HighWater(folder, disk)
     try:
         water.keep(Mark(first, last, last))
@@ -106,7 +114,8 @@ def _lost(found: Inspection, there: set[int], last: int) -> str | None:
         each.damage is not None and each.damage.after == last and each.damage.count
         for each in log.scans
     )
-    return f"what may have followed record {last}" if ends_so or log.mark is None else None
+    is_sure = log.reading.is_latest and not ends_so
+    return None if is_sure else f"what may have followed record {last}"
 
 
 def _rewrite(disk: Disk, scan: Scan, wanted: list[Found]) -> Path:

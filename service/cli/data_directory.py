@@ -16,7 +16,7 @@ from ...engine.checkpoint import program
 from ...engine.commands import Begin, read
 from ...engine.loading import load_processes
 from ...engine.processes import PROCESSES
-from ...journal.directory import format_of, locked
+from ...journal.directory import format_of, lacks_format, locked
 from ...journal.errors import JournalError
 from ...journal.examination import files_of
 from ...journal.inspection import Inspection, inspect
@@ -60,7 +60,7 @@ def check(
 def repair(directory: Directory, json: Json = False) -> None:
     """Keep what is good of a damaged data directory, and set the rest aside as *.damaged."""
     try:
-        if format_of(directory) is None:
+        if format_of(directory) is None and not lacks_format(directory):
             raise fail(f"{directory} has no format.json: there is nothing to repair")
         lock = locked(directory)
     except JournalError as error:
@@ -190,6 +190,7 @@ def _told(found: Inspection) -> dict[str, Any]:
         ],
         "sound": found.is_sound,
         "damage": list(found.damage),
+        "strays": list(found.strays),
         "start": found.start,
     }
 
@@ -219,6 +220,8 @@ def _show(found: Inspection) -> None:
         console.print(f"an unfinished write, that a start cuts off: {found.log.torn}", markup=False)
     for each in found.damage:
         console.print(f"damage: {each}", markup=False)
+    for each in found.strays:
+        console.print(f"not known, and not looked at: {each}", markup=False)
     console.print(f"a start {found.start}", markup=False)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import signal
 import sys
@@ -69,6 +70,8 @@ def serve(
     given["processes"] = processes or None
     given["tokens_file"] = tokens
     settings = Settings(**{key: value for key, value in given.items() if value is not None})
+    # What is imported stays for good: a start makes much, and would have it looked through often.
+    gc.freeze()
     configure(settings.log_level, settings.log_json)
     say = _say_in_the_log if settings.log_json else _say
     JSON_WANTED.set(settings.log_json)

@@ -3,7 +3,7 @@
 import pytest
 from simulated_disk import SimulatedDisk
 
-from dyknow.journal.checkpoints import Checkpoint, Checkpoints, encoded
+from dyknow.journal.checkpoints import Checkpoint, Checkpoints, parts_of
 from dyknow.journal.errors import JournalBroken, JournalDamaged, JournalFull
 
 
@@ -39,7 +39,8 @@ def test_one_that_cannot_be_written_leaves_the_others_and_nothing(tmp_path, brok
         found.write(kept(9))
     assert caught.value.hint
     assert found.positions() == [5]
-    assert [path.suffix for path in tmp_path.iterdir()] == [".checkpoint"]
+    assert sorted(path.suffix for path in tmp_path.iterdir()) == [".checkpoint", ".json"]
+    assert found.gone() == []
 
 
 def test_what_a_crash_left_is_removed(tmp_path):
@@ -50,6 +51,6 @@ def test_what_a_crash_left_is_removed(tmp_path):
 
 def test_one_under_the_name_of_another_is_told(tmp_path):
     found = Checkpoints(tmp_path)
-    (tmp_path / "00000000000000000006.checkpoint").write_bytes(encoded(kept(5)))
+    (tmp_path / "00000000000000000006.checkpoint").write_bytes(b"".join(parts_of(kept(5))))
     with pytest.raises(JournalDamaged, match="is of position 5"):
         found.read(6)

@@ -15,6 +15,7 @@ from simulated_disk import Killed, SimulatedDisk
 from dyknow.journal.checkpoints import Checkpoint, Checkpoints
 from dyknow.journal.errors import JournalBroken, JournalDamaged, JournalFull
 from dyknow.journal.log import Durability, Log
+from dyknow.journal.segment import header_of, walk
 
 LIMITS = settings(deadline=None, max_examples=100)
 
@@ -141,6 +142,7 @@ def test_after_a_kill_amid_any_call_all_that_was_committed_is_there(
         run.disk = SimulatedDisk()
         run.open()
         assert run.log.lost == 0
+        assert run.log.doubt is None
         run.check(run.log)
         run.log.close()
 
@@ -199,8 +201,102 @@ def test_damage_is_told(work, segment, kind, chance, is_closed):
         run.log.close()
 
 
-def damage(path, kind, chance):
-    files = sorted(path.iterdir())
+KEEPING = WORK.filter(lambda work: any(what == "append" for what, _ in work))
+KINDS = st.sampled_from(["flip", "cut", "zeros", "delete", "swap"])
+
+
+@given(
+    KEEPING,
+    SEGMENT,
+    st.sampled_from(list(Durability)),
+    KINDS,
+    st.randoms(use_true_random=False),
+    st.booleans(),
+)
+@LIMITS
+def test_damage_of_one_file_is_always_told(work, segment, durability, kind, chance, is_closed):
+    """Also where nothing is lost by it."""
+    with folder() as path:
+        run = kept(path, work, segment, durability, is_closed)
+        before = meant(path)
+        damage(path, kind, chance)
+        left = meant(path)
+        assert is_told(run) or left == before
+
+
+@given(
+    KEEPING,
+    SEGMENT,
+    st.sampled_from(list(Durability)),
+    st.sampled_from(["flip", "cut", "zeros", "delete"]),
+    st.sampled_from(["boundary", "cut", "zeros", "delete"]),
+    st.randoms(use_true_random=False),
+    st.booleans(),
+)
+@LIMITS
+def test_damage_of_the_mark_and_a_cut_are_always_told(
+    work, segment, durability, kind, how, chance, is_closed
+):
+    """Else numbers would be given twice: either nothing is started, or it is known that what was
+    acknowledged may be gone."""
+    with folder() as path:
+        run = kept(path, work, segment, durability, is_closed)
+        files, mark = sorted(path.glob("*.log")), path / "high-water-mark"
+        before = mark.read_bytes()
+        if how == "boundary":
+            records = list(walk(files[-1].read_bytes(), int(files[-1].stem)))
+            place = chance.choice(
+                [len(header_of(1)), *(each.begin + each.length for each in records)]
+            )
+            files[-1].write_bytes(files[-1].read_bytes()[:place])
+        else:
+            damage(path, how, chance, files)
+        damage(path, kind, chance, [mark])
+        if not list(path.glob("*.log")):
+            return  # No log at all is a new one: an engine gives it an epoch of its own.
+        if not mark.exists() or mark.read_bytes() != before:
+            assert is_told(run)
+        if run.log is not None and run.log.position < run.committed:
+            assert run.log.doubt is not None
+
+
+def kept(path, work, segment, durability, is_closed):
+    """What was done to a log that is closed, or was killed after a commit."""
+    run = Run(path, segment, durability=durability)
+    run.open()
+    run.do(work)
+    run.committed = run.log.commit()
+    if is_closed:
+        run.log.close()
+    run.disk.kill()
+    run.disk, run.log = SimulatedDisk(), None
+    return run
+
+
+def meant(path):
+    """What is in the files: the room behind the records is nothing, nor is a file without any."""
+    return {
+        each: data
+        for each in path.iterdir()
+        if len(data := each.read_bytes().rstrip(b"\0")) > len(header_of(1))
+    }
+
+
+def is_told(run):
+    """A start refuses, or has something to say."""
+    said = []
+    try:
+        run.log = Log(run.path, segment=run.segment, disk=run.disk, on_doubt=said.append)
+    except JournalDamaged:
+        return True
+    run.log.close()
+    log = run.log
+    assert said == ([] if log.doubt is None else [log.doubt])
+    return bool(log.torn or log.doubt or log.mark_fault)
+
+
+def damage(path, kind, chance, files=None):
+    files = sorted(path.iterdir()) if files is None else files
     target = chance.choice(files)
     data = target.read_bytes()
     # Most of a file is room: what is written stands at its beginning.
@@ -231,16 +327,17 @@ def damage(path, kind, chance):
 )
 @LIMITS
 def test_a_flipped_bit_that_no_mark_tells_of_is_told_by_what_follows(sizes, later, chance):
-    """Without the high-water mark: a later commit says that the damaged record was kept."""
+    """An early mark is what a loss of power may leave: a later commit says what was kept."""
     with folder() as path:
         run = Run(path, 1 << 20)
         run.open()
+        early = (path / "high-water-mark").read_bytes()
         run.do([("append", size) for size in sizes] + [("commit", 0)])
         end = run.log._open[-1]._written
         for _ in range(later + 1):
             run.do([("append", 5), ("commit", 0)])
         run.disk.kill()
-        (path / "high-water-mark").unlink()
+        (path / "high-water-mark").write_bytes(early)
         name = path / f"{1:020d}.log"
         data = bytearray(name.read_bytes())
         data[chance.randrange(end)] ^= 1 << chance.randrange(8)
@@ -360,7 +457,7 @@ def test_damage_to_a_checkpoint_is_told(portable, state, kind, data):
         found = Checkpoints(path)
         kept = Checkpoint(7, "dyknow 1", b"p" * portable, b"s" * state)
         found.write(kept)
-        name = next(path.iterdir())
+        name = next(path.glob("*.checkpoint"))
         content = bytearray(name.read_bytes())
         place = data.draw(st.integers(0, len(content) - 1))
         if kind == "flip":

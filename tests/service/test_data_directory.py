@@ -192,7 +192,7 @@ def test_a_missing_file_is_a_cut(data):
 
 
 def test_a_damaged_checkpoint_is_set_aside_and_nothing_is_lost(data):
-    newest = max((data / "checkpoints").iterdir())
+    newest = max((data / "checkpoints").glob("*.checkpoint"))
     flip(newest, 500)
     found = checked(data, status=1)
     assert found["checkpoints"][0]["damage"]
