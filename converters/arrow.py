@@ -6,6 +6,7 @@ field. pyarrow is an extra of the installation: `ArrowMissing` says how to get i
 
 from __future__ import annotations
 
+import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -25,9 +26,10 @@ from ..streams.sample import (
 )
 from ..streams.strings import StringPool
 from ..streams.time import TIME_MAX, TIME_MIN
+from .arrow_sizes import check_sizes
 from .errors import WireError
 from .inference import TIME_UNITS, TimeReader
-from .wire import Incoming, check_names, null_mask, pool_of, text_column
+from .wire import BatchLimits, Incoming, check_names, null_mask, pool_of, text_column
 
 CONTENT_TYPE = "application/vnd.apache.arrow.stream"
 
@@ -39,16 +41,29 @@ class ArrowMissing(WireError):
         super().__init__(None, "Arrow is not installed here", "pip install dyknow[arrow]")
 
 
-def decode_arrow(data: bytes, schema: Schema, pools: dict[str, StringPool]) -> Incoming:
+def decode_arrow(
+    data: bytes,
+    schema: Schema,
+    pools: dict[str, StringPool],
+    limits: BatchLimits | None = None,
+) -> Incoming:
     """A batch from an IPC stream, taken whole or refused whole (`WireError`, lines are rows).
 
-    Without fields in ``schema`` (an open stream) the table's columns decide them.
+    Without fields in ``schema`` (an open stream) the table's columns decide them. What has more
+    than ``limits`` by what it declares is refused before it is read.
     """
-    return samples_of_table(_read(data), schema, pools)
+    if limits is not None:
+        check_sizes(data, limits)
+    return samples_of_table(_read(data), schema, pools, limits)
 
 
-def samples_of_table(table: Any, schema: Schema, pools: dict[str, StringPool]) -> Incoming:
-    """`decode_arrow` of a table that has been read."""
+def samples_of_table(
+    table: Any,
+    schema: Schema,
+    pools: dict[str, StringPool],
+    limits: BatchLimits | None = None,
+) -> Incoming:
+    """`decode_arrow` of a table that has been read; of ``limits`` those of texts."""
     names = table.column_names
     if not schema.fields and len(set(names)) == len(names):
         own = [(name, table.column(name).type) for name in names if name not in TIME_FIELDS]
@@ -73,6 +88,10 @@ def samples_of_table(table: Any, schema: Schema, pools: dict[str, StringPool]) -
         if stamped
         else times_from_arrow(table.column("available"), "available", TimeReader("ns"))
     )
+    if limits is not None:
+        for field in schema.fields:
+            if field.type is FieldType.STRING and _expect(field, table.column(field.name)):
+                _check_texts(field.name, table.column(field.name), limits)
     # Text last: the pools grow only when every other column is good.
     text_last = sorted(schema.fields, key=lambda field: field.type is FieldType.STRING)
     found = {
@@ -101,6 +120,58 @@ def bytes_of_table(table: Any) -> bytes:
 
 def encode_arrow(batch: SampleBatch) -> bytes:
     """An IPC stream of one record batch; `decode_arrow` gives the batch back."""
+    writer = ArrowWriter()
+    return writer.write(batch) + writer.close()
+
+
+class ArrowWriter:
+    """Writes one IPC stream of several batches of the same fields, a record batch each."""
+
+    def __init__(self) -> None:
+        self._sink = _Sink()
+        self._writer: Any = None
+
+    def write(self, batch: SampleBatch) -> bytes:
+        """The bytes that ``batch`` adds; the first one's begin with the schema."""
+        table = table_of(batch)
+        if self._writer is None:
+            self._writer = pyarrow_module().ipc.new_stream(self._sink, table.schema)
+        self._writer.write_table(table)
+        return self._sink.take()
+
+    def close(self) -> bytes:
+        """What ends the stream. Contract: something was written."""
+        self._writer.close()
+        return self._sink.take()
+
+
+class _Sink(io.RawIOBase):
+    """What pyarrow has written and nobody has taken."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._data = bytearray()
+        self._taken = 0
+
+    def writable(self) -> bool:
+        return True
+
+    def tell(self) -> int:
+        return self._taken + len(self._data)
+
+    def write(self, data: Any) -> int:
+        self._data += data
+        return len(data)
+
+    def take(self) -> bytes:
+        found = bytes(self._data)
+        self._taken += len(found)
+        self._data.clear()
+        return found
+
+
+def table_of(batch: SampleBatch) -> Any:
+    """A batch as an Arrow table, texts as texts."""
     pa = pyarrow_module()
     zoned = pa.timestamp("ns", "UTC")
     arrays = {
@@ -112,12 +183,7 @@ def encode_arrow(batch: SampleBatch) -> bytes:
             arrays[name] = pa.array(column.values, mask=column.null)
         else:
             arrays[name] = pa.array(column.tolist(), pa.string())
-    table = pa.table(arrays)
-    sink = pa.BufferOutputStream()
-    with pa.ipc.new_stream(sink, table.schema) as writer:
-        writer.write_table(table)
-    result: bytes = sink.getvalue().to_pybytes()
-    return result
+    return pa.table(arrays)
 
 
 def read_arrow(path: Path) -> Any:
@@ -219,6 +285,41 @@ def _text(field: Field, column: Any, pools: dict[str, StringPool]) -> Column:
         null if null.any() else None,
         pool,
     )
+
+
+def _check_texts(name: str, column: Any, limits: BatchLimits) -> None:
+    """Raises `WireError` with the row for a text that is too long. A dictionary's texts are looked
+    at once, however often they are used."""
+    pa = pyarrow_module()
+    before = 0
+    for chunk in column.chunks:
+        is_coded = pa.types.is_dictionary(chunk.type)
+        texts = chunk.dictionary if is_coded else chunk
+        if pa.types.is_dictionary(texts.type):
+            raise WireError(None, f"column {name!r} is a dictionary of dictionaries")
+        if not pa.types.is_null(texts.type) and texts.nbytes > limits.text:
+            sizes = _sizes(texts)
+            if is_coded:
+                there = chunk.indices.is_valid().to_numpy(zero_copy_only=False)
+                places = chunk.indices.fill_null(0).to_numpy(zero_copy_only=False)
+                sizes = np.where(there, sizes[places.astype(np.int64)], 0)
+            if sizes.max(initial=0) > limits.text:
+                row = int(np.argmax(sizes > limits.text))
+                raise limits.too_long(before + row + 1, name, int(sizes[row]))
+        before += len(chunk)
+
+
+def _sizes(texts: Any) -> NDArray[np.int64]:
+    """Bytes of each text of an array, 0 for none."""
+    pa = pyarrow_module()
+    kind = np.int64 if pa.types.is_large_string(texts.type) else np.int32
+    _, offsets, _ = texts.buffers()
+    if offsets is None:
+        return np.zeros(len(texts), np.int64)
+    ends = np.frombuffer(offsets, kind)[texts.offset : texts.offset + len(texts) + 1]
+    sizes = np.diff(ends).astype(np.int64)
+    sizes[texts.is_null().to_numpy(zero_copy_only=False)] = 0
+    return sizes
 
 
 def _codes(chunk: Any, pool: StringPool) -> tuple[NDArray[np.int32], Mask]:

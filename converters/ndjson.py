@@ -32,6 +32,7 @@ from .regular import decode_regular
 from .wire import (
     BOM,
     TIME_HINT,
+    BatchLimits,
     Incoming,
     check_names,
     format_times,
@@ -54,15 +55,23 @@ _PART = 1000
 _NOT_FINITE = re.compile(rb"(?<![\"\w])-?(NaN|Infinity)(?![\"\w])")
 
 
-def decode_ndjson(data: bytes, schema: Schema, pools: dict[str, StringPool]) -> Incoming:
+def decode_ndjson(
+    data: bytes,
+    schema: Schema,
+    pools: dict[str, StringPool],
+    limits: BatchLimits | None = None,
+) -> Incoming:
     """A batch from its lines, taken whole or refused whole.
 
     Text is encoded with ``pools`` (by field; made where one lacks), which grow only when the
     whole batch is good. Without fields in ``schema`` (an open stream) the batch decides them:
-    those of its first line, typed by all values. Raises `WireError` with the line. Cost: lines of
+    those of its first line, typed by all values. Raises `WireError` with the line, also for more
+    than ``limits``. Cost: lines of
     one make (`regular`) take 3 ns a byte, others and small batches 0.3 µs a field.
     """
     data = data.removeprefix(BOM)
+    if limits is not None:
+        _check_limits(data, limits)
     schema = schema if schema.fields else _decided_by(data)
     check_names(schema)
     regular = decode_regular(data, schema, pools)
@@ -100,6 +109,34 @@ def decode_exactly(data: bytes, schema: Schema, pools: dict[str, StringPool]) ->
         for field, values in zip(schema.fields, found, strict=True)
     }
     return Incoming(SampleBatch(available, valid, columns), stamped)
+
+
+def _check_limits(data: bytes, limits: BatchLimits) -> None:
+    """Raises `WireError` for too many lines, and for a text that is too long. Cost: a look at a
+    line every ``limits.text`` bytes, and where the line feeds may be too many."""
+    if data.count(b"\n") >= limits.samples:
+        numbers = [n for n, line in enumerate(data.split(b"\n"), 1) if line.strip()]
+        first = numbers[limits.samples] if len(numbers) > limits.samples else None
+        limits.check_samples(len(numbers), first)
+    start = 0
+    while start + limits.text < len(data):
+        end = data.rfind(b"\n", start, start + limits.text + 1)
+        if end < 0:  # a text that is too long stands in a line that is
+            end = data.find(b"\n", start)
+            end = len(data) if end < 0 else end
+            _check_texts(data[start:end], data.count(b"\n", 0, start) + 1, limits)
+        start = end + 1
+
+
+def _check_texts(line: bytes, number: int, limits: BatchLimits) -> None:
+    try:
+        values = msgspec.json.decode(line)
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+        return  # what it is instead is told where it is decoded
+    for name, value in values.items() if isinstance(values, dict) else ():
+        size = len(value.encode()) if isinstance(value, str) else 0
+        if size > limits.text:
+            raise limits.too_long(number, name, size)
 
 
 def mixed_times(line: int) -> WireError:

@@ -26,6 +26,32 @@ class Incoming:
     stamped: bool
 
 
+@dataclass(frozen=True, slots=True)
+class BatchLimits:
+    """What a batch that comes from outside may have: so many samples, so many bytes (UTF-8) in one
+    text, and so many bytes once it is decompressed. (What was taken once is taken again, whatever
+    the limits are by then: whoever reads it again gives none.)"""
+
+    samples: int
+    text: int
+    decoded: int
+
+    def check_samples(self, count: int, line: int | None = None) -> None:
+        """Raises `WireError` for more samples; ``line`` is that of the first one too many."""
+        if count > self.samples:
+            raise WireError(
+                line, f"a batch has at most {self.samples} samples", "send several batches"
+            )
+
+    def too_long(self, line: int, field: str, size: int) -> WireError:
+        """What is said of a text of ``size`` bytes."""
+        return WireError(
+            line,
+            f"field {field!r}: a text has at most {self.text} bytes, and this one {size}",
+            "send where it is kept in place of what is so long",
+        )
+
+
 def check_names(schema: Schema) -> None:
     """Refuse a schema with a field that the wire formats cannot tell from a time."""
     for name in TIME_FIELDS:

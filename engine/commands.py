@@ -20,7 +20,7 @@ from ..continuous.options import Bounds, Report, Semantics
 from ..converters.arrow import decode_arrow
 from ..converters.errors import ConversionError
 from ..converters.ndjson import decode_ndjson
-from ..converters.wire import Incoming
+from ..converters.wire import BatchLimits, Incoming
 from ..languages.errors import LanguageError
 from ..languages.specification import Specification
 from ..languages.ssl.annotation import CheckedAnnotation, StreamAnnotation
@@ -85,11 +85,12 @@ class Publish(Command, frozen=True, tag="publish"):
     def apply(self, engine: Engine) -> int:
         return self.apply_decoded(engine, self.decode(engine))
 
-    def decode(self, engine: Engine) -> Incoming:
-        """The batch, by the fields that the stream has now. Raises `WireError`."""
+    def decode(self, engine: Engine, limits: BatchLimits | None = None) -> Incoming:
+        """The batch, by the fields that the stream has now. Raises `WireError`, also for more than
+        ``limits``: what is done again has none, for it was taken."""
         generator = engine.accepting(self.stream)
         decode = decode_ndjson if self.kind == "ndjson" else decode_arrow
-        return decode(self.body, generator.schema, generator.stream.pools)
+        return decode(self.body, generator.schema, generator.stream.pools, limits)
 
     def apply_decoded(self, engine: Engine, incoming: Incoming) -> int:
         """`apply`, for who has decoded it already."""

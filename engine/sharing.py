@@ -21,6 +21,8 @@ from ..matching.plan import (
     SelectObject,
     Supply,
     Synchronize,
+    below_of,
+    nodes_of,
     nodes_of_supply,
 )
 from ..ontology.ontology import Ontology
@@ -150,9 +152,10 @@ class Sharing:
         every = self._plans.made_from(found)
         if len(every) != len(supplies) or _elements(every) != _elements(supplies):
             return None
+        outlines = _Outlines()
         same = all(
-            [_outline(one.node) for one in mine.sources]
-            == [_outline(one.node) for one in other.sources]
+            [outlines.of(one.node) for one in mine.sources]
+            == [outlines.of(one.node) for one in other.sources]
             for mine, other in zip(supplies, every, strict=True)
         )
         return every if same else None
@@ -185,14 +188,28 @@ def _elements(supplies: Sequence[Supply]) -> int:
     )
 
 
-def _outline(node: Node) -> Hashable:
-    """How a stream is made, whether of all objects or of some that are selected."""
-    match node:
-        case SelectObject(source):
-            return _outline(source)
-        case Compute(transformation, inputs, _, _, _, parameters):
-            return transformation, parameters, tuple(_outline(edge.node) for edge in inputs)
-        case Synchronize(inputs):
-            return tuple(_outline(edge.node) for edge in inputs)
-        case _:
-            return node
+class _Outlines:
+    """How streams are made, whether of all objects or of some that are selected: numbers, equal
+    for those that are made alike. Cost: O(distinct nodes)."""
+
+    def __init__(self) -> None:
+        self._numbers: dict[Hashable, int] = {}
+        self._known: dict[Node, int] = {}
+
+    def of(self, source: Node) -> int:
+        """The number of a node's outline."""
+        for node in nodes_of(source):
+            if node not in self._known:
+                self._known[node] = self._number(node)
+        return self._known[source]
+
+    def _number(self, node: Node) -> int:
+        below = tuple(self._known[each] for each in below_of(node))
+        if isinstance(node, SelectObject):
+            return below[0]
+        outline: Hashable = node
+        if isinstance(node, Compute):
+            outline = (node.transformation, node.parameters, below)
+        elif isinstance(node, Synchronize):
+            outline = below
+        return self._numbers.setdefault(outline, len(self._numbers))

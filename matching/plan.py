@@ -1,8 +1,9 @@
 """Plans: the streams and units that give a wanted feature ([Introspection15 §4.3]).
 
-A plan is a value: a tree of frozen nodes that says which streams are used, whose samples are
-selected, and which units compute what from which fields. Equal nodes stand for one unit, so two
-plans that hold equal nodes share it. `match` makes plans, the engine carries them out.
+A plan is a value: frozen nodes, of which several may rest on one, that say which streams are used,
+whose samples are selected, and which units compute what from which fields. Equal nodes stand for
+one unit, so two plans that hold equal nodes share it. `match` makes plans, the engine carries them
+out.
 """
 
 from __future__ import annotations
@@ -20,22 +21,74 @@ from .want import Want
 
 
 class _Hashed:
-    """Keeps its hash: a plan shares nodes, and would else be walked along every path."""
+    """Keeps its hash, and with whom it was found equal: a plan shares nodes, and would else be
+    walked along every path. Cost of both: O(distinct nodes) the first time."""
 
-    __slots__ = ("_hash",)
+    __slots__ = ("_hash", "_same")
+
+    @property
+    def parts(self) -> tuple[Node | Edge, ...]:
+        """What stands in it of nodes and edges."""
+        raise NotImplementedError
 
     def __hash__(self) -> int:
         try:
             return self._hash  # type: ignore[attr-defined,no-any-return]
         except AttributeError:
-            kind = type(self)
-            values_of = _VALUES.get(kind)
-            if values_of is None:
-                names = (field.name for field in fields(kind))  # type: ignore[arg-type]
-                values_of = _VALUES[kind] = attrgetter(*names)
-            found = hash((kind.__name__, values_of(self)))
+            found = hash((type(self).__name__, _values_of(self)))
             object.__setattr__(self, "_hash", found)
             return found
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, _Hashed) or type(other) is not type(self):
+            return NotImplemented
+        # What stands in it first, without recursion: a plan may be some hundred nodes deep.
+        waiting = [(self, other)]
+        while waiting:
+            one, another = waiting[-1]
+            if _found_equal(one, another):
+                waiting.pop()
+                continue
+            if type(one) is not type(another) or hash(one) != hash(another):
+                return False
+            pairs = zip(one.parts, another.parts, strict=False)
+            below = [
+                (mine, others)
+                for mine, others in pairs
+                if isinstance(mine, _Hashed)
+                and isinstance(others, _Hashed)
+                and not _found_equal(mine, others)
+            ]
+            if below:
+                waiting += below
+                continue
+            if _values_of(one) != _values_of(another):
+                return False
+            _tell_equal(one, another)
+            waiting.pop()
+        return True
+
+
+def _found_equal(one: _Hashed, another: _Hashed) -> bool:
+    """Whether they are one, or were compared and are equal."""
+    mark = getattr(one, "_same", None)
+    return one is another or (mark is not None and mark is getattr(another, "_same", None))
+
+
+def _tell_equal(one: _Hashed, another: _Hashed) -> None:
+    mark = getattr(one, "_same", None) or object()
+    object.__setattr__(one, "_same", mark)
+    object.__setattr__(another, "_same", mark)
+
+
+def _values_of(node: _Hashed) -> tuple[object, ...]:
+    """The values of a node's fields."""
+    kind = type(node)
+    read = _VALUES.get(kind)
+    if read is None:
+        names = (field.name for field in fields(kind))  # type: ignore[arg-type]
+        read = _VALUES[kind] = attrgetter(*names)
+    return read(node)
 
 
 _VALUES: dict[type, Callable[[object], tuple[object, ...]]] = {}
@@ -66,6 +119,11 @@ class SelectObject(_Hashed):
     object: str
 
     __hash__ = _Hashed.__hash__
+    __eq__ = _Hashed.__eq__
+
+    @property
+    def parts(self) -> tuple[Node | Edge, ...]:
+        return (self.source,)
 
 
 class Port(NamedTuple):
@@ -92,6 +150,11 @@ class Edge(_Hashed):
     roles: tuple[Role, ...]
 
     __hash__ = _Hashed.__hash__
+    __eq__ = _Hashed.__eq__
+
+    @property
+    def parts(self) -> tuple[Node | Edge, ...]:
+        return (self.node,)
 
     @property
     def id_fields(self) -> tuple[str, ...]:
@@ -112,6 +175,11 @@ class Synchronize(_Hashed):
     roles: tuple[Role, ...]
 
     __hash__ = _Hashed.__hash__
+    __eq__ = _Hashed.__eq__
+
+    @property
+    def parts(self) -> tuple[Node | Edge, ...]:
+        return self.inputs
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,6 +201,11 @@ class Compute(_Hashed):
     parameters: tuple[tuple[str, str], ...] = ()
 
     __hash__ = _Hashed.__hash__
+    __eq__ = _Hashed.__eq__
+
+    @property
+    def parts(self) -> tuple[Node | Edge, ...]:
+        return self.inputs
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,6 +224,11 @@ class Detect(_Hashed):
     roles: tuple[Role, ...]
 
     __hash__ = _Hashed.__hash__
+    __eq__ = _Hashed.__eq__
+
+    @property
+    def parts(self) -> tuple[Node | Edge, ...]:
+        return tuple(source.node for source in self.sources)
 
 
 Node: TypeAlias = UseStream | SelectObject | Synchronize | Compute | Detect

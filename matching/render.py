@@ -2,24 +2,46 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import assert_never
+from collections import Counter
+from collections.abc import Sequence, Set
+from typing import NamedTuple, TypeAlias, assert_never
 
 from ..ontology.units import format_unit
 from ..rdf.namespaces import local_name
 from .plan import (
     Compute,
     Detect,
+    Edge,
     Node,
     Port,
     SelectObject,
+    Supply,
     SupplySource,
     Synchronize,
     UseStream,
+    below_of,
+    nodes_of_supply,
 )
 from .tree import Alternative, Match, Outcome
 from .want import Want
 from .words import conversion_words, stream_words
+
+MOST_LINES = 500
+"""So many lines has a match, and one more that says how many others there are."""
+
+
+class _Use(NamedTuple):
+    """A node where it is read, of which ``ports`` are used; ``role`` stands before its line."""
+
+    node: Node
+    ports: tuple[Port, ...]
+    role: str = ""
+
+
+_Item: TypeAlias = _Use | Alternative | str
+"""What has a line."""
+_Line: TypeAlias = tuple[str, str, _Item]
+"""What a line begins with, what those below it begin with, and whose it is."""
 
 _BRANCH, _LAST, _DOWN, _PAST = "├─ ", "└─ ", "│  ", "   "
 
@@ -33,17 +55,46 @@ def render(match: Match) -> str:
         └─ chosen: coordinatesToSpeed : latitude, longitude ⇒ speed   (m.s-1 → km.h-1 × 3.6)
            └─ select icao24 = uav1
               └─ stream positions : latitude [deg], longitude [deg] for every UAV = icao24
+
+    What stands in several places is told where it is met first, and has a number (``#1``) by which
+    the other places name it. At most `MOST_LINES` and one that says how many more there are.
+    Law: lines are at most the title, the edges of the plan, and the alternatives.
     """
     sources = () if match.supply is None else match.supply.sources
-    lines = [_title(match.want, sources)]
     rest = [alternative for alternative in match.tree if alternative.outcome is not Outcome.CHOSEN]
-    blocks = [_source(source) for source in sources]
+    below: list[_Item] = [_Use(source.node, (source.port,), "chosen: ") for source in sources]
     if match.supply is None and not rest:
-        blocks = [[reason] for reason in match.missing]
-    blocks += [_alternative(alternative) for alternative in rest]
-    for place, block in enumerate(blocks):
-        lines += _indented(block, place == len(blocks) - 1)
+        below += match.missing
+    below += rest
+    shared = _shared(match.supply)
+    numbers: dict[Node, int] = {}
+    lines = [_title(match.want, sources)]
+    more = 0
+    waiting = _hung(below, "")
+    while waiting:
+        head, down, item = waiting.pop()
+        text, parts = _described(item, shared, numbers)
+        if len(lines) < MOST_LINES:
+            lines.append(head + text)
+        else:
+            more, down = more + 1, ""
+        waiting += _hung(parts, down)
+    if more:
+        lines.append(f"… {more} more line{'s' if more > 1 else ''}")
     return "\n".join(lines)
+
+
+def _hung(parts: Sequence[_Item], down: str) -> list[_Line]:
+    """The parts below something whose lines begin with ``down``, the last one first."""
+    last = len(parts) - 1
+    return [
+        (
+            down + (_LAST if place == last else _BRANCH),
+            down + (_PAST if place == last else _DOWN),
+            part,
+        )
+        for place, part in reversed(list(enumerate(parts)))
+    ]
 
 
 def _title(want: Want, sources: Sequence[SupplySource]) -> str:
@@ -52,51 +103,58 @@ def _title(want: Want, sources: Sequence[SupplySource]) -> str:
     return text + (f" [{format_unit(unit)}]" if unit else "")
 
 
-def _indented(block: list[str], last: bool) -> list[str]:
-    head, down = (_LAST, _PAST) if last else (_BRANCH, _DOWN)
-    return [head + block[0], *(down + line for line in block[1:])]
+def _shared(supply: Supply | None) -> set[Node]:
+    """The nodes that stand in several places and rest on others."""
+    if supply is None:
+        return set()
+    places = Counter(source.node for source in supply.sources)
+    for node in nodes_of_supply(supply):
+        places.update(below_of(node))
+    return {node for node, count in places.items() if count > 1 and below_of(node)}
 
 
-def _source(source: SupplySource) -> list[str]:
-    block = _node(source.node, (source.port,))
-    return [f"chosen: {block[0]}", *block[1:]]
+def _described(
+    item: _Item, shared: Set[Node], numbers: dict[Node, int]
+) -> tuple[str, Sequence[_Item]]:
+    """The line of something, and what stands below it. A node that is shared and met first gets
+    its number in ``numbers``."""
+    match item:
+        case str():
+            return item, ()
+        case Alternative(text, outcome, reason, parts):
+            return f"{outcome}: {text}" + (f" — {reason}" if reason else ""), parts
+        case _Use(node, ports, role):
+            text, below = _node(node, ports)
+            if node not in shared:
+                return role + text, below
+            if node in numbers:
+                return f"{role}{text}   #{numbers[node]}, as above", ()
+            numbers[node] = len(numbers) + 1
+            return f"{role}{text}   #{numbers[node]}", below
+        case _:
+            assert_never(item)
 
 
-def _node(node: Node, ports: tuple[Port, ...]) -> list[str]:
-    """A block of lines for ``node``, of which ``ports`` are used."""
+def _node(node: Node, ports: tuple[Port, ...]) -> tuple[str, Sequence[_Use]]:
+    """The line of ``node``, of which ``ports`` are used, and what it uses."""
     match node:
         case UseStream(stream, contents):
             fields = tuple(port.source_field for port in ports)
-            return [stream_words(stream, contents, fields, ports)]
+            return stream_words(stream, contents, fields, ports), ()
         case SelectObject(source, id_field, object):
-            head = f"select {id_field} = {local_name(object)}"
-            return [head, *_indented(_node(source, ports), last=True)]
+            return f"select {id_field} = {local_name(object)}", (_Use(source, ports),)
         case Synchronize(inputs):
-            block = ["synchronize"]
-            for place, edge in enumerate(inputs):
-                block += _indented(_node(edge.node, edge.ports), place == len(inputs) - 1)
-            return block
+            return "synchronize", _uses(inputs)
         case Detect(event, _, _, sources):
-            block = [f"event {event}"]
-            for place, part in enumerate(sources):
-                block += _indented(_node(part.node, (part.port,)), place == len(sources) - 1)
-            return block
+            return f"event {event}", [_Use(part.node, (part.port,)) for part in sources]
         case Compute(transformation, inputs, output):
             names = [local_name(port.feature) for edge in inputs for port in edge.ports]
             head = f"{transformation} : {', '.join(names) or '∅'} ⇒ {local_name(output.feature)}"
             changes = ", ".join(filter(None, map(conversion_words, ports)))
-            block = [f"{head}   ({changes})" if changes else head]
-            for place, edge in enumerate(inputs):
-                block += _indented(_node(edge.node, edge.ports), place == len(inputs) - 1)
-            return block
+            return f"{head}   ({changes})" if changes else head, _uses(inputs)
         case _:
             assert_never(node)
 
 
-def _alternative(alternative: Alternative) -> list[str]:
-    head = f"{alternative.outcome}: {alternative.text}"
-    block = [f"{head} — {alternative.reason}" if alternative.reason else head]
-    for place, part in enumerate(alternative.parts):
-        inner = _alternative(part)
-        block += _indented(inner, place == len(alternative.parts) - 1)
-    return block
+def _uses(inputs: Sequence[Edge]) -> list[_Use]:
+    return [_Use(edge.node, edge.ports) for edge in inputs]

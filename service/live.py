@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import asyncio
 import re
+import sys
 from abc import ABC, abstractmethod
+from dataclasses import replace
 from itertools import groupby
 from typing import Any
 
@@ -21,7 +23,7 @@ from ..converters.arrow import ArrowMissing, bytes_of_table, joined, samples_of_
 from ..converters.arrow_messages import ArrowMessages
 from ..converters.errors import WireError
 from ..converters.ndjson import decode_ndjson, mixed_times
-from ..converters.wire import BOM, Incoming
+from ..converters.wire import BOM, BatchLimits, Incoming
 from ..engine.commands import BatchKind, Publish
 from ..engine.engine import Engine
 from ..streams.generator import StreamGenerator
@@ -46,8 +48,16 @@ class LiveSamples(ABC):
     body's beginning. What was published before stays; ``accepted`` counts it.
     """
 
-    def __init__(self, engine: Engine, keeper: Keeper, name: str, clock: Clock) -> None:
+    def __init__(
+        self,
+        engine: Engine,
+        keeper: Keeper,
+        name: str,
+        clock: Clock,
+        limits: BatchLimits | None = None,
+    ) -> None:
         self.accepted = 0
+        self._limits = limits
         self._engine = engine
         self._keeper = keeper
         self._name = name
@@ -102,8 +112,17 @@ class LiveLines(LiveSamples):
     Cost: as `decode_ndjson`; a part with a bad line is decoded once more up to it.
     """
 
-    def __init__(self, engine: Engine, keeper: Keeper, name: str, clock: Clock) -> None:
-        super().__init__(engine, keeper, name, clock)
+    def __init__(
+        self,
+        engine: Engine,
+        keeper: Keeper,
+        name: str,
+        clock: Clock,
+        limits: BatchLimits | None = None,
+    ) -> None:
+        super().__init__(engine, keeper, name, clock, limits)
+        # How many lines come together is chance, and no more than a body has.
+        self._limits = limits and replace(limits, samples=sys.maxsize)
         self._rest = bytearray()
 
     @property
@@ -158,7 +177,7 @@ class LiveLines(LiveSamples):
         if text.startswith(BOM):
             raise WireError(1, "not JSON: a byte order mark", "send one JSON object a line")
         self._keeper.check_room(len(text))
-        incoming = decode_ndjson(text, generator.schema, generator.stream.pools)
+        incoming = decode_ndjson(text, generator.schema, generator.stream.pools, self._limits)
         blank = len(text) - len(text.lstrip())
         self._publish(incoming, "ndjson", text, 1 + text.count(b"\n", 0, blank))
 
@@ -167,9 +186,16 @@ class LiveTables(LiveSamples):
     """An Arrow IPC stream, or several one after the other: a record batch is taken whole or refused
     whole."""
 
-    def __init__(self, engine: Engine, keeper: Keeper, name: str, clock: Clock) -> None:
-        super().__init__(engine, keeper, name, clock)
-        self._messages = ArrowMessages()
+    def __init__(
+        self,
+        engine: Engine,
+        keeper: Keeper,
+        name: str,
+        clock: Clock,
+        limits: BatchLimits | None = None,
+    ) -> None:
+        super().__init__(engine, keeper, name, clock, limits)
+        self._messages = ArrowMessages(limits)
 
     @property
     def held(self) -> int:
@@ -197,7 +223,9 @@ class LiveTables(LiveSamples):
         table = joined(tables)
         generator = self._target()
         try:
-            incoming = samples_of_table(table, generator.schema, generator.stream.pools)
+            incoming = samples_of_table(
+                table, generator.schema, generator.stream.pools, self._limits
+            )
             body = bytes_of_table(table) if self._keeper.is_recording else b""
             self._publish(incoming, "arrow", body, 1)
         except WireError as error:

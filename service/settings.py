@@ -8,6 +8,7 @@ from pathlib import Path
 from pydantic import Field, SecretStr
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
+from ..converters.wire import BatchLimits
 from ..journal.log import Durability
 
 MEBIBYTE = 1 << 20
@@ -42,6 +43,10 @@ class Settings(BaseSettings):
     """A larger request body is refused with 413."""
     bodies_limit: int = Field(default=64 * MEBIBYTE, gt=0)
     """Bodies under way together; beyond it requests are refused with 429 and Retry-After."""
+    batch_samples: int = Field(default=1_000_000, gt=0)
+    """A batch of more samples is refused with 400."""
+    text_limit: int = Field(default=64 * 1024, gt=0)
+    """So is one in which one text has more bytes."""
     live_timeout: float = Field(default=60.0, gt=0)
     """A sender of live samples from whom nothing comes for so long is let go, with 408."""
     tokens: SecretStr = SecretStr("")
@@ -126,3 +131,8 @@ class Settings(BaseSettings):
     log_level: str = Field(default="info", pattern="^(debug|info|warning|error)$")
     log_json: bool = False
     """One JSON object a log line instead of text for people."""
+
+    @property
+    def batch_limits(self) -> BatchLimits:
+        """What a batch may have; of Arrow eight times a body once it is decompressed."""
+        return BatchLimits(self.batch_samples, self.text_limit, 8 * self.body_limit)

@@ -32,6 +32,7 @@ from .negotiation import (
     SPARQL_XML,
     accepted,
 )
+from .problems import Problem
 
 RESULTS = formats.TABLES
 GRAPHS = formats.GRAPHS
@@ -49,27 +50,35 @@ def answer(body: bytes | None, kind: str) -> Response:
     return Response(body or b"", media_type=kind)
 
 
-def one_window(request: Request, result: WindowResult) -> Response:
-    """The result of a window as SPARQL has it; raises a 406 `Problem`."""
+def one_window(request: Request, result: WindowResult, most: int) -> Response:
+    """The result of a window as SPARQL has it.
+
+    Raises a 406 `Problem`, and a 422 one where its terms have more than ``most`` characters: a text
+    that many solutions share is kept once, and told often.
+    """
     if result.triples is not None:
-        return _graph(request, [result])
+        return _graph(request, [result], most)
     if result.solutions is not None:
-        return _table(request, result.solutions.variables, result.solutions.rows())
+        return _table(request, result.solutions.variables, result.solutions.rows(), most)
     kind = accepted(request, tuple(BOOLEANS))
     told = json.dumps({"head": {}, "boolean": bool(result.answer)})
     return answer(_written(told, BOOLEANS[kind]), kind)
 
 
 def many_windows(
-    request: Request, results: Sequence[WindowResult], form: str, variables: Sequence[str]
+    request: Request,
+    results: Sequence[WindowResult],
+    form: str,
+    variables: Sequence[str],
+    most: int,
 ) -> Response:
     """The results of several windows: one table, each row with the end of its window first; one
     graph of all that was constructed. ``variables`` are a table's where no window tells.
 
-    Raises a 406 `Problem`.
+    Raises `Problem` as `one_window`.
     """
     if form in ("CONSTRUCT", "DESCRIBE"):
-        return _graph(request, results)
+        return _graph(request, results, most)
     told = next(
         (each.solutions.variables for each in results if each.solutions is not None), variables
     )
@@ -84,28 +93,49 @@ def many_windows(
             rows += [{end: time, **row} for row in result.solutions.rows()]
         else:
             rows.append({end: time, ANSWER: Literal(bool(result.answer))})
-    return _table(request, [end, *names], rows)
+    return _table(request, [end, *names], rows, most)
 
 
 def _table(
-    request: Request, variables: Sequence[str], rows: Sequence[Mapping[str, Term]]
+    request: Request, variables: Sequence[str], rows: Sequence[Mapping[str, Term]], most: int
 ) -> Response:
     kind = accepted(request, tuple(RESULTS))
-    bindings = [{name: _json_term(term) for name, term in row.items()} for row in rows]
+    bindings, size = [], 0
+    for row in rows:
+        bindings.append({name: _json_term(term) for name, term in row.items()})
+        size += sum(len(told["value"]) for told in bindings[-1].values())
+        if size > most:
+            raise result_too_large(f"{most} bytes")
     told = json.dumps({"head": {"vars": list(variables)}, "results": {"bindings": bindings}})
     return answer(_written(told, RESULTS[kind]), kind)
 
 
-def _graph(request: Request, results: Sequence[WindowResult]) -> Response:
+def _graph(request: Request, results: Sequence[WindowResult], most: int) -> Response:
     kind = accepted(request, tuple(GRAPHS))
     triples: dict[Triple, None] = {}
+    size = 0
     for result in results:
         assert result.triples is not None
         for _, subject, predicate, object in result.triples:
             assert isinstance(subject, NamedNode | BlankNode)
-            triples[Triple(subject, predicate, object)] = None
+            triple = Triple(subject, predicate, object)
+            if triple not in triples:
+                size += sum(len(term.value) for term in (subject, predicate, object))
+                if size > most:
+                    raise result_too_large(f"{most} bytes")
+                triples[triple] = None
     prefixes = {} if kind == NTRIPLES else dict(PREFIXES)
     return answer(serialize(triples, format=GRAPHS[kind], prefixes=prefixes), kind)
+
+
+def result_too_large(most: str) -> Problem:
+    """What is said of a result that has more than ``most``."""
+    return Problem(
+        422,
+        "result too large",
+        f"the result has more than {most}",
+        hint="ask for less: add a LIMIT, name the variables that are needed",
+    )
 
 
 def _written(told: str, format: QueryResultsFormat) -> bytes | None:

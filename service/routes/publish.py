@@ -73,5 +73,5 @@ async def publish_samples(
     )
     # What is decoded stays with the stream's texts: not of what cannot be kept.
     service.keeper.check_room(len(body))
-    incoming = batch.decode(service.engine)
+    incoming = batch.decode(service.engine, service.settings.batch_limits)
     return AcceptedModel(accepted=await service.do(batch, incoming))

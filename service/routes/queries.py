@@ -135,7 +135,7 @@ async def remove_query(name: Name, service: Context) -> Response:
 @router.get(
     "/queries/{name}/results",
     response_class=Response,
-    responses=CONTENT | responses(404, 406),
+    responses=CONTENT | responses(404, 406, 422),
 )
 async def read_results(
     name: Name,
@@ -153,14 +153,14 @@ async def read_results(
     column `window_end` first, or one graph. JSON, XML, CSV, TSV for SELECT; JSON, XML for one
     answer to ASK; Turtle, N-Triples, JSON-LD for CONSTRUCT. Terms are as the query gave them.
     """
-    queries = service.engine.queries
+    queries, most = service.engine.queries, service.settings.sparql_bytes
     # Results do not change, so that they are written beside the event loop.
     if start is None and end is None and limit is None:
         latest = queries.latest(name)
-        response = await anyio.to_thread.run_sync(one_window, request, latest)
+        response = await anyio.to_thread.run_sync(one_window, request, latest, most)
         response.headers[END_HEADER] = format_time(latest.end)
         return response
     view = queries.view(name)
     variables = tuple(field.name for field in view.fields)
     found = queries.results(name, time_of(start, "from"), time_of(end, "to"), limit)
-    return await anyio.to_thread.run_sync(many_windows, request, found, view.form, variables)
+    return await anyio.to_thread.run_sync(many_windows, request, found, view.form, variables, most)

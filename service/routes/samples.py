@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from typing import Annotated, Any
 
-import anyio.to_thread
 from fastapi import APIRouter, Query, Request, Response
 
-from ...converters.arrow import encode_arrow
-from ...converters.csv_table import encode_csv
-from ...converters.ndjson import encode_ndjson
+from ...engine.errors import UnknownStream
 from ...streams.fluent import FluentStream
 from ...streams.sample import SampleBatch
 from ...streams.time import TIME_MAX
-from ..context import Context
+from ..context import Context, Service
+from ..history import history_answer
 from ..negotiation import ARROW, CSV, JSON, NDJSON, NTRIPLES, accepted
 from ..problems import Problem, responses
 from ..times import Time, time_of
@@ -49,6 +48,8 @@ async def read_samples(
 ) -> Response:
     """The kept samples with available time from `from` to `to`, both included.
 
+    A long answer comes in pieces, each encoded when the one before it is taken.
+
     Or, with `at`, the one sample that says most about that valid time (Def. 5.6).
     """
     kind = accepted(request, FORMATS)
@@ -56,23 +57,14 @@ async def read_samples(
     given = {"from": start, "to": end, "at": at, "known": known}
     times = {key: time_of(text, key) for key, text in given.items()}
     batch = _select(stream, times, limit or service.settings.history_limit)
-    if kind == NTRIPLES:
-        lines = [text for text in service.engine.rdf_of(name, batch) if text]
-        return Response("".join(f"{text}\n" for text in lines), media_type=NTRIPLES)
-    # Batches do not change, so that a long answer is written beside the event loop.
-    body = await anyio.to_thread.run_sync(_encode, kind, batch)
-    return Response(body, media_type=kind)
+    return await history_answer(kind, batch, partial(_triples, service, name))
 
 
-def _encode(kind: str, batch: SampleBatch) -> bytes:
-    if kind == NDJSON:
-        return encode_ndjson(batch)
-    if kind == CSV:
-        return encode_csv(batch)
-    if kind == ARROW:
-        return encode_arrow(batch)
-    # A JSON array is the lines with commas between.
-    return b"[" + b",".join(encode_ndjson(batch).splitlines()) + b"]"
+def _triples(service: Service, name: str, batch: SampleBatch) -> list[str]:
+    try:
+        return service.engine.rdf_of(name, batch)
+    except UnknownStream:  # removed while its samples were sent: what they meant is gone with it
+        return []
 
 
 def _select(stream: FluentStream, times: Mapping[str, int | None], limit: int) -> SampleBatch:

@@ -19,7 +19,7 @@ from ..isolation.messages import Failed, Refused, TooMuch, Truth, Written
 from ..isolation.serving import while_connected
 from ..negotiation import FORM, SPARQL_QUERY, accepted, content_type, utf8
 from ..problems import Problem, responses
-from ..sparql_results import BOOLEANS, GRAPHS, RESULTS, answer
+from ..sparql_results import BOOLEANS, GRAPHS, RESULTS, answer, result_too_large
 
 router = APIRouter(tags=["sparql"])
 
@@ -133,10 +133,5 @@ async def _answer(service: Service, request: Request, text: str) -> Response:
         case Failed(message):
             raise Problem(400, "query failed", message)
         case TooMuch(what, limit):
-            raise Problem(
-                422,
-                "result too large",
-                f"the result has more than {limit} {what}",
-                hint="ask for less: add a LIMIT, name the variables that are needed",
-            )
+            raise result_too_large(f"{limit} {what}")
     raise AssertionError(f"no answer to a query: {type(found).__name__}")

@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 from dyknow.engine.engine import Engine
 from dyknow.service.cli import app
 from dyknow.service.client import Client, ServiceError
+from dyknow.service.settings import Settings
 
 DYKNOW = "http://www.ida.liu.se/dyknow/"
 TEXT = {"Content-Type": "text/plain"}
@@ -383,3 +384,20 @@ def test_how_the_command_run_reads_a_text(tmp_path: Path) -> None:
     assert ends(*named, *named, status=2) == []
     assert ends("--stream", f"{iri}={data}", status=2) == []
     assert ends("--static", "http://x.org/sorts=nowhere.ttl", status=1) == []
+
+
+def test_a_result_has_so_many_bytes(flying: httpx.Client, settings: Settings) -> None:
+    """A text that many solutions share is kept once: some kilobytes may stand for gigabytes."""
+    register(flying, MEANS)
+    register(flying, FAST)
+    play(flying)
+    settings.sparql_bytes = 100  # of one window about ninety
+    assert flying.get("/queries/means/results").status_code == 200
+    assert flying.get("/queries/fast/results").status_code == 200
+    answer = flying.get("/queries/means/results?limit=5")
+    assert (answer.status_code, answer.json()["title"]) == (422, "result too large")
+    settings.sparql_bytes = 10
+    for name in ("means", "fast"):
+        answer = flying.get(f"/queries/{name}/results")
+        assert answer.status_code == 422
+        assert answer.json()["detail"] == "the result has more than 10 bytes"
