@@ -27,7 +27,7 @@ from ..streams.strings import StringPool
 from ..streams.time import TIME_MAX, TIME_MIN
 from .errors import WireError
 from .inference import TIME_UNITS, TimeReader
-from .wire import Incoming, check_names, null_mask, pool_of, text_column
+from .wire import TIME_RANGE_HINT, Incoming, check_names, null_mask, pool_of, text_column
 
 CONTENT_TYPE = "application/vnd.apache.arrow.stream"
 
@@ -157,7 +157,9 @@ def times_from_arrow(column: Any, key: str, reader: TimeReader) -> Times:
             outside = (counts > TIME_MAX // scale) | (counts < -(TIME_MIN // -scale))
             if outside.any():
                 row = int(np.argmax(outside)) + 1
-                raise WireError(row, f"{key!r} is outside signed 64-bit nanoseconds")
+                raise WireError(
+                    row, f"{key!r} is outside signed 64-bit nanoseconds", TIME_RANGE_HINT
+                )
         times: Times = counts * np.int64(scale)
         return times
     values = column.to_pylist()
