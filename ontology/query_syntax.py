@@ -87,8 +87,8 @@ def _unbalanced(text: str) -> int | None:
     for offset, sign in enumerate(blank):
         if sign in "([{":
             opened.append(offset)
-        elif sign in "\"'":
-            return offset
-        elif sign in _CLOSING and (not opened or blank[opened.pop()] != _CLOSING[sign]):
+            continue
+        closes = sign in _CLOSING and opened and blank[opened.pop()] == _CLOSING[sign]
+        if sign in "\"'" or (sign in _CLOSING and not closes):
             return offset
     return opened[-1] if opened else None
