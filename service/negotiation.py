@@ -116,9 +116,9 @@ def utf8(body: bytes) -> str:
 
 
 async def read_json(body: bytes) -> Any:
-    """``body`` as JSON. Raises ``ValueError`` (as ``json.loads``), and a 400 `Problem` for an object
-    with a member twice, of which others would take the first. Long ones are read beside the event
-    loop."""
+    """``body`` as JSON. Raises ``ValueError`` (as ``json.loads``), and a 400 `Problem` for an
+    object with a member twice, of which others would take the first. Long ones are read beside the
+    event loop."""
     if len(body) <= _SHORT:
         return _json(body)
     return await anyio.to_thread.run_sync(_json, body, limiter=_LONG)
