@@ -29,7 +29,15 @@ from ..streams.time import TIME_MAX, TIME_MIN
 from .arrow_sizes import check_sizes
 from .errors import WireError
 from .inference import TIME_UNITS, TimeReader
-from .wire import BatchLimits, Incoming, check_names, null_mask, pool_of, text_column
+from .wire import (
+    TIME_RANGE_HINT,
+    BatchLimits,
+    Incoming,
+    check_names,
+    null_mask,
+    pool_of,
+    text_column,
+)
 
 CONTENT_TYPE = "application/vnd.apache.arrow.stream"
 
@@ -223,7 +231,9 @@ def times_from_arrow(column: Any, key: str, reader: TimeReader) -> Times:
             outside = (counts > TIME_MAX // scale) | (counts < -(TIME_MIN // -scale))
             if outside.any():
                 row = int(np.argmax(outside)) + 1
-                raise WireError(row, f"{key!r} is outside signed 64-bit nanoseconds")
+                raise WireError(
+                    row, f"{key!r} is outside signed 64-bit nanoseconds", TIME_RANGE_HINT
+                )
         times: Times = counts * np.int64(scale)
         return times
     values = column.to_pylist()

@@ -15,7 +15,7 @@ import numpy as np
 from ..streams.sample import FieldType, Times
 from ..streams.time import MICROSECOND, MILLISECOND, NANOSECOND, SECOND, TIME_MAX, TIME_MIN
 from .errors import WireError
-from .wire import time_of
+from .wire import TIME_HINT, TIME_RANGE_HINT, shown, time_of
 
 TIME_NAMES: Final = ("valid", "timestamp", "time", "t")
 TIME_UNITS: Final = {"s": SECOND, "ms": MILLISECOND, "us": MICROSECOND, "ns": NANOSECOND}
@@ -149,7 +149,7 @@ class TimeReader:
         if isinstance(time, str) and not _NUMBER(time):
             return time_of(time, key, line)
         if time is None or isinstance(time, bool) or not isinstance(time, str | int | float):
-            raise WireError(line, f"{key!r} is a time, got {time!r}")
+            raise WireError(line, f"{key!r} is a time, got {shown(time)}", TIME_HINT)
         try:
             found = int(time) * scale
         except ValueError:
@@ -158,7 +158,11 @@ class TimeReader:
             if isinstance(time, float):
                 found = _decimal_time(repr(time), scale, line, key)
         if not TIME_MIN <= found <= TIME_MAX:
-            raise WireError(line, f"{key!r}: {time} is outside signed 64-bit nanoseconds")
+            raise WireError(
+                line,
+                f"{key!r}: {shown(time)} is outside signed 64-bit nanoseconds",
+                TIME_RANGE_HINT,
+            )
         return found
 
 
@@ -167,4 +171,4 @@ def _decimal_time(text: str, scale: int, line: int, key: str) -> int:
     try:
         return round(Decimal(text) * scale)
     except (InvalidOperation, OverflowError, ValueError):
-        raise WireError(line, f"{key!r} is a time, got {text}") from None
+        raise WireError(line, f"{key!r} is a time, got {shown(text)}", TIME_HINT) from None

@@ -38,6 +38,7 @@ from .wire import (
     format_times,
     null_mask,
     pool_of,
+    shown,
     text_column,
     time_of,
 )
@@ -269,7 +270,11 @@ def _is_plain_time(value: object) -> bool:
 def _check_integers(field: Field, values: Sequence[Any], lines: _Lines) -> None:
     for i, value in enumerate(values):
         if value is not None and not -(2**63) <= value < 2**63:
-            raise WireError(lines.of(i), f"field {field.name!r} is outside 64 bits: {value}")
+            raise WireError(
+                lines.of(i),
+                f"field {field.name!r} is outside 64 bits: {shown(value)}",
+                "integers have 64 bits: declare the field as float, or as string",
+            )
 
 
 def _column(field: Field, values: Sequence[Any], pools: dict[str, StringPool]) -> Column:
@@ -298,7 +303,8 @@ def _cause(data: bytes, schema: Schema, message: str) -> WireError:
                     error = WireError(number, "the line is nested too deeply", hint)
                 if error is not None:
                     return error
-    return WireError(None, message, "send one JSON object a line")
+    # What the decoder says stands in its own words: `Number out of range - at `$[...]``.
+    return WireError(None, message.partition(" - at `")[0], "send one JSON object a line")
 
 
 def _are_samples(lines: Sequence[bytes], schema: Schema) -> bool:
@@ -313,8 +319,8 @@ def _are_samples(lines: Sequence[bytes], schema: Schema) -> bool:
 def _line_error(line: bytes, number: int, schema: Schema) -> WireError | None:
     try:
         values = msgspec.json.decode(line)
-    except msgspec.ValidationError as error:  # the one limit of plain JSON: 1e999
-        return WireError(number, f"{error}", "numbers are finite: send null for no value")
+    except msgspec.ValidationError:  # the one limit of plain JSON: 1e999
+        return WireError(number, "a number is larger than a float holds", "send null for no value")
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
         if _NOT_FINITE.search(line):
             return WireError(
@@ -322,7 +328,9 @@ def _line_error(line: bytes, number: int, schema: Schema) -> WireError | None:
             )
         return WireError(number, f"not JSON: {error}", "send one JSON object a line")
     if not isinstance(values, dict):
-        return WireError(number, f"a sample is a JSON object, got {_kind(values)}")
+        return WireError(
+            number, f"a sample is a JSON object, got {shown(values)}", "send one JSON object a line"
+        )
     for name in ("valid", *schema.names):
         if name not in values:
             hint = (
@@ -345,7 +353,7 @@ def _line_error(line: bytes, number: int, schema: Schema) -> WireError | None:
     for field in schema.fields:
         if not _fits(field.type, values[field.name]):
             return WireError(
-                number, f"field {field.name!r} is {_a(field.type)}, got {_kind(values[field.name])}"
+                number, f"field {field.name!r} is {_a(field.type)}, got {shown(values[field.name])}"
             )
     return None
 
@@ -362,8 +370,3 @@ def _fits(type: FieldType, value: object) -> bool:
 
 def _a(type: FieldType) -> str:
     return f"an {type}" if type is FieldType.INTEGER else f"a {type}"
-
-
-def _kind(value: object) -> str:
-    text = msgspec.json.encode(value).decode()
-    return text if len(text) <= 40 else f"{text[:37]}…"

@@ -286,7 +286,8 @@ def _term_value(type: FieldType, term: Term, namespace: str) -> float | int | bo
                 value = float(text) if datatype in _NUMERIC else float("nan")
                 return value if np.isfinite(value) else None
             case FieldType.INTEGER if datatype == "dateTime":
-                return parse_time(text)
+                # What a query has computed may be finer than what is kept.
+                return parse_time(text, cut=True)
             case FieldType.INTEGER:
                 if datatype not in (*_NUMERIC, "string"):
                     return None

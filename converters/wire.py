@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from reprlib import repr as brief
 
+import msgspec
 import numpy as np
 
 from ..streams.sample import TIME_FIELDS, Column, Field, FieldType, Mask, SampleBatch, Schema, Times
@@ -72,13 +72,22 @@ def format_times(times: Times) -> list[str]:
 def time_of(value: object, key: str, line: int) -> int:
     """One time point in ns; raises `WireError` with the line."""
     if isinstance(value, bool) or not isinstance(value, str | int):
-        raise WireError(line, f"{key!r} is a time, got {brief(value)}", TIME_HINT)
+        raise WireError(line, f"{key!r} is a time, got {shown(value)}", TIME_HINT)
     try:
         return parse_time(value)
     except ValueError as error:
         raise WireError(line, f"{key!r}: {error}", TIME_HINT) from None
 
 
+def shown(value: object) -> str:
+    """A value for an error, as JSON spells it, not too long."""
+    if isinstance(value, int) and value.bit_length() > 64:
+        return str(value) if value.bit_length() < 100 else "a number of many digits"
+    text = msgspec.json.encode(value, enc_hook=str).decode()
+    return text if len(text) <= 40 else f"{text[:37]}…"
+
+
+TIME_RANGE_HINT = "times are from year 1678 to 2262; is the unit another one?"
 TIME_HINT = "write ISO-8601 such as 2021-10-07T19:12:53.5Z, or integer nanoseconds since 1970"
 
 

@@ -15,6 +15,7 @@ from typing import Literal as OneOf
 
 from ..rdf.sparql import check_sparql
 from .errors import QueryRefused
+from .query_syntax import explained
 from .turtle import ALL_PREFIXES
 
 LONGEST_TEXT: Final = 8 * 1024
@@ -55,7 +56,6 @@ _TOKEN: Final = re.compile(
     r"|(?P<mark>\^\^|.)",
     re.DOTALL,
 )
-_PLACE: Final = re.compile(r"^error at (\d+):(\d+): ")
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,14 +78,17 @@ def check_user_query(text: str) -> None:
 def query_form(text: str) -> QueryForm:
     """Checks ``text`` like `check_user_query` and says what kind of answer it has."""
     form = check_bounds(text)
+    if form is None:
+        raise QueryRefused(
+            "the text asks nothing: SELECT, ASK, CONSTRUCT or DESCRIBE is missing",
+            1,
+            1,
+            "such as SELECT * { ?s ?p ?o } LIMIT 10",
+        )
     try:
         check_sparql(text, ALL_PREFIXES)
     except SyntaxError as error:
-        raise syntax_refusal(error) from error
-    if form is None:
-        raise QueryRefused(
-            "the text asks nothing: SELECT, ASK, CONSTRUCT or DESCRIBE is missing", 1, 1
-        )
+        raise syntax_refusal(text, error) from error
     return form
 
 
@@ -238,12 +241,10 @@ def _refusal(text: str, token: _Token, message: str, hint: str = "") -> QueryRef
     return QueryRefused(message, line, column, hint)
 
 
-def syntax_refusal(error: SyntaxError) -> QueryRefused:
-    """What Oxigraph's parser found, with its place."""
-    message = str(error)
-    place = _PLACE.match(message)
-    line, column = (int(place[1]), int(place[2])) if place else (1, 1)
-    rest = message[place.end() :] if place else message
-    # Lists of expected characters are of no help to anyone.
-    rest = re.sub(r", \['.*$", " …", rest, flags=re.DOTALL)
-    return QueryRefused(f"no SPARQL query: {rest}", line, column)
+def syntax_refusal(text: str, error: SyntaxError) -> QueryRefused:
+    """What Oxigraph's parser found in ``text``, with its place."""
+    message, offset, hint = explained(
+        text, str(error), lambda again: check_sparql(again, ALL_PREFIXES)
+    )
+    line = text.count("\n", 0, offset) + 1
+    return QueryRefused(message, line, offset - text.rfind("\n", 0, offset), hint)

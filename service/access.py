@@ -16,7 +16,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from .event_clients import address_of
 from .origins import FetchMetadata, Hosts, Origins, Place, is_same
-from .problems import Problem
+from .problems import REQUEST_ID, Problem
 from .quotas import Quotas
 from .scopes import Rule, Rules
 from .sessions import Sessions
@@ -67,10 +67,10 @@ class Gate:
         """The gate of a service with these settings."""
         return cls(tokens, sessions, quotas, Rules(), Hosts(settings), Origins(settings))
 
-    def check_page(self, scope: Scope, headers: _Headers) -> Place | None:
+    def check_page(self, scope: Scope, headers: _Headers) -> Place:
         """Raises a `Problem` for a request to another host, or from a page elsewhere."""
         server = scope.get("server") or ("",)
-        place = self.hosts.check(headers.get(b"host", []), scope["http_version"], server[0])
+        place = self.hosts.check(headers.get(b"host", []), server[0])
         if len(headers) > 1:
             self.origins.check(
                 headers.get(b"origin", []),
@@ -81,7 +81,7 @@ class Gate:
             )
         return place
 
-    def check_caller(self, scope: Scope, headers: _Headers, place: Place | None) -> None:
+    def check_caller(self, scope: Scope, headers: _Headers, place: Place) -> None:
         """Raises a `Problem` where the caller may not do this, or a quota is reached."""
         rule, parameters = self.rules.find(scope["method"], scope["path"])
         if self.tokens.required and rule.scope is not None:
@@ -106,7 +106,7 @@ class Gate:
             raise _unknown(401, "the token is not known here", 'error="invalid_token"')
         return caller
 
-    def _caller(self, scope: Scope, headers: _Headers, place: Place | None) -> Caller | None:
+    def _caller(self, scope: Scope, headers: _Headers, place: Place) -> Caller | None:
         given = headers.get(b"authorization", [])
         if len(given) > 1:
             raise _unknown(
@@ -121,7 +121,7 @@ class Gate:
             return None if found is None else self.tokens.current(found)
         return None
 
-    def _is_own_page(self, scope: Scope, headers: _Headers, place: Place | None) -> bool:
+    def _is_own_page(self, scope: Scope, headers: _Headers, place: Place) -> bool:
         """Whether a cookie counts: the browser says that it is not another page that asks."""
         if origins := headers.get(b"origin"):
             return is_same(origins[0], scope["scheme"], place)
@@ -168,7 +168,7 @@ class Access:
             gate.check_caller(scope, headers, place)
         except Problem as problem:
             self._refused(problem.title)
-            await problem.response()(scope, receive, send)
+            await problem.response(scope.get(REQUEST_ID))(scope, receive, send)
             return
         await self._app(scope, receive, send)
 

@@ -1,4 +1,5 @@
-"""The cap on request bodies: 413 for one that is too large, 429 for too many at once.
+"""The cap on request bodies: 413 for one that is too large, 429 for too many at once; 415 for one
+that is not what the service reads (service/body_headers).
 
 A pure ASGI layer, so that it holds for every route and nothing is read that will be refused.
 Memory: at most ``bodies_limit`` bytes of bodies under way, plus one chunk a connection.
@@ -9,6 +10,7 @@ from __future__ import annotations
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from .body_headers import checked_length
 from .problems import REQUEST_ID, Problem
 from .slow_bodies import SlowBodies
 
@@ -74,7 +76,12 @@ class BodyLimit:
             await self._app(scope, receive, send)
             return
         body = Held(self, scope["path"].endswith(LIVE))
-        declared = None if body.live else _content_length(scope)
+        try:
+            length = checked_length(scope["headers"])
+        except Problem as problem:
+            await problem.response(scope.get(REQUEST_ID))(scope, receive, send)
+            return
+        declared = None if body.live else length
         if declared is not None and declared > self._limit:
             await self._too_large().response(scope.get(REQUEST_ID))(scope, receive, send)
             return
@@ -125,10 +132,3 @@ class BodyLimit:
             hint="send again after the seconds in Retry-After, with the same Idempotency-Key",
             headers={"Retry-After": "1"},
         )
-
-
-def _content_length(scope: Scope) -> int | None:
-    for name, value in scope["headers"]:
-        if name == b"content-length" and value.isdigit():
-            return int(value)
-    return None

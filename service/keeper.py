@@ -29,6 +29,7 @@ from ..engine.engine import Engine
 from ..engine.recorded import DiskUse, RecordedEngine
 from ..engine.remembering import Unkept
 from ..journal.errors import JournalError
+from .failures import Failures
 from .journal_metrics import JournalTimes
 from .logs import log
 from .pausing import FIRST, FURTHER, Pausing
@@ -95,6 +96,7 @@ class Keeper:
         self._holding = 0
         """So many wait until no window is half done."""
         self._troubles = troubles
+        self._failures = Failures()
         self._audience: Audience | None = None
         self._commit: asyncio.Task[None] | None = None
         self._hastening: set[asyncio.Task[None]] = set()
@@ -335,6 +337,7 @@ class Keeper:
         recorded = self._recorded
         if recorded is None:
             return
+        self._failures.review()
         now = asyncio.get_running_loop().time()
         if self._begun is None:
             self._begun = now
@@ -421,13 +424,12 @@ class Keeper:
         if reason is None:
             self._recover(what)
             return
-        if self._troubles.get(what) != reason:
-            log().error(f"{what} failed", reason=reason)
         self._troubles[what] = reason
+        self._failures.failed(what, reason)
 
     def _fail(self, what: str, error: Exception) -> None:
         self._note(what, str(error))
 
     def _recover(self, what: str) -> None:
         if self._troubles.pop(what, None) is not None:
-            log().warning(f"{what} works again")
+            self._failures.worked(what)

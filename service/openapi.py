@@ -65,7 +65,8 @@ def _say_refusals(method: str, path: str, operation: dict[str, Any]) -> None:
     scope = scope_of_operation(method, path)
     operation["security"] = [] if scope is None else [{"token": [str(scope)]}]
     if "requestBody" in operation:
-        operation["responses"] |= {"408": problems.responses(408)[408]}
+        for status in ("408", "415"):
+            operation["responses"][status] = problems.responses(int(status))[int(status)]
     if method != "get" and path not in ASKING:
         operation["responses"] |= problems.written_responses()
     if "422" in operation["responses"]:

@@ -18,6 +18,7 @@ from .tokens import is_loopback
 
 _HOST = re.compile(r"(\[[0-9a-f:.]+\]|[a-z0-9._-]+)(?::([0-9]{1,5}))?")
 _ORIGIN = re.compile(r"([a-z][a-z0-9+.-]*)://(.+)")
+_HOST_HINT = "send one header Host with the name or address of the service: Host: 127.0.0.1:8000"
 _PORTS = {"http": 80, "https": 443}
 _WILDCARDS = ("", "0.0.0.0", "::")
 _FOREIGN = (b"cross-site", b"same-site")
@@ -66,24 +67,29 @@ class Hosts:
         self._addresses = settings.host in _WILDCARDS
         self._known: dict[bytes, Place] = {}
 
-    def check(self, values: list[bytes], version: str, reached: str) -> Place | None:
+    def check(self, values: list[bytes], reached: str) -> Place:
         """The place that a request is for, by the values of its Host headers. ``reached`` is the
         address of ours that it came to.
 
-        None where there is none and HTTP is older than 1.1: no browser sends such. Raises a
-        `Problem`: 400 for none, several, or what is no host, 421 for another one.
+        Raises a `Problem`: 400 for none (also in HTTP/1.0), several, or what is no host, 421 for
+        another one.
         """
         if len(values) == 1:
             known = self._known.get(values[0])
             return self._read(values[0], reached) if known is None else known
-        if not values and version == "1.0":
-            return None
-        raise Problem(400, "bad Host header", f"a request has one Host header, not {len(values)}")
+        raise Problem(
+            400,
+            "bad Host header",
+            f"a request has one Host header, not {len(values)}",
+            hint=_HOST_HINT,
+        )
 
     def _read(self, value: bytes, reached: str) -> Place:
         place = Place.of(value.decode("latin-1"))
         if place is None:
-            raise Problem(400, "bad Host header", "it is no host, or host and port")
+            raise Problem(
+                400, "bad Host header", "it is no host, or host and port", hint=_HOST_HINT
+            )
         if not (self._is_ours(place.host) or place.host == reached):
             raise Problem(
                 421,
@@ -120,7 +126,7 @@ class Origins:
         self,
         origins: list[bytes],
         scheme: str,
-        place: Place | None,
+        place: Place,
         fetch: FetchMetadata,
         method: str,
     ) -> None:
@@ -158,10 +164,10 @@ class FetchMetadata:
         return self.mode == b"navigate" and self.destination in (b"", b"document")
 
 
-def is_same(origin: bytes, scheme: str, place: Place | None) -> bool:
+def is_same(origin: bytes, scheme: str, place: Place) -> bool:
     """Whether ``origin`` is that of this service itself: scheme, host and port."""
     match = _ORIGIN.fullmatch(origin.decode("latin-1").lower())
-    if match is None or place is None or match[1] != scheme:
+    if match is None or match[1] != scheme:
         return False
     theirs = Place.of(match[2])
     if theirs is None or theirs.host != place.host:

@@ -27,6 +27,7 @@ from ..languages.errors import LanguageError
 from ..ontology.errors import OntologyError, QueryRefused
 from ..ontology.units import UnitError
 from ..streams.sample import SampleError
+from .hints import hint_for
 from .logs import log
 
 MEDIA_TYPE = "application/problem+json"
@@ -73,7 +74,7 @@ class Problem(HTTPException):
     ) -> None:
         super().__init__(status, detail, dict(headers) if headers else None)
         self.title = title
-        self.members: dict[str, object] = {"hint": hint or None, **extra}
+        self.members: dict[str, object] = {"hint": hint or hint_for(title), **extra}
 
     def model(self) -> ProblemModel:
         kind = _NAMES + self.title.lower().replace(" ", "-")

@@ -14,9 +14,10 @@ from typing import Any
 import uvicorn
 from fastapi import FastAPI
 
-from .bounds import Bounds, protocol
+from .bounds import Bounds
 from .context import Service
 from .event_response import TRANSPORT
+from .protocols import protocol
 from .settings import Settings
 
 GRACE = 5

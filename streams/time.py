@@ -39,17 +39,21 @@ _ISO_DURATION = re.compile(
     r"\s*P(?:(\d+)D)?(?:T(?:(\d+)H)?(?:(\d+)M)?(?:(\d+)(?:\.(\d{1,9}))?S)?)?\s*\Z"
 )
 _ISO_TIME = re.compile(
-    r"\s*(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d(?::\d\d)?)(?:[.,](\d{1,9})\d*)?"
-    r"\s*(Z|z|[+-]\d\d:?\d\d)?\s*\Z"
+    r"\s*(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d(?::\d\d)?)(?:[.,](\d{1,9})(\d*))?"
+    r"\s*(Z|z|[+-]([01]\d|2[0-3]):?[0-5]\d)?\s*\Z",
+    re.ASCII,
 )
+_MOST_DIGITS = 25
+"""More digits than any number of nanoseconds has, even with zeros and a sign before it."""
 _INTEGER = re.compile(r"\s*[+-]?\d+\s*\Z", re.ASCII)
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
-def parse_time(value: str | int) -> int:
+def parse_time(value: str | int, *, cut: bool = False) -> int:
     """A time point in ns from an ISO-8601 text (UTC when no offset is given) or an integer in ns.
 
-    Raises ``ValueError`` with the reason when the text is no time or outside 64 bits.
+    Raises ``ValueError`` with the reason when the text is no time, outside 64 bits, or finer than a
+    nanosecond; with ``cut`` the latter is the nanosecond that it lies in.
     """
     if isinstance(value, bool):
         raise ValueError("a time is an ISO-8601 text or an integer in nanoseconds, not a boolean")
@@ -58,12 +62,19 @@ def parse_time(value: str | int) -> int:
     match = _ISO_TIME.match(value)
     if match is None:
         raise ValueError(
-            f"{value!r} is no time: write ISO-8601 such as 2021-10-07T19:12:53.5Z, "
+            f"{_shown(value)} is no time: write ISO-8601 such as 2021-10-07T19:12:53.5Z, "
             "or an integer in nanoseconds since 1970"
         )
-    day, clock, fraction, offset = match.groups()
+    day, clock, fraction, finer, offset, _ = match.groups()
+    if finer and finer.strip("0") and not cut:
+        raise ValueError(
+            f"{_shown(value)} is finer than a nanosecond: a second has at most nine digits"
+        )
     zone = "+00:00" if offset in (None, "Z", "z") else offset
-    moment = datetime.fromisoformat(f"{day}T{clock}{zone}")
+    try:
+        moment = datetime.fromisoformat(f"{day}T{clock}{zone}")
+    except ValueError as error:  # such as: month must be in 1..12
+        raise ValueError(f"{_shown(value)} is no time: {error}") from None
     since = moment - _EPOCH
     seconds = since.days * 86_400 + since.seconds
     return _within(seconds * SECOND + int((fraction or "0").ljust(9, "0")))
@@ -71,6 +82,8 @@ def parse_time(value: str | int) -> int:
 
 def read_time(text: str) -> int:
     """`parse_time` of a text that people write, where an integer (ns) is a text too."""
+    if len(text) > _MOST_DIGITS and _INTEGER.match(text):
+        raise ValueError(f"{_shown(text.strip())} {_OUTSIDE}")
     return parse_time(int(text) if _INTEGER.match(text) else text)
 
 
@@ -123,7 +136,15 @@ def format_duration(duration: int) -> str:
     return f"{duration}ns"
 
 
+_OUTSIDE = "is outside signed 64-bit nanoseconds (years 1678 to 2262)"
+
+
 def _within(time: int) -> int:
     if not TIME_MIN <= time <= TIME_MAX:
-        raise ValueError(f"{time} is outside signed 64-bit nanoseconds (years 1678 to 2262)")
+        # Python writes no number of thousands of digits.
+        raise ValueError(f"{time if time.bit_length() < 100 else 'the number'} {_OUTSIDE}")
     return time
+
+
+def _shown(text: str) -> str:
+    return repr(text if len(text) <= 80 else f"{text[:80]}…")

@@ -196,9 +196,11 @@ def time_point(time: ast.Time, source: str, unit: str) -> int:
             f"`{time.text}` is no point in time",
             source,
             time.span,
-            "write ISO-8601: 2021-10-07T19:12:53.5Z"
-            if "outside" not in str(error)
-            else "times are 64-bit nanoseconds: years 1678 to 2262",
+            "times are 64-bit nanoseconds: years 1678 to 2262"
+            if "outside" in str(error)
+            else "a second has at most nine digits: times are in nanoseconds"
+            if "finer" in str(error)
+            else "write ISO-8601: 2021-10-07T19:12:53.5Z",
         ) from None
 
 

@@ -79,7 +79,7 @@ async def annotate(request: Request, service: Context) -> list[AnnotationModel]:
         quotas.check_transformations(others)
         found = await service.do(Annotate(text))
         return [AnnotationModel.of(annotation) for annotation in found]
-    described: ContentsIn | list[ContentsIn] = json_value(body, Described)
+    described: ContentsIn | list[ContentsIn] = await json_value(body, Described)
     several = described if isinstance(described, list) else [described]
     if sum(len(each.contents) for each in several) > MOST_CONTENTS:
         raise too_long(f"{MOST_CONTENTS} contents")

@@ -62,7 +62,7 @@ async def request_event(
     if kind == TEXT or not ("content-type" in request.headers or body.lstrip().startswith(b"{")):
         command = RequestEvent(utf8(body), strategy=strategy, since=since)
     else:
-        wanted = json_value(body, EventIn)
+        wanted = await json_value(body, EventIn)
         command = RequestEvent(
             None, wanted.event, tuple(wanted.arguments), wanted.strategy, wanted.since
         )

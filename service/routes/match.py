@@ -7,9 +7,10 @@ from fastapi import APIRouter, Depends
 from ..context import Context
 from ..models import MatchIn, MatchModel
 from ..problems import responses
+from .json_body import JsonRoute
 from .streams import json_only
 
-router = APIRouter(tags=["matching"])
+router = APIRouter(tags=["matching"], route_class=JsonRoute)
 
 
 @router.post("/match", dependencies=[Depends(json_only)], responses=responses(404, 413, 415, 422))

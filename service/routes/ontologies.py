@@ -66,7 +66,10 @@ async def load_ontology(
     process of its own; 400 for a text that needs more time, memory or triples than it may have.
     """
     format = ONTOLOGY_FORMATS[content_type(request, tuple(ONTOLOGY_FORMATS))]
-    text = utf8(await request.body())
+    body = await request.body()
+    text = utf8(body)
+    # What it entails is computed for a second: not of what cannot be kept.
+    service.keeper.check_room(len(body))
     documents, ontology = service.isolation.documents, service.engine.ontology
 
     def prepare() -> tuple[str, PreparedOntology]:

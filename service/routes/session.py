@@ -8,9 +8,10 @@ from ..context import Context
 from ..models import SessionIn, SessionModel
 from ..problems import Problem, responses
 from ..sessions import set_cookie
+from .json_body import JsonRoute
 from .streams import json_only
 
-router = APIRouter(tags=["session"])
+router = APIRouter(tags=["session"], route_class=JsonRoute)
 
 
 @router.get("/session")

@@ -12,8 +12,9 @@ from ..context import Context, Service
 from ..models import QualityIn, StreamIn, StreamModel
 from ..negotiation import JSON, content_type
 from ..problems import responses
+from .json_body import JsonRoute
 
-router = APIRouter(tags=["streams"])
+router = APIRouter(tags=["streams"], route_class=JsonRoute)
 
 NewName = Annotated[
     str,

@@ -13,9 +13,10 @@ from ..models import RematchModel, SubscriptionIn, SubscriptionModel
 from ..negotiation import EVENT_STREAM
 from ..problems import Problem, responses
 from .follow import follow
+from .json_body import JsonRoute
 from .streams import json_only
 
-router = APIRouter(tags=["subscriptions"])
+router = APIRouter(tags=["subscriptions"], route_class=JsonRoute)
 
 FORM = 'give "stream" with a policy, or "feature" with "sort" or "objects"'
 OF_A_FEATURE = {"sort", "objects", "strategy", "staleness", "min_quality", "hold_off"}

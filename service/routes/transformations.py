@@ -23,9 +23,10 @@ from ..models import TransformationIn, TransformationModel, WorthIn, schema_of, 
 from ..negotiation import JSON, TURTLE, content_type, json_value, utf8
 from ..parsing import check_number, read_ssl
 from ..problems import Problem, responses
+from .json_body import JsonRoute
 from .streams import json_only
 
-router = APIRouter(tags=["transformations"])
+router = APIRouter(tags=["transformations"], route_class=JsonRoute)
 
 EXAMPLE = {
     "annotation": "compunit coordinatesToSpeed10s transforms latitude:latitude [deg], "
@@ -155,7 +156,7 @@ async def _read(request: Request, service: Service) -> Wanted:
         )
         check_number(several)
         return several
-    wanted: TransformationIn = json_value(body, TransformationIn)
+    wanted: TransformationIn = await json_value(body, TransformationIn)
     if wanted.annotation is not None:
         await read_ssl(wanted.annotation)
     described = (wanted.name, wanted.output) != (None, None) or bool(wanted.inputs)

@@ -44,7 +44,8 @@ def test_queries_pass(text: str) -> None:
         ("ASK { FILTER(" + "(" * 65 + "1" + ")" * 65 + ") }", "64 deep"),
         ("ASK " + "{" * 65 + "}" * 65, "64 deep"),
         ("ASK {}" + " " * 9000, "8192 bytes"),
-        ("", "SPARQL"),
+        ("", "asks nothing"),
+        ("SELEC * { ?s ?p ?o }", "asks nothing"),
         ("SELECT", "SPARQL"),
     ],
 )
@@ -67,3 +68,31 @@ def test_the_form_of_a_query() -> None:
     assert query_form("CONSTRUCT { ?s a ?o } { SELECT * { ?s a ?o } }") == "construct"
     assert query_form("DESCRIBE dyknow:UAV") == "describe"
     assert query_form("SELECT (1 AS ?x) {}") == "select"
+
+
+@pytest.mark.parametrize(
+    ("text", "said", "line", "column"),
+    [
+        ("SELECT * { ?s ?p ?o FILTER(-----1 > 0) }", "`----1` cannot stand here", 1, 29),
+        ('SELECT * {\n ?s ?p ?o FILTER("\\uD800" = ?o) }', r'`"\uD800"` cannot', 2, 18),
+        ("SELECT * { ?s ?p ?o } LIMIT x", "`x` cannot stand here", 1, 29),
+        ("SELECT * { ?s ?p ?o FILTER(NOSUCH(?s)) }", "`NOSUCH` cannot stand here", 1, 28),
+        ("SELECT * { ?s ?p ?o FILTER(?s = ) }", "`)` cannot stand here", 1, 33),
+        ("SELECT * {\n ?s ?p ?o", "this `{` is never closed", 1, 10),
+        ("ASK { ?s ?p '}' } }", "this `}` closes nothing", 1, 19),
+        ("ASK { ?s ?p 'abc }", "this text in quotes is never closed", 1, 13),
+        ("SELECT (1 AS ?s) { ?s ?p ?o }", "overrides an existing variable", 1, 1),
+        ("ASK { ?s ?p 'é' ?o }", "`?o` cannot stand here", 1, 17),
+        ("ASK { ?s ?p ?o BIND(1 AS ?s) }", "`}` cannot stand here", 1, 30),
+        ("SELECT", "missing at the end", 1, 7),
+    ],
+)
+def test_what_is_no_sparql_is_told_by_what_stands_there(
+    text: str, said: str, line: int, column: int
+) -> None:
+    with pytest.raises(QueryRefused) as refusal:
+        check_user_query(text)
+    assert said in refusal.value.message
+    assert "expected" not in refusal.value.message
+    assert (refusal.value.line, refusal.value.column) == (line, column)
+    assert refusal.value.hint

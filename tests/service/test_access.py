@@ -370,7 +370,8 @@ def test_several_hosts_or_none_are_none(open_http: httpx.Client) -> None:
     twice = b"GET /streams HTTP/1.1\r\nHost: localhost\r\nHost: evil.example\r\n\r\n"
     assert status_of(raw(url, twice)) == 400
     assert status_of(raw(url, b"GET /streams HTTP/1.1\r\n\r\n")) == 400
-    assert status_of(raw(url, b"GET /streams HTTP/1.0\r\n\r\n")) == 200
+    assert status_of(raw(url, b"GET /streams HTTP/1.0\r\n\r\n")) == 400
+    assert status_of(raw(url, b"GET /streams HTTP/1.0\r\nHost: localhost\r\n\r\n")) == 200
 
 
 def test_the_host_of_an_absolute_target_goes_before_the_header(open_http: httpx.Client) -> None:

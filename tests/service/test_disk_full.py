@@ -12,8 +12,10 @@ from serving import Serving
 from simulated_disk import SimulatedDisk
 
 from dyknow.engine.recorded import RecordedEngine
+from dyknow.service import failures
 from dyknow.service.app import create_app
 from dyknow.service.openapi import ASKING
+from dyknow.service.routes import ontologies
 from dyknow.service.server import running
 from dyknow.streams.time import SECOND
 
@@ -217,7 +219,8 @@ def test_after_a_full_disk_and_a_kill_nothing_is_lost_and_nothing_doubled(
     again.close()
 
 
-def test_a_full_disk_is_logged_once(http, disk, recorded, caplog):
+def test_a_full_disk_is_logged_once(http, disk, recorded, caplog, monkeypatch):
+    monkeypatch.setattr(failures, "CALM", 0.1)
     declare(http)
     fill(disk, recorded.log)
     until(lambda: http.get("/readyz").status_code == 503)
@@ -225,9 +228,42 @@ def test_a_full_disk_is_logged_once(http, disk, recorded, caplog):
     until(lambda: float(_metric(http, counted)) > 10)
     disk.room = None
     until(lambda: http.get("/readyz").status_code == 200)
-    told = [record for record in caplog.records if record.levelno >= logging.WARNING]
-    assert [record.msg["event"] for record in told] == ["journal failed", "journal works again"]
-    assert all(record.exc_info is None for record in told)
+    until(lambda: len(told(caplog)) > 1)
+    assert [record.msg["event"] for record in told(caplog)] == [
+        "journal failed",
+        "journal works again",
+    ]
+    assert all(record.exc_info is None for record in told(caplog))
+
+
+def told(caplog):
+    return [record for record in caplog.records if record.levelno >= logging.WARNING]
+
+
+def test_a_disk_that_takes_something_now_and_then_is_logged_once(http, disk, recorded, caplog):
+    """What is small finds room, what is large does not, again and again."""
+    declare(http)
+    for _ in range(3):
+        fill(disk, recorded.log)
+        until(lambda: http.get("/readyz").status_code == 503)
+        disk.room = None
+        until(lambda: http.get("/readyz").status_code == 200)
+    assert [record.msg["event"] for record in told(caplog)] == ["journal failed"]
+
+
+def test_no_room_is_told_before_an_ontology_is_worked_on(http, disk, recorded, monkeypatch):
+    worked = []
+
+    async def work(*arguments):
+        worked.append(arguments)
+
+    monkeypatch.setattr(ontologies, "while_connected", work)
+    fill(disk, recorded.log)
+    text = "<x:o> a <http://www.w3.org/2002/07/owl#Ontology> ."
+    answer = http.post("/ontologies", content=text, headers={"Content-Type": "text/turtle"})
+    assert answer.status_code == 507
+    assert answer.headers["retry-after"]
+    assert worked == []
 
 
 def _metric(http, name):

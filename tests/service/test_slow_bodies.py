@@ -15,9 +15,10 @@ import httpx
 import pytest
 
 from dyknow.engine.engine import Engine
-from dyknow.service import bounds, slow_bodies
+from dyknow.service import protocols, slow_bodies
 from dyknow.service.app import create_app
-from dyknow.service.bounds import HEAD_LIMIT, REFUSED, Bounds, address_of
+from dyknow.service.bounds import Bounds, address_of
+from dyknow.service.protocols import HEAD_LIMIT, REFUSED, TRAILERS
 from dyknow.service.server import running
 from dyknow.service.settings import Settings
 from dyknow.service.slow_bodies import GRACE, SlowBodies, Wait
@@ -298,8 +299,9 @@ def test_a_large_head_is_told_so(url: str, http: httpx.Client) -> None:
         for _ in range(9):  # in reads of their own
             connection.sendall(b"x" * (HEAD_LIMIT // 8))
             assert http.get("/healthz").status_code == 200
-        status, problem, _ = answer(connection)
+        status, problem, headers = answer(connection)
         assert (status, problem["title"]) == (431, "head too large")
+        assert problem["instance"] == f"urn:dyknow:request:{headers['x-request-id']}"
 
 
 def test_many_small_requests_are_no_large_head(url: str) -> None:
@@ -317,6 +319,105 @@ def test_a_large_body_after_an_early_answer_is_no_large_head(url: str) -> None:
         assert answer(connection)[0] == 404
         connection.sendall(head("GET", "/healthz"))
         assert answer(connection)[0] == 200
+
+
+# -- between and after the chunks ------------------------------------------------------------------
+
+CHUNKED = "Transfer-Encoding: chunked"
+
+
+def flood(connection: socket.socket, drop: bytes) -> int:
+    """How many bytes of ``drop``, again and again, are taken before the connection is closed, at
+    most 20 MB."""
+    sent = 0
+    try:
+        while sent < 20_000_000:
+            sent += connection.send(drop)
+    except OSError:
+        pass
+    return sent
+
+
+def told(connection: socket.socket) -> bool:
+    """Whether the connection has ended, with the reason if it could be heard."""
+    received = rest(connection)
+    return received == b"" or received.startswith((b"HTTP/1.1 431 ", b"HTTP/1.1 404 "))
+
+
+@pytest.mark.parametrize("path", ["/streams/s/samples", "/streams/s/samples/live", "/session"])
+@pytest.mark.parametrize(
+    ("begin", "drop"),
+    [
+        (b"0\r\n", b"X: a\r\n" * 10_000),
+        (b"0\r\nX: ", b"a" * HEAD_LIMIT),
+        (b"1;", b"a" * HEAD_LIMIT),
+        (b"0\r\n" + b"X: a\r\n" * TRAILERS, b"X: a\r\n" * 10_000),
+    ],
+    ids=["many trailers", "a long trailer", "a long chunk extension", "some more trailers"],
+)
+def test_what_is_no_body_within_a_body_is_bounded(
+    url: str, http: httpx.Client, stream: str, path: str, begin: bytes, drop: bytes
+) -> None:
+    """The service does not take 20 MB of it, as what is kept by sockets may be."""
+    with connected(url) as connection:
+        connection.sendall(head("POST", path, CHUNKED) + begin)
+        assert flood(connection, drop) < 20_000_000
+        assert told(connection)
+    assert refusals(http, "framing too large") == 1
+    assert http.get("/streams/s").json()["counters"]["accepted"] == 0
+
+
+def test_trailers_after_an_answer_are_bounded(url: str, http: httpx.Client) -> None:
+    """Nobody waits for the body of a route that there is not; its trailers came all the same."""
+    with connected(url) as connection:
+        connection.sendall(head("POST", "/nothing", CHUNKED))
+        assert answer(connection)[0] == 404
+        connection.sendall(b"0\r\n")
+        assert flood(connection, b"X: a\r\n" * 10_000) < 20_000_000
+        assert rest(connection) == b""
+    assert refusals(http, "framing too large") == 1
+
+
+@pytest.mark.parametrize("begin", [b"0\r\n", b"1;"])
+def test_it_is_told(url: str, http: httpx.Client, stream: str, begin: bytes) -> None:
+    """In reads of its own, so that all is read when the connection is closed."""
+    lines = b"X: a\r\n" * (TRAILERS + 2) if begin == b"0\r\n" else b"x" * (HEAD_LIMIT // 8)
+    with connected(url) as connection:
+        connection.sendall(head("POST", f"{stream}/live", CHUNKED) + begin)
+        for _ in range(10 if begin == b"1;" else 1):  # the first may come with the head
+            connection.sendall(lines)
+            assert http.get("/healthz").status_code == 200
+        status, problem, headers = answer(connection)
+        assert (status, problem["title"]) == (431, "framing too large")
+        assert problem["hint"]
+        assert headers["x-request-id"] in problem["instance"]
+        assert rest(connection) == b""
+
+
+def test_trailers_are_no_headers(url: str, http: httpx.Client, stream: str) -> None:
+    """What comes after the body cannot say whose it is, or what it is."""
+    body = b"%x\r\n%s\r\n0\r\n" % (len(SAMPLE), SAMPLE)
+    with connected(url) as connection:
+        connection.sendall(head("POST", stream, CHUNKED))
+        connection.sendall(body + b"Content-Type: text/html\r\nIdempotency-Key: 1\r\n\r\n")
+        assert answer(connection)[:2] == (202, {"accepted": 1})
+        # Were the trailer a header, this would be the same batch, and not be counted.
+        connection.sendall(head("POST", stream, CHUNKED) + body + b"Idempotency-Key: 1\r\n\r\n")
+        assert answer(connection)[0] == 202
+    counters = http.get("/streams/s").json()["counters"]
+    assert (counters["accepted"], counters["duplicate"]) == (2, 1)
+
+
+def test_small_chunks_with_extensions_are_taken(url: str, http: httpx.Client, stream: str) -> None:
+    """All together more than a head may have: what is bounded stands between two chunks."""
+    lines = 40
+    with connected(url) as connection:
+        connection.sendall(head("POST", f"{stream}/live", CHUNKED))
+        for _ in range(lines):
+            extension = b"x" * (HEAD_LIMIT // 20)
+            connection.sendall(b"%x;%s\r\n%s\r\n" % (len(SAMPLE), extension, SAMPLE))
+        connection.sendall(b"0\r\nX: a\r\n\r\n")
+        assert answer(connection)[:2] == (202, {"accepted": lines})
 
 
 # -- how many --------------------------------------------------------------------------------------
@@ -357,7 +458,7 @@ def test_a_flood_of_connections_is_let_go(
     url: str, http: httpx.Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Some are heard, the others closed at once: who is to be told so holds a descriptor."""
-    monkeypatch.setattr(bounds, "PATIENCE", 10 * LONG)
+    monkeypatch.setattr(protocols, "PATIENCE", 10 * LONG)
     http.close()
     with ExitStack() as stack:
         held = [stack.enter_context(connected(url)) for _ in range(12)]
@@ -377,6 +478,8 @@ def test_what_is_no_http_is_told_in_a_problem(url: str, http: httpx.Client) -> N
         status, problem, headers = answer(connection)
         assert (status, problem["title"]) == (400, "bad request")
         assert headers["content-type"] == "application/problem+json"
+        assert problem["hint"]
+        assert problem["instance"] == f"urn:dyknow:request:{headers['x-request-id']}"
     assert refusals(http, "bad request") == 1
 
 

@@ -97,3 +97,34 @@ def test_durations(text, duration):
 def test_what_is_no_duration(text):
     with pytest.raises(ValueError, match=r"duration|nanosecond"):
         parse_duration(text)
+
+
+def test_nothing_finer_than_a_nanosecond_is_cut_silently():
+    with pytest.raises(ValueError, match="finer than a nanosecond"):
+        parse_time("2021-10-07T19:12:53.1234567891Z")
+    assert parse_time("2021-10-07T19:12:53.1234567890000Z") == 1_633_633_973_123_456_789
+    assert parse_time("2021-10-07T19:12:53.1234567899Z", cut=True) == 1_633_633_973_123_456_789
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("2021-10-07T19:12:53+24:00", "is no time: write ISO-8601"),
+        ("2021-10-07T19:12:53+10:60", "is no time: write ISO-8601"),
+        ("٢٠٢١-10-07T19:12:53Z", "is no time: write ISO-8601"),
+        ("2021-13-07T19:12:53Z", "month"),
+        ("9" * 5000, "outside signed 64-bit nanoseconds"),
+        ("9999-12-31T00:00:00Z", "outside signed 64-bit nanoseconds"),
+    ],
+)
+def test_what_is_no_time_is_told_in_plain_words(text, said):
+    with pytest.raises(ValueError, match=said) as caught:
+        read_time(text)
+    for word in ("isoformat", "timedelta", "digits) for integer"):
+        assert word not in str(caught.value)
+    assert len(str(caught.value)) < 300
+
+
+def test_an_integer_of_thousands_of_digits_is_no_time():
+    with pytest.raises(ValueError, match="the number is outside signed 64-bit"):
+        parse_time(10**5000)
