@@ -17,13 +17,17 @@ import msgspec
 
 from ..languages.csparql import parse_template
 from ..languages.errors import LanguageError
+from ..languages.ssl import ast, parse_ssl
 from ..rdf.namespaces import local_name, shorten
 from .commands import (
     REFUSALS,
+    Annotate,
     CancelEvent,
     Command,
     DeclareStream,
+    Describe,
     LoadOntology,
+    RegisterAnnotatedTransformation,
     RegisterQuery,
     RegisterTemplate,
     RegisterTransformations,
@@ -39,12 +43,25 @@ from .commands import (
 )
 from .engine import Engine
 
+_UNIT = "transformation"
+
 
 class Key(NamedTuple):
     """What a command makes: its kind, and the id or name by which people give it up."""
 
     kind: str
     name: str
+
+
+_REMOVED: dict[type[Command], tuple[str, ...]] = {
+    CancelEvent: ("request",),
+    Unsubscribe: ("subscription",),
+    RemoveQuery: ("query",),
+    RemoveStream: ("stream", "annotation"),
+    RemoveTransformation: (_UNIT,),
+    RemoveTemplate: ("template",),
+}
+"""Commands whose one member is what they remove, and the kinds that it may be of."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,22 +183,11 @@ class Standing:
 
     def _removed(self, command: Command) -> tuple[Key, ...]:
         """What of that which waits ``command`` removes."""
-        match command:
-            case CancelEvent(id=name):
-                kind = "request"
-            case Unsubscribe(id=name):
-                kind = "subscription"
-            case RemoveQuery(name=name):
-                kind = "query"
-            case RemoveStream(stream=name):
-                kind = "stream"
-            case RemoveTransformation(name=name):
-                kind = "transformation"
-            case RemoveTemplate(name=name):
-                kind = "template"
-            case _:
-                return ()
-        return tuple(key for key in self._waiting if key.kind == kind and name in _spellings(key))
+        kinds = _REMOVED.get(type(command), ())
+        if not kinds:
+            return ()
+        name = next(iter(msgspec.structs.astuple(command)))
+        return tuple(key for key in self._waiting if key.kind in kinds and name in _spellings(key))
 
 
 def _spellings(key: Key) -> Iterable[str]:
@@ -199,12 +205,26 @@ def _defines(command: Command) -> tuple[Key, ...]:
         case LoadOntology(name=name):
             return (Key("ontology", name),)
         case RegisterTransformations(described=described):
-            return tuple(Key("transformation", each.name) for each in described)
-        case RegisterTemplate(text=text):
+            return tuple(Key(_UNIT, each.name) for each in described)
+        case Describe(described=described):
+            return tuple(Key("annotation", each.stream) for each in described)
+        case _:
             try:
-                return (Key("template", parse_template(text).name),)
+                return _read(command)
             except LanguageError:
                 return ()
+
+
+def _read(command: Command) -> tuple[Key, ...]:
+    """The same of a text; raises `LanguageError` for one that this program does not understand."""
+    match command:
+        case RegisterTemplate(text=text):
+            return (Key("template", parse_template(text).name),)
+        case Annotate(ssl=ssl) | RegisterAnnotatedTransformation(ssl=ssl):
+            return tuple(
+                Key("annotation" if isinstance(each, ast.StreamDeclaration) else _UNIT, each.name)
+                for each in parse_ssl(ssl)
+            )
         case _:
             return ()
 
@@ -212,11 +232,16 @@ def _defines(command: Command) -> tuple[Key, ...]:
 def _parts(command: Command) -> Iterator[tuple[Key, Command]]:
     """The commands that make one thing each, of which ``command`` is made."""
     keys = _defines(command)
-    if not keys:
-        # Nothing takes it back; said twice it is the same.
-        yield Key("command", hashlib.blake2b(written(command), digest_size=8).hexdigest()), command
-    elif isinstance(command, RegisterTransformations):
-        for key, each in zip(keys, command.described, strict=True):
-            yield key, msgspec.structs.replace(command, described=(each,))
-    else:
-        yield keys[0], command
+    match command:
+        case RegisterTransformations(described=described):
+            for key, unit in zip(keys, described, strict=True):
+                yield key, msgspec.structs.replace(command, described=(unit,))
+        case Describe(described=streams):
+            for key, stream in zip(keys, streams, strict=True):
+                yield key, msgspec.structs.replace(command, described=(stream,))
+        case _ if len(keys) == 1:
+            yield keys[0], command
+        case _:
+            # Nothing takes it back; said twice it is the same.
+            digest = hashlib.blake2b(written(command), digest_size=8).hexdigest()
+            yield Key("command", digest), command
