@@ -279,6 +279,14 @@ class Configuration:
             if name not in self.streams:
                 return name
 
+    @property
+    def next_reserved(self) -> str:
+        """The next free ``dyknow_reserved<N>``."""
+        number = self._next_reserved
+        while f"{RESERVED}{number}" in self.streams:
+            number += 1
+        return f"{RESERVED}{number}"
+
     def share(self, key: Hashable, build: Callable[[], ComputationalUnit]) -> ComputationalUnit:
         """The running unit that was built for ``key``, or a new one: who wants the same shares it.
 

@@ -703,6 +703,15 @@ class Engine:
             if number != id and number.isdigit():
                 made.number_after(int(number) - 1)
 
+    def skip_id(self, id: str) -> None:
+        """No later request, subscription or query without a name is called ``id``."""
+        for name, made in (("event", self._requests), ("subscription", self._subscriptions)):
+            number = id.removeprefix(name)
+            if number != id and number.isdigit():
+                made.number_after(int(number))
+        if self._configuration.next_reserved == id:
+            self._configuration.reserved_name()
+
     def tell_not_restored(self, reason: str) -> None:
         """Tell on the status stream what of an earlier run does not go on, and why."""
         self._changed(Change(ChangeKind.NOT_RESTORED, specification=reason))

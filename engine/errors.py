@@ -109,3 +109,7 @@ class UnknownDeclaration(DyknowError):
     """Nothing of this name was declared in KPL."""
 
     title = "unknown declaration"
+
+
+UNKNOWN = (UnknownStream, UnknownTemplate, UnknownTransformation, UnknownRequest, UnknownQuery)
+"""What is raised where something is to be removed that is not there."""

@@ -25,7 +25,7 @@ from ..ontology.ontology import Ontology
 from .application import Application, Process
 from .changes import Change, ChangeKind
 from .configuration_process import ConfigurationProcess
-from .errors import DyknowError
+from .errors import DyknowError, UnknownDeclaration
 from .mediation_unit import MediationUnit
 from .sampled_source import SampledSource
 from .stream_units import PolicyUnit, counts_of
@@ -79,13 +79,19 @@ class KplDeclarations:
         return tuple(declaration.key for declaration in new)
 
     def remove(self, name: str, *, cascade: bool = False) -> tuple[str, ...]:
-        """See `Application.remove`. What was not restored is forgotten by its first line."""
+        """See `Application.remove`. What was not restored is forgotten by its first line, or by its
+        name where nothing else has it."""
         for text in self._not_restored:
             if text.partition("\n")[0] == name:
                 del self._not_restored[text]
                 self._keep()
                 return (name,)
-        removed = self._application.remove(name, cascade=cascade)
+        try:
+            removed = self._application.remove(name, cascade=cascade)
+        except UnknownDeclaration:
+            if not self.forget(name):
+                raise
+            return (name,)
         for key in removed:
             del self._texts[key]
         self._keep()

@@ -9,9 +9,7 @@ same life of the engine, and the ids of its events say so.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Iterable, Iterator, Mapping
 
 import msgspec
 import numpy as np
@@ -21,21 +19,11 @@ from ..streams.generator import Counters, StreamGenerator
 from ..streams.sample import Column, Field, FieldType, SampleBatch, Schema, concatenate
 from ..streams.strings import StringPool
 from .checkpoint import Outside
-from .commands import (
-    REFUSALS,
-    AnyCommand,
-    CancelEvent,
-    Command,
-    RegisterQuery,
-    RemoveQuery,
-    RequestEvent,
-    Subscribe,
-    SubscribeToFeature,
-    Unsubscribe,
-)
+from .commands import AnyCommand, Command
 from .engine import Engine
 from .intake import UsedKey
 from .remembering import Unkept
+from .standing import Standing
 
 
 class KeptColumn(msgspec.Struct):
@@ -69,7 +57,8 @@ class Portable(msgspec.Struct):
     ``keys``: those under which batches came. ``processes``: the modules of the user-written ones
     that are needed, by their names; ``unkept``: those that remember what is not in the state.
     ``waiting``: what was accepted and could not be done again. ``ids``: those of ``standing``, then
-    those that would be given next."""
+    those that would be given next. ``waiting_ids``: those of ``waiting``, and ``waiting_after``:
+    behind how many of ``standing`` each was accepted."""
 
     format: int
     now: int
@@ -81,6 +70,8 @@ class Portable(msgspec.Struct):
     unkept: list[Unkept] = []
     waiting: list[AnyCommand] = []
     ids: list[str] = []
+    waiting_ids: list[str] = []
+    waiting_after: list[int] = []
 
 
 class PortableHead(msgspec.Struct):
@@ -88,44 +79,6 @@ class PortableHead(msgspec.Struct):
 
     processes: dict[str, str] = {}
     unkept: list[Unkept] = []
-
-
-@dataclass(slots=True)
-class Standing:
-    """The commands whose results have no name by which the ontology would keep them: requests,
-    subscriptions, queries without a name; by their ids, oldest first. ``waiting``: those that were
-    accepted and could not be done again by this program; another one tries."""
-
-    commands: dict[str, Command]
-    waiting: list[Command]
-
-    def __init__(self, commands: Iterable[tuple[str, Command]] = ()) -> None:
-        self.commands = dict(commands)
-        self.waiting = []
-
-    def note(self, command: Command, found: Any) -> None:
-        """``command`` was done, and gave ``found``."""
-        match command:
-            case RequestEvent() | Subscribe() | SubscribeToFeature():
-                self.commands[found.id] = command
-            case CancelEvent(id=id) | Unsubscribe(id=id):
-                self.commands.pop(id, None)
-            case RegisterQuery():
-                self.commands.setdefault(found.name, command)
-            case RemoveQuery(name=name):
-                self.commands.pop(name, None)
-
-    def again(self, command: Command, engine: Engine) -> str | None:
-        """Do what an earlier run has accepted; where that is refused now it waits, and the reason
-        is told."""
-        try:
-            self.note(command, command.apply(engine))
-        except REFUSALS as error:
-            self.waiting.append(command)
-            reason = f"{error}\n{command}"
-            engine.tell_not_restored(reason)
-            return reason
-        return None
 
 
 def portable_of(
@@ -137,7 +90,13 @@ def portable_of(
     """What of ``engine`` any version understands. Cost: O(samples kept)."""
     kept = [each for each in engine.published() if each.schema.fields]
     named = engine.ontology.queries()
-    unnamed = {id: each for id, each in standing.commands.items() if id not in named}
+    unnamed: dict[str, Command] = {}
+    waiting: list[tuple[str, int, Command]] = []
+    for key, asked in standing.all():
+        if asked.is_waiting:
+            waiting += [(key.name, len(unnamed), asked.command)] * asked.times
+        elif key.name not in named:
+            unnamed[key.name] = asked.command
     return Portable(
         1,
         engine.now,
@@ -147,8 +106,10 @@ def portable_of(
         list(engine.intake.keys),
         dict(processes or {}),
         list(unkept),
-        list(standing.waiting),  # type: ignore[arg-type]
+        [command for _, _, command in waiting],  # type: ignore[misc]
         [*unnamed, *engine.next_ids],
+        [id for id, _, _ in waiting],
+        [after for _, after, _ in waiting],
     )
 
 
@@ -179,18 +140,35 @@ def engine_from(
     for text in lost:
         engine.tell_not_restored(text)
     standing = Standing()
-    count = len(portable.standing)
-    # By their ids people give them up. An earlier version kept none.
-    ids = portable.ids[:count] or [""] * count
-    asked = [*zip(ids, portable.standing, strict=True), *(("", one) for one in portable.waiting)]
-    for id, command in asked:
+    for id, command in _asked(portable):
         engine.keep_id(id)
         reason = standing.again(command, engine)
         if reason is not None:
             lost.append(f"not restored, and kept: {reason}")
-    for next_id in portable.ids[count:]:
+    for next_id in portable.ids[len(portable.standing) :]:
         engine.keep_id(next_id)
     return engine, standing, lost
+
+
+def _asked(portable: Portable) -> Iterator[tuple[str, AnyCommand]]:
+    """What stood and what waited, with its ids, in the order in which it was accepted: by their ids
+    people give them up. Earlier versions kept no ids, or none of what waited."""
+    count = len(portable.standing)
+    ids = portable.ids[:count] or [""] * count
+    behind: dict[int, list[tuple[str, AnyCommand]]] = {}
+    missing = len(portable.waiting) - len(portable.waiting_ids)
+    waiting = zip(
+        [*portable.waiting_ids, *[""] * missing],
+        [*portable.waiting_after, *[count] * missing],
+        portable.waiting,
+        strict=True,
+    )
+    for id, after, command in waiting:
+        behind.setdefault(after, []).append((id, command))
+    for i, asked in enumerate(zip(ids, portable.standing, strict=True)):
+        yield from behind.get(i, ())
+        yield asked
+    yield from behind.get(count, ())
 
 
 def _kept(generator: StreamGenerator) -> KeptStream:

@@ -45,10 +45,12 @@ from .commands import (
     written,
 )
 from .engine import Engine
+from .errors import UNKNOWN
 from .missing import missing, origins, told
-from .portable import Portable, PortableHead, Standing, engine_from, portable_of
+from .portable import Portable, PortableHead, engine_from, portable_of
 from .processes import PROCESSES, Processes
 from .remembering import Unkept
+from .standing import Key, Standing
 from .supervision import DIRECT, Runner
 from .tape import READINGS, Tape
 
@@ -191,7 +193,7 @@ class RecordedEngine:
                 # What sources say is not known before: the tape asks for room as they say it.
                 begun = len(entry.payload) + READINGS
                 self._runner.tape.record(lambda size: entry.has_room(begun + size))
-                found = done(self.engine, command, known)
+                found = self._done(self.engine, command, known)
                 readings = self._runner.tape.taken()
                 if readings and isinstance(command, Tick):
                     entry.payload = written(Tick(command.now, readings))
@@ -276,6 +278,15 @@ class RecordedEngine:
 
     # -- within ------------------------------------------------------------------------------
 
+    def _done(self, engine: Engine, command: Command, known: ReadAlready | None = None) -> Any:
+        """Do ``command``; what is to be removed may be waiting."""
+        try:
+            return done(engine, command, known)
+        except UNKNOWN:
+            if not self._standing.give_up(command):
+                raise
+            return None
+
     def _opened(self, stream: str) -> None:
         """Somebody has asked for a stream that is there only now. Within a command, doing that
         again opens it again."""
@@ -334,7 +345,7 @@ class RecordedEngine:
         """User-written processes that are needed and not there, with their modules."""
         if all(name in self._outside.processes for name in self._needed):
             return {}
-        waiting = [written(command) for command in self._standing.waiting]
+        waiting = [written(command) for _, command in self._standing.waiting()]
         spoken_of = [self.engine.ontology.quads(), *waiting]
         return missing(self._needed, self._outside.processes, spoken_of)
 
@@ -445,10 +456,14 @@ class RecordedEngine:
             self._check_writer()
         if isinstance(command, Tick):
             self._runner.tape.play(command.readings)
+        if isinstance(command, Refused) and not self.recovery.is_continued:
+            # It need not be refused here, and nobody was promised what would come of it.
+            return
+        expected = self._standing.expected(command, engine)
         try:
-            self._standing.note(command, command.apply(engine))
+            self._standing.note(command, self._done(engine, command))
         except REFUSALS as error:
-            self._refused_again(engine, position, command, error)
+            self._refused_again(engine, position, command, expected, error)
         except Exception as error:  # noqa: BLE001  the service starts without it, and says so
             self._begin_anew(f"record {position} could not be done again: {error}")
 
@@ -458,7 +473,12 @@ class RecordedEngine:
             self._begin_anew(_of_another(self._writer, self._program))
 
     def _refused_again(
-        self, engine: Engine, position: int, command: Command, error: Exception
+        self,
+        engine: Engine,
+        position: int,
+        command: Command,
+        expected: Key | None,
+        error: Exception,
     ) -> None:
         """What was accepted is refused: say so, and keep what can be done at another start."""
         match command:
@@ -474,7 +494,7 @@ class RecordedEngine:
             case RemoveKpl(name=name) if engine.forget_kpl(name):
                 return
             case _ if isinstance(command, DEFINING):
-                self._standing.again(command, engine)
+                self._standing.wait(command, expected, engine, error)
         self._begin_anew(f"record {position} could not be done again: {error}")
 
 

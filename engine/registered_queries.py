@@ -119,6 +119,15 @@ class RegisteredQueries:
         options = Options(semantics or usual, bounds, origin, report)
         return self.start(query, Asked(text.strip(), options, strategy, since))
 
+    def name_for(self, text: str) -> str:
+        """What a query would be called, if nothing is in its way; the next free name where it says
+        none or cannot be read."""
+        try:
+            name = parse_query(text).name
+        except LanguageError:
+            name = ""
+        return _own_name(name) if name else self._configuration.next_reserved
+
     def start(self, query: ContinuousQuery, asked: Asked) -> QueryView:
         """The same for a query that was read already."""
         checked_strategy(asked.strategy)
@@ -321,7 +330,7 @@ class RegisteredQueries:
                 if not running.is_named and running.registration.asked == asked:
                     return running.name
             return self._configuration.reserved_name()
-        name = local_name(query.name) if ":" in query.name else query.name
+        name = _own_name(query.name)
         if name not in self._running:
             self._declared.check_stream_name(name)
             if self._configuration.has(name):
@@ -375,6 +384,11 @@ class RegisteredQueries:
     def _stop(self, running: _Running) -> None:
         del self._running[running.name]
         self._starter.stop(running.name, running.started)
+
+
+def _own_name(name: str) -> str:
+    """The name of a query's stream, by the one that its text gives it."""
+    return local_name(name) if ":" in name else name
 
 
 def _number_of(item: tuple[str, _Lost]) -> int:

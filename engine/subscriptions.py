@@ -60,8 +60,10 @@ class Subscriptions:
 
     def start_adaptive(self, wish: Wish) -> SubscriptionView:
         """Subscribe to a feature ([Introspection15 §4.4]); what cannot be met now waits."""
-        id = self._next_id()
+        id = f"subscription{self._number + 1}"
         self._subscriptions[id] = self._rematching.start(id, wish)
+        # What was refused leaves no number used: another version may not refuse it.
+        self._number += 1
         return self.view(id)
 
     def adapted(self, source: StreamGenerator, wish: Wish) -> AdaptationUnit | None:

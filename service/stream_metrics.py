@@ -135,8 +135,17 @@ class _Told:
         """Of what is told together: the sums of counters, which never fall."""
         self._before: list[float] = [0.0] * len(self._kinds)
         """The same, as they were found at the last scrape."""
+        self._summing = asyncio.Lock()
+        """One scrape sums at a time: the older sums of one that ends later would make the next find
+        an increase again that was counted."""
 
     async def text(self, things: Iterable[tuple[str, Values]], others: str) -> bytes:
+        async with self._summing:
+            lines = await self._found(things, others)
+        return await self._written(lines)
+
+    async def _found(self, things: Iterable[tuple[str, Values]], others: str) -> list[list[str]]:
+        """The lines of each kind of value, without the metric's name."""
         lines: list[list[str]] = [[] for _ in self._kinds]
         further: list[float | None] = [None] * len(self._kinds)
         for i, (label, values) in enumerate(things):
@@ -151,7 +160,7 @@ class _Told:
         for line, value in zip(lines, further, strict=True):
             if value is not None:
                 line.append(f"{others}}} {float(value)}")
-        return await self._written(lines)
+        return lines
 
     def _add(self, further: list[float | None], values: Values) -> None:
         for i, value in enumerate(values):

@@ -7,6 +7,7 @@ import random
 import sys
 import threading
 
+import msgspec
 import pytest
 from pyoxigraph import NamedNode, Quad
 from simulated_disk import SimulatedDisk
@@ -14,7 +15,7 @@ from simulated_disk import SimulatedDisk
 import dyknow.engine.checkpoint as checkpoint_module
 import dyknow.engine.recorded as recorded_module
 from dyknow.continuous.asking import Kept
-from dyknow.engine.checkpoint import CheckpointError, program
+from dyknow.engine.checkpoint import CheckpointError, Outside, program
 from dyknow.engine.commands import (
     AddKpl,
     Annotate,
@@ -24,7 +25,12 @@ from dyknow.engine.commands import (
     Publish,
     RegisterQuery,
     RegisterTemplate,
+    RegisterTransformations,
     RemoveKpl,
+    RemoveQuery,
+    RemoveStream,
+    RemoveTemplate,
+    RemoveTransformation,
     RequestEvent,
     SetQuality,
     Subscribe,
@@ -33,11 +39,16 @@ from dyknow.engine.commands import (
     Unsubscribe,
     read,
 )
-from dyknow.engine.errors import UnknownStream
+from dyknow.engine.describing import DescribedArgument, DescribedPort, DescribedTransformation
+from dyknow.engine.engine import Engine
+from dyknow.engine.errors import Conflict, UnknownRequest, UnknownStream
+from dyknow.engine.portable import Portable, engine_from
 from dyknow.engine.processes import Processes
 from dyknow.engine.recorded import RecordedEngine
+from dyknow.engine.registered import RegisteredTransformations
+from dyknow.engine.registered_queries import RegisteredQueries
 from dyknow.engine.reports import Report
-from dyknow.engine.supervision import UnitBlocked
+from dyknow.engine.supervision import DIRECT, UnitBlocked
 from dyknow.engine.views import StreamDeclaration
 from dyknow.journal.errors import JournalFull
 from dyknow.journal.log import Durability
@@ -563,6 +574,224 @@ def test_what_was_removed_before_a_module_was_missing_does_not_come_back(tmp_pat
     again = opened(tmp_path, processes=summing(total))
     assert {view.name for view in again.engine.kpl()} == {"sort v", "sort total", "s", "x"}
     again.close()
+
+
+@pytest.mark.parametrize("checkpoint", [True, False])
+def test_what_was_given_up_before_a_module_was_missing_stays_so_and_takes_no_other_with_it(
+    tmp_path, checkpoint
+):
+    first = opened(tmp_path, processes=summing(total))
+    declare_numbers(first)
+    if checkpoint:
+        first.checkpoint().write()
+    waits, stays = first.do(Subscribe("summed")), first.do(Subscribe("s"))
+    first.do(Unsubscribe(waits.id))
+    cut_off(first)
+    for processes in (Processes(), summing(total)):
+        again = opened(tmp_path, processes=processes)
+        assert _subscribed(again) == {stays.id: "s"}
+        cut_off(again)
+
+
+def test_ids_stay_with_what_was_asked_for_while_a_module_is_missing(tmp_path):
+    first = opened(tmp_path, processes=summing(total))
+    declare_numbers(first)
+    first.do(Unsubscribe(first.do(Subscribe("s")).id))
+    for stream in ("summed", "s", "summed", "s"):
+        first.do(Subscribe(stream))
+    cut_off(first)
+    for _ in range(3):  # from the log, from the checkpoint that this has written, and again
+        without = opened(tmp_path, processes=Processes())
+        assert _subscribed(without) == {"subscription3": "s", "subscription5": "s"}
+        told = [value["specification"] or "" for *_, value in rows(without.engine, "status")]
+        cut_off(without)
+    assert any("subscription subscription4: there is no stream called 'summed'" in t for t in told)
+    without = opened(tmp_path, processes=Processes())
+    assert without.do(Subscribe("s")).id == "subscription6"
+    cut_off(without)
+    again = opened(tmp_path, processes=summing(total))
+    assert list(_subscribed(again).items()) == [
+        ("subscription2", "summed"),
+        ("subscription3", "s"),
+        ("subscription4", "summed"),
+        ("subscription5", "s"),
+        ("subscription6", "s"),
+    ]
+    again.close()
+
+
+def _subscribed(recorded):
+    return {view.id: view.source for view in recorded.engine.subscriptions()}
+
+
+def test_people_give_up_what_waits_for_a_module_by_its_id(tmp_path):
+    first = opened(tmp_path, processes=summing(total))
+    declare_numbers(first)
+    for stream in ("summed", "s", "summed"):
+        first.do(Subscribe(stream))
+    cut_off(first)
+    without = opened(tmp_path, processes=Processes())
+    with pytest.raises(UnknownRequest):  # a subscription is no request
+        without.do(CancelEvent("subscription1"))
+    without.do(Unsubscribe("subscription1"))
+    with pytest.raises(UnknownRequest):
+        without.do(Unsubscribe("subscription1"))
+    without.do(RemoveKpl("summed"))
+    cut_off(without)
+    still = opened(tmp_path, processes=Processes())  # it was written down, too
+    with pytest.raises(UnknownRequest):
+        still.do(Unsubscribe("subscription1"))
+    still.close()
+    back = opened(tmp_path, processes=summing(total))
+    assert _subscribed(back) == {"subscription2": "s"}
+    assert "summed" not in {view.stream for view in back.engine.kpl()}
+    back.do(Unsubscribe("subscription3"))  # waits for `summed`
+    cut_off(back)
+
+
+UNNAMED = (
+    "SELECT ?o ?v FROM STREAM <http://www.ida.liu.se/dyknow/s.trdf> "
+    "[RANGE 5s STEP 1s] WHERE { ?o dyknow:speed ?v }"
+)
+PORT = DescribedPort("dyknow:speed", "value", None, (DescribedArgument("dyknow:UAV"),))
+
+
+def summed(name):
+    return DescribedTransformation(name, (PORT,), PORT, "Sum")
+
+
+@pytest.mark.parametrize("removed", ["in the log", "while it waits", "not at all"])
+def test_whatever_another_version_refuses_can_be_taken_back(
+    tmp_path, monkeypatch, high_speed, removed
+):
+    def remove(recorded):
+        for id in ("event2", "event1"):
+            recorded.do(CancelEvent(id))
+        recorded.do(RemoveTemplate("HighSpeedEvent"))
+        recorded.do(RemoveQuery("q"))
+        recorded.do(RemoveTransformation("half"))
+        recorded.do(RemoveStream("gone"))
+        recorded.do(RemoveStream("described"))
+
+    first = opened(tmp_path, processes=summing(total))
+    declare(first, "s")
+    first.checkpoint().write()
+    first.do(RegisterTemplate(high_speed))
+    first.do(RequestEvent("dyknow:HighSpeedEvent(?o, dyknow:UAV, 1)"))
+    first.do(RequestEvent("dyknow:HighSpeedEvent(?o, dyknow:UAV, 2)"))
+    first.do(RegisterQuery(f"REGISTER QUERY q AS {UNNAMED}"))
+    first.do(RegisterTransformations((summed("half"), summed("third"))))
+    first.do(DeclareStream(StreamDeclaration("gone", (Field("v", FieldType.FLOAT),))))
+    first.do(Annotate("stream described contains speed(UAV) = v for every UAV = id"))
+    if removed == "in the log":
+        remove(first)
+    cut_off(first)
+
+    def refuse(*_, **__):
+        raise Conflict("this version takes none of it")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(recorded_module, "program", lambda *_: "a version that refuses")
+        for name in ("register_template", "declare", "annotate"):
+            patched.setattr(Engine, name, refuse)
+        patched.setattr(RegisteredQueries, "start", refuse)
+        patched.setattr(RegisteredTransformations, "register_all", refuse)
+        refusing = opened(tmp_path, processes=summing(total))
+        assert refusing.engine.templates() == refusing.engine.events() == ()
+        assert not refusing.engine.has_stream("gone")
+        if removed == "while it waits":
+            remove(refusing)
+        cut_off(refusing)
+        cut_off(opened(tmp_path, processes=summing(total)))
+    back = opened(tmp_path, processes=summing(total))
+    is_there = removed == "not at all"
+    assert [view.id for view in back.engine.events()] == ["event1", "event2"] * is_there
+    assert bool(back.engine.templates()) == back.engine.queries.has("q") == is_there
+    assert back.engine.has_stream("gone") == back.engine.has_stream("described") == is_there
+    names = {view.name for view in back.engine.transformations.views()}
+    assert ("half" in names, "third" in names) == (is_there, True)
+    cut_off(back)
+
+
+def test_each_user_of_a_query_that_waits_is_one(tmp_path, monkeypatch):
+    first = opened(tmp_path)
+    declare(first, "s")
+    first.checkpoint().write()
+    other = first.do(RegisterQuery(UNNAMED.replace("5s", "3s"))).name
+    shared = [first.do(RegisterQuery(UNNAMED)).name for _ in range(4)]
+    for name in shared[:2]:
+        first.do(RemoveQuery(name))
+    cut_off(first)
+
+    def refuse(*_):
+        raise Conflict("this version has no windows")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(recorded_module, "program", lambda *_: "a version that refuses")
+        patched.setattr(RegisteredQueries, "start", refuse)
+        refusing = opened(tmp_path)
+        told = [value["specification"] or "" for *_, value in rows(refusing.engine, "status")]
+        assert any(f"query {other}: this version" in text for text in told)
+        cut_off(refusing)
+    back = opened(tmp_path)
+    assert [view.users for view in back.engine.queries.views()] == [1, 2]
+    cut_off(back)
+
+
+def test_what_was_said_anew_counts_and_not_what_waited(tmp_path, monkeypatch, high_speed):
+    first = opened(tmp_path)
+    declare(first, "s")
+    first.checkpoint().write()
+    first.do(RegisterTemplate(high_speed, replace=True))
+    cut_off(first)
+
+    def refuse(*_, **__):
+        raise Conflict("this version takes none of it")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(recorded_module, "program", lambda *_: "a version that refuses")
+        with patched.context() as once:
+            once.setattr(Engine, "register_template", refuse)
+            refusing = opened(tmp_path)
+        newer = refusing.do(RegisterTemplate(f"# newer\n{high_speed}"))
+        refusing.close()
+    back = opened(tmp_path)
+    assert back.engine.template("HighSpeedEvent").source == newer.source
+    cut_off(back)
+
+
+def test_what_was_refused_is_not_done_by_another_program(tmp_path):
+    """Nobody was promised it, and what came after it keeps its ids."""
+    first = opened(tmp_path, processes=summing(total))
+    declare_numbers(first)
+    cut_off(first)
+    without = opened(tmp_path, processes=Processes())
+    with pytest.raises(UnknownStream):
+        without.do(Subscribe("summed"))
+    stays, gone = without.do(Subscribe("s")), without.do(Subscribe("s"))
+    without.do(Unsubscribe(gone.id))
+    cut_off(without)
+    again = opened(tmp_path, processes=summing(total))
+    assert _subscribed(again) == {stays.id: "s"}
+    cut_off(again)
+
+
+def test_what_waits_in_a_checkpoint_of_an_earlier_version_comes_after_all_others():
+    portable = msgspec.convert(
+        {
+            "format": 1,
+            "now": 0,
+            "quads": b"",
+            "streams": [],
+            "standing": [{"do": "subscribe", "stream": "status"}],
+            "waiting": [{"do": "subscribe", "stream": "status"}],
+            "ids": ["subscription3", "event1", "subscription4"],
+        },
+        Portable,
+    )
+    engine, _, lost = engine_from(portable, 0, Outside(Processes(), DIRECT))
+    assert [view.id for view in engine.subscriptions()] == ["subscription3", "subscription4"]
+    assert not lost
 
 
 def test_a_new_life_begins_once_and_not_at_each_start(tmp_path, monkeypatch):

@@ -29,6 +29,7 @@ from dyknow.service.isolation.pool import Pool
 from dyknow.service.isolation.worker import End, WorkerError
 from dyknow.service.server import running
 from dyknow.service.settings import Settings
+from dyknow.service.stream_metrics import SLICE, _Told
 from dyknow.streams.time import SECOND, Clock
 
 LINES = {"Content-Type": "application/x-ndjson"}
@@ -227,6 +228,29 @@ def test_further_streams_are_told_together(
         http.delete("/streams/s0").raise_for_status()
         assert accepted() == {"status": accepted()["status"], "s1": 2, "s2": 3, "": 25}
         check_exposition(http.get("/metrics").text)
+
+
+def test_scrapes_that_overlap_count_an_increase_once() -> None:
+    told = _Told((("c_total", "counter", "Things", ("",)),), 0)
+    counted = 10.0
+
+    async def scrape(silent: int = 0) -> float:
+        """With so many that say nothing behind the one that counts."""
+        things = (("x", (None if i else counted,)) for i in range(silent + 1))
+        return float((await told.text(things, 'stream=""')).split()[-1])
+
+    async def overlapping() -> None:
+        nonlocal counted
+        assert await scrape() == 10
+        async with anyio.create_task_group() as group:
+            # It has read what was counted before the other begins, and would end after it.
+            group.start_soon(scrape, 9 * SLICE)
+            await anyio.lowlevel.checkpoint()
+            counted = 15.0
+            group.start_soon(scrape)
+        assert await scrape() == 15
+
+    anyio.run(overlapping)
 
 
 # -- continuous queries --------------------------------------------------------------------------
