@@ -248,6 +248,8 @@ def test_a_disk_that_takes_something_now_and_then_is_logged_once(http, disk, rec
         until(lambda: http.get("/readyz").status_code == 503)
         disk.room = None
         until(lambda: http.get("/readyz").status_code == 200)
+        ticks = float(_metric(http, "dyknow_tick_seconds_count"))
+        until(lambda before=ticks: float(_metric(http, "dyknow_tick_seconds_count")) > before + 2)
     assert [record.msg["event"] for record in told(caplog)] == ["journal failed"]
 
 
