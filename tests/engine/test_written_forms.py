@@ -23,7 +23,7 @@ from dyknow.engine.describing import (
 from dyknow.engine.portable import KeptColumn, KeptStream, Portable
 from dyknow.engine.tape import Reading
 from dyknow.engine.views import Since, StreamDeclaration
-from dyknow.journal.checkpoints import Checkpoint, encoded, read_checkpoint
+from dyknow.journal.checkpoints import Checkpoint, parts_of, read_checkpoint
 from dyknow.journal.examination import examine
 from dyknow.journal.log import Log
 from dyknow.journal.segment import walk
@@ -197,7 +197,7 @@ def test_a_log_that_was_written_is_read():
 def test_a_checkpoint_that_was_written_is_read():
     kept = Checkpoint(3, "dyknow 0.1.0", msgspec.msgpack.encode(PORTABLE), b"state")
     if os.environ.get("DYKNOW_REWRITE") == "1" and not CHECKPOINT.exists():
-        CHECKPOINT.write_bytes(encoded(kept))
+        CHECKPOINT.write_bytes(b"".join(parts_of(kept)))
     found = read_checkpoint(CHECKPOINT)
     assert (found.position, found.program, found.state) == (3, "dyknow 0.1.0", b"state")
     assert msgspec.msgpack.decode(found.portable, type=Portable) == PORTABLE
