@@ -459,8 +459,9 @@ class RecordedEngine:
         if isinstance(command, Refused) and not self.recovery.is_continued:
             # It need not be refused here, and nobody was promised what would come of it.
             return
-        expected = self._standing.expected(command, engine)
+        expected = None
         try:
+            expected = self._standing.expected(command, engine)
             self._standing.note(command, self._done(engine, command))
         except REFUSALS as error:
             self._refused_again(engine, position, command, expected, error)
