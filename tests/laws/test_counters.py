@@ -14,7 +14,7 @@ from dyknow.converters.wire import Incoming
 from dyknow.engine.engine import Engine
 from dyknow.engine.errors import DyknowError
 from dyknow.engine.views import StreamDeclaration
-from dyknow.service.stream_metrics import stream_metrics
+from dyknow.service.stream_metrics import StreamMetrics
 from dyknow.streams.fluent import Retention
 from dyknow.streams.sample import Field, FieldType, Schema, batch_from_rows
 from dyknow.streams.time import SECOND
@@ -45,7 +45,7 @@ steps = st.lists(
 
 def fates(engine: Engine) -> dict[str, Counter[str]]:
     """By stream, as Prometheus reads it."""
-    text = asyncio.run(stream_metrics(engine, 0)).decode()
+    text = asyncio.run(StreamMetrics(engine, 1000).text(0)).decode()
     found: dict[str, Counter[str]] = defaultdict(Counter)
     for family in text_string_to_metric_families(text):
         for sample in family.samples:

