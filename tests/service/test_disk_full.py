@@ -319,7 +319,7 @@ def test_a_disk_that_fails_ends_writing_and_a_restart_recovers(
         running(create_app(again, settings, clock), settings) as url,
         httpx.Client(base_url=url, trust_env=False, timeout=20) as http,
     ):
-        assert http.get("/readyz").status_code == 200
+        until(lambda: http.get("/readyz").status_code == 200)
         for n, key in ((1, "one"), (2, "two"), (3, "three")):
             assert post(http, n, key).json() == {"accepted": 1}
         assert kept(http) == [1, 2, 3]
