@@ -24,6 +24,7 @@ TABLES = (
     "service.py",
     "latency.py",
     "sse.py",
+    "turns.py",
     "journal.py",
     "ingest.py",
     "accuracy.py",
