@@ -10,7 +10,9 @@ from pathlib import Path
 
 import pytest
 
-DATA = Path(os.environ.get("DYKNOW_DATA") or Path(__file__).parents[3] / "shared" / "data")
+DATA = Path(
+    os.environ.get("DYKNOW_DATA") or Path(__file__).parents[3] / "shared" / "data"
+).resolve()
 
 
 def needs(path: Path) -> pytest.MarkDecorator:
