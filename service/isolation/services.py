@@ -20,7 +20,8 @@ from .specifications import IsolatedSpecifications
 
 WORKERS: Final = 2
 """So many questions about windows are answered at once."""
-AGAIN: Final = 10
+SLOWER: Final = 10
+"""So many times as long a question may take while what was answered once is done again."""
 WINDOW_BYTES: Final = 8 * MEBIBYTE
 """Text that Oxigraph may answer about a window, and that GROUP_CONCAT may put together."""
 _AGAIN: Final = 5.0
@@ -39,7 +40,7 @@ class Windows:
         self._deadline = settings.query_deadline
         # What was done once was done in time: while it is done again the machine may be slower.
         self._asking = IsolatedAsking(
-            self.pool, AGAIN * self._deadline, settings.query_results, WINDOW_BYTES
+            self.pool, SLOWER * self._deadline, settings.query_results, WINDOW_BYTES
         )
         self.turns = Pausing(settings.query_seconds, settings.query_behind)
         self.budget = Budget(

@@ -180,15 +180,8 @@ def test_after_a_loss_of_power_amid_any_call_all_that_was_committed_is_there(
 def test_damage_is_told(work, segment, kind, chance, is_closed):
     """Whatever is done to the files: the log says so, or holds all that was committed."""
     with folder() as path:
-        run = Run(path, segment)
-        run.open()
-        run.do(work)
-        run.committed = run.log.commit()
-        if is_closed:
-            run.log.close()
-        run.disk.kill()
+        run = kept(path, work, segment, Durability.FSYNC, is_closed)
         damage(path, kind, chance)
-        run.disk = SimulatedDisk()
         try:
             run.open()
         except JournalDamaged:

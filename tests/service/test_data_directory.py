@@ -9,9 +9,9 @@ from pathlib import Path
 
 import httpx
 import pytest
+from command_line import run
 from serving import COMMAND, Serving
 from simulated_disk import Killed
-from typer.testing import CliRunner
 
 from dyknow.engine.checkpoint import program
 from dyknow.engine.commands import DeclareStream, Publish, RegisterTemplate, Tick
@@ -24,7 +24,6 @@ from dyknow.journal.repair import repair
 from dyknow.journal.segment import scan
 from dyknow.rdf.namespaces import DYKNOW
 from dyknow.service.app import create_app
-from dyknow.service.cli import app
 from dyknow.service.server import running
 from dyknow.service.settings import Settings
 from dyknow.streams.fluent import Retention
@@ -66,12 +65,6 @@ def original(tmp_path_factory):
 @pytest.fixture
 def data(original, tmp_path):
     return shutil.copytree(original, tmp_path / "data")
-
-
-def run(*arguments, status=0):
-    result = CliRunner().invoke(app, [str(each) for each in arguments])
-    assert result.exit_code == status, (result.output, result.exception)
-    return result
 
 
 def checked(data, status=0):

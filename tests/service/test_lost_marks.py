@@ -5,8 +5,8 @@ import json
 import shutil
 
 import pytest
+from command_line import run
 from simulated_disk import Killed, SimulatedDisk
-from typer.testing import CliRunner
 
 from dyknow.engine.commands import DeclareStream, Publish
 from dyknow.engine.recorded import RecordedEngine
@@ -15,7 +15,6 @@ from dyknow.journal.errors import JournalDamaged
 from dyknow.journal.high_water import Mark
 from dyknow.journal.segment import walk
 from dyknow.rdf.namespaces import DYKNOW
-from dyknow.service.cli import app
 from dyknow.streams.fluent import Retention
 from dyknow.streams.sample import Field, FieldType
 from dyknow.streams.time import SECOND
@@ -45,12 +44,6 @@ def original(tmp_path_factory):
 @pytest.fixture
 def data(original, tmp_path):
     return shutil.copytree(original, tmp_path / "data")
-
-
-def run(*arguments, status=0):
-    result = CliRunner().invoke(app, [str(each) for each in arguments])
-    assert result.exit_code == status, (result.output, result.exception)
-    return result
 
 
 def checked(data, status=1):

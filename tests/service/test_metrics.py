@@ -10,12 +10,12 @@ import signal
 import socket
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import anyio
 import httpx
 import pytest
+from hosting import hosting
 from prometheus_client.parser import text_string_to_metric_families
 from simulated_disk import SimulatedDisk
 
@@ -27,7 +27,6 @@ from dyknow.service.context import Service
 from dyknow.service.isolation.messages import Job, Query
 from dyknow.service.isolation.pool import Pool
 from dyknow.service.isolation.worker import End, WorkerError
-from dyknow.service.server import running
 from dyknow.service.settings import Settings
 from dyknow.service.stream_metrics import SLICE, _Told
 from dyknow.streams.time import SECOND, Clock
@@ -73,18 +72,6 @@ def until(holds: Callable[[], bool], seconds: float = 30) -> None:
         time.sleep(0.02)
 
 
-@contextmanager
-def serving(
-    engine: Engine | RecordedEngine, settings: Settings, clock: Clock
-) -> Iterator[tuple[Service, httpx.Client]]:
-    app = create_app(engine, settings, clock)
-    with (
-        running(app, settings) as url,
-        httpx.Client(base_url=url, trust_env=False, timeout=20) as http,
-    ):
-        yield app.state.service, http
-
-
 @pytest.fixture
 def disk() -> SimulatedDisk:
     return SimulatedDisk()
@@ -97,7 +84,7 @@ def kept(
     """A service with a data directory."""
     recorded = RecordedEngine(tmp_path / "data", now=0, disk=disk)
     often = settings.model_copy(update={"checkpoint_interval": 0.3})
-    with serving(recorded, often, clock) as found:
+    with hosting(recorded, often, clock) as found:
         yield found
 
 
@@ -197,7 +184,7 @@ def test_further_streams_are_told_together(
     engine: Engine, settings: Settings, clock: Clock
 ) -> None:
     bounded = settings.model_copy(update={"metrics_streams": 3})  # of which one is `status`
-    with serving(engine, bounded, clock) as (_, http):
+    with hosting(engine, bounded, clock) as (_, http):
         names = [f"s{i}" for i in range(6)]
         for i, name in enumerate(names):
             http.put(f"/streams/{name}", json={"fields": {"n": "integer"}}).raise_for_status()
@@ -258,7 +245,7 @@ def test_scrapes_that_overlap_count_an_increase_once() -> None:
 
 def test_overruns_and_quarantines_are_told_by_query(settings: Settings, clock: Clock) -> None:
     engine = Engine(epoch="e1", budget=Budget(rows=20))
-    with serving(engine, settings, clock) as (_, http):
+    with hosting(engine, settings, clock) as (_, http):
         http.put("/streams/s5", json={"fields": {"id": "string", "v": "float"}})
         http.post("/annotations", content="stream s5 contains speed(UAV) = v for every UAV = id")
         http.post("/queries", content=PAIRS).raise_for_status()
@@ -283,7 +270,7 @@ def test_overruns_and_quarantines_are_told_by_query(settings: Settings, clock: C
 def test_a_unit_is_behind_what_was_published_to_it(
     engine: Engine, settings: Settings, clock: Clock
 ) -> None:
-    with serving(engine, settings, clock) as (_, http):
+    with hosting(engine, settings, clock) as (_, http):
         http.put("/streams/s5", json={"fields": {"id": "string", "v": "float"}, "lateness": "20s"})
         http.post("/annotations", content="stream s5 contains speed(UAV) = v for every UAV = id")
         http.post("/queries", content=PAIRS).raise_for_status()
@@ -414,7 +401,7 @@ def test_workers_and_jobs_are_told(engine: Engine, settings: Settings, clock: Cl
     few = settings.model_copy(
         update={"sparql_workers": 1, "sparql_waiting": 5, "sparql_deadline": 20}
     )
-    with serving(engine, few, clock) as (_, http):
+    with hosting(engine, few, clock) as (_, http):
         http.get("/sparql", params={"query": "ASK {}"}).raise_for_status()
         http.get("/sparql", params={"query": "ASK { FILTER(1/0) }"})
         found = scraped(http)

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import httpx
 import pytest
+from hosting import hosting
 from prometheus_client.parser import text_string_to_metric_families
 from structlog.stdlib import ProcessorFormatter
 
@@ -36,13 +37,8 @@ LINES = {"Content-Type": "application/x-ndjson"}
 def service_url(
     engine: Engine, settings: Settings, clock: Clock
 ) -> Iterator[tuple[Service, httpx.Client]]:
-    """The service itself, beside its clients."""
-    app = create_app(engine, settings, clock)
-    with (
-        running(app, settings) as url,
-        httpx.Client(base_url=url, trust_env=False, timeout=20) as http,
-    ):
-        yield app.state.service, http
+    with hosting(engine, settings, clock) as found:
+        yield found
 
 
 @pytest.fixture

@@ -1,0 +1,29 @@
+"""An application that is served, with its service to look into and a client of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import httpx
+
+from dyknow.engine.engine import Engine
+from dyknow.engine.recorded import RecordedEngine
+from dyknow.service.app import create_app
+from dyknow.service.context import Service
+from dyknow.service.server import running
+from dyknow.service.settings import Settings
+from dyknow.streams.time import Clock
+
+
+@contextmanager
+def hosting(
+    engine: Engine | RecordedEngine, settings: Settings, clock: Clock
+) -> Iterator[tuple[Service, httpx.Client]]:
+    """The service itself, beside a client."""
+    app = create_app(engine, settings, clock)
+    with (
+        running(app, settings) as url,
+        httpx.Client(base_url=url, trust_env=False, timeout=20) as http,
+    ):
+        yield app.state.service, http
