@@ -12,7 +12,7 @@ defaults, and never change their meaning. tests/cases/journal has one of each.
 from __future__ import annotations
 
 import hashlib
-from typing import Any, Literal, TypeAlias
+from typing import Any, Final, Literal, TypeAlias
 
 import msgspec
 
@@ -453,6 +453,11 @@ _DECODER: msgspec.msgpack.Decoder[AnyCommand] = msgspec.msgpack.Decoder(AnyComma
 
 ReadAlready: TypeAlias = Incoming | PreparedOntology | Specification
 """What the batch or text of a command says, for who has read it already."""
+
+
+ANYTIME: Final = (Publish, Tick, EndStream)
+"""What can be done while a window is half done: units put by what they hear. For all else no window
+is half done."""
 
 
 def done(engine: Engine, command: Command, known: ReadAlready | None = None) -> Any:
