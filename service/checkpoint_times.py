@@ -7,7 +7,7 @@ from typing import Final
 from .settings import Settings
 
 _SHARE: Final = 20
-"""A checkpoint for so many times the time that it takes: it holds up all else."""
+"""A checkpoint for so many times the time that it takes, of this process or of a copy."""
 _AGAIN: Final = 10.0
 """Seconds after a checkpoint that failed until the next one is tried: each try costs as much as
 one that succeeds."""
@@ -21,7 +21,7 @@ class CheckpointTimes:
         """Seconds of work since the last checkpoint: about as long a start would take."""
         self._written = 0
         self._cost = 0.0
-        """Seconds that the last one held up all else."""
+        """Seconds that the last one took."""
         self._begun: float | None = None
         self._not_before = float("-inf")
 
@@ -40,13 +40,13 @@ class CheckpointTimes:
             return True
         return False
 
-    def taken(self, cost: float) -> None:
-        """What there is was taken, and will be written; it held all else up for ``cost`` s."""
-        self.worked, self._cost = 0.0, cost
+    def taken(self) -> None:
+        """What there is was taken, and will be written: work counts from here."""
+        self.worked = 0.0
 
-    def kept(self, written: int) -> None:
-        """It is written, of a log that has ``written`` bytes."""
-        self._written = written
+    def kept(self, written: int, cost: float) -> None:
+        """It is written, of a log that has ``written`` bytes, and took ``cost`` s."""
+        self._written, self._cost = written, cost
 
     def failed(self, now: float) -> None:
         """It could not be written."""

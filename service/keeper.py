@@ -35,6 +35,7 @@ from .failures import Failures
 from .journal_metrics import JournalTimes
 from .logs import log
 from .settings import Settings
+from .snapshots import CAN, SnapshotError, Snapshots
 
 JOURNAL = "journal"
 CHECKPOINT = "checkpoint"
@@ -85,6 +86,11 @@ class Keeper:
         self._thread = ThreadPoolExecutor(1, "dyknow-journal")
         self._looking = anyio.CapacityLimiter(1)
         self._checkpoints = CheckpointTimes()
+        self._checkpointing: asyncio.Task[None] | None = None
+        self._snapshots = Snapshots()
+        self._aside = CAN
+        """Whether checkpoints are made by a copy of the process."""
+        self._putting = anyio.CapacityLimiter(1)
         self._kept_bytes = 0
         """Bytes of the log at the last commit."""
         self._tended = float("-inf")
@@ -269,8 +275,17 @@ class Keeper:
         if self.is_kept and audience is not None and audience.has_news:
             # What came after the last commit had begun, and is in it.
             audience.show(audience.mark())
-        if self._checkpoints.is_due(now, recorded.log.written, settings):
-            await self._checkpoint(recorded)
+        if self._checkpointing is None and self._checkpoints.is_due(
+            now, recorded.log.written, settings
+        ):
+            self._checkpointing = asyncio.create_task(self._checkpoint(recorded), context=Context())
+            self._checkpointing.add_done_callback(self._has_checkpointed)
+
+    def _has_checkpointed(self, task: asyncio.Task[None]) -> None:
+        self._checkpointing = None
+        if not task.cancelled() and (error := task.exception()) is not None:
+            self._troubles[CHECKPOINT] = f"{type(error).__name__}: {error}"
+            log().error("a checkpoint failed", exc_info=error)
 
     async def _checkpoint(self, recorded: RecordedEngine) -> None:
         """One that fails is told in ``troubles``, and tried again when it is time again."""
@@ -278,20 +293,25 @@ class Keeper:
         begun = time.monotonic()
         try:
             with self.times.step("state"):
-                unwritten = recorded.checkpoint()
-            self._checkpoints.taken(time.monotonic() - begun)
+                unwritten = recorded.checkpoint(self._snapshots.take if self._aside else None)
+            self._checkpoints.taken()
             await self.kept()
             with self.times.step("disk"):
-                await self._beside(unwritten.write)
+                unkept = await anyio.to_thread.run_sync(unwritten.put, limiter=self._putting)
+                await self._beside(unwritten.keep)
+            self._aside = CAN
         except (CheckpointError, JournalError, OSError) as error:
+            if isinstance(error, SnapshotError):
+                # The next one is made here, as long as that takes: better than none.
+                self._aside = False
             self.times.checkpoint_failures.inc()
             self._checkpoints.failed(asyncio.get_running_loop().time())
             # All is kept by the log alone, which grows, and a start takes longer.
             self._fail(CHECKPOINT, error)
             return
-        self._checkpoints.kept(recorded.log.written)
+        self._checkpoints.kept(recorded.log.written, time.monotonic() - begun)
         self._recover(CHECKPOINT)
-        for process in set(unwritten.unkept) - self._unkept:
+        for process in set(unkept) - self._unkept:
             await self.quiet()
             self.do(TellUnkept(process.process, process.reason))
             self._unkept.add(process)
@@ -319,6 +339,9 @@ class Keeper:
         """Keep all there is, with a checkpoint, and let the directory go. What is behind stays so,
         and goes on at the next start."""
         self._catching_up.close()
+        if self._checkpointing is not None:
+            self._checkpointing.cancel()
+        self._snapshots.end()
         self._thread.shutdown()
         if self._recorded is not None:
             try:
