@@ -30,9 +30,10 @@ from ..engine.recorded import DiskUse, RecordedEngine
 from ..engine.remembering import Unkept
 from ..journal.errors import JournalError
 from .failures import Failures
+from .fibers import FURTHER, PASSES
 from .journal_metrics import JournalTimes
 from .logs import log
-from .pausing import FIRST, FURTHER, Pausing
+from .pausing import FIRST, Pausing
 from .settings import Settings
 
 JOURNAL = "journal"
@@ -45,8 +46,6 @@ _AGAIN = 10.0
 """Seconds after a checkpoint that failed until the next one is tried."""
 _WAITING = 4 << 20
 """So many bytes may wait to be kept."""
-_PASSES = 3
-"""So often others have their turn between two turns of windows: a request takes some."""
 _LOOK = 0.01
 """Seconds between two looks whether a stream's readers have caught up."""
 _PATIENCE = 2.0
@@ -197,7 +196,7 @@ class Keeper:
         behind = self._engine.behind
         try:
             while behind:
-                for _ in range(_PASSES):
+                for _ in range(PASSES):
                     await asyncio.sleep(0)
                 if behind.is_waiting:
                     await self._woken.wait()
