@@ -21,8 +21,9 @@ from starlette.types import Message
 
 from ..converters.arrow import ArrowMissing, bytes_of_table, joined, samples_of_table
 from ..converters.arrow_messages import ArrowMessages
+from ..converters.bad_lines import mixed_times
 from ..converters.errors import WireError
-from ..converters.ndjson import decode_ndjson, mixed_times
+from ..converters.ndjson import decode_ndjson
 from ..converters.wire import BOM, BatchLimits, Incoming
 from ..engine.commands import BatchKind, Publish
 from ..engine.engine import Engine

@@ -7,11 +7,11 @@ around what touches nothing that others have. Whoever runs it decides whether it
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import AbstractContextManager, nullcontext
-from typing import Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
-Item = TypeVar("Item")
+Items = TypeVar("Items", bound=Any)
 
 
 class Pauses(Protocol):
@@ -41,8 +41,8 @@ _ALWAYS = nullcontext()
 STRAIGHT = Straight()
 
 
-def slices(items: Sequence[Item], size: int, pauses: Pauses) -> Iterator[Sequence[Item]]:
-    """``items``, so many at once, with a moment for others between them."""
+def slices(items: Items, size: int, pauses: Pauses) -> Iterator[Items]:
+    """``items``, a sequence, so many at once, with a moment for others between them."""
     if len(items) <= size:
         yield items
         return

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from dyknow.converters import WireError, cells
 from dyknow.converters.decimals import floats
-from dyknow.converters.ndjson import decode_exactly, decode_ndjson, encode_ndjson
+from dyknow.converters.exact import decode_exactly
+from dyknow.converters.ndjson import decode_ndjson, encode_ndjson
 from dyknow.converters.regular import decode_regular
 from dyknow.streams.compiled import JIT
 from dyknow.streams.sample import Field, FieldType, Schema, batch_from_rows
@@ -156,7 +157,7 @@ def outcome(decode, data, schema):
 
 
 def regular(data, schema, pools):
-    return decode_regular(data, schema, pools, 0)
+    return decode_regular(data, schema, pools, least=0)
 
 
 @given(bodies() | mutated())
