@@ -47,13 +47,14 @@ def first_bad(
             return error
         if stamped is None:
             stamped = "available" not in msgspec.json.decode(line)
-    # What the decoder says stands in its own words: `Number out of range - at `$[...]``.
-    for number, line in enumerate(part.data.split(b"\n"), part.line):
+    # What the decoder says stands in its own words: `Number out of range - at `$[...]``. It takes
+    # fewer characters for blanks than who looks for lines, which are none then.
+    for line in part.data.split(b"\n"):
         pauses.breathe()
         try:
             decoder.decode_lines(line)
         except NO_JSON as error:
-            return WireError(number, _words(str(error)), ONE_A_LINE)
+            return WireError(None, _words(str(error)), ONE_A_LINE)
     return WireError(None, _words(message), ONE_A_LINE)
 
 

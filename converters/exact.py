@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -50,8 +49,7 @@ def decode_exactly(
     return Incoming(reader.batch(pools), reader.stamped)
 
 
-@dataclass(frozen=True, slots=True)
-class _Rows:
+class _Rows(NamedTuple):
     """The samples of one part: values of texts as they are, those of others in arrays."""
 
     available: Times
@@ -122,6 +120,9 @@ class _Reader:
         pools: dict[str, StringPool],
     ) -> Column:
         pool = pool_of(field, pools)
+        if len(read) == 1:
+            ((values, null),) = read
+            return text_column(values, pool, null)
         found = []
         for values, null in read:
             column = text_column(values, pool, null)
@@ -162,13 +163,14 @@ class _Bad(Exception):
 
 def _one_a_line(part: Part, samples: int) -> bool:
     """Whether each line that is not blank is one sample: none has two, and none two have one."""
-    if part.samples() != samples:
-        return False
-    # A sample begins with the one brace that it has, so that all of them begin a line.
+    # A sample begins with the one brace that it has: all of them begin a line, and no other does.
     data = part.data
     if data.count(b"\n{") + data.startswith(b"{") == samples:
-        return True
-    return all(line.lstrip().startswith(b"{") for _, line in part.lines())
+        if data.count(b"\n") + (not data.endswith(b"\n")) == samples:
+            return True
+    elif any(not line.lstrip().startswith(b"{") for _, line in part.lines()):
+        return False
+    return part.samples() == samples
 
 
 @lru_cache(maxsize=256)
@@ -228,6 +230,8 @@ def _values(field: Field, values: Sequence[Any]) -> tuple[Any, Mask | None]:
 
 def _joined(field: Field, read: Sequence[tuple[NDArray[Any], Mask | None]]) -> Column:
     """The parts of a column in one, without a pool."""
+    if len(read) == 1:
+        return Column(field.type, *read[0])
     values = _together([part for part, _ in read])
     if all(null is None for _, null in read):
         return Column(field.type, values)

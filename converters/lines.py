@@ -39,6 +39,9 @@ class Part(NamedTuple):
 
 def parts(data: bytes, size: int) -> Iterator[Part]:
     """``data`` in parts of at least one line. Cost: a copy, but of what is one part."""
+    if 0 < len(data) <= size:
+        yield Part(data, 1)
+        return
     start, line = 0, 1
     while start < len(data):
         end = len(data)

@@ -47,7 +47,7 @@ def decode_ndjson(
     if limits is not None:
         _check_limits(data, limits, pauses)
     if not schema.fields:
-        schema = decided_by(data, None if limits is None else limits.fields, pauses)
+        schema = decided_by(data, limits, pauses)
     check_names(schema)
     regular = decode_regular(data, schema, pools, pauses)
     return decode_exactly(data, schema, pools, pauses) if regular is None else regular

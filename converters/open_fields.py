@@ -12,18 +12,19 @@ from ..streams.sample import TIME_FIELDS, Field, FieldType, Schema
 from .bad_lines import NO_JSON, PYTHON_TYPES, values_of
 from .errors import WireError
 from .lines import PART, Part, parts
+from .wire import BatchLimits
 
 _PLAIN = str | int | float | bool | None
 _ROWS = msgspec.json.Decoder(dict[str, _PLAIN])
 
 
 def decided_by(
-    data: bytes, most: int | None = None, pauses: Pauses = STRAIGHT, size: int = PART
+    data: bytes, limits: BatchLimits | None = None, pauses: Pauses = STRAIGHT, size: int = PART
 ) -> Schema:
     """The fields of the first line, each with the narrowest type that all lines fit.
 
     What comes after a line that is no sample does not count: that line is told where every line is
-    read. Raises `WireError` for more than ``most`` fields, and where a field has no value.
+    read. Raises `WireError` for more than ``limits`` have, and where a field has no value.
     """
     types: dict[str, set[type]] | None = None
     is_whole = True
@@ -31,10 +32,8 @@ def decided_by(
         is_whole = are_all
         if types is None and rows:
             types = {name: set() for name in rows[0] if name not in TIME_FIELDS}
-            if most is not None and len(types) > most:
-                raise WireError(
-                    None, f"a sample has at most {most} fields", "name what belongs together as one"
-                )
+            if limits is not None:
+                limits.check_fields(len(types))
         for name, found in (types or {}).items():
             found.update(type(row.get(name)) for row in rows)
         pauses.breathe()

@@ -247,10 +247,10 @@ def _texts(
             raise cells.Irregular
         null = codes == nothing[0]
     strings: list[str] = []
-    texts = np.stack((starts[quoted] + 1, ends[quoted] - 1), axis=1)
-    for part in slices(texts, _TEXTS, pauses) if len(texts) else ():
+    places = list(zip((starts[quoted] + 1).tolist(), (ends[quoted] - 1).tolist(), strict=True))
+    for part in slices(places, _TEXTS, pauses) if places else ():
         # No text holds an end of line, so that they can be decoded together.
-        together = b"\n".join([raw[start:end] for start, end in part.tolist()])
+        together = b"\n".join([raw[start:end] for start, end in part])
         strings += together.decode().split("\n")
     return codes, null, (quoted, strings)
 

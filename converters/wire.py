@@ -47,6 +47,13 @@ class BatchLimits:
                 line, f"a batch has at most {self.samples} samples", "send several batches"
             )
 
+    def check_fields(self, count: int) -> None:
+        """Raises `WireError` for more fields of an open stream."""
+        if count > self.fields:
+            raise WireError(
+                None, f"a sample has at most {self.fields} fields", "publish to several streams"
+            )
+
     def too_long(self, line: int, field: str, size: int) -> WireError:
         """What is said of a text of ``size`` bytes."""
         return WireError(
