@@ -9,7 +9,7 @@ from typing import Any, Final
 import msgspec
 
 from ..streams.pauses import Pauses
-from ..streams.sample import TIME_FIELDS, Field, FieldType, Schema
+from ..streams.sample import TIME_FIELDS, FieldType, Schema
 from .errors import WireError
 from .lines import Part
 from .wire import shown, time_of
@@ -144,23 +144,23 @@ def _error_of(line: bytes, number: int, schema: Schema, stamped: bool | None) ->
             return WireError(
                 number, f"field {field.name!r} is {_a(field.type)}, got {shown(values[field.name])}"
             )
-    if stamped is not None and ("available" not in values) is not stamped:
-        return mixed_times(number)
     twice = key_twice(line, len(values))
     if twice is not None:
         return WireError(number, f"{twice!r} is there twice", "a sample has a key once")
-    beyond = (_beyond(field, values[field.name], number) for field in schema.fields)
-    return next(filter(None, beyond), None)
+    for field in schema.fields:
+        if field.type is FieldType.INTEGER and not _is_within(values[field.name]):
+            return WireError(
+                number,
+                f"field {field.name!r} is outside 64 bits: {shown(values[field.name])}",
+                "integers have 64 bits: declare the field as float, or as string",
+            )
+    if stamped is not None and ("available" not in values) is not stamped:
+        return mixed_times(number)
+    return None
 
 
-def _beyond(field: Field, value: Any, number: int) -> WireError | None:
-    if field.type is not FieldType.INTEGER or value is None or -(2**63) <= value < 2**63:
-        return None
-    return WireError(
-        number,
-        f"field {field.name!r} is outside 64 bits: {shown(value)}",
-        "integers have 64 bits: declare the field as float, or as string",
-    )
+def _is_within(value: Any) -> bool:
+    return value is None or -(2**63) <= value < 2**63
 
 
 def _fits(type: FieldType, value: object) -> bool:

@@ -54,7 +54,7 @@ class _Rows(NamedTuple):
 
     available: Times
     valid: Times
-    columns: Sequence[tuple[Any, Mask | None]]
+    columns: list[tuple[Any, Mask | None]]
 
 
 class _Reader:
@@ -102,34 +102,21 @@ class _Reader:
         """All that was read. Only now do the pools grow, as all is good."""
         columns = {}
         for k, field in enumerate(self._schema.fields):
-            read = [rows.columns[k] for rows in self._rows]
+            pool = None
             if field.type is FieldType.STRING:
-                columns[field.name] = self._text(field, read, pools)
-            else:
-                columns[field.name] = _joined(field, read)
+                pool = pool_of(field, pools)
+                for rows in self._rows:
+                    values, null = rows.columns[k]
+                    # In the place of the texts, which so go one part after the other.
+                    rows.columns[k] = text_column(values, pool, null).values, null
+                    del values
+                    self._pauses.breathe()
+            columns[field.name] = _joined(field, [rows.columns[k] for rows in self._rows], pool)
             self._pauses.breathe()
         valid = _together([rows.valid for rows in self._rows])
         if self.stamped:
             return SampleBatch(valid, valid, columns)
         return SampleBatch(_together([rows.available for rows in self._rows]), valid, columns)
-
-    def _text(
-        self,
-        field: Field,
-        read: Sequence[tuple[Any, Mask | None]],
-        pools: dict[str, StringPool],
-    ) -> Column:
-        pool = pool_of(field, pools)
-        if len(read) == 1:
-            ((values, null),) = read
-            return text_column(values, pool, null)
-        found = []
-        for values, null in read:
-            column = text_column(values, pool, null)
-            found.append((column.values, null))
-            self._pauses.breathe()
-        joined = _joined(field, found)
-        return Column(field.type, joined.values, joined.null, pool)
 
     def _bad(self, part: Part, message: str) -> WireError:
         return first_bad(part, self._schema, self.stamped, self._decoder, message, self._pauses)
@@ -228,15 +215,17 @@ def _values(field: Field, values: Sequence[Any]) -> tuple[Any, Mask | None]:
         raise _Bad from None
 
 
-def _joined(field: Field, read: Sequence[tuple[NDArray[Any], Mask | None]]) -> Column:
-    """The parts of a column in one, without a pool."""
+def _joined(
+    field: Field, read: Sequence[tuple[NDArray[Any], Mask | None]], pool: StringPool | None
+) -> Column:
+    """The parts of a column in one."""
     if len(read) == 1:
-        return Column(field.type, *read[0])
+        return Column(field.type, *read[0], pool)
     values = _together([part for part, _ in read])
     if all(null is None for _, null in read):
-        return Column(field.type, values)
+        return Column(field.type, values, None, pool)
     masks = [np.zeros(len(part), np.bool_) if null is None else null for part, null in read]
-    return Column(field.type, values, _together(masks))
+    return Column(field.type, values, _together(masks), pool)
 
 
 def _together(arrays: Sequence[NDArray[Any]]) -> NDArray[Any]:

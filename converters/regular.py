@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..streams.compiled import JIT, Kernel
-from ..streams.pauses import STRAIGHT, Pauses, slices
+from ..streams.pauses import STRAIGHT, Pauses
 from ..streams.sample import Column, Field, FieldType, Mask, SampleBatch, Schema, Times
 from ..streams.strings import StringPool
 from . import cells
@@ -209,7 +209,7 @@ def _decode(
                 assert_never(field.type)
     # The pools grow only now, when every column is good.
     made = {
-        field.name: _column(field, *columns[field.name], texts.get(field.name), pools, pauses)
+        field.name: _column(field, *columns[field.name], texts.pop(field.name, None), pools, pauses)
         for field in schema.fields
     }
     return Incoming(SampleBatch(available, valid, made), bool(stamped))
@@ -247,11 +247,15 @@ def _texts(
             raise cells.Irregular
         null = codes == nothing[0]
     strings: list[str] = []
-    places = list(zip((starts[quoted] + 1).tolist(), (ends[quoted] - 1).tolist(), strict=True))
-    for part in slices(places, _TEXTS, pauses) if places else ():
+    starts, ends = starts[quoted] + 1, ends[quoted] - 1
+    for part in range(0, len(starts), _TEXTS):
+        places = zip(
+            starts[part : part + _TEXTS].tolist(), ends[part : part + _TEXTS].tolist(), strict=True
+        )
         # No text holds an end of line, so that they can be decoded together.
-        together = b"\n".join([raw[start:end] for start, end in part])
+        together = b"\n".join([raw[start:end] for start, end in places])
         strings += together.decode().split("\n")
+        pauses.breathe()
     return codes, null, (quoted, strings)
 
 

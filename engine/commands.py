@@ -94,10 +94,16 @@ class Publish(Command, frozen=True, tag="publish"):
         generator = engine.accepting(self.stream)
         return self._decode(generator.schema, generator.stream.pools, limits, STRAIGHT)
 
-    def decode_apart(self, schema: Schema, limits: BatchLimits, pauses: Pauses) -> Incoming:
-        """`decode` by the fields that the stream had, touching nothing of the engine: its texts get
-        codes of their own, and those of the stream when it takes the batch."""
-        return self._decode(schema, {}, limits, pauses)
+    def decode_apart(self, engine: Engine, limits: BatchLimits, pauses: Pauses) -> Incoming | None:
+        """`decode` with moments for others, or None: the stream has other fields than when it
+        began. It changes nothing: texts get codes of their own, and those of the stream when it
+        takes the batch, so that they are the same when all is done again."""
+        schema = engine.accepting(self.stream).schema
+        incoming = self._decode(schema, {}, limits, pauses)
+        generator = engine.accepting(self.stream)
+        if generator.schema == schema:
+            generator.stream.find_places(incoming.batch, pauses)
+        return incoming if engine.accepting(self.stream).schema == schema else None
 
     def _decode(
         self,

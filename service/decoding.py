@@ -16,7 +16,6 @@ from typing import Final
 from ..converters.wire import BatchLimits, Incoming
 from ..engine.commands import Publish
 from ..engine.engine import Engine
-from ..streams.sample import Schema
 from .fibers import PASSES, Fiber, Fibers
 
 AT_ONCE: Final = 1 << 17
@@ -62,21 +61,19 @@ class Decoding:
         if len(batch.body) <= self._at_once:
             return batch.decode(self._engine, self._limits)
         async with self._places:
-            while True:
-                schema = self._engine.accepting(batch.stream).schema
-                incoming = await self._in_turns(batch, schema)
-                if self._engine.accepting(batch.stream).schema == schema:
-                    return incoming
+            while (incoming := await self._in_turns(batch)) is None:
+                continue
+            return incoming
 
     def close(self) -> None:
         """Let the threads go."""
         self._fibers.close()
 
-    async def _in_turns(self, batch: Publish, schema: Schema) -> Incoming:
-        found: list[Incoming] = []
+    async def _in_turns(self, batch: Publish) -> Incoming | None:
+        found: list[Incoming | None] = []
         fiber = Fiber(
             self._fibers,
-            lambda: found.append(batch.decode_apart(schema, self._limits, self._fibers)),
+            lambda: found.append(batch.decode_apart(self._engine, self._limits, self._fibers)),
         )
         loop = asyncio.get_running_loop()
 

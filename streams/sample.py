@@ -124,7 +124,9 @@ class Column:
         present = self.present
         codes = np.zeros(len(self), np.int32)
         values = self.values[present]
-        if len(self.pool) <= len(values):
+        if self.pool.has_place(pool):
+            known, place = self.pool.codes_in(pool), values
+        elif len(self.pool) <= len(values):
             # A batch's own texts: found without sorting.
             is_used = np.zeros(len(self.pool), np.bool_)
             is_used[values] = True
