@@ -79,28 +79,18 @@ def mixed_times(line: int) -> WireError:
     )
 
 
-class Nested:
-    """A value with more in it than need be known."""
-
-    def __init__(self, raw: bytes) -> None:
-        self._raw = raw
-
-    def __str__(self) -> str:
-        return self._raw[:100].decode(errors="replace")
-
-
 def values_of(line: bytes) -> Any:
-    """What ``line`` says; raises `NO_JSON`."""
+    """What ``line`` says; raises `NO_JSON`. What is nested in a long one is left as it is."""
     if len(line) <= _LONG:
         return msgspec.json.decode(line)
     _RAW.decode(line)
     if line.lstrip()[:1] != b"{":
-        return Nested(line.strip())
-    return {name: _value(bytes(raw)) for name, raw in _RAW_VALUES.decode(line).items()}
+        return msgspec.Raw(line.strip())
+    return {name: _value(raw) for name, raw in _RAW_VALUES.decode(line).items()}
 
 
-def _value(raw: bytes) -> Any:
-    return Nested(raw) if raw[:1] in (b"[", b"{") else msgspec.json.decode(raw)
+def _value(raw: msgspec.Raw) -> Any:
+    return raw if bytes(raw)[:1] in (b"[", b"{") else msgspec.json.decode(raw)
 
 
 def _words(message: str) -> str:
