@@ -32,10 +32,13 @@ from ..streams.time import Clock
 from .access import CALLER, revoked
 from .body import HELD, Held
 from .event_clients import OPEN
+from .fibers import PASSES
 from .keeper import Keeper
 from .problems import Problem
 from .tokens import Caller, Scope, Tokens
 
+_PART = 1 << 16
+"""So many bytes are worked off together: some milliseconds of work."""
 _LINE = re.compile(rb"[^\n]*\n|[^\n]+")
 
 
@@ -290,7 +293,7 @@ class LiveBodies:
             message = await self._next(request, under_way, patience)
             if message["type"] == "http.disconnect":
                 raise ClientDisconnect
-            live.take(message.get("body", b""))
+            await self._take(live, message.get("body", b""))
             if not message.get("more_body", False):
                 live.end()
                 return
@@ -302,6 +305,14 @@ class LiveBodies:
             "the body was not read to its end",
             hint="send the samples that were not accepted when the service is back",
         )
+
+    async def _take(self, live: LiveSamples, data: bytes) -> None:
+        """Publish what has come; of much of it a part at a time, with others in between."""
+        live.take(data[:_PART])
+        for start in range(_PART, len(data), _PART):
+            for _ in range(PASSES):
+                await asyncio.sleep(0)
+            live.take(data[start : start + _PART])
 
     async def _next(self, request: Request, under_way: _UnderWay, patience: float) -> Message:
         try:

@@ -5,10 +5,12 @@ from __future__ import annotations
 import asyncio
 import threading
 from collections.abc import Awaitable, Callable
+from itertools import pairwise
 from typing import Any
 
 import httpx
 import pytest
+from starlette.requests import Request
 
 from dyknow.converters.errors import WireError
 from dyknow.converters.wire import BatchLimits
@@ -18,7 +20,10 @@ from dyknow.engine.errors import UnknownStream
 from dyknow.engine.recorded import RecordedEngine
 from dyknow.engine.views import StreamDeclaration
 from dyknow.service.app import create_app
+from dyknow.service.body import HELD, BodyLimit, Held
 from dyknow.service.decoding import AT_ONCE, TOGETHER, Decoding
+from dyknow.service.keeper import Keeper
+from dyknow.service.live import LiveBodies, LiveLines
 from dyknow.service.negotiation import NDJSON
 from dyknow.service.settings import Settings
 from dyknow.streams.sample import Field, FieldType, Schema
@@ -269,3 +274,32 @@ def test_what_was_done_meanwhile_is_not_later_than_it(
     run(work)
     available = engine.generator("s").stream.availtimes()
     assert available[:2].tolist() == [START + SECOND, START + 2 * SECOND]
+
+
+def test_of_a_live_body_so_much_is_worked_off_at_once(engine: Engine) -> None:
+    """What has come together is not published together where it is much."""
+    declare(engine)
+    data = body()
+    messages = [
+        {"type": "http.request", "body": data, "more_body": True},
+        {"type": "http.request", "body": b"", "more_body": False},
+    ]
+
+    async def receive() -> Any:
+        return messages.pop(0)
+
+    async def work() -> list[int]:
+        request = Request({"type": "http"}, receive)
+        request.scope[HELD] = Held(BodyLimit(receive, 1 << 30, 1 << 30), live=True)
+        live = LiveLines(engine, Keeper(engine, None, {}), "s", lambda: START, LIMITS)
+        publishing = asyncio.create_task(LiveBodies().publish(request, live, 20))
+        seen = []
+        while not publishing.done():
+            await asyncio.sleep(0)
+            seen.append(live.accepted)
+        await publishing
+        return sorted(set(seen))
+
+    seen = run(work)
+    assert seen[-1] == data.count(b"\n")
+    assert max(after - before for before, after in pairwise(seen)) < 1 << 11
