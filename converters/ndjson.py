@@ -46,6 +46,7 @@ def decode_ndjson(
     data = data.removeprefix(BOM)
     if limits is not None:
         _check_limits(data, limits, pauses)
+        pauses.breathe()
     if not schema.fields:
         schema = decided_by(data, limits, pauses)
     check_names(schema)

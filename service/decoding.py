@@ -25,6 +25,9 @@ TOGETHER: Final = 4
 TURN: Final = 0.004
 """Seconds at a time, with others in between."""
 
+_PATIENCE: Final = 0.001
+"""Seconds more for what is done apart, with the other processor."""
+
 
 class Decoding:
     """Decodes batches for streams of ``engine``.
@@ -46,7 +49,7 @@ class Decoding:
         self._limits = limits
         self._turn_seconds = turn
         self._at_once = at_once
-        self._fibers = Fibers("dyknow-decoding")
+        self._fibers = Fibers("dyknow-decoding", _PATIENCE)
         self._places = asyncio.Semaphore(TOGETHER)
         self._turn = asyncio.Lock()
         self._ready = asyncio.Event()

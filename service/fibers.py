@@ -30,12 +30,14 @@ class Abandoned(Exception):
 class Fibers:
     """The threads of fibers and the time that they have; `Pauses` for what they do.
 
+    ``patience``: for so many seconds more one is waited for that does something apart.
     ``on_ready`` is called, from any thread, when a fiber can go on that did something apart.
 
     Cost: two thread switches (some 15 µs) for each `Fiber.go_on`.
     """
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, patience: float = FURTHER) -> None:
+        self.patience = patience
         self.on_ready: Callable[[], None] = _nobody
         self._name = name
         self._until = 0.0
@@ -169,7 +171,7 @@ class Fiber:
             self._thread.fiber = self
         thread = self._thread
         thread.turn.release()
-        while not thread.back.acquire(timeout=self._fibers.left + FURTHER):
+        while not thread.back.acquire(timeout=self._fibers.left + self._fibers.patience):
             with self._lock:
                 if self._is_apart:
                     self._is_left = True
