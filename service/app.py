@@ -16,6 +16,7 @@ from . import problems
 from .access import Access, Gate, client_key
 from .body import BodyLimit, UnderWay
 from .context import Service
+from .decoding import Decoding
 from .descriptors import places
 from .event_clients import EventClients
 from .isolation.services import Isolation, Windows
@@ -127,6 +128,7 @@ def create_app(
         clock,
         feeds,
         LiveBodies(tokens),
+        Decoding(engine, settings.batch_limits),
         Metrics(engine, feeds, bodies, clock, keeper, isolation, settings.metrics_streams),
         isolation,
         clock(),
@@ -149,6 +151,7 @@ def create_app(
             yield
             service.leave()
             service.isolation.close()
+            service.decoding.close()
             tasks.cancel_scope.cancel()
         keeper.close()
 

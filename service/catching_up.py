@@ -17,10 +17,9 @@ from ..engine.behind import Behind
 from ..engine.commands import ANYTIME, Command
 from ..engine.engine import Engine
 from ..journal.errors import JournalError
-from .pausing import FIRST, FURTHER, Pausing
+from .fibers import FURTHER, PASSES
+from .pausing import FIRST, Pausing
 
-_PASSES: Final = 3
-"""So often others have their turn between two turns of windows: a request takes some."""
 _LOOK: Final = 0.01
 """Seconds between two looks whether a stream's readers have caught up."""
 _PATIENCE: Final = 2.0
@@ -125,7 +124,7 @@ class CatchingUp:
         self._pausing.on_ready = wake
         try:
             while self._behind:
-                for _ in range(_PASSES):
+                for _ in range(PASSES):
                     await asyncio.sleep(0)
                 if self._behind.is_waiting:
                     await self._woken.wait()

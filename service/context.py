@@ -12,6 +12,7 @@ from ..engine.commands import ANYTIME, Command, EndStream, Publish, ReadAlready,
 from ..engine.engine import Engine
 from ..streams.time import Clock
 from .access import Gate
+from .decoding import Decoding
 from .event_clients import ClientKey, address_of
 from .isolation.services import Isolation
 from .keeper import Keeper
@@ -35,6 +36,7 @@ class Service:
     clock: Clock
     feeds: Feeds
     bodies: LiveBodies
+    decoding: Decoding
     metrics: Metrics
     isolation: Isolation
     started: int
