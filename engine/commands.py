@@ -293,6 +293,9 @@ class RegisterQuery(Command, frozen=True, tag="register query"):
     report: Report = "non-empty"
     strategy: str = "fast"
     since: Since = Since.NOW
+    name: str = ""
+    """What a query is called whose text says no name, unless it is shared: written down, so that
+    it has it also where another program does it again."""
 
     def apply(self, engine: Engine) -> QueryView:
         return engine.queries.register(
@@ -303,6 +306,7 @@ class RegisterQuery(Command, frozen=True, tag="register query"):
             report=self.report,
             strategy=self.strategy,
             since=self.since,
+            name=self.name,
         )
 
 

@@ -709,8 +709,7 @@ class Engine:
             number = id.removeprefix(name)
             if number != id and number.isdigit():
                 made.number_after(int(number))
-        if self._configuration.next_reserved == id:
-            self._configuration.reserved_name()
+        self._configuration.pass_over(id)
 
     def tell_not_restored(self, reason: str) -> None:
         """Tell on the status stream what of an earlier run does not go on, and why."""

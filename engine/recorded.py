@@ -11,6 +11,7 @@ from __future__ import annotations
 import secrets
 from collections import Counter
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
@@ -38,19 +39,21 @@ from .commands import (
     Publish,
     ReadAlready,
     Refused,
+    RegisterQuery,
     RemoveKpl,
     Tick,
     done,
     read,
     written,
 )
+from .configuration import after_reserved, is_reserved
 from .engine import Engine
 from .errors import UNKNOWN
 from .missing import missing, origins, told
 from .portable import Portable, PortableHead, engine_from, portable_of
 from .processes import PROCESSES, Processes
 from .remembering import Unkept
-from .standing import Key, Standing
+from .standing import Key, Standing, Waiting
 from .supervision import DIRECT, Runner
 from .tape import READINGS, Tape
 
@@ -185,6 +188,11 @@ class RecordedEngine:
         Raises `JournalFull` and `JournalBroken`, and what the command does: nothing is written
         down then, and nothing done.
         """
+        if isinstance(command, RegisterQuery):
+            # Its name is written down where the text says none: by it people know it.
+            name = self.engine.queries.name_for(command.text)
+            if is_reserved(name):
+                command = msgspec.structs.replace(command, name=name)
         refusals: tuple[type[Exception], ...] = (*REFUSALS, *self.refused_outside)
         self._write_opened()
         self._within = True
@@ -240,6 +248,10 @@ class RecordedEngine:
     def unread(self) -> str | None:
         """Which sources are not asked at present, and why; None: all are."""
         return self._runner.tape.unread
+
+    def waiting(self) -> tuple[Waiting, ...]:
+        """What an earlier run has accepted and cannot be done at present, oldest first."""
+        return self._standing.waiting_views()
 
     def checkpoint(self) -> Unwritten:
         """The state as it is now, to be written by `Unwritten.write`, in any thread.
@@ -400,7 +412,8 @@ class RecordedEngine:
             portable = msgspec.msgpack.decode(kept.portable, type=Portable)
         except msgspec.DecodeError as error:
             raise CheckpointError(f"{reason}; {error}") from error
-        engine, self._standing, lost = engine_from(portable, now, self._outside)
+        first_reserved = self._after_queries(kept.position)
+        engine, self._standing, lost = engine_from(portable, now, self._outside, first_reserved)
         self._begin_anew(reason)
         self.recovery.notes += lost
         return engine
@@ -432,10 +445,22 @@ class RecordedEngine:
         engine = Engine(
             epoch=first.epoch,
             now=first.now,
+            first_reserved=1 if first.program == self._program else self._after_queries(0),
             ontology=ontology,
             **self._outside.given(),
         )
         return engine, 1
+
+    def _after_queries(self, position: int) -> int:
+        """The first N of ``dyknow_reserved<N>`` that no query of the log after ``position`` is
+        called: what another program makes besides takes none of these names."""
+        names = []
+        for _, data in self.log.read(position):
+            with suppress(msgspec.DecodeError):  # told when it is its turn
+                command = read(data)
+                if isinstance(command, RegisterQuery):
+                    names.append(command.name)
+        return after_reserved(names)
 
     def _begin_anew(self, reason: str) -> None:
         self.recovery.is_continued = False

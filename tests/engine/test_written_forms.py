@@ -85,6 +85,7 @@ EXAMPLES = [
     ),
     c.Unsubscribe("subscription1"),
     c.RegisterQuery("REGISTER QUERY …", "set", "[)", 7, "close", "quality", Since.START),
+    c.RegisterQuery("SELECT …", name="dyknow_reserved7"),
     c.RemoveQuery("fast"),
     c.AddKpl("source float x", "s"),
     c.RemoveKpl("x", True),
