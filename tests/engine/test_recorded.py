@@ -40,6 +40,7 @@ from dyknow.engine.commands import (
     Unsubscribe,
     read,
 )
+from dyknow.engine.configuration import Configuration
 from dyknow.engine.describing import DescribedArgument, DescribedPort, DescribedTransformation
 from dyknow.engine.engine import Engine
 from dyknow.engine.errors import Conflict, UnknownRequest, UnknownStream
@@ -754,8 +755,8 @@ def test_queries_without_a_name_keep_what_they_were_called(tmp_path, monkeypatch
     if checkpoint == "before":
         first.checkpoint().write()
     gone = first.do(RegisterQuery(UNNAMED.replace("5s", "2s"))).name
-    first.do(ApplySpecification(TWO_POLICIES))
     kept = first.do(RegisterQuery(UNNAMED)).name
+    first.do(ApplySpecification(TWO_POLICIES))
     assert first.do(RegisterQuery(UNNAMED)).name == kept
     other = first.do(RegisterQuery(UNNAMED.replace("5s", "3s"))).name
     first.do(RemoveQuery(gone))
@@ -769,7 +770,14 @@ def test_queries_without_a_name_keep_what_they_were_called(tmp_path, monkeypatch
     def named(recorded):
         return {view.name: view.source for view in recorded.engine.queries.views()}
 
+    reserved_name = Configuration.reserved_name
+
+    def wasteful(self):
+        """This version makes more units for the same."""
+        return [reserved_name(self) for _ in range(3)][-1]
+
     monkeypatch.setattr(recorded_module, "program", lambda *_: "another version")
+    monkeypatch.setattr(Configuration, "reserved_name", wasteful)
     taking = opened(tmp_path)
     assert named(taking) == {kept: UNNAMED, other: UNNAMED.replace("5s", "3s")}
     assert taking.waiting() == ()
