@@ -33,7 +33,7 @@ from .describing import DescribedStream, DescribedTransformation
 from .engine import Engine
 from .errors import DyknowError
 from .registered import TransformationView
-from .tape import Reading
+from .tape import Outcome, Reading
 from .views import (
     DeclarationView,
     EventView,
@@ -135,6 +135,16 @@ class GoOn(Command, frozen=True, tag="go on"):
 
     def apply(self, engine: Engine) -> None:
         engine.go_on_again(self.done)
+
+
+class HearOfSinks(Command, frozen=True, tag="sinks"):
+    """What went wrong in sinks that were called by the commands before it, when these were done
+    first: sinks are not called again."""
+
+    outcomes: tuple[Outcome, ...]
+
+    def apply(self, engine: Engine) -> None:
+        engine.hear_of_sinks(self.outcomes)
 
 
 class TellUnkept(Command, frozen=True, tag="unkept"):
@@ -411,6 +421,7 @@ AnyCommand: TypeAlias = (
     | Tick
     | Publish
     | GoOn
+    | HearOfSinks
     | EndStream
     | DeclareStream
     | RemoveStream

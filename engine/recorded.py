@@ -35,6 +35,7 @@ from .commands import (
     Begin,
     Command,
     GoOn,
+    HearOfSinks,
     OpenStream,
     Publish,
     ReadAlready,
@@ -188,13 +189,14 @@ class RecordedEngine:
         Raises `JournalFull` and `JournalBroken`, and what the command does: nothing is written
         down then, and nothing done.
         """
+        refusals: tuple[type[Exception], ...] = (*REFUSALS, *self.refused_outside)
+        self._write_opened()
+        self._hear_of_sinks()
         if isinstance(command, RegisterQuery):
             # Its name is written down where the text says none: by it people know it.
             name = self.engine.queries.name_for(command.text)
             if is_reserved(name):
                 command = msgspec.structs.replace(command, name=name)
-        refusals: tuple[type[Exception], ...] = (*REFUSALS, *self.refused_outside)
-        self._write_opened()
         self._within = True
         try:
             with self.log.entry(written(command)) as entry:
@@ -221,6 +223,7 @@ class RecordedEngine:
             self._within = False
             self._asked_for.clear()
         self._standing.note(command, found)
+        self._hear_if_there_is_room()
         return found
 
     def go_on(self, *, new: bool = False, begins: bool = True) -> None:
@@ -229,6 +232,7 @@ class RecordedEngine:
         Raises `JournalFull` and `JournalBroken`: nothing is done then.
         """
         self._write_opened()
+        self._hear_of_sinks()
         self._within = True
         try:
             self.log.check_room(_WINDOWS)
@@ -243,6 +247,7 @@ class RecordedEngine:
         finally:
             self._within = False
             self._asked_for.clear()
+        self._hear_if_there_is_room()
 
     @property
     def unread(self) -> str | None:
@@ -261,6 +266,9 @@ class RecordedEngine:
         """
         if self.failure is not None:
             raise CheckpointError(f"the state is not to be trusted: {self.failure}")
+        self._hear_if_there_is_room()
+        if self._runner.tape.outcomes:
+            raise CheckpointError("what went wrong in sinks could not be written down yet")
         position = self.log.position
         state = state_of(self.engine, self._standing, self._outside)
         processes = self._missing() | origins(self._outside.processes)
@@ -319,6 +327,33 @@ class RecordedEngine:
         while self._unwritten:
             self.log.append(written(self._unwritten[0]))
             del self._unwritten[0]
+
+    def _hear_if_there_is_room(self) -> None:
+        try:
+            self._hear_of_sinks()
+        except JournalError:
+            # Nobody is told of it before: it is written down before the next command is done.
+            return
+
+    def _hear_of_sinks(self) -> None:
+        """Write down what went wrong in sinks, and have it told: a command by itself, as sinks are
+        called by any. What is told may be read by sinks, and go wrong there."""
+        tape = self._runner.tape
+        while tape.outcomes:
+            command = HearOfSinks(tuple(tape.outcomes))
+            self._within = True
+            try:
+                with self.log.entry(written(command)):
+                    del tape.outcomes[: len(command.outcomes)]
+                    command.apply(self.engine)
+            except JournalError:
+                raise
+            except Exception as error:
+                self.failure = f"{type(error).__name__} in telling of sinks: {error}"
+                raise
+            finally:
+                self._within = False
+                self._asked_for.clear()
 
     def _recovered(self, now: int, progress: Callable[[int, int], None] | None) -> Engine:
         found = self._from_checkpoint(now)
