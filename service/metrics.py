@@ -78,7 +78,7 @@ class Metrics:
         )
         self._seconds = Histogram(
             "dyknow_http_request_seconds",
-            "Time until a response is complete (event streams and live samples excepted)",
+            "Time until a response begins to be sent (event streams and live samples excepted)",
             ["route"],
             registry=registry,
         )

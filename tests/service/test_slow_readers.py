@@ -14,12 +14,13 @@ import pytest
 from fastapi import FastAPI
 from sse_clients import chunks, connect
 from starlette.responses import PlainTextResponse, StreamingResponse
-from starlette.types import Message
+from starlette.types import Message, Receive, Scope, Send
 
 from dyknow.engine.engine import Engine
 from dyknow.service.answers import EACH, PIECE_BYTES, STREAMED, Answers, LongAnswers
 from dyknow.service.app import create_app
 from dyknow.service.client import Client
+from dyknow.service.observe import Observe
 from dyknow.service.problems import Problem
 from dyknow.service.server import running
 from dyknow.service.settings import Settings
@@ -221,3 +222,31 @@ def test_so_is_one_that_is_encoded_as_it_is_taken() -> None:
     assert [piece.get("more_body", False) for piece in pieces] == [True] * (len(pieces) - 1) + [
         False
     ]
+
+
+def test_how_long_a_client_takes_is_no_slow_request(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = 0.0
+    monkeypatch.setattr("dyknow.service.observe.time.perf_counter", lambda: now)
+    told: list[float | None] = []
+
+    class Count:
+        def request(self, method: str, route: str, status: int, seconds: float | None) -> None:
+            told.append(seconds)
+
+    async def app(scope: Scope, receive: Receive, send: Send) -> None:
+        nonlocal now
+        now += 2.0  # it thinks about it
+        await StreamingResponse(iter(["a", "b"]))(scope, receive, send)
+
+    async def send(message: Message) -> None:
+        nonlocal now
+        now += 100.0
+
+    async def receive() -> Message:
+        await asyncio.Event().wait()
+        raise AssertionError
+
+    scope = {"type": "http", "method": "GET", "path": "/", "headers": [], "client": None}
+    asyncio.run(Observe(app, Count())(scope, receive, send))
+    assert told == [2.0]
+    assert now > 300.0
