@@ -41,6 +41,7 @@ from .processes import Processes, SourceImplementation
 from .sampled_source import SampledSource
 from .sink import Sink
 from .supervision import DIRECT, Runner
+from .tape import Outcome
 from .unit import ComputationalUnit
 from .violations import SUFFIX
 
@@ -444,6 +445,12 @@ class Application:
         )
         self._attach(declaration.key, sink, format_kpl(declaration))
         sink.start()
+
+    def hear(self, outcome: Outcome) -> None:
+        """What came of calls of a sink, which may be gone by now."""
+        for reader in tuple(self._readers.values()):
+            if isinstance(reader, Sink) and reader.name == outcome.sink:
+                reader.hear(outcome)
 
     def _attach(self, key: str, reader: Sink | ConfigurationProcess, specification: str) -> None:
         self._readers[key] = reader

@@ -36,7 +36,7 @@ from .describing import DescribedStream, DescribedTransformation
 from .engine import Engine
 from .errors import DyknowError
 from .registered import TransformationView
-from .tape import Reading
+from .tape import Outcome, Reading
 from .views import (
     DeclarationView,
     EventView,
@@ -158,6 +158,16 @@ class GoOn(Command, frozen=True, tag="go on"):
 
     def apply(self, engine: Engine) -> None:
         engine.go_on_again(self.done)
+
+
+class HearOfSinks(Command, frozen=True, tag="sinks"):
+    """What went wrong in sinks that were called by the commands before it, when these were done
+    first: sinks are not called again."""
+
+    outcomes: tuple[Outcome, ...]
+
+    def apply(self, engine: Engine) -> None:
+        engine.hear_of_sinks(self.outcomes)
 
 
 class TellUnkept(Command, frozen=True, tag="unkept"):
@@ -316,6 +326,9 @@ class RegisterQuery(Command, frozen=True, tag="register query"):
     report: Report = "non-empty"
     strategy: str = "fast"
     since: Since = Since.NOW
+    name: str = ""
+    """What a query is called whose text says no name, unless it is shared: written down, so that
+    it has it also where another program does it again."""
 
     def apply(self, engine: Engine) -> QueryView:
         return engine.queries.register(
@@ -326,6 +339,7 @@ class RegisterQuery(Command, frozen=True, tag="register query"):
             report=self.report,
             strategy=self.strategy,
             since=self.since,
+            name=self.name,
         )
 
 
@@ -430,6 +444,7 @@ AnyCommand: TypeAlias = (
     | Tick
     | Publish
     | GoOn
+    | HearOfSinks
     | EndStream
     | DeclareStream
     | RemoveStream

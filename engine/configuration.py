@@ -8,7 +8,7 @@ shares it, and it stops when the last user leaves. Every change is told to one l
 from __future__ import annotations
 
 from collections import OrderedDict, defaultdict
-from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from contextlib import contextmanager
 from typing import Protocol, TypeVar
@@ -65,6 +65,17 @@ class Reader(Protocol):
 
     def stop(self) -> None:
         """Leave the inputs."""
+
+
+def is_reserved(name: str) -> bool:
+    """Whether a name is one that DyKnow assigns."""
+    return name.startswith(RESERVED) and name.removeprefix(RESERVED).isdigit()
+
+
+def after_reserved(names: Iterable[str]) -> int:
+    """The first N after all ``dyknow_reserved<N>`` among ``names``."""
+    numbers = (int(name.removeprefix(RESERVED)) for name in names if is_reserved(name))
+    return 1 + max(numbers, default=0)
 
 
 class Configuration:
@@ -278,6 +289,11 @@ class Configuration:
             self._next_reserved += 1
             if name not in self.streams:
                 return name
+
+    def pass_over(self, name: str) -> None:
+        """``name`` is given to somebody: if it is the next free one, another is from now on."""
+        if self.next_reserved == name:
+            self._next_reserved = int(name.removeprefix(RESERVED)) + 1
 
     @property
     def next_reserved(self) -> str:

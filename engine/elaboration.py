@@ -21,7 +21,7 @@ from ..ontology.vocabulary import Vocabulary
 from ..rdf.namespaces import shorten
 from ..streams.generator import StreamGenerator
 from ..streams.policy import Policy
-from .configuration import POLICY, RESERVED, SELECT_OBJECT, SYNCHRONIZE, Configuration
+from .configuration import POLICY, SELECT_OBJECT, SYNCHRONIZE, Configuration, is_reserved
 from .errors import DyknowError, UnknownFeature, UnknownStream
 from .knowing import iri_of
 from .shapes import LONGEST_ROW, Running, Shape
@@ -35,7 +35,7 @@ SYSTEM = {SELECT_OBJECT: ("field", "object"), SYNCHRONIZE: (), POLICY: ("policy"
 
 def is_invented(name: str) -> bool:
     """Whether a name is one that DyKnow assigns. In a text it only ties `stream` to `cu`."""
-    return name.startswith(RESERVED) and name.removeprefix(RESERVED).isdigit()
+    return is_reserved(name)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

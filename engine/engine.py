@@ -67,6 +67,7 @@ from .status import RETENTION, SCHEMA, STATUS, StatusStream
 from .stream_view import rate_of, stream_view
 from .subscriptions import Subscriptions
 from .supervision import DIRECT, Runner
+from .tape import Outcome
 from .transformations import Transformations
 from .unit import ComputationalUnit
 from .users import Users
@@ -709,12 +710,17 @@ class Engine:
             number = id.removeprefix(name)
             if number != id and number.isdigit():
                 made.number_after(int(number))
-        if self._configuration.next_reserved == id:
-            self._configuration.reserved_name()
+        self._configuration.pass_over(id)
 
     def tell_not_restored(self, reason: str) -> None:
         """Tell on the status stream what of an earlier run does not go on, and why."""
         self._changed(Change(ChangeKind.NOT_RESTORED, specification=reason))
+
+    def hear_of_sinks(self, outcomes: Sequence[Outcome]) -> None:
+        """What came of calls of sinks counts from now on, and is told on the status stream."""
+        for outcome in outcomes:
+            self._application.hear(outcome)
+        self._settle()
 
     def tell_unkept(self, process: str, reason: str) -> None:
         """Tell on the status stream that what a user-written process remembers is not kept."""

@@ -95,20 +95,24 @@ class Inserting:
         same."""
         shapes = {id(one.element): one.shape for one in made}
         now = list(left)
+        of_unit: dict[ComputationalUnit, list[Inserted]] = {}
+        for one in left:
+            of_unit.setdefault(one.unit, []).append(one)
         inner = [one for one in self._further if not any(one is top for top in tops)]
         for element in (*tops, *inner):
             unit = self.units[shapes[id(element)]]
             named = element.name is not None and not is_invented(element.name)
             one = Inserted(element.name if named else None, unit, element)
-            there = [known for known in now if known.unit is unit]
+            there = of_unit.setdefault(unit, [])
             if any(known.name == one.name for known in there) or (there and not named):
                 continue
             nameless = next((known for known in there if known.name is None), None)
             if nameless is not None:
-                now[now.index(nameless)] = one
+                now[now.index(nameless)] = there[there.index(nameless)] = one
                 continue
             unit.users += 1
             self._added.append(unit)
+            there.append(one)
             now.append(one)
         self._insertions.all = now
 

@@ -172,7 +172,8 @@ class Insertions:
         invented = None if can_be_copied(shapes, names) else running.stream_of.__getitem__
         writer = Writer(names, invented)
         # What has lost an input is kept as it was written.
-        others = [one.element for one in self.all if one not in known]
+        there = set(known)
+        others = [one.element for one in self.all if one not in there]
         elements = (*writer.write(tops), *others, *(lost.element for lost in self.lost))
         return format_specification(Specification(elements, (), "")) if elements else ""
 

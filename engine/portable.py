@@ -19,7 +19,8 @@ from ..streams.generator import Counters, StreamGenerator
 from ..streams.sample import Column, Field, FieldType, SampleBatch, Schema, concatenate
 from ..streams.strings import StringPool
 from .checkpoint import Outside
-from .commands import AnyCommand, Command
+from .commands import AnyCommand, Command, RegisterQuery
+from .configuration import after_reserved
 from .engine import Engine
 from .intake import UsedKey
 from .remembering import Unkept
@@ -117,11 +118,13 @@ def engine_from(
     portable: Portable,
     now: int,
     outside: Outside,
+    first_reserved: int = 1,
 ) -> tuple[Engine, Standing, list[str]]:
     """An engine that goes on from there in a life of its own, what stands in it, and what could not
-    be had again."""
+    be had again. ``first_reserved`` as of `Engine`, beyond the names of queries that come again."""
     engine = Engine(
         now=max(now, portable.now),
+        first_reserved=max(first_reserved, after_reserved((*portable.ids, *portable.waiting_ids))),
         ontology=Ontology.of_quads(portable.quads),
         **outside.given(),
     )
@@ -142,6 +145,8 @@ def engine_from(
     standing = Standing()
     for id, command in _asked(portable):
         engine.keep_id(id)
+        if isinstance(command, RegisterQuery):
+            command = msgspec.structs.replace(command, name=id)
         reason = standing.again(command, engine)
         if reason is not None:
             lost.append(f"not restored, and kept: {reason}")

@@ -11,6 +11,7 @@ from __future__ import annotations
 import secrets
 from collections import Counter
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
@@ -34,23 +35,26 @@ from .commands import (
     Begin,
     Command,
     GoOn,
+    HearOfSinks,
     OpenStream,
     Publish,
     ReadAlready,
     Refused,
+    RegisterQuery,
     RemoveKpl,
     Tick,
     done,
     read,
     written,
 )
+from .configuration import after_reserved, is_reserved
 from .engine import Engine
 from .errors import UNKNOWN
 from .missing import missing, origins, told
 from .portable import Portable, PortableHead, engine_from, portable_of
 from .processes import PROCESSES, Processes
 from .remembering import Unkept
-from .standing import Key, Standing
+from .standing import Key, Standing, Waiting
 from .supervision import DIRECT, Runner
 from .tape import READINGS, Tape
 
@@ -187,6 +191,12 @@ class RecordedEngine:
         """
         refusals: tuple[type[Exception], ...] = (*REFUSALS, *self.refused_outside)
         self._write_opened()
+        self._hear_of_sinks()
+        if isinstance(command, RegisterQuery):
+            # Its name is written down where the text says none: by it people know it.
+            name = self.engine.queries.name_for(command.text)
+            if is_reserved(name):
+                command = msgspec.structs.replace(command, name=name)
         self._within = True
         try:
             with self.log.entry(written(command)) as entry:
@@ -213,6 +223,7 @@ class RecordedEngine:
             self._within = False
             self._asked_for.clear()
         self._standing.note(command, found)
+        self._hear_if_there_is_room()
         return found
 
     def go_on(self, *, new: bool = False, begins: bool = True) -> None:
@@ -221,6 +232,7 @@ class RecordedEngine:
         Raises `JournalFull` and `JournalBroken`: nothing is done then.
         """
         self._write_opened()
+        self._hear_of_sinks()
         self._within = True
         try:
             self.log.check_room(_WINDOWS)
@@ -235,11 +247,16 @@ class RecordedEngine:
         finally:
             self._within = False
             self._asked_for.clear()
+        self._hear_if_there_is_room()
 
     @property
     def unread(self) -> str | None:
         """Which sources are not asked at present, and why; None: all are."""
         return self._runner.tape.unread
+
+    def waiting(self) -> tuple[Waiting, ...]:
+        """What an earlier run has accepted and cannot be done at present, oldest first."""
+        return self._standing.waiting_views()
 
     def checkpoint(self, aside: Aside | None = None) -> Unwritten:
         """The state as it is now, to be written by `Unwritten.write`, in any thread.
@@ -250,6 +267,9 @@ class RecordedEngine:
         """
         if self.failure is not None:
             raise CheckpointError(f"the state is not to be trusted: {self.failure}")
+        self._hear_if_there_is_room()
+        if self._runner.tape.outcomes:
+            raise CheckpointError("what went wrong in sinks could not be written down yet")
         position = self.log.position
         if aside is not None:
             return Unwritten(
@@ -321,6 +341,33 @@ class RecordedEngine:
         while self._unwritten:
             self.log.append(written(self._unwritten[0]))
             del self._unwritten[0]
+
+    def _hear_if_there_is_room(self) -> None:
+        try:
+            self._hear_of_sinks()
+        except JournalError:
+            # Nobody is told of it before: it is written down before the next command is done.
+            return
+
+    def _hear_of_sinks(self) -> None:
+        """Write down what went wrong in sinks, and have it told: a command by itself, as sinks are
+        called by any. What is told may be read by sinks, and go wrong there."""
+        tape = self._runner.tape
+        while tape.outcomes:
+            command = HearOfSinks(tuple(tape.outcomes))
+            self._within = True
+            try:
+                with self.log.entry(written(command)):
+                    del tape.outcomes[: len(command.outcomes)]
+                    command.apply(self.engine)
+            except JournalError:
+                raise
+            except Exception as error:
+                self.failure = f"{type(error).__name__} in telling of sinks: {error}"
+                raise
+            finally:
+                self._within = False
+                self._asked_for.clear()
 
     def _recovered(self, now: int, progress: Callable[[int, int], None] | None) -> Engine:
         found = self._from_checkpoint(now)
@@ -414,7 +461,8 @@ class RecordedEngine:
             portable = msgspec.msgpack.decode(kept.portable, type=Portable)
         except msgspec.DecodeError as error:
             raise CheckpointError(f"{reason}; {error}") from error
-        engine, self._standing, lost = engine_from(portable, now, self._outside)
+        first_reserved = self._after_queries(kept.position)
+        engine, self._standing, lost = engine_from(portable, now, self._outside, first_reserved)
         self._begin_anew(reason)
         self.recovery.notes += lost
         return engine
@@ -446,10 +494,22 @@ class RecordedEngine:
         engine = Engine(
             epoch=first.epoch,
             now=first.now,
+            first_reserved=1 if first.program == self._program else self._after_queries(0),
             ontology=ontology,
             **self._outside.given(),
         )
         return engine, 1
+
+    def _after_queries(self, position: int) -> int:
+        """The first N of ``dyknow_reserved<N>`` that no query of the log after ``position`` is
+        called: what another program makes besides takes none of these names."""
+        names = []
+        for _, data in self.log.read(position):
+            with suppress(msgspec.DecodeError):  # told when it is its turn
+                command = read(data)
+                if isinstance(command, RegisterQuery):
+                    names.append(command.name)
+        return after_reserved(names)
 
     def _begin_anew(self, reason: str) -> None:
         self.recovery.is_continued = False

@@ -15,7 +15,7 @@ from ..continuous.options import Bounds, Options, Report, Semantics
 from ..continuous.results import WindowResult
 from ..converters.to_triples import SampleConverter
 from ..languages.csparql import parse_query
-from ..languages.csparql.ast import ContinuousQuery, Dialect
+from ..languages.csparql.ast import ContinuousQuery
 from ..languages.errors import LanguageError, Span
 from ..matching.space import StreamSpace
 from ..ontology.ontology import Ontology
@@ -35,7 +35,13 @@ from .errors import (
 from .knowing import checked_strategy, did_you_mean
 from .plans import Plans
 from .query_unit import QueryUnit
-from .registrations import Asked, Registration, check_same, registration_of
+from .registrations import (
+    Asked,
+    Registration,
+    check_same,
+    registration_of,
+    usual_semantics,
+)
 from .starting import Started, Starter, told_as_arguments
 from .template_unit import InstanceUnit, TemplateUnit
 from .views import QueryView, Since
@@ -107,31 +113,32 @@ class RegisteredQueries:
         report: Report = "non-empty",
         strategy: str = "fast",
         since: Since = Since.NOW,
+        name: str = "",
     ) -> QueryView:
         """Start a query; registered again it is shared, with one user more.
 
-        ``semantics`` is the dialect's unless given. Raises `LanguageError`, `Refused` for a name
+        ``semantics`` is the dialect's unless given; ``name`` is what a query is to be called whose
+        text says no name, if that is free. Raises `LanguageError`, `Refused` for a name
         that is not the user's to give, `AlreadyExists` for one that is taken, `UnknownStream`,
         `NotAnnotated`, `NoPlan`, `BadArguments` and `ConversionError`; nothing has begun then.
         """
         query = parse_query(text)
-        usual: Semantics = "set" if query.dialect is Dialect.RSP_QL else "bag"
-        options = Options(semantics or usual, bounds, origin, report)
-        return self.start(query, Asked(text.strip(), options, strategy, since))
+        options = Options(semantics or usual_semantics(query.dialect), bounds, origin, report)
+        return self.start(query, Asked(text.strip(), options, strategy, since), name)
 
-    def name_for(self, text: str) -> str:
-        """What a query would be called, if nothing is in its way; the next free name where it says
-        none or cannot be read."""
+    def name_for(self, text: str, wanted: str = "") -> str:
+        """What a query would be called, if nothing is in its way; ``wanted`` or the next free name
+        where it says none or cannot be read."""
         try:
             name = parse_query(text).name
         except LanguageError:
             name = ""
-        return _own_name(name) if name else self._configuration.next_reserved
+        return _own_name(name) if name else wanted or self._configuration.next_reserved
 
-    def start(self, query: ContinuousQuery, asked: Asked) -> QueryView:
+    def start(self, query: ContinuousQuery, asked: Asked, wanted: str = "") -> QueryView:
         """The same for a query that was read already."""
         checked_strategy(asked.strategy)
-        name = self._name_of(query, asked)
+        name = self._name_of(query, asked, wanted)
         known = self._running.get(name)
         if known is not None:
             check_same(name, known.registration.asked, asked)
@@ -323,12 +330,15 @@ class RegisteredQueries:
 
     # -- within ------------------------------------------------------------------------------
 
-    def _name_of(self, query: ContinuousQuery, asked: Asked) -> str:
+    def _name_of(self, query: ContinuousQuery, asked: Asked, wanted: str) -> str:
         """The name of the query and its stream; raises `Refused` and `AlreadyExists`."""
         if not query.name:
             for running in self._running.values():
                 if not running.is_named and running.registration.asked == asked:
                     return running.name
+            if wanted and not self._configuration.has(wanted):
+                self._configuration.pass_over(wanted)
+                return wanted
             return self._configuration.reserved_name()
         name = _own_name(query.name)
         if name not in self._running:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 
-from ..continuous.options import Options
-from ..languages.csparql.ast import ContinuousQuery
+from ..continuous.options import Options, Semantics
+from ..languages.csparql.ast import ContinuousQuery, Dialect
 from .errors import AlreadyExists
 from .views import QueryView, Since
 
@@ -85,6 +85,11 @@ class Registration:
             users=users,
             created=self.number,
         )
+
+
+def usual_semantics(dialect: Dialect) -> Semantics:
+    """What equal triples of a window are where nobody says."""
+    return "set" if dialect is Dialect.RSP_QL else "bag"
 
 
 def registration_of(text: str) -> Registration:

@@ -10,6 +10,7 @@ from ..streams.sample import SampleBatch
 from .exchange import samples_of
 from .processes import SinkImplementation
 from .supervision import DIRECT, ErrorCounters, Instance, ProcessEvent, Runner, Supervisor
+from .tape import Failed, Outcome
 from .views import Since
 
 
@@ -19,7 +20,8 @@ class Sink:
     It is called with each sample of an input in order; the samples of different inputs come as
     they come, with the number of the input. A batch form gets the batches as the streams cut
     them. A sink that stops by its rule leaves its inputs; ``failure`` says why. A sample that
-    failed is not given again.
+    failed is not given again. Where commands are recorded, what went wrong counts and is told when
+    it is written down (`hear`).
 
     Cost: Python per sample, one call a batch in the batch form. Memory: one batch as objects.
     """
@@ -53,6 +55,7 @@ class Sink:
             self._instance.forget,
             self._stop_by_rule,
             lambda event, text: on_event(self, event, text),
+            self._put_off,
         )
 
     def start(self, since: Since = Since.NOW) -> None:
@@ -87,6 +90,17 @@ class Sink:
 
     def idleness_changed(self, source: StreamGenerator) -> None:
         """A sink waits for nothing."""
+
+    def hear(self, outcome: Outcome) -> None:
+        """What came of its calls is written down: it is told now, and counts."""
+        self._supervisor.hear(outcome.failed, outcome.in_a_row)
+
+    def _put_off(self, failed: Sequence[Failed], in_a_row: int) -> bool:
+        tape = self._runner.tape
+        if tape is None:
+            return False
+        tape.outcomes.append(Outcome(self.name, tuple(failed), in_a_row))
+        return True
 
     def _stop_by_rule(self, reason: str) -> None:
         self.failure = reason

@@ -60,8 +60,11 @@ class Writer:
         self._tops = {shape for shape, _ in tops}
         shapes = list(_behind(shape for shape, _ in tops))
         read = Counter(below for shape in shapes for below in _inputs(shape))
+        given: dict[Shape, set[str | None]] = {}
+        for shape, name in tops:
+            given.setdefault(shape, set()).add(name)
         for shape in shapes:
-            self._label(shape, {name for top, name in tops if top is shape}, read[shape])
+            self._label(shape, given.get(shape, set()), read[shape])
         ordered = self._own_names_first(tops, shapes)
         return tuple(self._element(shape, name or self._needed(shape)) for shape, name in ordered)
 
@@ -122,7 +125,8 @@ def size_of(tops: Sequence[Shape], names: Mapping[Shape, Sequence[str]]) -> int:
     sizes: dict[Shape, int] = {}
     for shape in _behind(tops):
         sizes[shape] = 1 + sum(1 if names.get(one) else sizes[one] for one in _inputs(shape))
-    return sum(sizes[shape] for shape in sizes if names.get(shape) or shape in tops)
+    alone = set(tops)
+    return sum(sizes[shape] for shape in sizes if names.get(shape) or shape in alone)
 
 
 def can_be_copied(tops: Sequence[Shape], names: Mapping[Shape, Sequence[str]]) -> bool:

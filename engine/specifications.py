@@ -238,7 +238,8 @@ class Specifications:
             change.running,
             change.removed,
         )
-        left = [one for one in self._insertions.all if one not in change.given_up]
+        given_up = set(change.given_up)
+        left = [one for one in self._insertions.all if one not in given_up]
         tops = change.specification.insertions
         stopped = [(unit, unit_view(unit)) for unit in change.gone]
         try:
@@ -297,11 +298,11 @@ class Specifications:
 
     def _is_given_up(self, one: Inserted, removed: dict[ComputationalUnit, list[Removal]]) -> bool:
         """Whether a text removes an insertion: its unit, and not by another insertion's name."""
+        removals = removed.get(one.unit)
+        if removals is None:
+            return False
         others = {other.name for other in self._insertions.of(one.unit)} - {one.name}
-        return any(
-            removal.name is None or removal.name not in others
-            for removal in removed.get(one.unit, ())
-        )
+        return any(removal.name is None or removal.name not in others for removal in removals)
 
     def _nothing_to_remove(self, specification: Specification, removal: Removal) -> LanguageError:
         there = self._configuration.units.values()

@@ -15,7 +15,9 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from ..languages.csparql import parse_template
+from ..continuous.options import Options
+from ..languages.csparql import parse_query, parse_template
+from ..languages.csparql.ast import Dialect
 from ..languages.errors import LanguageError
 from ..languages.ssl import ast, parse_ssl
 from ..rdf.namespaces import local_name, shorten
@@ -42,7 +44,12 @@ from .commands import (
     written,
 )
 from .engine import Engine
+from .registrations import Asked as AskedQuery
+from .registrations import Registration, usual_semantics
+from .views import QueryView
 
+REQUEST, SUBSCRIPTION, QUERY = "request", "subscription", "query"
+"""Kinds of what waits."""
 _UNIT = "transformation"
 
 
@@ -54,9 +61,9 @@ class Key(NamedTuple):
 
 
 _REMOVED: dict[type[Command], tuple[str, ...]] = {
-    CancelEvent: ("request",),
-    Unsubscribe: ("subscription",),
-    RemoveQuery: ("query",),
+    CancelEvent: (REQUEST,),
+    Unsubscribe: (SUBSCRIPTION,),
+    RemoveQuery: (QUERY,),
     RemoveStream: ("stream", "annotation"),
     RemoveTransformation: (_UNIT,),
     RemoveTemplate: ("template",),
@@ -71,6 +78,18 @@ class Asked:
     command: Command
     is_waiting: bool
     times: int = 1
+    reason: str = ""
+    """Why it waits."""
+
+
+@dataclass(frozen=True, slots=True)
+class Waiting:
+    """``command``, of ``users`` people, that would make what ``key`` says, and why it does not."""
+
+    key: Key
+    command: Command
+    reason: str
+    users: int
 
 
 class Standing:
@@ -89,21 +108,26 @@ class Standing:
         """What was accepted and could not be done again."""
         return ((key, self._asked[key].command) for key in self._waiting)
 
+    def waiting_views(self) -> tuple[Waiting, ...]:
+        """The same, for people."""
+        asked = ((key, self._asked[key]) for key in self._waiting)
+        return tuple(Waiting(key, one.command, one.reason, one.times) for key, one in asked)
+
     def note(self, command: Command, found: Any) -> None:
         """``command`` was done, and gave ``found``."""
         match command:
             case RequestEvent():
-                self._done(Key("request", found.id), command)
+                self._done(Key(REQUEST, found.id), command)
             case Subscribe() | SubscribeToFeature():
-                self._done(Key("subscription", found.id), command)
+                self._done(Key(SUBSCRIPTION, found.id), command)
             case CancelEvent(id=id):
-                self._ended(Key("request", id))
+                self._ended(Key(REQUEST, id))
             case Unsubscribe(id=id):
-                self._ended(Key("subscription", id))
+                self._ended(Key(SUBSCRIPTION, id))
             case RegisterQuery():
-                self._done(Key("query", found.name), command)
+                self._done(Key(QUERY, found.name), command)
             case RemoveQuery(name=name):
-                self._ended(Key("query", name))
+                self._ended(Key(QUERY, name))
             case _ if self._waiting:
                 # What was said anew counts, and of what was taken back nothing comes again.
                 for key in (*_defines(command), *self._removed(command)):
@@ -113,13 +137,14 @@ class Standing:
         """What ``command`` is going to make, before it is done; None: nothing with an id."""
         match command:
             case RequestEvent():
-                return Key("request", engine.next_ids[0])
+                return Key(REQUEST, engine.next_ids[0])
             case Subscribe() | SubscribeToFeature():
-                return Key("subscription", engine.next_ids[1])
-            case RegisterQuery(text=text):
+                return Key(SUBSCRIPTION, engine.next_ids[1])
+            case RegisterQuery(text=text, name=name):
                 # The same one again, without a name, was one with a user more.
-                same = (key for key, other in self.waiting() if other == command)
-                return next(same, None) or Key("query", engine.queries.name_for(text))
+                meant = _unnamed(command)
+                same = (key for key, other in self.waiting() if _unnamed(other) == meant)
+                return next(same, None) or Key(QUERY, engine.queries.name_for(text, name))
             case _:
                 return None
 
@@ -128,11 +153,11 @@ class Standing:
         `expected`, which is given to nothing else. The reason is told, and given."""
         if key is None:
             for own, part in _parts(command):
-                self._wait(own, part)
+                self._wait(own, part, str(error))
             reason = f"{error}\n{command}"
         else:
             engine.skip_id(key.name)
-            self._wait(key, command)
+            self._wait(key, command, str(error))
             reason = f"{key.kind} {key.name}: {error}\n{command}"
         engine.tell_not_restored(reason)
         return reason
@@ -165,11 +190,11 @@ class Standing:
             self._asked[key] = Asked(command, is_waiting=False)
             self._waiting.pop(key, None)
 
-    def _wait(self, key: Key, command: Command) -> None:
+    def _wait(self, key: Key, command: Command, reason: str) -> None:
         known = self._asked.get(key)
-        is_shared = key.kind == "query" and known is not None and known.is_waiting
+        is_shared = key.kind == QUERY and known is not None and known.is_waiting
         times = known.times + 1 if known is not None and is_shared else 1
-        self._asked[key] = Asked(command, is_waiting=True, times=times)
+        self._asked[key] = Asked(command, True, times, reason)
         self._waiting[key] = None
 
     def _ended(self, key: Key) -> None:
@@ -188,6 +213,32 @@ class Standing:
             return ()
         name = next(iter(msgspec.structs.astuple(command)))
         return tuple(key for key in self._waiting if key.kind in kinds and name in _spellings(key))
+
+
+def _unnamed(command: Command) -> Command:
+    """The command as it was asked for: which name is free is no part of that."""
+    if isinstance(command, RegisterQuery) and command.name:
+        return msgspec.structs.replace(command, name="")
+    return command
+
+
+def query_view(waiting: Waiting) -> QueryView:
+    """A query that waits, as it was asked for; of a text that is not understood any more there is
+    less to say."""
+    command = waiting.command
+    assert isinstance(command, RegisterQuery)
+    try:
+        query = parse_query(command.text)
+    except LanguageError:
+        query = None
+    dialect = Dialect.C_SPARQL if query is None else query.dialect
+    semantics = command.semantics or usual_semantics(dialect)
+    options = Options(semantics, command.bounds, command.origin, command.report)
+    asked = AskedQuery(command.text.strip(), options, command.strategy, command.since)
+    registration = (
+        Registration(0, asked, "", "", "") if query is None else Registration.of(0, asked, query)
+    )
+    return registration.view(waiting.key.name, "waiting", waiting.reason, waiting.users)
 
 
 def _spellings(key: Key) -> Iterable[str]:

@@ -18,7 +18,7 @@ from types import TracebackType
 from typing import Generic, NamedTuple, Protocol, TypeAlias, TypeVar, assert_never
 
 from ..streams.time import SECOND
-from .tape import Tape
+from .tape import Failed, Tape
 
 T = TypeVar("T")
 Item = TypeVar("Item")
@@ -68,6 +68,9 @@ class ProcessEvent(StrEnum):
     STOPPED = "unit stopped by rule"
 
 
+Later: TypeAlias = Callable[[Sequence[Failed], int], bool]
+"""Called with what failed and how many failures in a row there are now; whether it is to be told by
+`Supervisor.hear`, and not now."""
 Tell: TypeAlias = Callable[[ProcessEvent, str], None]
 """Called with what happened and a text for people; after the samples made before it went out."""
 
@@ -146,7 +149,7 @@ class Supervisor:
     """Calls a process item by item and answers its failures by its rule.
 
     ``restart`` makes the process forget its state, ``stop`` takes it out of the network for the
-    reason given; ``tell`` hears what happened, last of all.
+    reason given; ``tell`` hears what happened, last of all. ``later`` may put that off.
 
     Law: what is made, counted and told does not depend on how the items were cut into runs.
 
@@ -161,9 +164,11 @@ class Supervisor:
         restart: Callable[[], None],
         stop: Callable[[str], None],
         tell: Tell,
+        later: Later | None = None,
     ) -> None:
         self.rule = rule
         self.counters = counters
+        self._later = later
         self._runner = runner
         self._restart = restart
         self._stop = stop
@@ -217,9 +222,30 @@ class Supervisor:
                 time = items[len(entries)][0]
                 came = Came(len(entries), time, describe(blocked))
                 entries.append(_Failure(time, describe(blocked), _Verdict.STOPPED))
-        self._in_a_row = row
-        self._settle(entries, deliver)
+        before, self._in_a_row = self._in_a_row, row
+        if not self._is_put_off(entries, before):
+            self._settle(entries, deliver)
         return came
+
+    def hear(self, failed: Sequence[Failed], in_a_row: int) -> None:
+        """Count and tell what was put off, and act upon it."""
+        self._in_a_row = in_a_row
+        entries = [
+            _Failure(one.time, one.text, _Verdict(one.verdict), one.reason) for one in failed
+        ]
+        self._settle(entries, lambda _: None)
+
+    def _is_put_off(self, entries: Sequence[_Made[Result] | _Failure], before: int) -> bool:
+        """Whether what went wrong is told later. It is not called any more then, if it stops."""
+        failures = [entry for entry in entries if isinstance(entry, _Failure)]
+        if self._later is None or not (failures or self._in_a_row < before):
+            return False
+        failed = [Failed(one.time, one.text, one.verdict, one.reason) for one in failures]
+        if not self._later(failed, self._in_a_row):
+            return False
+        if failures and failures[-1].verdict is _Verdict.STOPPED:
+            self._stopped = failures[-1].text
+        return True
 
     def _verdict(self, in_a_row: int) -> _Verdict:
         match self.rule.on_error:

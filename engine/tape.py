@@ -1,10 +1,15 @@
-"""What sources read from the world outside, so that it can be given again.
+"""What comes from the world outside by user-written code, so that it can be given again: what
+sources read, and what went wrong in sinks.
 
 All else that an engine does follows from its commands; what a user-written source says does not. So
 it is written down with the tick that asked for it, and a tick that is done again asks the tape.
 
 How much a source says is not known before it is asked. What finds no room to be written down is
 dropped, as if it had not been asked; and it is asked no more until there is room for as much.
+
+What went wrong in a sink is not known before it was called either. It changes nothing and is told
+to nobody until it is written down, as a command of its own after the one in which the sink was
+called: a sink is not called again for what is done again.
 """
 
 from __future__ import annotations
@@ -43,6 +48,25 @@ class Reading(msgspec.Struct, frozen=True, omit_defaults=True):
         return Report(None, self.quality, self.contains)
 
 
+class Failed(msgspec.Struct, frozen=True, omit_defaults=True):
+    """A call of a sink with a sample of ``time`` (ns) that failed; ``verdict`` is what its rule
+    makes of that, and ``reason`` why."""
+
+    time: int
+    text: str
+    verdict: str
+    reason: str = ""
+
+
+class Outcome(msgspec.Struct, frozen=True, omit_defaults=True):
+    """What came of some calls of the ``sink`` (its unit's name) where that is of interest: what
+    failed, and how many calls have failed ``in_a_row`` now."""
+
+    sink: str
+    failed: tuple[Failed, ...] = ()
+    in_a_row: int = 0
+
+
 class Tape:
     """Records readings, or gives them again: `is_playing`.
 
@@ -58,6 +82,8 @@ class Tape:
         self._needs: dict[str, int] = {}
         """So many bytes were needed for each stream whose source found no room."""
         self.is_playing = False
+        self.outcomes: list[Outcome] = []
+        """Of sinks, not written down yet."""
 
     @property
     def unread(self) -> str | None:

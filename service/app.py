@@ -14,6 +14,7 @@ from ..journal.errors import JournalError
 from ..streams.time import Clock
 from . import problems
 from .access import Access, Gate, client_key
+from .answers import Answers, LongAnswers
 from .body import BodyLimit, UnderWay
 from .context import Service
 from .decoding import Decoding
@@ -121,6 +122,7 @@ def create_app(
     else:
         feeds = Feeds(engine, settings.sse_cache, clients)
     bodies = UnderWay()
+    answers = LongAnswers(settings.answers, settings.answers_limit)
     isolation = Isolation(settings, engine.ontology, windows)
     service = Service(
         engine,
@@ -129,7 +131,7 @@ def create_app(
         feeds,
         LiveBodies(tokens),
         Decoding(engine, settings.batch_limits),
-        Metrics(engine, feeds, bodies, clock, keeper, isolation, settings.metrics_streams),
+        Metrics(engine, feeds, bodies, answers, clock, keeper, isolation, settings.metrics_streams),
         isolation,
         clock(),
         Gate.of(settings, tokens, Sessions(clock), Quotas(engine, settings)),
@@ -165,12 +167,13 @@ def create_app(
         redirect_slashes=False,
         strict_content_type=False,
         # The engine's errors have a model of their own, so FastAPI's default 422 is not told.
-        responses=problems.responses(400, 401, 403, 421),
+        responses=problems.responses(400, 401, 403, 421, 429, 503),
     )
     app.state.service = service
     problems.install(app)
     for resource in RESOURCES:
         app.include_router(resource.router)
+    app.add_middleware(Answers, long=answers, key=lambda request: service.client_key(request))
     app.add_middleware(
         BodyLimit,
         limit=settings.body_limit,

@@ -1,9 +1,9 @@
-"""What connections may take of the service before a request is there: how many of them, of one
-address and together, and how long the head of a request may take.
+"""What connections may take of the service: how many of them there are, of one address and
+together, how long the head of a request may take, and how long an answer may wait to be taken.
 
 uvicorn bounds none of these: a connection that sends nothing, or its head byte by byte, stays for
-good, as does one whose body still comes after the answer. So its protocols are made with bounds
-(service/protocols), and connections without a request are looked at once a second
+good, as does one whose body still comes after the answer, and one on which nobody reads. So its
+protocols are made with bounds (service/protocols), and connections are looked at twice a second
 (`Bounds.review`).
 """
 
@@ -13,12 +13,13 @@ import ipaddress
 import secrets
 from collections import Counter
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from http import HTTPStatus
 from itertools import count
 from typing import Any
 
 from .descriptors import places
+from .event_response import EVENTS, drop
 from .logs import log
 from .problems import Problem
 from .settings import Settings
@@ -40,7 +41,9 @@ class Bounds:
         """Connections that are about to be told that they are too many."""
         self._most = places(settings.max_connections, SPARE)
         self._most_of_one = settings.max_connections_per_client
-        self._timeout = settings.head_timeout
+        self._head_timeout = settings.head_timeout
+        self._answer_timeout = settings.answer_timeout
+        self._answer_rate = settings.answer_rate
         self._of: Counter[str] = Counter()
         self._idle: dict[Any, _Idle] = {}
         self._life = secrets.token_hex(4)
@@ -80,28 +83,54 @@ class Bounds:
         before, self._idle = self._idle, {}
         for connection in connections:
             cycle, transport = connection.cycle, connection.transport
-            if cycle is not None and not cycle.response_complete:
+            is_answered = cycle is None or cycle.response_complete
+            # An answer under way waits for its client while the server takes no more of it: until
+            # then what is left can only become less. Event streams have a patience of their own.
+            if not is_answered and (
+                not connection.flow.write_paused or cycle.scope["state"].get(EVENTS)
+            ):
                 continue
             left = transport.get_write_buffer_size()
+            phase = (cycle, is_answered, connection.resumed)
             idle = before.get(connection)
-            if idle is None or idle.cycle is not cycle or left < idle.left:
-                idle = _Idle(cycle, now, left)
-            elif now - idle.since > self._timeout:
+            if idle is None or idle.phase != phase:
+                idle = _Idle(phase, left, now, left, now)
+            elif left < idle.left:
+                idle = replace(idle, left=left, since=now)
+            elif left == 0 and now - idle.since > self._head_timeout:
                 self.refused("silent connection")
-                if transport.is_closing() or left:
+                if transport.is_closing():
                     transport.abort()
                 else:
                     transport.close()
+            if left and self._is_slow(idle, now):
+                self.refused("slow reader")
+                if transport.is_closing():
+                    transport.abort()
+                else:
+                    drop(transport)
             self._idle[connection] = idle
 
+    def _is_slow(self, idle: _Idle, now: float) -> bool:
+        """Whether the client of an answer takes nothing of it, or too little."""
+        allowed = self._answer_timeout
+        if now - idle.since > allowed:
+            return True
+        if not self._answer_rate:
+            return False
+        return now - idle.begun > allowed + (idle.first - idle.left) / self._answer_rate
 
-@dataclass(frozen=True, slots=True, eq=False)
+
+@dataclass(frozen=True, slots=True)
 class _Idle:
-    """A connection without a request: after which one, since when, what is not sent yet."""
+    """A connection that waits for its client: in which phase of its life, what was not sent yet
+    when it began to, and when; what is not sent yet, and since when."""
 
-    cycle: Any
-    since: float
+    phase: tuple[Any, bool, int]
+    first: int
+    begun: float
     left: int
+    since: float
 
 
 def address_of(peer: Any) -> str:

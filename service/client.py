@@ -32,6 +32,7 @@ from .negotiation import (
     TEXT,
     TURTLE,
 )
+from .parts import description_parts, joined, kpl_parts, sent, specification_parts, ssl_parts
 
 __all__ = ["URL", "Client", "Event", "ServiceError"]
 
@@ -172,14 +173,23 @@ class Client(Connection):
     # -- meaning
 
     def annotate(self, ssl: str) -> list[dict[str, Any]]:
-        """Annotate streams and units by an SSL text."""
-        return self._list("POST", "/annotations", content=ssl, headers={"Content-Type": TEXT})
+        """Annotate streams and units by an SSL text; one that is longer than a request may be in
+        parts, each of which is taken whole or not at all (docs/api.md)."""
+        headers = {"Content-Type": TEXT}
+        return joined(
+            sent(
+                ssl_parts(ssl),
+                lambda part: self._list("POST", "/annotations", content=part, headers=headers),
+            )
+        )
 
     def describe(
         self, streams: Mapping[str, Any] | Sequence[Mapping[str, Any]]
     ) -> list[dict[str, Any]]:
-        """Annotate a stream, or several: ``{"stream", "contents": [{"feature", "field", …}]}``."""
-        return self._list("POST", "/annotations", json=streams)
+        """Annotate a stream, or several: ``{"stream", "contents": [{"feature", "field", …}]}``;
+        many in parts, as `annotate`."""
+        parts = description_parts(streams)
+        return joined(sent(parts, lambda part: self._list("POST", "/annotations", json=part)))
 
     def annotations(self) -> list[dict[str, Any]]:
         """All annotations."""
@@ -286,9 +296,10 @@ class Client(Connection):
 
     def declare_kpl(self, text: str, unit: str = "ms") -> list[dict[str, Any]]:
         """Declare processes and streams in KPL; gives what is new. ``unit`` is what integers are
-        where the text does not say."""
-        headers = {"Content-Type": TEXT}
-        return self._list("POST", "/kpl", content=text, headers=headers, params={"unit": unit})
+        where the text does not say. A long text goes in parts, as of `annotate`."""
+        given: dict[str, Any] = {"headers": {"Content-Type": TEXT}, "params": {"unit": unit}}
+        parts = kpl_parts(text)
+        return joined(sent(parts, lambda part: self._list("POST", "/kpl", content=part, **given)))
 
     def kpl(self) -> list[dict[str, Any]]:
         """Everything declared in KPL, in order."""
@@ -306,9 +317,20 @@ class Client(Connection):
         return removed
 
     def apply_specification(self, xml: str | bytes) -> dict[str, Any]:
-        """Insert and remove units as an XML text says; all of it or nothing."""
+        """Insert and remove units as an XML text says; all of it or nothing. One that inserts more
+        than a request may, and removes nothing, goes in parts, as of `annotate`."""
         headers = {"Content-Type": "application/xml"}
-        return self._object("POST", "/specifications", content=xml, headers=headers)
+        parts = specification_parts(xml)
+        changed, *others = sent(
+            parts,
+            lambda part: self._object("POST", "/specifications", content=part, headers=headers),
+        )
+        for other in others:
+            for key, found in other.items():
+                changed[key] = (
+                    changed[key] | found if isinstance(found, dict) else changed[key] + found
+                )
+        return dict(changed)
 
     def insertions(self) -> list[dict[str, Any]]:
         """What specifications inserted, in order."""

@@ -21,6 +21,8 @@ from .event_clients import EventClient, EventClients
 
 TRANSPORT: Final = "dyknow.transport"
 """In the ``state`` of a request's scope: its connection's transport, where the server tells it."""
+EVENTS: Final = "dyknow.events"
+"""There as well: the answer is an event stream, whose client `EventClients` lets go."""
 SEND_BUFFER = 64 * 1024
 """Bytes that the kernel holds of what a client does not take (it reckons with twice that)."""
 OPENING = b": dyknow\n"
@@ -106,7 +108,9 @@ class EventStream(EventSourceResponse):
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         client, reason = self._client, "failed"
-        transport: asyncio.Transport | None = scope.get("state", {}).get(TRANSPORT)
+        state = scope.get("state", {})
+        state[EVENTS] = True
+        transport: asyncio.Transport | None = state.get(TRANSPORT)
         _bound(transport)
         self._clients.join(client)
         leaving = asyncio.create_task(_cut_when_gone(client, receive))
@@ -127,7 +131,7 @@ class EventStream(EventSourceResponse):
                 raise
             reason = client.reason
             if transport is not None:
-                _drop(transport)
+                drop(transport)
                 # The server, too, is to know that nobody waits for the end of the answer.
                 await asyncio.wait([leaving], timeout=DROPPED)
         except asyncio.CancelledError:
@@ -160,7 +164,7 @@ def _unbound(transport: asyncio.Transport | None) -> None:
         transport.set_write_buffer_limits()
 
 
-def _drop(transport: asyncio.Transport) -> None:
+def drop(transport: asyncio.Transport) -> None:
     """Close a connection whose client does not take what it was sent, and forget that. Closed in
     the usual way it would stay for as long as the client likes."""
     if not transport.is_closing():

@@ -28,6 +28,7 @@ from ..engine.commands import Command, ReadAlready, TellUnkept, done
 from ..engine.engine import Engine
 from ..engine.recorded import DiskUse, RecordedEngine
 from ..engine.remembering import Unkept
+from ..engine.standing import Waiting
 from ..journal.errors import JournalError
 from .catching_up import CatchingUp
 from .checkpoint_times import CheckpointTimes
@@ -109,6 +110,14 @@ class Keeper:
         """Whether all that was done is kept."""
         recorded = self._recorded
         return recorded is None or recorded.log.durable == recorded.log.position
+
+    def not_started(self) -> tuple[Waiting, ...]:
+        """What an earlier run has accepted and cannot be done at present, oldest first."""
+        return () if self._recorded is None else self._recorded.waiting()
+
+    def waits(self, kind: str) -> dict[str, Waiting]:
+        """The same of one kind, by the id or name under which people give it up."""
+        return {each.key.name: each for each in self.not_started() if each.key.kind == kind}
 
     def show_to(self, audience: Audience) -> None:
         """Whom to show what is kept."""

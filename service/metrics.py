@@ -7,7 +7,7 @@ be tens of thousands; everything else by the client library of Prometheus.
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 
 from prometheus_client import (
     CollectorRegistry,
@@ -24,6 +24,7 @@ from prometheus_client.registry import Collector
 from .. import __version__
 from ..engine.engine import Engine
 from ..streams.time import Clock
+from .answers import LongAnswers
 from .body import UnderWay
 from .isolation.metrics import WorkerMetrics
 from .isolation.services import Isolation
@@ -49,6 +50,7 @@ class Metrics:
         engine: Engine,
         feeds: Feeds,
         bodies: UnderWay,
+        answers: LongAnswers,
         clock: Clock,
         keeper: Keeper,
         isolation: Isolation,
@@ -61,7 +63,7 @@ class Metrics:
         self._journal = JournalState(keeper)
         self._registry = registry = CollectorRegistry()
         ProcessCollector(registry=registry)
-        registry.register(_Service(engine, feeds, bodies))
+        registry.register(_Service(engine, feeds, bodies, answers))
         registry.register(self._journal)
         keeper.times.register(registry)
         registry.register(WorkerMetrics(isolation.pools))
@@ -76,7 +78,7 @@ class Metrics:
         )
         self._seconds = Histogram(
             "dyknow_http_request_seconds",
-            "Time until a response is complete (event streams and live samples excepted)",
+            "Time until a response begins to be sent (event streams and live samples excepted)",
             ["route"],
             registry=registry,
         )
@@ -140,10 +142,13 @@ class Metrics:
 class _Service(Collector):
     """Reads what the service counts itself at each scrape: nothing is counted twice."""
 
-    def __init__(self, engine: Engine, feeds: Feeds, bodies: UnderWay) -> None:
+    def __init__(
+        self, engine: Engine, feeds: Feeds, bodies: UnderWay, answers: LongAnswers
+    ) -> None:
         self._engine = engine
         self._clients = feeds.all
         self._bodies = bodies
+        self._answers = answers
 
     def describe(self) -> Iterable[Metric]:
         return ()
@@ -161,6 +166,14 @@ class _Service(Collector):
         yield _gauge("dyknow_event_requests", "Event requests that run", len(engine.events()))
         yield _gauge("dyknow_bodies", "Requests under way", self._bodies.bodies)
         yield _gauge("dyknow_bodies_bytes", "Bytes of bodies under way", self._bodies.bytes)
+        answers = self._answers.all
+        yield _gauge("dyknow_long_answers", "Long answers under way", answers.count)
+        yield _gauge("dyknow_long_answers_bytes", "Bytes of long answers under way", answers.bytes)
+        yield _refusals(
+            "dyknow_long_answer_refusals",
+            "Long answers for which there was no place, by the limit",
+            self._answers.refused,
+        )
         yield _gauge("dyknow_event_stream_clients", "Clients of event streams", len(clients))
         yield _gauge(
             "dyknow_event_stream_blocked",
@@ -176,14 +189,18 @@ class _Service(Collector):
         for reason, count in clients.ends.items():
             ends.add_metric([reason], count)
         yield ends
-        refusals = CounterMetricFamily(
+        yield _refusals(
             "dyknow_event_stream_refusals",
             "Clients for whom there was no place, by the limit",
-            labels=["limit"],
+            clients.refused,
         )
-        for limit, count in clients.refused.items():
-            refusals.add_metric([limit], count)
-        yield refusals
+
+
+def _refusals(name: str, text: str, refused: Mapping[str, int]) -> Metric:
+    family = CounterMetricFamily(name, text, labels=["limit"])
+    for limit, count in refused.items():
+        family.add_metric([limit], count)
+    return family
 
 
 def _gauge(name: str, text: str, value: float) -> Metric:

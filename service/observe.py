@@ -35,7 +35,8 @@ class Observe:
     """Logs and counts every request; answers HEAD wherever GET is, and failures with a 500.
 
     A request has the id that its client gave it (``X-Request-Id``), or a new one; the answer has
-    it, too. Who takes longer than ``slow`` s is a warning in the log.
+    it, too. Who takes longer than ``slow`` s is a warning in the log: until the answer begins, as
+    how long a client takes over a long one (service/answers) is its own affair.
     """
 
     def __init__(self, app: ASGIApp, metrics: RequestCount, slow: float = 1.0) -> None:
@@ -57,11 +58,12 @@ class Observe:
         begun = time.perf_counter()
         status = 500
         started = endless = False
+        ready: float | None = None
 
         async def observed(message: Message) -> None:
-            nonlocal status, started, endless
+            nonlocal status, started, endless, ready
             if message["type"] == "http.response.start":
-                started, status = True, message["status"]
+                started, status, ready = True, message["status"], time.perf_counter()
                 headers = [*message["headers"], (b"x-request-id", id.encode())]
                 message = {**message, "headers": headers}
                 endless = any(
@@ -96,7 +98,7 @@ class Observe:
                 raise
             await problem_of(error).response(id)(scope, receive, observed)
         finally:
-            seconds = time.perf_counter() - begun
+            seconds = (ready or time.perf_counter()) - begun
             route = scope.get("route")
             path = getattr(route, "path_format", "(none)")
             body: Held | None = scope.get(HELD)

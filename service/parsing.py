@@ -8,7 +8,7 @@ too. How large a query text may be is said in `languages.csparql.limits`.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sized
+from collections.abc import Callable, Iterator, Sized
 from typing import Final
 
 import anyio
@@ -29,6 +29,11 @@ MOST_DECLARATIONS: Final = 128
 """Of one text: each costs the engine up to a millisecond."""
 MOST_CONTENTS: Final = 256
 """Features that streams contain, of one request in JSON: what SSL can say in its words."""
+IN_PARTS: Final = (
+    "send it in several parts, each behind what it needs: dyknow.Client, `dyknow annotate`, "
+    "`dyknow kpl add` and `dyknow specification apply` do so by themselves"
+)
+"""What is said of a text that is too long."""
 # Its end is matched, too: else a comment there would be looked into.
 _WORD: Final = re.compile(r"""(?:\s+|\#[^\n\r]*|//[^\n\r]*)*+("[^"\n]*+"|\w+|[^\w\s]|\Z)""")
 _QUERIES = anyio.CapacityLimiter(1)
@@ -72,7 +77,7 @@ def too_long(most: str) -> Problem:
         413,
         "text too long",
         f"such a text has at most {most}",
-        hint="send it in several parts",
+        hint=IN_PARTS,
     )
 
 
@@ -86,8 +91,16 @@ def parse_registration(text: str) -> None:
     algebra(parse_template(text).query)
 
 
+def count_words(text: str) -> int:
+    """How many words and signs a text in SSL or KPL has."""
+    return sum(1 for _ in _words(text))
+
+
 def _check_words(text: str) -> None:
-    words = (found for found in _WORD.finditer(text) if found[1])
-    for number, _ in enumerate(words, 1):
+    for number, _ in enumerate(_words(text), 1):
         if number > MOST_WORDS:
             raise too_long(f"{MOST_WORDS} words and signs")
+
+
+def _words(text: str) -> Iterator[re.Match[str]]:
+    return (found for found in _WORD.finditer(text) if found[1])

@@ -36,6 +36,13 @@ class Bounded(AutoHTTPProtocol):  # type: ignore[misc, valid-type]
         self._address: str | None = None
         self._head = 0
         self._in_body = False
+        self.resumed = 0
+        """How often a client has taken what was waiting for it, so that more was sent."""
+
+    def resume_writing(self) -> None:
+        """The client has taken what it was sent."""
+        self.resumed += 1
+        super().resume_writing()
 
     def connection_made(self, transport: Any) -> None:
         """Admit the connection, or say why not."""

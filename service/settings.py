@@ -61,6 +61,14 @@ class Settings(BaseSettings):
     """A body that is not there after so long is refused with 408 (live bodies: live_timeout)."""
     body_rate: int = Field(default=500, ge=0)
     """So is one that comes more slowly than so many bytes a second; 0 asks for no rate."""
+    answer_timeout: float = Field(default=30.0, gt=0)
+    """A client that takes nothing of its answer for so long is let go."""
+    answer_rate: int = Field(default=2_000, ge=0)
+    """So is one that takes less than so many bytes a second; 0 asks for no rate."""
+    answers: int = Field(default=256, gt=0)
+    """Long answers under way; beyond it further ones are refused with 503 and Retry-After."""
+    answers_limit: int = Field(default=256 * MEBIBYTE, gt=0)
+    """Bytes of them; beyond it the same."""
     head_timeout: float = Field(default=15.0, gt=0)
     """A connection on which no request comes to be for so long is closed."""
     max_connections: int = Field(default=12_000, gt=0)

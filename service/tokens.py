@@ -256,9 +256,13 @@ def _text_of(path: Path) -> tuple[str, Stamp | None]:
             if os.name == "posix" and stat.S_ISREG(mode) and mode & 0o037:
                 raise TokensError(
                     f"{path} can be read or changed by others (mode {stat.S_IMODE(mode):04o})",
-                    f"chmod 600 {path}",
+                    _made_ours(path, status.st_uid, status.st_gid),
                 )
             data = file.read(LARGEST + 1)
+    except PermissionError as error:
+        raise TokensError(
+            f"{path} cannot be read: {error.strerror}", _made_ours(path, None, None)
+        ) from error
     except OSError as error:
         raise TokensError(
             f"{path} cannot be read: {error.strerror}", "say where it is with --tokens"
@@ -269,3 +273,16 @@ def _text_of(path: Path) -> tuple[str, Stamp | None]:
         return data.decode(), Stamp.of(status)
     except UnicodeDecodeError as error:
         raise TokensError(f"{path} is no UTF-8 at byte {error.start}", FORM) from error
+
+
+def _made_ours(path: Path, owner: int | None, group: int | None) -> str:
+    """What makes a file one that the user of this process, and nobody else, may read. In a
+    container that is another user than who made it, and its owner alone may change its mode."""
+    if os.name != "posix" or owner == os.geteuid():
+        return f"chmod 600 {path}"
+    if group in (os.getegid(), *os.getgroups()):
+        return f"chmod 640 {path}"
+    return (
+        f"the service runs as user {os.geteuid()}, group {os.getegid()}: let its group read the "
+        f"file, chgrp {os.getegid()} {path}; chmod 640 {path} (docs/access.md#in-a-container)"
+    )

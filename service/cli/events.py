@@ -136,7 +136,7 @@ def _list(client: Client, as_json: bool) -> None:
         return
     show_table(
         ["id", "event", "arguments", "stream"],
-        [(e["id"], shorten(e["event"]), e["arguments"], e["stream"]) for e in found],
+        [(e["id"], shorten(e["event"]), e["arguments"], e["stream"] or e["state"]) for e in found],
         whole=["id", "stream"],
         empty="no requests run",
     )

@@ -64,7 +64,8 @@ def _read(answer: Answer, source: str) -> Specification:
                 f"the text has more than {limit} {what}",
                 source,
                 Span(0, 0),
-                "send it in several parts: what one inserts, the next can read by `stream`",
+                "send it in several parts: what one inserts, the next can read by `stream` "
+                "(dyknow.Client and `dyknow specification apply` do so by themselves)",
             )
         case Failed(message):
             raise LanguageError(message, source, Span(0, 0))

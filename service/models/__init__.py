@@ -16,6 +16,7 @@ from .state import (
     OntologyReportModel,
     StatusModel,
     ViolationModel,
+    WaitingModel,
 )
 from .streams import AcceptedModel, CountersModel, FieldModel, RetentionModel, StreamIn, StreamModel
 from .subscriptions import AdaptiveModel, RematchModel, SubscriptionIn, SubscriptionModel
@@ -71,6 +72,7 @@ __all__ = [
     "TransformationModel",
     "UnitModel",
     "ViolationModel",
+    "WaitingModel",
     "WorthIn",
     "schema_of",
     "text_schema",

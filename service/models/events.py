@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, Field, StringConstraints
 
 from ...engine import views
+from ...engine.commands import RequestEvent
+from ...engine.standing import Waiting
 from .parts import Body, Name, Strategy
 
 
@@ -79,15 +81,19 @@ class PlanModel(BaseModel):
 
 
 class EventModel(BaseModel):
-    """A running request for an event; its samples come at ``events``."""
+    """A request for an event; its samples come at ``events``. One that waits has no stream."""
 
     id: str
     event: str
     arguments: list[str]
     strategy: str
     since: views.Since
-    stream: str
-    position: str = Field(
+    state: Literal["running", "waiting"] = Field(
+        description="waiting: an earlier run has accepted it, and this one cannot start it"
+    )
+    failure: str | None = Field(description="why it waits")
+    stream: str | None
+    position: str | None = Field(
         description="id of the stream's last sample before the request: follow with since=position"
     )
     waits_for: list[str] = Field(
@@ -98,8 +104,30 @@ class EventModel(BaseModel):
         "or are idle"
     )
     late: int = Field(description="samples that came too late for their windows")
-    events: str
-    plan: PlanModel
+    events: str | None
+    plan: PlanModel | None
+
+    @classmethod
+    def waiting(cls, waiting: Waiting) -> EventModel:
+        """One that waits, as it was asked for."""
+        command = waiting.command
+        assert isinstance(command, RequestEvent)
+        return cls(
+            id=waiting.key.name,
+            event=command.event if command.text is None else command.text,
+            arguments=list(command.arguments),
+            strategy=command.strategy,
+            since=command.since,
+            state="waiting",
+            failure=waiting.reason,
+            stream=None,
+            position=None,
+            waits_for=[],
+            held_back_by=[],
+            late=0,
+            events=None,
+            plan=None,
+        )
 
     @classmethod
     def of(cls, view: views.EventView, epoch: str) -> EventModel:
@@ -109,6 +137,8 @@ class EventModel(BaseModel):
             arguments=list(view.arguments),
             strategy=view.strategy,
             since=views.Since(view.since),
+            state="running",
+            failure=None,
             stream=view.stream,
             position=f"{epoch}-{view.position}",
             waits_for=list(view.waits_for),

@@ -7,6 +7,7 @@ from urllib.parse import quote
 from pydantic import BaseModel, Field
 
 from ...engine import views
+from ...engine.standing import Waiting, query_view
 from .events import PlanModel
 from .parts import iso
 
@@ -30,8 +31,10 @@ class QueryModel(BaseModel):
     kind: str = Field(description="STREAM or QUERY, as the text registers it")
     form: str = Field(description="SELECT, CONSTRUCT, ASK")
     dialect: str = Field(description="C-SPARQL or RSP-QL")
-    state: str = Field(description="running, failed, ended or not restored")
-    failure: str | None = Field(description="why it has failed or is not restored")
+    state: str = Field(
+        description="running, failed, ended; not restored, waiting: of an earlier run"
+    )
+    failure: str | None = Field(description="why it has failed, is not restored or waits")
     users: int = Field(description="how often it was registered: it stops with the last removal")
     stream: str | None
     fields: dict[str, str] = Field(description="the fields of the stream's samples and their types")
@@ -63,6 +66,12 @@ class QueryModel(BaseModel):
     plan: PlanModel | None
     source: str
     explanation: str | None = Field(None, description="each stage, where it was asked for")
+
+    @classmethod
+    def waiting(cls, waiting: Waiting, epoch: str) -> QueryModel:
+        """One that waits, as it was asked for; of a text that is not understood any more there is
+        less to say."""
+        return cls.of(query_view(waiting), epoch)
 
     @classmethod
     def of(cls, view: views.QueryView, epoch: str, explanation: str | None = None) -> QueryModel:

@@ -26,6 +26,14 @@ class OntologyReportModel(BaseModel):
     violations: list[ViolationModel]
 
 
+class WaitingModel(BaseModel):
+    """What an earlier run has accepted and this one cannot do at present."""
+
+    kind: str = Field(description="stream, annotation, template, transformation, ontology, command")
+    name: str = Field(description="what DELETE gives up; of a command nothing does")
+    reason: str
+
+
 class StatusModel(BaseModel):
     """The service at a glance."""
 
@@ -39,6 +47,10 @@ class StatusModel(BaseModel):
     queries: int = Field(description="continuous queries that are registered")
     clients: int = Field(description="clients that listen to streams")
     accepted: int = Field(description="samples accepted since the start")
+    waiting: list[WaitingModel] = Field(
+        description="what an earlier run has accepted and cannot be done at present, but for "
+        "requests, subscriptions and queries, which are listed among those that run"
+    )
 
 
 class HealthModel(BaseModel):

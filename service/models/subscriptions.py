@@ -8,6 +8,8 @@ from pydantic import BaseModel, Field
 
 from ...engine import views
 from ...engine.adaptive import Rematch
+from ...engine.commands import Subscribe, SubscribeToFeature
+from ...engine.standing import Waiting
 from ...streams.time import SECOND, format_duration, format_time
 from .parts import Body, Duration, Name, Quality, Strategy
 
@@ -101,17 +103,41 @@ class RematchModel(BaseModel):
 
 
 class SubscriptionModel(BaseModel):
-    """A subscription; its samples come on ``stream``, and as events at ``events``."""
+    """A subscription; its samples come on ``stream``, and as events at ``events``. One that waits
+    has no stream."""
 
     id: str
-    source: str
-    policy: str = Field(description="as KPL, integers in ms")
+    source: str = Field(description="the stream; of one to a feature that waits, the feature")
+    policy: str = Field(description="as KPL, integers in ms; of one that waits as it was written")
     since: views.Since
-    stream: str
+    state: Literal["running", "waiting"] = Field(
+        description="waiting: an earlier run has accepted it, and this one cannot start it"
+    )
+    failure: str | None = Field(description="why it waits")
+    stream: str | None
     counters: dict[str, Any] = Field(description="what became of the samples under the policy")
     violations: str | None = Field(description="the stream of samples that were not passed on")
-    events: str
+    events: str | None
     adaptive: AdaptiveModel | None = Field(description="of a subscription to a feature")
+
+    @classmethod
+    def waiting(cls, waiting: Waiting) -> SubscriptionModel:
+        """One that waits, as it was asked for."""
+        command = waiting.command
+        assert isinstance(command, Subscribe | SubscribeToFeature)
+        return cls(
+            id=waiting.key.name,
+            source=command.stream if isinstance(command, Subscribe) else command.feature,
+            policy=command.policy,
+            since=command.since,
+            state="waiting",
+            failure=waiting.reason,
+            stream=None,
+            counters={},
+            violations=None,
+            events=None,
+            adaptive=None,
+        )
 
     @classmethod
     def of(cls, view: views.SubscriptionView) -> SubscriptionModel:
@@ -120,6 +146,8 @@ class SubscriptionModel(BaseModel):
             source=view.source,
             policy=view.policy,
             since=views.Since(view.since),
+            state="running",
+            failure=None,
             stream=view.stream,
             counters=dict(view.counters),
             violations=view.violations,

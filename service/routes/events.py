@@ -8,6 +8,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Query, Request, Response
 
 from ...engine.commands import CancelEvent, RequestEvent
+from ...engine.standing import REQUEST
 from ...engine.views import Since
 from ..context import Context
 from ..models import EventIn, EventModel, Strategy, schema_of, text_schema
@@ -73,14 +74,17 @@ async def request_event(
 
 @router.get("/events")
 async def list_events(service: Context) -> list[EventModel]:
-    """The requests that run."""
+    """The requests that run, then those of an earlier run that wait (``state``)."""
     engine = service.engine
-    return [EventModel.of(view, engine.epoch) for view in engine.events()]
+    running = [EventModel.of(view, engine.epoch) for view in engine.events()]
+    return running + [EventModel.waiting(each) for each in service.keeper.waits(REQUEST).values()]
 
 
 @router.get("/events/{id}", responses=responses(404))
 async def read_event(id: str, service: Context) -> EventModel:
-    """One running request, with its plan."""
+    """One request, with its plan if it runs."""
+    if (waiting := service.keeper.waits(REQUEST).get(id)) is not None:
+        return EventModel.waiting(waiting)
     return EventModel.of(service.engine.event(id), service.engine.epoch)
 
 

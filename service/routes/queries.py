@@ -10,6 +10,7 @@ from fastapi.responses import JSONResponse, PlainTextResponse
 
 from ...continuous.options import Bounds, Report, Semantics
 from ...engine.commands import RegisterQuery, RemoveQuery
+from ...engine.standing import QUERY, query_view
 from ...engine.views import Since
 from ...languages.csparql import parse_query
 from ...streams.time import format_time
@@ -101,9 +102,11 @@ async def register_query(
 
 @router.get("/queries")
 async def list_queries(service: Context) -> list[QueryModel]:
-    """The registered queries, oldest first."""
+    """The registered queries, oldest first, then those of an earlier run that wait (``state``)."""
     engine = service.engine
-    return [QueryModel.of(view, engine.epoch) for view in engine.queries.views()]
+    there = [QueryModel.of(view, engine.epoch) for view in engine.queries.views()]
+    waiting = service.keeper.waits(QUERY).values()
+    return there + [QueryModel.waiting(each, engine.epoch) for each in waiting]
 
 
 @router.get("/queries/{name}", response_model=QueryModel, responses=TEXT_TOO | responses(404, 406))
@@ -116,7 +119,8 @@ async def read_query(
     """One query; for ``Accept: text/plain`` its text, or with ``explain`` each stage of it."""
     kind = accepted(request, (JSON, TEXT))
     engine = service.engine
-    view = engine.queries.view(name)
+    waiting = service.keeper.waits(QUERY).get(name)
+    view = engine.queries.view(name) if waiting is None else query_view(waiting)
     stages = engine.queries.explain_running(name) if explain else None
     if kind == TEXT:
         return PlainTextResponse(f"{stages or view.source}\n")

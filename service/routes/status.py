@@ -5,13 +5,17 @@ from __future__ import annotations
 from fastapi import APIRouter, Query, Request, Response
 
 from ... import __version__
+from ...engine.standing import QUERY, REQUEST, SUBSCRIPTION
 from ...streams.time import format_time
 from ..context import Context
-from ..models import StatusModel
+from ..models import StatusModel, WaitingModel
 from ..problems import responses
 from .follow import EVENTS, follow
 
 router = APIRouter(tags=["status"])
+
+LISTED = (REQUEST, SUBSCRIPTION, QUERY)
+"""Kinds of what waits that are listed with what runs."""
 
 
 @router.get("/status")
@@ -30,6 +34,11 @@ async def read_status(service: Context) -> StatusModel:
         queries=len(engine.queries),
         clients=service.feeds.clients,
         accepted=sum(stream.counters.accepted for stream in streams),
+        waiting=[
+            WaitingModel(kind=each.key.kind, name=each.key.name, reason=each.reason)
+            for each in service.keeper.not_started()
+            if each.key.kind not in LISTED
+        ],
     )
 
 

@@ -8,6 +8,7 @@ from typing import Any
 from fastapi import APIRouter, Depends, Query, Request, Response
 
 from ...engine.commands import Subscribe, SubscribeToFeature, Unsubscribe
+from ...engine.standing import SUBSCRIPTION
 from ..context import Context
 from ..models import RematchModel, SubscriptionIn, SubscriptionModel
 from ..negotiation import EVENT_STREAM
@@ -51,13 +52,17 @@ async def subscribe(
 
 @router.get("/subscriptions")
 async def list_subscriptions(service: Context) -> list[SubscriptionModel]:
-    """The subscriptions that run."""
-    return [SubscriptionModel.of(view) for view in service.engine.subscriptions()]
+    """The subscriptions that run, then those of an earlier run that wait (``state``)."""
+    waiting = service.keeper.waits(SUBSCRIPTION).values()
+    running = [SubscriptionModel.of(view) for view in service.engine.subscriptions()]
+    return running + [SubscriptionModel.waiting(each) for each in waiting]
 
 
 @router.get("/subscriptions/{id}", responses=responses(404))
 async def read_subscription(id: str, service: Context) -> SubscriptionModel:
     """One subscription, with what became of the samples under its policy."""
+    if (waiting := service.keeper.waits(SUBSCRIPTION).get(id)) is not None:
+        return SubscriptionModel.waiting(waiting)
     return SubscriptionModel.of(service.engine.subscription(id))
 
 

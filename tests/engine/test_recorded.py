@@ -19,6 +19,7 @@ from dyknow.engine.checkpoint import CheckpointError, Outside, program
 from dyknow.engine.commands import (
     AddKpl,
     Annotate,
+    ApplySpecification,
     CancelEvent,
     DeclareStream,
     OpenStream,
@@ -39,6 +40,7 @@ from dyknow.engine.commands import (
     Unsubscribe,
     read,
 )
+from dyknow.engine.configuration import Configuration
 from dyknow.engine.describing import DescribedArgument, DescribedPort, DescribedTransformation
 from dyknow.engine.engine import Engine
 from dyknow.engine.errors import Conflict, UnknownRequest, UnknownStream
@@ -653,6 +655,13 @@ UNNAMED = (
     "SELECT ?o ?v FROM STREAM <http://www.ida.liu.se/dyknow/s.trdf> "
     "[RANGE 5s STEP 1s] WHERE { ?o dyknow:speed ?v }"
 )
+POLICY = (
+    '<cu type="policy"><parameter name="policy" value="sample every {}s"/><stream name="s"/></cu>'
+)
+TWO_POLICIES = (
+    '<specification xmlns="http://www.dyknow.eu/ontology#Specification"><insertions>'
+    f"{POLICY.format(1)}{POLICY.format(2)}</insertions></specification>"
+).encode()
 PORT = DescribedPort("dyknow:speed", "value", None, (DescribedArgument("dyknow:UAV"),))
 
 
@@ -736,6 +745,60 @@ def test_each_user_of_a_query_that_waits_is_one(tmp_path, monkeypatch):
     back = opened(tmp_path)
     assert [view.users for view in back.engine.queries.views()] == [1, 2]
     cut_off(back)
+
+
+@pytest.mark.parametrize("checkpoint", ["before", "after", "never"])
+def test_queries_without_a_name_keep_what_they_were_called(tmp_path, monkeypatch, checkpoint):
+    """Also those that wait, and where what is made besides them took names before they did."""
+    first = opened(tmp_path)
+    declare(first, "s")
+    if checkpoint == "before":
+        first.checkpoint().write()
+    gone = first.do(RegisterQuery(UNNAMED.replace("5s", "2s"))).name
+    kept = first.do(RegisterQuery(UNNAMED)).name
+    first.do(ApplySpecification(TWO_POLICIES))
+    assert first.do(RegisterQuery(UNNAMED)).name == kept
+    other = first.do(RegisterQuery(UNNAMED.replace("5s", "3s"))).name
+    first.do(RemoveQuery(gone))
+    if checkpoint == "after":
+        first.checkpoint().write()
+    cut_off(first)
+
+    def refuse(*_):
+        raise Conflict("this version has no windows")
+
+    def named(recorded):
+        return {view.name: view.source for view in recorded.engine.queries.views()}
+
+    reserved_name = Configuration.reserved_name
+
+    def wasteful(self):
+        """This version makes more units for the same."""
+        return [reserved_name(self) for _ in range(3)][-1]
+
+    monkeypatch.setattr(recorded_module, "program", lambda *_: "another version")
+    monkeypatch.setattr(Configuration, "reserved_name", wasteful)
+    taking = opened(tmp_path)
+    assert named(taking) == {kept: UNNAMED, other: UNNAMED.replace("5s", "3s")}
+    assert taking.waiting() == ()
+    cut_off(taking)
+    with monkeypatch.context() as patched:
+        patched.setattr(recorded_module, "program", lambda *_: "a version that refuses")
+        patched.setattr(RegisteredQueries, "start", refuse)
+        for _ in range(2):
+            refusing = opened(tmp_path)
+            assert {each.key.name for each in refusing.waiting()} == {kept, other}
+            assert {each.reason for each in refusing.waiting()} == {"this version has no windows"}
+            cut_off(refusing)
+    back = opened(tmp_path)
+    assert set(named(back)) == {kept, other}
+    new = back.do(RegisterQuery(UNNAMED.replace("5s", "9s"))).name
+    assert new not in (gone, kept, other)
+    back.do(RemoveQuery(other))
+    cut_off(back)
+    again = opened(tmp_path)
+    assert set(named(again)) == {kept, new}
+    cut_off(again)
 
 
 def test_what_was_said_anew_counts_and_not_what_waited(tmp_path, monkeypatch, high_speed):

@@ -21,7 +21,7 @@ from dyknow.engine.describing import (
     DescribedTransformation,
 )
 from dyknow.engine.portable import KeptColumn, KeptStream, Portable
-from dyknow.engine.tape import Reading
+from dyknow.engine.tape import Failed, Outcome, Reading
 from dyknow.engine.views import Since, StreamDeclaration
 from dyknow.journal.checkpoints import Checkpoint, parts_of, read_checkpoint
 from dyknow.journal.examination import examine
@@ -85,6 +85,13 @@ EXAMPLES = [
     ),
     c.Unsubscribe("subscription1"),
     c.RegisterQuery("REGISTER QUERY …", "set", "[)", 7, "close", "quality", Since.START),
+    c.HearOfSinks(
+        (
+            Outcome("cu7", (Failed(5, "OSError: nobody is there", "it stops", "on_error"),), 1),
+            Outcome("cu8"),
+        )
+    ),
+    c.RegisterQuery("SELECT …", name="dyknow_reserved7"),
     c.RemoveQuery("fast"),
     c.AddKpl("source float x", "s"),
     c.RemoveKpl("x", True),

@@ -2,13 +2,16 @@
 configuration as a text gives itself again, and a text that is refused changes nothing."""
 
 import re
+from collections import Counter
 
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from specifying import state, text
 
+from dyknow.engine.elaboration import elements_of, is_invented
 from dyknow.engine.engine import Engine
 from dyknow.engine.processes import Processes
+from dyknow.engine.specification_parts import Bounds, parts_of
 from dyknow.languages.errors import LanguageError
 from dyknow.languages.specification import (
     StreamReference,
@@ -128,6 +131,24 @@ def canonical(given):
     return tuple(map(renamed, parse_specification(given).insertions))
 
 
+def meaning(given):
+    """What a text makes, and what it calls so, in whatever order it says it."""
+    found = parse_specification(given).insertions
+    named = {one.name: one for one in elements_of(found) if one.name}
+
+    def written(one):
+        if isinstance(one, StreamReference):
+            return written(named[one.name]) if one.name in named else one.name
+        return one.type, one.parameters, tuple(map(written, one.inputs))
+
+    names = {name: written(one) for name, one in named.items() if not is_invented(name)}
+    return names, {written(one) for one in elements_of(found)}
+
+
+def inserted(view):
+    return None if is_invented(view.name or "") else view.name, view.transformation
+
+
 def without_users(seen):
     streams, units, *others = seen
     return (streams, [unit[:-1] for unit in units], *others)
@@ -187,6 +208,49 @@ def test_the_running_configuration_gives_itself_again(given):
     other = fresh()
     other.apply_specification(current)
     assert canonical(other.current_specification()) == canonical(current)
+
+
+SHARED = "".join(
+    f'''<cu name="{name}" type="slow"><stream name="dyknow_reserved1"/></cu>''' for name in "abc"
+)
+SHARED_AND_INVENTED = text(
+    SHARED
+    + """<cu name="dyknow_reserved1" type="fast"><cu name="dyknow_reserved2"
+    type="gauge"/></cu><cu type="slow"><stream name="dyknow_reserved2"/></cu>""",
+    "",
+)
+
+
+@LIMITS
+@given(texts, st.integers(1, 6))
+@example([SHARED_AND_INVENTED], 3)
+@example([GAUGE_TWICE], 2)
+@example([GAUGE_READ_BY_ITS_SECOND_NAME], 1)
+def test_parts_give_the_same_configuration(given, most):
+    """Each part is within its bounds, unless there are no such parts."""
+    engine, _ = played(given)
+    current = engine.current_specification()
+    whole, other = fresh(), fresh()
+    whole.apply_specification(current)
+    parts = parts_of(parse_specification(current), Bounds(most, 10 * most, 10_000))
+    if parts is None:
+        return
+    for part in parts:
+        assert part.count("<spec:cu") <= most
+        other.apply_specification(part)
+    assert meaning(other.current_specification()) == meaning(current)
+    assert len(other._configuration.units) == len(whole._configuration.units)
+    assert Counter(map(inserted, other.insertions())) == Counter(map(inserted, whole.insertions()))
+
+
+def test_most_texts_have_parts():
+    engine, _ = played([SHARED_AND_INVENTED])
+    found = parse_specification(engine.current_specification())
+    assert len(parts_of(found, Bounds(3, 100, 10_000))) > 1
+    # What is invented is written again where another part reads it, and there is no room for it.
+    assert parts_of(found, Bounds(2, 100, 10_000)) is None
+    removing = parse_specification(text("", '<cu type="gauge"/>'))
+    assert parts_of(removing, Bounds(100, 100, 10_000)) is None
 
 
 @LIMITS

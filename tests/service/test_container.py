@@ -4,6 +4,7 @@ checks. No engine is at hand; `docker/check` tries the rest without one."""
 from __future__ import annotations
 
 import json
+import os
 import re
 import shlex
 import subprocess
@@ -24,6 +25,7 @@ from dyknow.service.context import Service
 from dyknow.service.descriptors import RESERVED
 from dyknow.service.server import GRACE, running
 from dyknow.service.settings import Settings
+from dyknow.service.tokens import Scope, Tokens, TokensError, line_of, new_token
 from dyknow.streams.time import Clock
 
 ROOT = Path(__file__).parents[2]
@@ -87,7 +89,8 @@ def test_the_command_is_one_and_its_paths_agree(service: dict[str, Any]) -> None
 
 def test_nobody_is_root_and_only_the_data_may_be_written(service: dict[str, Any]) -> None:
     assert last("USER") == "dyknow"
-    assert re.search(r"--uid 10001 --home-dir /data .* dyknow", DOCKERFILE)
+    assert re.search(r"useradd .*--uid 10001 --gid 10001 --home-dir /data .* dyknow", DOCKERFILE)
+    assert re.search(r"groupadd .*--gid 10001 dyknow", DOCKERFILE)
     assert service["read_only"] is True
     assert service["cap_drop"] == ["ALL"]
     assert service["security_opt"] == ["no-new-privileges:true"]
@@ -111,6 +114,51 @@ def test_tokens_are_a_secret_that_is_in_no_image_and_no_commit(
     file = Path("docker") / compose["secrets"][name]["file"]
     assert str(file) in (ROOT / ".dockerignore").read_text().splitlines()
     assert f"/{file}" in (ROOT / ".gitignore").read_text().splitlines()
+
+
+def test_the_service_may_read_the_tokens_and_nobody_else(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """A secret that is a file keeps its owner and mode: what the comments say makes one that the
+    container's user may use."""
+    command = r"sudo install -m (\d+) -o \"\$\(id -u\)\" -g (\d+) /dev/null docker/tokens.txt"
+    for text in ("docker/compose.yaml", "docs/access.md"):
+        (found,) = re.findall(command, (ROOT / text).read_text())
+        mode, group = int(found[0], 8), int(found[1])
+        assert f"--uid {group} --gid {group}" in DOCKERFILE
+        assert mode & 0o040
+        path = tmp_path / "tokens.txt"
+        path.write_text("")
+        path.chmod(mode)
+        token = line_of([Scope.READ], "me", new_token())
+        path.write_text(token)  # by its owner, in place
+        assert len(Tokens.of(Settings(tokens_file=path))) == 1
+        # Another's, and made without that: the container's user is told what to do.
+        path.chmod(0o644)
+        monkeypatch.setattr(os, "geteuid", lambda: 10001)
+        monkeypatch.setattr(os, "getegid", lambda: 10001)
+        monkeypatch.setattr(os, "getgroups", lambda: [10001])
+        with pytest.raises(TokensError) as caught:
+            Tokens.of(Settings(tokens_file=path))
+        assert f"chgrp 10001 {path}; chmod 640 {path}" in caught.value.hint
+        groups = [10001, path.stat().st_gid]
+        monkeypatch.setattr(os, "getgroups", groups.copy)
+        with pytest.raises(TokensError) as caught:
+            Tokens.of(Settings(tokens_file=path))
+        assert caught.value.hint == f"chmod 640 {path}"
+        monkeypatch.undo()
+
+
+def test_a_file_that_the_service_may_not_read_says_who_it_is(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def refuse(*_: Any, **__: Any) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, "open", refuse)
+    with pytest.raises(TokensError, match="Permission denied") as caught:
+        Tokens.of(Settings(tokens_file=tmp_path / "tokens"))
+    assert f"chgrp {os.getegid()} " in caught.value.hint
 
 
 def test_the_health_check_says_whether_it_is_ready(

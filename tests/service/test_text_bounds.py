@@ -33,7 +33,8 @@ PREFIXES = """@prefix : <http://www.dyknow.eu/ontology#> .
 def too_long(answer: httpx.Response) -> str:
     assert answer.status_code == 413, answer.text
     problem = answer.json()
-    assert (problem["title"], problem["hint"]) == ("text too long", "send it in several parts")
+    assert problem["title"] == "text too long"
+    assert problem["hint"] == parsing.IN_PARTS
     return str(problem["detail"])
 
 
