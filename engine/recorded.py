@@ -8,11 +8,8 @@ same streams: the same samples under the same numbers, byte by byte.
 
 from __future__ import annotations
 
-import secrets
-from collections import Counter
 from collections.abc import Callable
-from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
@@ -22,17 +19,13 @@ from ..continuous.budget import UNLIMITED, Budget
 from ..journal.checkpoints import Checkpoint, Checkpoints, Kept
 from ..journal.directory import DataDirectory
 from ..journal.disk import DISK, Disk
-from ..journal.errors import JournalDamaged, JournalError
+from ..journal.errors import JournalError
 from ..journal.log import SEGMENT, Durability, Log
-from ..ontology.ontology import Ontology
 from .behind import Turns
 from .busy import Stopwatch
-from .checkpoint import CheckpointError, Outside, engine_of, program, state_of
+from .checkpoint import CheckpointError, Outside, program, state_of
 from .commands import (
-    DEFINING,
     REFUSALS,
-    AddKpl,
-    Begin,
     Command,
     GoOn,
     HearOfSinks,
@@ -41,20 +34,16 @@ from .commands import (
     ReadAlready,
     Refused,
     RegisterQuery,
-    RemoveKpl,
     Tick,
-    done,
-    read,
     written,
 )
-from .configuration import after_reserved, is_reserved
-from .engine import Engine
-from .errors import UNKNOWN
-from .missing import missing, origins, told
-from .portable import Portable, PortableHead, engine_from, portable_of
+from .configuration import is_reserved
+from .missing import origins
+from .portable import portable_of
 from .processes import PROCESSES, Processes
+from .recovering import Recovering, still_missing
 from .remembering import Unkept
-from .standing import Key, Standing, Waiting
+from .standing import Waiting
 from .supervision import DIRECT, Runner
 from .tape import READINGS, Tape
 
@@ -73,19 +62,6 @@ class RecordedRunner:
 
     def run(self, work: Callable[[], T], deadline: int | None, progress: Callable[[], int]) -> T:
         return self._runner.run(work, deadline, progress)
-
-
-@dataclass(slots=True)
-class Recovery:
-    """What a start has found. ``notes``: what people should know, worst first."""
-
-    position: int = 0
-    """The checkpoint's position; 0: there was none."""
-    replayed: int = 0
-    """So many commands were done again."""
-    is_continued: bool = True
-    """Whether numbers and ids go on from where they were."""
-    notes: list[str] = field(default_factory=list)
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,17 +104,9 @@ class RecordedEngine:
 
         ``progress`` is told now and then how many commands are done again, and of how many.
         """
-        self.recovery = Recovery()
         self._runner = RecordedRunner(runner)
         self._outside = Outside(processes, self._runner, stopwatch, budget, turns)
         self._program = program(processes)
-        self._needed: dict[str, str] = {}
-        """User-written processes that an earlier run had, with their modules."""
-        self._unplaced: Counter[str] = Counter()
-        """Batches that this program could not take again, by stream and why."""
-        self._writer = self._program
-        """The program that has written what is read at a start."""
-        self._standing = Standing()
         self._within = False
         self._asked_for: list[OpenStream] = []
         """Those that the command asked for that is done at present."""
@@ -160,14 +128,17 @@ class RecordedEngine:
                 disk=disk,
                 on_doubt=self._directory.note_loss,
             )
-            if self.log.torn is not None:
-                self.recovery.notes.append(f"cut off, an unfinished write: {self.log.torn}")
-            if self.log.mark_fault is not None and self.log.doubt is None:
-                self.recovery.notes.append(self.log.mark_fault)
-            if self._directory.repaired is not None:
-                self._begin_anew(self._directory.repaired)
-            self.recovery.notes += self._checkpoints.gone()
-            self.engine = self._recovered(now, progress)
+            recovering = Recovering(
+                self._directory,
+                self.log,
+                self._checkpoints,
+                self._outside,
+                self._runner.tape,
+                self._program,
+            )
+            self.recovery = recovering.found
+            self.engine = recovering.run(now, progress)
+            self._standing, self._needed = recovering.standing, recovering.needed
             self.engine.on_opened(self._opened)
             self.log.commit()
             self._directory.forget_loss()
@@ -203,7 +174,7 @@ class RecordedEngine:
                 # What sources say is not known before: the tape asks for room as they say it.
                 begun = len(entry.payload) + READINGS
                 self._runner.tape.record(lambda size: entry.has_room(begun + size))
-                found = self._done(self.engine, command, known)
+                found = self._standing.do(self.engine, command, known)
                 readings = self._runner.tape.taken()
                 if readings and isinstance(command, Tick):
                     entry.payload = written(Tick(command.now, readings))
@@ -281,7 +252,9 @@ class RecordedEngine:
     def _found(self) -> tuple[Checkpoint, tuple[Unkept, ...]]:
         """The state, and what could not be written of it."""
         state = state_of(self.engine, self._standing, self._outside)
-        processes = self._missing() | origins(self._outside.processes)
+        known = self._outside.processes
+        gone = still_missing(self.engine, self._standing, self._needed, known)
+        processes = gone | origins(known)
         portable = portable_of(self.engine, self._standing, processes, state.unkept)
         encoded = msgspec.msgpack.encode(portable)
         return Checkpoint(self.log.position, self._program, encoded, state.data), state.unkept
@@ -311,15 +284,6 @@ class RecordedEngine:
                 self._directory.close()
 
     # -- within ------------------------------------------------------------------------------
-
-    def _done(self, engine: Engine, command: Command, known: ReadAlready | None = None) -> Any:
-        """Do ``command``; what is to be removed may be waiting."""
-        try:
-            return done(engine, command, known)
-        except UNKNOWN:
-            if not self._standing.give_up(command):
-                raise
-            return None
 
     def _opened(self, stream: str) -> None:
         """Somebody has asked for a stream that is there only now. Within a command, doing that
@@ -369,47 +333,6 @@ class RecordedEngine:
                 self._within = False
                 self._asked_for.clear()
 
-    def _recovered(self, now: int, progress: Callable[[int, int], None] | None) -> Engine:
-        found = self._from_checkpoint(now)
-        if found is None:
-            found = self._from_nothing(now)
-        engine, done = found
-        count = self.log.position - done
-        self._runner.tape.is_playing = True
-        for position, data in self.log.read(done):
-            self._again(engine, position, data)
-            self.recovery.replayed += 1
-            if progress is not None and self.recovery.replayed % 1000 == 0:
-                progress(self.recovery.replayed, count)
-        self._runner.tape.is_playing = False
-        self._check_writer()
-        for reason, times in self._unplaced.items():
-            note = f"{times} batches could not be taken again: {reason}"
-            self.recovery.notes.append(note)
-            engine.tell_not_restored(note)
-        self.engine = engine
-        for name, module in self._missing().items():
-            self.recovery.notes.append(told(name, module))
-            if not self.recovery.is_continued:
-                engine.tell_not_restored(told(name, module))
-        if not self.recovery.is_continued:
-            begin = self._begin(now)
-            self.log.append(written(begin))
-            begin.apply(engine)
-        return engine
-
-    def _begin(self, now: int) -> Begin:
-        known = origins(self._outside.processes)
-        return Begin(secrets.token_hex(4), now, self._program, self._missing() | known)
-
-    def _missing(self) -> dict[str, str]:
-        """User-written processes that are needed and not there, with their modules."""
-        if all(name in self._outside.processes for name in self._needed):
-            return {}
-        waiting = [written(command) for _, command in self._standing.waiting()]
-        spoken_of = [self.engine.ontology.quads(), *waiting]
-        return missing(self._needed, self._outside.processes, spoken_of)
-
     def _settle_down(self) -> None:
         """Write a checkpoint of a life that has just begun: else each start before the first one
         would begin another, whose ids nobody can resume."""
@@ -417,164 +340,6 @@ class RecordedEngine:
             self.checkpoint().write()
         except (CheckpointError, JournalError, OSError) as error:
             self.recovery.notes.append(f"no checkpoint yet: {error}")
-
-    def _from_checkpoint(self, now: int) -> tuple[Engine, int] | None:
-        """The engine of the newest checkpoint that is sound, and its position."""
-        for position in self._checkpoints.positions():
-            try:
-                kept = self._checkpoints.read(position)
-                found = self._from(kept, now)
-            except (JournalDamaged, CheckpointError) as error:
-                self.recovery.notes.append(f"a checkpoint is passed over: {error}")
-                continue
-            if position > self.log.position or position + 1 < self.log.first:
-                raise JournalDamaged(
-                    f"the checkpoint is of record {position}, the log has records "
-                    f"{self.log.first} to {self.log.position}",
-                    "restore the folder from a backup (dyknow restore)",
-                )
-            self.recovery.position = position
-            return found, position
-        return None
-
-    def _from(self, kept: Checkpoint, now: int) -> Engine:
-        """The engine of a checkpoint; raises `CheckpointError`."""
-        reason = _of_another(kept.program, self._program)
-        try:
-            head = msgspec.msgpack.decode(kept.portable, type=PortableHead)
-        except msgspec.DecodeError as error:
-            raise CheckpointError(f"{reason}; {error}") from error
-        self._writer = kept.program
-        self._needed |= head.processes
-        if kept.program == self._program:
-            try:
-                engine, self._standing = engine_of(kept.state, self._outside)
-                for each in head.unkept:
-                    if each.is_computing:
-                        # What it makes from here on is not what those who looked on have seen.
-                        self._begin_anew(f"the state of a process was not kept: {each}")
-                return engine
-            except CheckpointError as error:
-                # Of user-written processes it may name what is not there any more.
-                reason = str(error)
-        try:
-            portable = msgspec.msgpack.decode(kept.portable, type=Portable)
-        except msgspec.DecodeError as error:
-            raise CheckpointError(f"{reason}; {error}") from error
-        first_reserved = self._after_queries(kept.position)
-        engine, self._standing, lost = engine_from(portable, now, self._outside, first_reserved)
-        self._begin_anew(reason)
-        self.recovery.notes += lost
-        return engine
-
-    def _from_nothing(self, now: int) -> tuple[Engine, int]:
-        """The engine where there is no checkpoint, and the position after which commands are to be
-        done."""
-        store = self._directory.old_store
-        ontology = None if store is None else Ontology.copied(store)
-        if not self.log.position:
-            known = origins(self._outside.processes)
-            self.log.append(written(Begin(secrets.token_hex(4), now, self._program, known)))
-            self.log.commit()
-            if store is not None:
-                self.recovery.notes.append(
-                    f"{self._directory.path} was written by an earlier version: definitions are "
-                    "taken over, samples were not kept"
-                )
-        elif self.log.first > 1:
-            raise JournalDamaged(
-                f"there is no sound checkpoint, and the log begins with record {self.log.first}",
-                "restore the folder from a backup (dyknow restore)",
-            )
-        first = next(read(data) for _, data in self.log.read(0))
-        if not isinstance(first, Begin):
-            raise JournalDamaged(f"the log begins with {type(first).__name__}")
-        self._writer = first.program
-        self._needed |= first.processes
-        engine = Engine(
-            epoch=first.epoch,
-            now=first.now,
-            first_reserved=1 if first.program == self._program else self._after_queries(0),
-            ontology=ontology,
-            **self._outside.given(),
-        )
-        return engine, 1
-
-    def _after_queries(self, position: int) -> int:
-        """The first N of ``dyknow_reserved<N>`` that no query of the log after ``position`` is
-        called: what another program makes besides takes none of these names."""
-        names = []
-        for _, data in self.log.read(position):
-            with suppress(msgspec.DecodeError):  # told when it is its turn
-                command = read(data)
-                if isinstance(command, RegisterQuery):
-                    names.append(command.name)
-        return after_reserved(names)
-
-    def _begin_anew(self, reason: str) -> None:
-        self.recovery.is_continued = False
-        self.recovery.notes.append(f"{reason}: numbers of samples and ids of events begin anew")
-
-    def _again(self, engine: Engine, position: int, data: bytes) -> None:
-        """Do a command again. One that was done once is done now: where it is not, this is another
-        program or an error in it."""
-        try:
-            command = read(data)
-        except msgspec.DecodeError as error:
-            self._begin_anew(f"record {position} cannot be read: {error}")
-            return
-        if isinstance(command, Begin):
-            self._writer = command.program
-            self._needed |= command.processes
-        else:
-            self._check_writer()
-        if isinstance(command, Tick):
-            self._runner.tape.play(command.readings)
-        if isinstance(command, Refused) and not self.recovery.is_continued:
-            # It need not be refused here, and nobody was promised what would come of it.
-            return
-        expected = None
-        try:
-            expected = self._standing.expected(command, engine)
-            self._standing.note(command, self._done(engine, command))
-        except REFUSALS as error:
-            self._refused_again(engine, position, command, expected, error)
-        except Exception as error:  # noqa: BLE001  the service starts without it, and says so
-            self._begin_anew(f"record {position} could not be done again: {error}")
-
-    def _check_writer(self) -> None:
-        """What another program has done need not be what comes of it here."""
-        if self._writer != self._program and self.recovery.is_continued:
-            self._begin_anew(_of_another(self._writer, self._program))
-
-    def _refused_again(
-        self,
-        engine: Engine,
-        position: int,
-        command: Command,
-        expected: Key | None,
-        error: Exception,
-    ) -> None:
-        """What was accepted is refused: say so, and keep what can be done at another start."""
-        match command:
-            case Publish(stream=stream):
-                self._unplaced[f"{stream}: {error}"] += 1
-                self.recovery.is_continued = False
-                return
-            case GoOn() if not self.recovery.is_continued:
-                # Of another program other windows are due; they close when it is their turn.
-                return
-            case AddKpl(text=text, unit=unit):
-                engine.restore_kpl(text, unit)
-            case RemoveKpl(name=name) if engine.forget_kpl(name):
-                return
-            case _ if isinstance(command, DEFINING):
-                self._standing.wait(command, expected, engine, error)
-        self._begin_anew(f"record {position} could not be done again: {error}")
-
-
-def _of_another(writer: str, program: str) -> str:
-    return f"the directory was written by {writer}, this is {program}"
 
 
 class Aside(Protocol):

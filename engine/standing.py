@@ -29,6 +29,7 @@ from .commands import (
     DeclareStream,
     Describe,
     LoadOntology,
+    ReadAlready,
     RegisterAnnotatedTransformation,
     RegisterQuery,
     RegisterTemplate,
@@ -41,9 +42,11 @@ from .commands import (
     Subscribe,
     SubscribeToFeature,
     Unsubscribe,
+    done,
     written,
 )
 from .engine import Engine
+from .errors import UNKNOWN
 from .registrations import Asked as AskedQuery
 from .registrations import Registration, usual_semantics
 from .views import QueryView
@@ -112,6 +115,15 @@ class Standing:
         """The same, for people."""
         asked = ((key, self._asked[key]) for key in self._waiting)
         return tuple(Waiting(key, one.command, one.reason, one.times) for key, one in asked)
+
+    def do(self, engine: Engine, command: Command, known: ReadAlready | None = None) -> Any:
+        """Do ``command``, see `commands.done`; what is to be removed may be waiting."""
+        try:
+            return done(engine, command, known)
+        except UNKNOWN:
+            if not self.give_up(command):
+                raise
+            return None
 
     def note(self, command: Command, found: Any) -> None:
         """``command`` was done, and gave ``found``."""
