@@ -21,9 +21,10 @@ from pathlib import Path
 
 import httpx
 
-from dyknow.engine.commands import DeclareStream
+from dyknow.engine.commands import DeclareStream, Publish, RegisterQuery
 from dyknow.engine.recorded import RecordedEngine
 from dyknow.engine.views import StreamDeclaration
+from dyknow.service.snapshots import Snapshots
 from dyknow.streams.sample import Field, FieldType
 
 SAMPLES = 300_000
@@ -36,6 +37,10 @@ CONSTRUCT { ?o dyknow:speed ?average }
 FROM STREAM <http://www.ida.liu.se/dyknow/s.trdf> [RANGE 5s STEP 1s]
 WHERE { ?o dyknow:speed ?v }
 AGGREGATE {(?average, AVG, {?v}) FILTER (?average > 45)}"""
+WIDE = """REGISTER STREAM wide%d COMPUTE EVERY 1s AS
+SELECT ?o (MAX(?v) AS ?most)
+FROM STREAM <http://www.ida.liu.se/dyknow/s.trdf> [RANGE %ds STEP 1s]
+WHERE { ?o dyknow:speed ?v } GROUP BY ?o"""
 
 
 class Served:
@@ -47,6 +52,7 @@ class Served:
             command += ["--data", str(folder), "--durability", durability]
         variables = {**os.environ, "DYKNOW_CHECKPOINT_INTERVAL": "1e9"}
         variables["DYKNOW_CHECKPOINT_BYTES"] = str(1 << 40)
+        variables["DYKNOW_CHECKPOINT_WORK"] = "1e9"
         self.begun = time.perf_counter()
         self._process = subprocess.Popen(command, env=variables, stderr=subprocess.PIPE, text=True)
         assert self._process.stderr is not None
@@ -140,16 +146,30 @@ def restart(folder: Path) -> None:
 
 
 def checkpoint(folder: Path) -> None:
-    """How long the service stands still while its state is taken."""
+    """How long a service stands still while its state is taken, and one with sixty queries."""
     recorded = RecordedEngine(folder, now=0)
     recorded.do(DeclareStream(StreamDeclaration("more", (Field("v", FieldType.FLOAT),))))
-    begin = time.perf_counter()
-    unwritten = recorded.checkpoint()
-    seconds = time.perf_counter() - begin
-    kept = unwritten.checkpoint
-    size = (len(kept.state) + len(kept.portable)) / 2**20
-    print(f"taking a checkpoint of it, {size:.1f} MiB                    {seconds * 1000:6.1f} ms")
+    taken(recorded)
+    for number in range(60):
+        recorded.do(RegisterQuery(WIDE % (number, 30 + number)))
+    for i, body in enumerate(bodies(LOGGED + 100_000, 1_000)[LOGGED // 1_000 :]):
+        recorded.do(Publish("s", "ndjson", body, i))
+        recorded.log.commit()
+    taken(recorded)
     recorded.close(checkpoint=False)
+
+
+def taken(recorded: RecordedEngine) -> None:
+    """How long it takes to take a checkpoint, in both ways."""
+    for how, aside in (("by a copy of the process", Snapshots().take), ("at once", None)):
+        begin = time.perf_counter()
+        unwritten = recorded.checkpoint(aside)
+        seconds = time.perf_counter() - begin
+        unwritten.write()
+        kept = recorded.disk_use().checkpoint
+        assert kept is not None
+        size = f"{kept.size / 2**20:.1f} MiB"
+        print(f"a checkpoint of {size:9} {how:26} {seconds * 1000:12.1f} ms")
 
 
 if __name__ == "__main__":

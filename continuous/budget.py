@@ -11,8 +11,8 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Final, TypeVar
 
+from ..streams.pauses import STRAIGHT, Pauses
 from .asking import DIRECT, Asking
-from .pauses import STRAIGHT, Pauses
 
 Item = TypeVar("Item")
 LOOKS: Final = 4

@@ -7,6 +7,7 @@ field. pyarrow is an extra of the installation: `ArrowMissing` says how to get i
 from __future__ import annotations
 
 import io
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..streams.pauses import STRAIGHT, Pauses, slices
 from ..streams.sample import (
     TIME_FIELDS,
     Column,
@@ -34,6 +36,7 @@ from .wire import (
     BatchLimits,
     Incoming,
     check_names,
+    encoded,
     null_mask,
     pool_of,
     text_column,
@@ -54,15 +57,19 @@ def decode_arrow(
     schema: Schema,
     pools: dict[str, StringPool],
     limits: BatchLimits | None = None,
+    pauses: Pauses = STRAIGHT,
 ) -> Incoming:
     """A batch from an IPC stream, taken whole or refused whole (`WireError`, lines are rows).
 
     Without fields in ``schema`` (an open stream) the table's columns decide them. What has more
-    than ``limits`` by what it declares is refused before it is read.
+    than ``limits`` by what it declares is refused before it is read. Most of the work is pyarrow's
+    and done apart (``pauses``).
     """
     if limits is not None:
-        check_sizes(data, limits)
-    return samples_of_table(_read(data), schema, pools, limits)
+        check_sizes(data, limits, pauses)
+    with pauses.apart():
+        table = _read(data)
+    return samples_of_table(table, schema, pools, limits, pauses)
 
 
 def samples_of_table(
@@ -70,42 +77,49 @@ def samples_of_table(
     schema: Schema,
     pools: dict[str, StringPool],
     limits: BatchLimits | None = None,
+    pauses: Pauses = STRAIGHT,
 ) -> Incoming:
-    """`decode_arrow` of a table that has been read; of ``limits`` those of texts."""
+    """`decode_arrow` of a table that has been read; of ``limits`` those of texts and fields."""
     names = table.column_names
-    if not schema.fields and len(set(names)) == len(names):
+    times = Counter(names)
+    if not schema.fields and len(times) == len(names):
+        if limits is not None:
+            limits.check_fields(len(times) - sum(name in times for name in TIME_FIELDS))
         own = [(name, table.column(name).type) for name in names if name not in TIME_FIELDS]
         schema = Schema(tuple(Field(name, arrow_field_type(name, type)) for name, type in own))
     check_names(schema)
     for name in names:
-        if names.count(name) > 1:
+        if times[name] > 1:
             raise WireError(None, f"column {name!r} is there twice")
         if name not in TIME_FIELDS and schema.get(name) is None:
             raise WireError(
                 None, f"{name!r} is not declared", f"the fields are {', '.join(schema.names)}"
             )
     for name in ("valid", *schema.names):
-        if name not in names:
+        if name not in times:
             raise WireError(None, f"column {name!r} is missing")
     if not table.num_rows:
         raise WireError(None, "the body holds no sample", "send at least one")
-    valid = times_from_arrow(table.column("valid"), "valid", TimeReader("ns"))
-    stamped = "available" not in names
+    valid = times_from_arrow(table.column("valid"), "valid", TimeReader("ns"), pauses)
+    stamped = "available" not in times
     available = (
         valid
         if stamped
-        else times_from_arrow(table.column("available"), "available", TimeReader("ns"))
+        else times_from_arrow(table.column("available"), "available", TimeReader("ns"), pauses)
     )
-    if limits is not None:
-        for field in schema.fields:
-            if field.type is FieldType.STRING and _expect(field, table.column(field.name)):
-                _check_texts(field.name, table.column(field.name), limits)
     # Text last: the pools grow only when every other column is good.
     text_last = sorted(schema.fields, key=lambda field: field.type is FieldType.STRING)
+    given = {}
+    for field in text_last:
+        column = given[field.name] = table.column(field.name)
+        _expect(field, column)
+        if field.type is FieldType.STRING:
+            given[field.name] = _together(column, pauses)
+            if limits is not None:
+                _check_texts(field.name, given[field.name], limits, pauses)
     found = {
-        field.name: column_from_arrow(field, table.column(field.name), pools)
+        field.name: column_from_arrow(field, given[field.name], pools, pauses)
         for field in text_last
-        if _expect(field, table.column(field.name))
     }
     columns = {name: found[name] for name in schema.names}
     return Incoming(SampleBatch(available, valid, columns), stamped)
@@ -213,11 +227,11 @@ def arrow_field_type(name: str, type: Any) -> FieldType:
     raise WireError(None, f"column {name!r} is {type}", "fields are numbers, booleans and strings")
 
 
-def times_from_arrow(column: Any, key: str, reader: TimeReader) -> Times:
+def times_from_arrow(column: Any, key: str, reader: TimeReader, pauses: Pauses = STRAIGHT) -> Times:
     """A column of times in ns; plain numbers are in the reader's unit."""
     pa = pyarrow_module()
     if column.null_count:
-        row = column.is_null().to_pylist().index(True) + 1
+        row = int(np.argmax(column.is_null().to_numpy())) + 1
         raise WireError(row, f"{key!r} is missing", "every sample has its times")
     if pa.types.is_timestamp(column.type) or pa.types.is_signed_integer(column.type):
         if pa.types.is_timestamp(column.type):
@@ -236,21 +250,41 @@ def times_from_arrow(column: Any, key: str, reader: TimeReader) -> Times:
                 )
         times: Times = counts * np.int64(scale)
         return times
-    values = column.to_pylist()
-    reader.observe(values)
-    return reader.read(values, range(1, len(values) + 1), key)
+    read = []
+    for start in range(0, len(column), _SOME):
+        read.append(column.slice(start, _SOME).to_pylist())
+        reader.observe(read[-1])
+        pauses.breathe()
+    found = []
+    for number, values in enumerate(read):
+        first = 1 + number * _SOME
+        found.append(reader.read(values, range(first, first + len(values)), key))
+        pauses.breathe()
+    return np.concatenate(found) if found else np.empty(0, np.int64)
 
 
-def column_from_arrow(field: Field, column: Any, pools: dict[str, StringPool]) -> Column:
+def column_from_arrow(
+    field: Field, column: Any, pools: dict[str, StringPool], pauses: Pauses = STRAIGHT
+) -> Column:
     """A field's column; raises `WireError` with the row for a value that is none."""
-    pa = pyarrow_module()
     if field.type is FieldType.STRING:
-        return _text(field, column, pools)
+        return _text(field, column, pools, pauses)
+    with pauses.apart():
+        return _numbers(field, column)
+
+
+def _numbers(field: Field, column: Any) -> Column:
+    """A column of what is no text."""
+    pa = pyarrow_module()
     null = column.is_null().to_numpy() if column.null_count else None
     if field.type is FieldType.INTEGER and pa.types.is_uint64(column.type):
-        for row, value in enumerate(column.to_pylist(), 1):
-            if value is not None and value >= 2**63:
-                raise WireError(row, f"field {field.name!r} is outside 64 bits: {value}")
+        unsigned = column.fill_null(0).to_numpy()
+        beyond = unsigned >= 2**63
+        if beyond.any():
+            row = int(np.argmax(beyond))
+            raise WireError(
+                row + 1, f"field {field.name!r} is outside 64 bits: {int(unsigned[row])}"
+            )
     target = {
         FieldType.FLOAT: pa.float64(),
         FieldType.INTEGER: pa.int64(),
@@ -273,9 +307,23 @@ def column_from_arrow(field: Field, column: Any, pools: dict[str, StringPool]) -
 
 _FEW = 64
 """Texts below this are encoded one by one: cheaper than the calls that spare it."""
+_SOME = 4096
+"""Values that become Python's between two moments for others."""
 
 
-def _text(field: Field, column: Any, pools: dict[str, StringPool]) -> Column:
+def _together(column: Any, pauses: Pauses) -> Any:
+    """A column of texts whose chunks are one, where they can be: each has a dictionary to read."""
+    pa = pyarrow_module()
+    if column.num_chunks <= 1:
+        return column
+    with pauses.apart():
+        try:
+            return pa.chunked_array([column.combine_chunks()])
+        except pa.ArrowNotImplementedError:  # dictionaries with an entry for null
+            return column
+
+
+def _text(field: Field, column: Any, pools: dict[str, StringPool], pauses: Pauses) -> Column:
     """Text in codes of the field's pool, which gets the texts of the rows in their order.
 
     Cost: Python once a distinct text and chunk; a dictionary that came with the column is used.
@@ -286,8 +334,9 @@ def _text(field: Field, column: Any, pools: dict[str, StringPool]) -> Column:
         values = _as(column, pa.string()).to_pylist()
         return text_column(values, pool, null_mask(values))
     if not pa.types.is_dictionary(column.type):
-        column = column.dictionary_encode()
-    parts = [_codes(chunk, pool) for chunk in column.chunks if len(chunk)]
+        with pauses.apart():
+            column = column.dictionary_encode()
+    parts = [_codes(chunk, pool, pauses) for chunk in column.chunks if len(chunk)]
     null = np.concatenate([absent for _, absent in parts])
     return Column(
         field.type,
@@ -297,7 +346,7 @@ def _text(field: Field, column: Any, pools: dict[str, StringPool]) -> Column:
     )
 
 
-def _check_texts(name: str, column: Any, limits: BatchLimits) -> None:
+def _check_texts(name: str, column: Any, limits: BatchLimits, pauses: Pauses) -> None:
     """Raises `WireError` with the row for a text that is too long. A dictionary's texts are looked
     at once, however often they are used."""
     pa = pyarrow_module()
@@ -317,6 +366,7 @@ def _check_texts(name: str, column: Any, limits: BatchLimits) -> None:
                 row = int(np.argmax(sizes > limits.text))
                 raise limits.too_long(before + row + 1, name, int(sizes[row]))
         before += len(chunk)
+        pauses.breathe()
 
 
 def _sizes(texts: Any) -> NDArray[np.int64]:
@@ -332,27 +382,32 @@ def _sizes(texts: Any) -> NDArray[np.int64]:
     return sizes
 
 
-def _codes(chunk: Any, pool: StringPool) -> tuple[NDArray[np.int32], Mask]:
+def _codes(chunk: Any, pool: StringPool, pauses: Pauses) -> tuple[NDArray[np.int32], Mask]:
     """Codes of a dictionary array's rows, and which have none (their code means nothing)."""
     absent: Mask = chunk.indices.is_null().to_numpy(zero_copy_only=False)
     places = chunk.indices
     if places.null_count:
         places = places.fill_null(0)
     places = places.to_numpy(zero_copy_only=False).astype(np.int64)
-    texts = chunk.dictionary.to_numpy(zero_copy_only=False)
+    texts = chunk.dictionary
     if not len(texts):
         return np.zeros(len(chunk), np.int32), absent
+    pauses.breathe()
     used = places[~absent] if chunk.indices.null_count else places
     first = np.full(len(texts), len(used), np.int64)
     first[used[::-1]] = np.arange(len(used) - 1, -1, -1)  # of equal places the last one written
     met = np.flatnonzero(first < len(used))
     met = met[np.argsort(first[met])]
-    if chunk.dictionary.null_count:  # a dictionary may have an entry for null
-        nothing = np.array([text is None for text in texts.tolist()])
+    if texts.null_count:  # a dictionary may have an entry for null
+        nothing = texts.is_null().to_numpy(zero_copy_only=False)
         met = met[~nothing[met]]
         absent = absent | nothing[places]
     codes = np.zeros(len(texts), np.int32)
-    codes[met] = pool.encode(texts[met].tolist())
+    pauses.breathe()
+    strings: list[str] = []
+    for places_met in slices(met, _SOME, pauses):
+        strings += texts.take(places_met).to_numpy(zero_copy_only=False).tolist()
+    codes[met] = encoded(strings, pool, pauses)
     return codes[places], absent
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 
+from ..streams.pauses import STRAIGHT, Pauses
 from .errors import WireError
 from .wire import BatchLimits
 
@@ -56,7 +57,7 @@ class Size:
             )
 
 
-def check_sizes(data: bytes, limits: BatchLimits) -> None:
+def check_sizes(data: bytes, limits: BatchLimits, pauses: Pauses = STRAIGHT) -> None:
     """Raises `WireError` where the batches of an IPC stream have more than ``limits`` together.
 
     Cost: O(buffers).
@@ -67,6 +68,7 @@ def check_sizes(data: bytes, limits: BatchLimits) -> None:
             found += size_of(data, at)
             found.check(limits)
         at += message.size
+        pauses.breathe()
 
 
 def message_at(data: bytes | bytearray, at: int = 0) -> Message | None:

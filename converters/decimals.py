@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..streams.compiled import Kernel
+from ..streams.pauses import STRAIGHT, Pauses, slices
 from .cells import Bytes, Irregular, Positions, Values, known
 
 _LEAST_POWER, _GREATEST_POWER = -342, 308
@@ -162,16 +163,22 @@ def _signature() -> Any:
 _floats_kernel = Kernel(_floats, _signature)
 
 
-def floats(data: Bytes, starts: Positions, ends: Positions) -> Values:
+_UNSURE = 4096
+"""Numbers that are read one by one between two moments for others."""
+
+
+def floats(data: Bytes, starts: Positions, ends: Positions, pauses: Pauses = STRAIGHT) -> Values:
     """JSON numbers and nulls as float64; raises `Irregular`."""
     count = len(starts)
     bits, null = np.empty(count, np.int64), np.empty(count, np.bool_)
     unsure = np.empty(count, np.int64)
-    found = _floats_kernel(data, starts, ends, *_powers(), bits, null, unsure)
+    with pauses.apart():
+        found = _floats_kernel(data, starts, ends, *_powers(), bits, null, unsure)
     nulls, doubts = known(found[0]), found[1]
     values = bits.view(np.float64)
-    for row in unsure[:doubts].tolist():
-        values[row] = float(data[starts[row] : ends[row]].tobytes())
-        if not 1e-300 < abs(values[row]) < 1e300:  # what is allowed there is not for us to say
-            raise Irregular
+    for rows in slices(unsure[:doubts], _UNSURE, pauses):
+        for row in rows.tolist():
+            values[row] = float(data[starts[row] : ends[row]].tobytes())
+            if not 1e-300 < abs(values[row]) < 1e300:  # what is allowed there is not for us to say
+                raise Irregular
     return values, null if nulls else None

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 
+from ..streams.pauses import Pauses, slices
 from ..streams.sample import TIME_FIELDS, Column, Field, FieldType, Mask, SampleBatch, Schema, Times
-from ..streams.strings import StringPool
+from ..streams.strings import Codes, StringPool
 from ..streams.time import TIME_MIN, format_time, parse_time
 from .errors import WireError
 
@@ -29,12 +30,15 @@ class Incoming:
 @dataclass(frozen=True, slots=True)
 class BatchLimits:
     """What a batch that comes from outside may have: so many samples, so many bytes (UTF-8) in one
-    text, and so many bytes once it is decompressed. (What was taken once is taken again, whatever
-    the limits are by then: whoever reads it again gives none.)"""
+    text, and so many bytes once it is decompressed; so many bytes in one line, and so many fields
+    where it decides them. (What was taken once is taken again, whatever the limits are by then:
+    whoever reads it again gives none.)"""
 
     samples: int
     text: int
     decoded: int
+    line: int = 1 << 20
+    fields: int = 1_000
 
     def check_samples(self, count: int, line: int | None = None) -> None:
         """Raises `WireError` for more samples; ``line`` is that of the first one too many."""
@@ -43,12 +47,27 @@ class BatchLimits:
                 line, f"a batch has at most {self.samples} samples", "send several batches"
             )
 
+    def check_fields(self, count: int) -> None:
+        """Raises `WireError` for more fields of an open stream."""
+        if count > self.fields:
+            raise WireError(
+                None, f"a sample has at most {self.fields} fields", "publish to several streams"
+            )
+
     def too_long(self, line: int, field: str, size: int) -> WireError:
         """What is said of a text of ``size`` bytes."""
         return WireError(
             line,
             f"field {field!r}: a text has at most {self.text} bytes, and this one {size}",
             "send where it is kept in place of what is so long",
+        )
+
+    def line_too_long(self, line: int, size: int) -> WireError:
+        """What is said of a line of ``size`` bytes."""
+        return WireError(
+            line,
+            f"a line has at most {self.line} bytes, and this one {size}",
+            "send one JSON object a line",
         )
 
 
@@ -101,6 +120,17 @@ def text_column(values: Sequence[str | None], pool: StringPool, null: Mask | Non
             (0 if value is None else code(value) for value in values), np.int32, len(values)
         )
     return Column(FieldType.STRING, codes, null, pool)
+
+
+def encoded(strings: Sequence[str], pool: StringPool, pauses: Pauses) -> Codes:
+    """`StringPool.encode`, with moments for others."""
+    if len(strings) <= _STRINGS:
+        return pool.encode(strings)
+    return np.concatenate([pool.encode(part) for part in slices(strings, _STRINGS, pauses)])
+
+
+_STRINGS = 8192
+"""Texts that are encoded between two moments."""
 
 
 def null_mask(values: Sequence[object]) -> Mask | None:

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Protocol
 import msgspec
 
 if TYPE_CHECKING:
-    from .unit import WindowUnit
+    from .window_unit import WindowUnit
 
 
 class Went(msgspec.Struct, frozen=True, array_like=True, omit_defaults=True):

@@ -12,7 +12,7 @@ defaults, and never change their meaning. tests/cases/journal has one of each.
 from __future__ import annotations
 
 import hashlib
-from typing import Any, Literal, TypeAlias
+from typing import Any, Final, Literal, TypeAlias
 
 import msgspec
 
@@ -27,6 +27,9 @@ from ..languages.ssl.annotation import CheckedAnnotation, StreamAnnotation
 from ..ontology.errors import OntologyError, QueryRefused
 from ..ontology.ontology import PreparedOntology
 from ..ontology.reading import TextFormat
+from ..streams.pauses import STRAIGHT, Pauses
+from ..streams.sample import Schema
+from ..streams.strings import StringPool
 from ..streams.time import SECOND
 from .behind import Went
 from .describing import DescribedStream, DescribedTransformation
@@ -89,8 +92,28 @@ class Publish(Command, frozen=True, tag="publish"):
         """The batch, by the fields that the stream has now. Raises `WireError`, also for more than
         ``limits``: what is done again has none, for it was taken."""
         generator = engine.accepting(self.stream)
+        return self._decode(generator.schema, generator.stream.pools, limits, STRAIGHT)
+
+    def decode_apart(self, engine: Engine, limits: BatchLimits, pauses: Pauses) -> Incoming | None:
+        """`decode` with moments for others, or None: the stream has other fields than when it
+        began. It changes nothing: texts get codes of their own, and those of the stream when it
+        takes the batch, so that they are the same when all is done again."""
+        schema = engine.accepting(self.stream).schema
+        incoming = self._decode(schema, {}, limits, pauses)
+        generator = engine.accepting(self.stream)
+        if generator.schema == schema:
+            generator.stream.find_places(incoming.batch, pauses)
+        return incoming if engine.accepting(self.stream).schema == schema else None
+
+    def _decode(
+        self,
+        schema: Schema,
+        pools: dict[str, StringPool],
+        limits: BatchLimits | None,
+        pauses: Pauses,
+    ) -> Incoming:
         decode = decode_ndjson if self.kind == "ndjson" else decode_arrow
-        return decode(self.body, generator.schema, generator.stream.pools, limits)
+        return decode(self.body, schema, pools, limits, pauses)
 
     def apply_decoded(self, engine: Engine, incoming: Incoming) -> int:
         """`apply`, for who has decoded it already."""
@@ -468,6 +491,11 @@ _DECODER: msgspec.msgpack.Decoder[AnyCommand] = msgspec.msgpack.Decoder(AnyComma
 
 ReadAlready: TypeAlias = Incoming | PreparedOntology | Specification
 """What the batch or text of a command says, for who has read it already."""
+
+
+ANYTIME: Final = (Publish, Tick, EndStream)
+"""What can be done while a window is half done: units put by what they hear. For all else no window
+is half done."""
 
 
 def done(engine: Engine, command: Command, known: ReadAlready | None = None) -> Any:

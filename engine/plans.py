@@ -43,14 +43,16 @@ from ..streams.time import TIME_MIN
 from ..templates.transformations import EventTransformation
 from .changes import Change, ChangeKind
 from .configuration import SELECT_OBJECT, SYNCHRONIZE, Configuration
+from .function_unit import FunctionUnit, InputPort
 from .processes import SourceImplementation, UnitImplementation
 from .queries import Queries
+from .selection_unit import SelectionUnit
 from .source_unit import SourceUnit
 from .supervision import DIRECT, ProcessEvent, Runner
 from .synchronization_unit import SynchronizationUnit, TakenField, schema_of
 from .transformation_unit import TransformationUnit
 from .transformations import BuiltIn, Transformation, Transformations
-from .unit import ComputationalUnit, FunctionUnit, InputPort, SelectionUnit
+from .unit import ComputationalUnit
 from .views import Since
 
 

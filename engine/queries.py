@@ -33,9 +33,9 @@ from ..streams.generator import StreamGenerator
 from . import explain as explanations
 from .alike import Kin
 from .configuration import C_SPARQL, SELECT_INSTANCE, AnyUnit, Configuration
+from .query_unit import QueryUnit
 from .results import ResultForm, result_form
 from .template_unit import TALLY, InstanceUnit, TemplateUnit
-from .unit import QueryUnit
 from .views import Since
 
 

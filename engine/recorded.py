@@ -14,7 +14,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import msgspec
 
@@ -258,11 +258,12 @@ class RecordedEngine:
         """What an earlier run has accepted and cannot be done at present, oldest first."""
         return self._standing.waiting_views()
 
-    def checkpoint(self) -> Unwritten:
+    def checkpoint(self, aside: Aside | None = None) -> Unwritten:
         """The state as it is now, to be written by `Unwritten.write`, in any thread.
 
         Contract: no window is half done (`Behind.is_within`). Raises `CheckpointError` where
-        something cannot be written down. Cost: O(state).
+        something cannot be written down; with ``aside``, which finds the state later, `write` does.
+        Cost: O(state), or what ``aside`` takes.
         """
         if self.failure is not None:
             raise CheckpointError(f"the state is not to be trusted: {self.failure}")
@@ -270,11 +271,24 @@ class RecordedEngine:
         if self._runner.tape.outcomes:
             raise CheckpointError("what went wrong in sinks could not be written down yet")
         position = self.log.position
+        if aside is not None:
+            return Unwritten(
+                position, aside(lambda: self._put(*self._found())), self.log, self._checkpoints
+            )
+        found, unkept = self._found()
+        return Unwritten(position, lambda: self._put(found, unkept), self.log, self._checkpoints)
+
+    def _found(self) -> tuple[Checkpoint, tuple[Unkept, ...]]:
+        """The state, and what could not be written of it."""
         state = state_of(self.engine, self._standing, self._outside)
         processes = self._missing() | origins(self._outside.processes)
         portable = portable_of(self.engine, self._standing, processes, state.unkept)
-        found = Checkpoint(position, self._program, msgspec.msgpack.encode(portable), state.data)
-        return Unwritten(found, self.log, self._checkpoints, state.unkept)
+        encoded = msgspec.msgpack.encode(portable)
+        return Checkpoint(self.log.position, self._program, encoded, state.data), state.unkept
+
+    def _put(self, found: Checkpoint, unkept: tuple[Unkept, ...]) -> tuple[Unkept, ...]:
+        self._checkpoints.put(found)
+        return unkept
 
     def disk_use(self) -> DiskUse:
         """What it takes of the disk at present. May be asked in any thread. Raises ``OSError``."""
@@ -563,20 +577,39 @@ def _of_another(writer: str, program: str) -> str:
     return f"the directory was written by {writer}, this is {program}"
 
 
+class Aside(Protocol):
+    """Does what takes long on the state as it is now, while that goes on to change."""
+
+    def __call__(self, work: Callable[[], T]) -> Callable[[], T]:
+        """Gives what waits for what ``work`` gives, in any thread. Both raise `CheckpointError`."""
+
+
 @dataclass(frozen=True, slots=True)
 class Unwritten:
-    """A checkpoint that is not on the disk yet."""
+    """A checkpoint after command ``position`` that is not kept yet."""
 
-    checkpoint: Checkpoint
-    log: Log
-    checkpoints: Checkpoints
-    unkept: tuple[Unkept, ...]
-    """User-written processes whose state cannot be written down: what they are, and why."""
+    position: int
+    _put: Callable[[], tuple[Unkept, ...]]
+    _log: Log
+    _checkpoints: Checkpoints
 
-    def write(self) -> None:
-        """Write it, and forget of the log what no checkpoint needs. Raises `JournalError`."""
+    def put(self) -> tuple[Unkept, ...]:
+        """Put it on the disk, where nobody looks for it yet. Gives the user-written processes whose
+        state cannot be written down: what they are, and why. Raises `JournalError`, and
+        `CheckpointError` where the state is found only now."""
+        return self._put()
+
+    def keep(self) -> None:
+        """Let the next start begin with it, and forget of the log what no checkpoint needs. Raises
+        `JournalError`."""
         # Never ahead of the log: its numbers would be given twice.
-        if self.log.synced < self.checkpoint.position:
-            self.log.sync()
-        self.checkpoints.write(self.checkpoint)
-        self.log.drop(min(self.checkpoints.positions()))
+        if self._log.synced < self.position:
+            self._log.sync()
+        self._checkpoints.keep(self.position)
+        self._log.drop(min(self._checkpoints.positions()))
+
+    def write(self) -> tuple[Unkept, ...]:
+        """`put` and `keep`; gives what `put` gives."""
+        unkept = self.put()
+        self.keep()
+        return unkept

@@ -34,6 +34,7 @@ from .errors import (
 )
 from .knowing import checked_strategy, did_you_mean
 from .plans import Plans
+from .query_unit import QueryUnit
 from .registrations import (
     Asked,
     Registration,
@@ -43,7 +44,6 @@ from .registrations import (
 )
 from .starting import Started, Starter, told_as_arguments
 from .template_unit import InstanceUnit, TemplateUnit
-from .unit import QueryUnit
 from .views import QueryView, Since
 
 

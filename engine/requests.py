@@ -33,9 +33,9 @@ from .errors import BadArguments, NoPlan, UnknownRequest
 from .finding import check_graphs, find_streams, mean_the_same
 from .plans import Plans
 from .queries import BuiltQuery
+from .query_unit import QueryUnit
 from .sharing import Common, Sharing
 from .template_unit import InstanceUnit, TemplateUnit
-from .unit import QueryUnit
 from .views import EventView, Since
 
 _SHORT = {

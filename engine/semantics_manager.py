@@ -25,7 +25,8 @@ from ..rdf.namespaces import RDF_TYPE, STREAM_SPACE
 from .changes import Change, ChangeKind, KnownTransformation
 
 
-@lru_cache(maxsize=65_536)
+# Enough for the terms of the ontology and of what comes and goes just now: names come without end.
+@lru_cache(maxsize=4096)
 def term(name: str) -> NamedNode:
     """A term of the stream space: of the ontology, or an individual by its name, of which what an
     IRI cannot have is percent-encoded (``speed%5Bcar1%5D``)."""

@@ -32,12 +32,12 @@ from .finding import check_graphs, find_streams, mean_the_same
 from .kept_windows import KeptWindows
 from .plans import Plans
 from .queries import Manner
+from .query_unit import QueryUnit
 from .reading import Reading, read_streams, stream_called
 from .registrations import Asked
 from .results import check_head, head_role, result_form
 from .stream_view import flow_of
 from .template_unit import InstanceUnit, TemplateUnit
-from .unit import QueryUnit
 from .views import Since
 
 

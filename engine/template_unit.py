@@ -20,7 +20,9 @@ from ..converters.to_triples import SampleConverter
 from ..streams.generator import StreamGenerator
 from ..streams.sample import Column, Field, FieldType, SampleBatch, Schema
 from ..streams.time import TIME_MIN
-from .unit import Answer, ComputationalUnit, WindowUnit
+from .query_unit import Answer
+from .unit import ComputationalUnit
+from .window_unit import WindowUnit
 
 TALLY = Schema(
     (Field("instances", FieldType.INTEGER), Field("answered", FieldType.INTEGER)),

@@ -26,10 +26,11 @@ from ..streams.sample import (
 from ..streams.single import Sample
 from ..streams.tuples import TupleBatch
 from .exchange import Answers, Row, samples_of
+from .function_unit import InputPort
 from .processes import UnitImplementation
 from .reports import OnReport, Report, unheard
 from .supervision import DIRECT, Instance, ProcessError, Runner, Supervisor, Tell
-from .unit import ComputationalUnit, InputPort
+from .unit import ComputationalUnit
 
 Objects: TypeAlias = tuple[Value, ...]
 """The values of the id fields of a sample: whose it is."""

@@ -19,10 +19,10 @@ from ..matching.space import TransformationDescription
 from ..ontology.vocabulary import Vocabulary
 from ..streams.time import format_duration, parse_duration
 from .errors import BadArguments, Conflict, DyknowError, UnknownFeature
+from .function_unit import UnitFunction
 from .geodesy import SpeedFromCoordinates
 from .parameters import bound
 from .processes import PROCESSES, Processes, SourceImplementation, UnitImplementation
-from .unit import UnitFunction
 
 Parameters: TypeAlias = Mapping[str, str]
 

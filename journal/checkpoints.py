@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import errno
 import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -90,18 +92,35 @@ class Checkpoints:
         return None
 
     def write(self, checkpoint: Checkpoint) -> None:
-        """Keep ``checkpoint``, and of the others the newest. Raises `JournalFull` and
-        `JournalBroken`; nothing is lost then."""
-        path = self._path(checkpoint.position)
-        part = path.with_suffix(".part")
-        if part.exists():
-            self._disk.remove(part)
-        try:
+        """`put` and `keep`."""
+        self.put(checkpoint)
+        self.keep(checkpoint.position)
+
+    def put(self, checkpoint: Checkpoint) -> None:
+        """Put ``checkpoint`` on the disk, where nobody looks for it before `keep`. May be called in
+        another process. Raises `JournalFull` and `JournalBroken`; nothing is lost then."""
+        part = self._part(checkpoint.position)
+        with self._told(part):
+            if part.exists():
+                self._disk.remove(part)
             self._write_part(part, checkpoint)
-            self._disk.rename(part, path)
+
+    def keep(self, position: int) -> None:
+        """Keep what `put` has put there, and of the others the newest. Raises as it does."""
+        part = self._part(position)
+        with self._told(part):
+            self._disk.rename(part, self._path(position))
             self._disk.sync_folder(self._folder)
             # Before the older ones go: what it names is there at any time.
             write_list(self._folder, self._disk, self.positions()[:KEPT])
+        for old in self.positions()[KEPT:]:
+            self._disk.remove(self._path(old))
+
+    @contextmanager
+    def _told(self, part: Path) -> Iterator[None]:
+        """An error of the disk says what it means, and leaves no ``part``."""
+        try:
+            yield
         except OSError as error:
             if part.exists():
                 self._disk.remove(part)
@@ -109,8 +128,6 @@ class Checkpoints:
             if error.errno in _FULL:
                 raise JournalFull(what, "make room on the disk of the data directory") from error
             raise JournalBroken(what, "see the logs of the disk") from error
-        for old in self.positions()[KEPT:]:
-            self._disk.remove(self._path(old))
 
     def read(self, position: int) -> Checkpoint:
         """The one of this position. Raises `JournalDamaged` and `UnknownFormat`."""
@@ -131,6 +148,9 @@ class Checkpoints:
 
     def _path(self, position: int) -> Path:
         return checkpoint_path(self._folder, position)
+
+    def _part(self, position: int) -> Path:
+        return self._path(position).with_suffix(".part")
 
 
 def checkpoint_path(folder: Path, position: int) -> Path:

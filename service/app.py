@@ -17,6 +17,7 @@ from .access import Access, Gate, client_key
 from .answers import Answers, LongAnswers
 from .body import BodyLimit, UnderWay
 from .context import Service
+from .decoding import Decoding
 from .descriptors import places
 from .event_clients import EventClients
 from .isolation.services import Isolation, Windows
@@ -129,6 +130,7 @@ def create_app(
         clock,
         feeds,
         LiveBodies(tokens),
+        Decoding(engine, settings.batch_limits),
         Metrics(engine, feeds, bodies, answers, clock, keeper, isolation, settings.metrics_streams),
         isolation,
         clock(),
@@ -151,6 +153,7 @@ def create_app(
             yield
             service.leave()
             service.isolation.close()
+            service.decoding.close()
             tasks.cancel_scope.cancel()
         keeper.close()
 

@@ -8,13 +8,14 @@ from typing import Annotated, Any
 
 from fastapi import Depends, Request
 
-from ..engine.commands import Command, EndStream, Publish, ReadAlready, Tick
+from ..engine.commands import ANYTIME, Command, EndStream, Publish, ReadAlready, Tick
 from ..engine.engine import Engine
 from ..streams.time import Clock
 from .access import Gate
+from .decoding import Decoding
 from .event_clients import ClientKey, address_of
 from .isolation.services import Isolation
-from .keeper import ANYTIME, Keeper
+from .keeper import Keeper
 from .live import LiveBodies
 from .metrics import Metrics
 from .settings import Settings
@@ -35,6 +36,7 @@ class Service:
     clock: Clock
     feeds: Feeds
     bodies: LiveBodies
+    decoding: Decoding
     metrics: Metrics
     isolation: Isolation
     started: int

@@ -4,7 +4,7 @@
     await service.keeper.kept()            # then it may be told: it survives
 
 Windows of continuous queries that take long are closed a little at a time, after the command that
-made them due and between those that come next (`pausing`).
+made them due and between those that come next (`catching_up`).
 
 Requests that wait together share one write and sync of the log. What came of commands that are not
 kept yet is shown to nobody: `Audience`. Without a data directory all of this costs nothing.
@@ -16,7 +16,7 @@ import asyncio
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from contextvars import Context
 from typing import Any, Protocol
 
@@ -24,42 +24,30 @@ import anyio
 import anyio.to_thread
 
 from ..engine.checkpoint import CheckpointError
-from ..engine.commands import Command, EndStream, Publish, ReadAlready, TellUnkept, Tick, done
+from ..engine.commands import Command, ReadAlready, TellUnkept, done
 from ..engine.engine import Engine
 from ..engine.recorded import DiskUse, RecordedEngine
 from ..engine.remembering import Unkept
 from ..engine.standing import Waiting
 from ..journal.errors import JournalError
+from .catching_up import CatchingUp
+from .checkpoint_times import CheckpointTimes
 from .failures import Failures
 from .journal_metrics import JournalTimes
 from .logs import log
-from .pausing import FIRST, FURTHER, Pausing
 from .settings import Settings
+from .snapshots import CAN, SnapshotError, Snapshots
 
 JOURNAL = "journal"
 CHECKPOINT = "checkpoint"
 ENGINE = "engine"
 SOURCES = "sources"
-_SHARE = 20
-"""A checkpoint for so many times the time that it takes: it holds up all else."""
-_AGAIN = 10.0
-"""Seconds after a checkpoint that failed until the next one is tried."""
 _WAITING = 4 << 20
 """So many bytes may wait to be kept."""
-_PASSES = 3
-"""So often others have their turn between two turns of windows: a request takes some."""
-_LOOK = 0.01
-"""Seconds between two looks whether a stream's readers have caught up."""
-_PATIENCE = 2.0
-"""Seconds that who publishes waits for them: so a replay goes as fast as its queries do."""
 _LATEST = 1.0
 """Seconds until what nobody waits for is kept."""
 _DISK = 1.0
 """Seconds in which a disk tells how full it is."""
-
-
-ANYTIME = (Publish, Tick, EndStream)
-"""What can be done while a window is half done: units put by what they hear."""
 
 
 class Audience(Protocol):
@@ -90,12 +78,7 @@ class Keeper:
     ) -> None:
         self._engine = engine
         self._recorded = recorded
-        turns = engine.behind.turns
-        self._pausing = turns if isinstance(turns, Pausing) else None
-        self._catching_up: asyncio.Task[None] | None = None
-        self._woken = asyncio.Event()
-        self._holding = 0
-        """So many wait until no window is half done."""
+        self._catching_up = CatchingUp(engine, self._go_on, self.hasten, self._fault)
         self._troubles = troubles
         self._failures = Failures()
         self._audience: Audience | None = None
@@ -103,17 +86,14 @@ class Keeper:
         self._hastening: set[asyncio.Task[None]] = set()
         self._thread = ThreadPoolExecutor(1, "dyknow-journal")
         self._looking = anyio.CapacityLimiter(1)
-        self._written = 0
-        """Bytes of the log at the last checkpoint."""
+        self._checkpoints = CheckpointTimes()
+        self._checkpointing: asyncio.Task[None] | None = None
+        self._snapshots = Snapshots()
+        self._aside = CAN
+        """Whether checkpoints are made by a copy of the process."""
+        self._putting = anyio.CapacityLimiter(1)
         self._kept_bytes = 0
-        """And at the last commit."""
-        self._worked = 0.0
-        """Seconds of work since the last checkpoint: about as long a start would take."""
-        self._cost = 0.0
-        """Seconds that the last checkpoint held up all else."""
-        self._begun: float | None = None
-        self._not_before = float("-inf")
-        """No checkpoint is tried before."""
+        """Bytes of the log at the last commit."""
         self._tended = float("-inf")
         self._unkept: set[Unkept] = set()
         """Processes of which was told that what they remember is not in checkpoints."""
@@ -145,20 +125,9 @@ class Keeper:
 
     def do(self, command: Command, known: ReadAlready | None = None) -> Any:
         """Do ``command``; see `RecordedEngine.do`. What it makes due is done in part."""
-        behind = self._engine.behind
-        if behind.is_within and not isinstance(command, ANYTIME):
-            # Whoever can wait has (`quiet`). What was closed before is written down before.
-            behind.finish()
-            self._go_on(0.0, begins=False)
+        self._catching_up.before(command)
         found = self._done(command, known)
-        if behind.has_new and not self._holding:
-            with suppress(JournalError):  # told, and tried again
-                self._go_on(FIRST, new=True)
-        if behind and self._catching_up is None:
-            self._catching_up = asyncio.get_running_loop().create_task(
-                self._catch_up(), context=Context()
-            )
-        self._woken.set()
+        self._catching_up.after_command()
         return found
 
     def _done(self, command: Command, known: ReadAlready | None) -> Any:
@@ -167,10 +136,8 @@ class Keeper:
         with self._recording():
             return self._recorded.do(command, known)
 
-    def _go_on(self, seconds: float, *, new: bool = False, begins: bool = True) -> None:
-        """Close windows for so long. Raises `JournalError`: none is closed then."""
-        assert self._pausing is not None
-        self._pausing.allow(seconds)
+    def _go_on(self, *, new: bool = False, begins: bool = True) -> None:
+        """See `catching_up.GoOn`."""
         if self._recorded is None:
             self._engine.go_on(new=new, begins=begins)
             return
@@ -188,63 +155,24 @@ class Keeper:
             self._fail(JOURNAL, error)
             raise
         finally:
-            self._worked += time.monotonic() - begun
+            self._checkpoints.worked += time.monotonic() - begun
             if self._recorded.failure is not None:
                 self._troubles[ENGINE] = self._recorded.failure
             self._note(SOURCES, self._recorded.unread)
 
-    async def _catch_up(self) -> None:
-        """Close windows, and let others do what they have to in between, until nobody is behind."""
-        assert self._pausing is not None
-        loop = asyncio.get_running_loop()
-
-        def wake() -> None:
-            with suppress(RuntimeError):  # the loop has come to its end
-                loop.call_soon_threadsafe(self._woken.set)
-
-        self._pausing.on_ready = wake
-        behind = self._engine.behind
-        try:
-            while behind:
-                for _ in range(_PASSES):
-                    await asyncio.sleep(0)
-                if behind.is_waiting:
-                    await self._woken.wait()
-                self._woken.clear()
-                if self._holding and not behind.is_within:
-                    continue
-                try:
-                    self._go_on(FURTHER, begins=not self._holding)
-                except JournalError:
-                    await asyncio.sleep(_LOOK)
-            self.hasten()
-        except Exception as error:  # noqa: BLE001  told by log and /readyz
-            self._troubles[ENGINE] = f"{type(error).__name__}: {error}"
-            log().exception("closing windows failed")
-        finally:
-            self._catching_up = None
+    def _fault(self, error: Exception) -> None:
+        """Closing windows does not work: nothing is as it should be."""
+        self._troubles[ENGINE] = f"{type(error).__name__}: {error}"
+        log().error("closing windows failed", exc_info=error)
 
     async def quiet(self) -> None:
         """Return when no window is half done: before what changes more than streams."""
-        self._holding += 1
-        try:
-            while self._engine.behind.is_within:
-                if JOURNAL in self._troubles:
-                    # No window is told of before there is room.
-                    self._engine.behind.finish()
-                    return
-                await asyncio.sleep(0.001)
-        finally:
-            self._holding -= 1
+        # No window is told of before there is room.
+        await self._catching_up.quiet(lambda: JOURNAL in self._troubles)
 
     async def caught_up(self, stream: str) -> None:
         """Return when nobody who reads ``stream`` is behind, or a moment has passed."""
-        if not self._engine.behind:
-            return
-        loop = asyncio.get_running_loop()
-        until = loop.time() + _PATIENCE
-        while self._engine.is_behind(stream) and loop.time() < until:
-            await asyncio.sleep(_LOOK)
+        await self._catching_up.caught_up(stream)
 
     def check_room(self, size: int) -> None:
         """Before so many bytes are looked at: they can be kept. Raises `JournalError`."""
@@ -348,8 +276,6 @@ class Keeper:
             return
         self._failures.review()
         now = asyncio.get_running_loop().time()
-        if self._begun is None:
-            self._begun = now
         audience = self._audience
         has_news = audience is not None and audience.has_news
         if not self.is_kept and (has_news or now - self._tended >= _LATEST):
@@ -358,15 +284,17 @@ class Keeper:
         if self.is_kept and audience is not None and audience.has_news:
             # What came after the last commit had begun, and is in it.
             audience.show(audience.mark())
-        written = recorded.log.written - self._written
-        is_due = (
-            (now - self._begun >= settings.checkpoint_interval and written > 0)
-            or written >= settings.checkpoint_bytes
-            or self._worked >= max(settings.checkpoint_work, _SHARE * self._cost)
-        )
-        if is_due and now >= self._not_before:
-            self._begun = now
-            await self._checkpoint(recorded)
+        if self._checkpointing is None and self._checkpoints.is_due(
+            now, recorded.log.written, settings
+        ):
+            self._checkpointing = asyncio.create_task(self._checkpoint(recorded), context=Context())
+            self._checkpointing.add_done_callback(self._has_checkpointed)
+
+    def _has_checkpointed(self, task: asyncio.Task[None]) -> None:
+        self._checkpointing = None
+        if not task.cancelled() and (error := task.exception()) is not None:
+            self._troubles[CHECKPOINT] = f"{type(error).__name__}: {error}"
+            log().error("a checkpoint failed", exc_info=error)
 
     async def _checkpoint(self, recorded: RecordedEngine) -> None:
         """One that fails is told in ``troubles``, and tried again when it is time again."""
@@ -374,21 +302,25 @@ class Keeper:
         begun = time.monotonic()
         try:
             with self.times.step("state"):
-                unwritten = recorded.checkpoint()
-            self._worked, self._cost = 0.0, time.monotonic() - begun
+                unwritten = recorded.checkpoint(self._snapshots.take if self._aside else None)
+            self._checkpoints.taken()
             await self.kept()
             with self.times.step("disk"):
-                await self._beside(unwritten.write)
+                unkept = await anyio.to_thread.run_sync(unwritten.put, limiter=self._putting)
+                await self._beside(unwritten.keep)
+            self._aside = CAN
         except (CheckpointError, JournalError, OSError) as error:
+            if isinstance(error, SnapshotError):
+                # The next one is made here, as long as that takes: better than none.
+                self._aside = False
             self.times.checkpoint_failures.inc()
-            # Each try costs as much as one that succeeds.
-            self._not_before = asyncio.get_running_loop().time() + _AGAIN
+            self._checkpoints.failed(asyncio.get_running_loop().time())
             # All is kept by the log alone, which grows, and a start takes longer.
             self._fail(CHECKPOINT, error)
             return
-        self._written = recorded.log.written
+        self._checkpoints.kept(recorded.log.written, time.monotonic() - begun)
         self._recover(CHECKPOINT)
-        for process in set(unwritten.unkept) - self._unkept:
+        for process in set(unkept) - self._unkept:
             await self.quiet()
             self.do(TellUnkept(process.process, process.reason))
             self._unkept.add(process)
@@ -415,11 +347,10 @@ class Keeper:
     def close(self) -> None:
         """Keep all there is, with a checkpoint, and let the directory go. What is behind stays so,
         and goes on at the next start."""
-        if self._catching_up is not None:
-            self._catching_up.cancel()
-        if self._pausing is not None:
-            self._engine.behind.finish()
-            self._pausing.close()
+        self._catching_up.close()
+        if self._checkpointing is not None:
+            self._checkpointing.cancel()
+        self._snapshots.end()
         self._thread.shutdown()
         if self._recorded is not None:
             try:

@@ -21,8 +21,9 @@ from starlette.types import Message
 
 from ..converters.arrow import ArrowMissing, bytes_of_table, joined, samples_of_table
 from ..converters.arrow_messages import ArrowMessages
+from ..converters.bad_lines import mixed_times
 from ..converters.errors import WireError
-from ..converters.ndjson import decode_ndjson, mixed_times
+from ..converters.ndjson import decode_ndjson
 from ..converters.wire import BOM, BatchLimits, Incoming
 from ..engine.commands import BatchKind, Publish
 from ..engine.engine import Engine
@@ -31,10 +32,13 @@ from ..streams.time import Clock
 from .access import CALLER, revoked
 from .body import HELD, Held
 from .event_clients import OPEN
+from .fibers import PASSES
 from .keeper import Keeper
 from .problems import Problem
 from .tokens import Caller, Scope, Tokens
 
+_PART = 1 << 16
+"""So many bytes are worked off together: some milliseconds of work."""
 _LINE = re.compile(rb"[^\n]*\n|[^\n]+")
 
 
@@ -289,7 +293,7 @@ class LiveBodies:
             message = await self._next(request, under_way, patience)
             if message["type"] == "http.disconnect":
                 raise ClientDisconnect
-            live.take(message.get("body", b""))
+            await self._take(live, message.get("body", b""))
             if not message.get("more_body", False):
                 live.end()
                 return
@@ -301,6 +305,14 @@ class LiveBodies:
             "the body was not read to its end",
             hint="send the samples that were not accepted when the service is back",
         )
+
+    async def _take(self, live: LiveSamples, data: bytes) -> None:
+        """Publish what has come; of much of it a part at a time, with others in between."""
+        live.take(data[:_PART])
+        for start in range(_PART, len(data), _PART):
+            for _ in range(PASSES):
+                await asyncio.sleep(0)
+            live.take(data[start : start + _PART])
 
     async def _next(self, request: Request, under_way: _UnderWay, patience: float) -> Message:
         try:

@@ -123,8 +123,19 @@ class Column:
         assert self.pool is not None
         present = self.present
         codes = np.zeros(len(self), np.int32)
-        used, place = np.unique(self.values[present], return_inverse=True)
-        known = pool.encode([self.pool[code] for code in used.tolist()])
+        values = self.values[present]
+        if self.pool.has_place(pool):
+            known, place = self.pool.codes_in(pool), values
+        elif len(self.pool) <= len(values):
+            # A batch's own texts: found without sorting.
+            is_used = np.zeros(len(self.pool), np.bool_)
+            is_used[values] = True
+            used, place = np.flatnonzero(is_used), values
+            known = np.zeros(len(self.pool), np.int32)
+            known[used] = pool.encode([self.pool[code] for code in used.tolist()])
+        else:
+            used, place = np.unique(values, return_inverse=True)
+            known = pool.encode([self.pool[code] for code in used.tolist()])
         codes[present] = known[place]
         return Column(self.type, codes, self.null, pool)
 

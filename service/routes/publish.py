@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Header, Request, Response
+from msgspec.structs import replace
 
 from ...engine.commands import Publish
 from ..context import Context
@@ -73,5 +74,7 @@ async def publish_samples(
     )
     # What is decoded stays with the stream's texts: not of what cannot be kept.
     service.keeper.check_room(len(body))
-    incoming = batch.decode(service.engine, service.settings.batch_limits)
+    incoming = await service.decoding.decode(batch)
+    # It may have taken its time, and commands are done in the order of theirs.
+    batch = replace(batch, now=service.clock())
     return AcceptedModel(accepted=await service.do(batch, incoming))

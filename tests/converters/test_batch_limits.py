@@ -79,6 +79,30 @@ def test_a_long_text_is_found_wherever_it_stands():
         assert "1001" in refused(decode_ndjson, body.rstrip(b"\n"), line=before + 1)
 
 
+def test_a_line_has_so_many_bytes():
+    """However it gets them: nothing in it is made."""
+    limits = BatchLimits(samples=100, text=1000, decoded=100_000, line=2000)
+    for filling in (b" " * 2000, b'"more": [' + b"{}," * 700 + b"0],", b'"t":"a",' * 300):
+        line = b'{"valid": 1, ' + filling + b'"t": "a", "u": "b"}'
+        with pytest.raises(WireError, match="a line has at most 2000 bytes, and this one") as told:
+            decode_ndjson(lines("b") + b"\n" + line + b"\n", SCHEMA_OF_TEXTS, {}, limits)
+        assert told.value.line == 3
+
+
+def test_an_open_stream_gets_so_many_fields():
+    limits = BatchLimits(samples=100, text=1000, decoded=100_000, fields=3)
+    for count in (3, 4):
+        names = [f"f{i}" for i in range(count)]
+        line = json.dumps({"valid": 1, "available": 1, **dict.fromkeys(names, 1)}).encode()
+        given = pa.table({"valid": [1], "available": [1], **{name: [1] for name in names}})
+        for decode, body in ((decode_ndjson, line), (decode_arrow, stream(given))):
+            if count == 3:
+                assert [*decode(body, Schema(()), {}, limits).batch.columns] == names
+                continue
+            with pytest.raises(WireError, match="at most 3 fields"):
+                decode(body, Schema(()), {}, limits)
+
+
 @pytest.mark.parametrize("body", [b"x" * 5000, b'{"valid": 1, "t": ' + b"[" * 5000, b"\xff" * 5000])
 def test_a_long_line_that_is_no_sample_is_told_as_ever(body):
     with pytest.raises(WireError) as told:

@@ -8,7 +8,7 @@ import pyarrow as pa
 import pytest
 
 from dyknow.converters import WireError
-from dyknow.converters.arrow import ArrowMissing, decode_arrow, encode_arrow
+from dyknow.converters.arrow import ArrowMissing, bytes_of_table, decode_arrow, encode_arrow
 from dyknow.converters.csv_table import encode_csv
 from dyknow.converters.ndjson import decode_ndjson, encode_ndjson, sample_json
 from dyknow.streams.sample import Field, FieldType, Schema, batch_from_rows
@@ -84,6 +84,10 @@ def bad(old, new):
         (GOOD + b"[1]\n", 2, "a sample is a JSON object, got [1]", ""),
         (GOOD + b"\xff\n", 2, "not JSON", ""),
         (GOOD.strip() + GOOD, 1, "not JSON", "one JSON object a line"),
+        (GOOD.replace(b", ", b",\n"), 1, "not JSON", "one JSON object a line"),
+        (GOOD.strip() + GOOD + GOOD.replace(b", ", b",\n", 1), 1, "not JSON", "a line"),
+        (bad(b'"n": 2', b'"n": 9223372036854775808') + b"{\n", 3, "outside 64 bits", ""),
+        (bad(b'"valid": 1', b'"n": 2, "valid": 1') + b"{\n", 3, "'n' is there twice", ""),
     ],
 )
 def test_a_bad_line_refuses_the_whole_batch(data, line, message, hint):
@@ -252,3 +256,45 @@ def test_what_only_looks_like_a_key_twice_is_taken(line):
 
 def test_a_byte_order_mark_is_no_part_of_the_samples():
     assert len(decode_ndjson(b"\xef\xbb\xbf" + GOOD, SCHEMA, {}).batch) == 1
+
+
+@pytest.mark.parametrize(
+    ("last", "told"),
+    [
+        (b'"x": [' + b"1," * 40_000 + b"1]", "a float, got [1,1,1,"),
+        (b'"x": ' + b'{"a": 1' + b', "b": 2' * 9_000 + b"}", 'a float, got {"a": 1, "b"'),
+        (b'"x": "' + b"y" * 70_000 + b'"', 'a float, got "yyyy'),
+        (b'"x": 1, "more": "' + b"y" * 70_000 + b'"', "'more' is not declared"),
+        (b'"x": [' + b"1," * 40_000 + b"]", "not JSON"),
+    ],
+)
+def test_of_a_long_line_is_told_how_it_begins(last, told):
+    schema = Schema((Field("x", FieldType.FLOAT),))
+    with pytest.raises(WireError) as caught:
+        decode_ndjson(b'{"valid": 1, "x": 1}\n{"valid": 1, ' + last + b"}", schema, {})
+    assert told in str(caught.value)
+    assert len(caught.value.message) < 100
+    assert caught.value.line == 2
+
+
+def test_the_fields_of_an_open_stream_are_those_before_a_bad_line():
+    body = b'{"valid": 1, "id": "a", "n": null}\n{"valid": 1, "id": "b", "n": [1]}\n'
+    with pytest.raises(WireError, match=r"'n' is a string, got \[1\]") as caught:
+        decode_ndjson(body, Schema(()), {})
+    assert caught.value.line == 2
+    with pytest.raises(WireError, match="not JSON") as caught:
+        decode_ndjson(b'{"valid": 1, "id": "a"}\n{"valid"', Schema(()), {})
+    assert caught.value.line == 2
+
+
+def test_columns_of_arrow_that_are_not_plain_times():
+    times = [f"1970-01-01T00:00:00.{i % 1000:03d}Z" for i in range(10_000)]
+    table = pa.table({"valid": times, "id": ["a"] * len(times)})
+    schema = Schema((Field("id", FieldType.STRING),))
+    found = decode_arrow(bytes_of_table(table), schema, {}).batch
+    assert found.valid.tolist() == [i % 1000 * 10**6 for i in range(10_000)]
+    times[9_000] = "yesterday"
+    table = pa.table({"valid": times, "id": ["a"] * len(times)})
+    with pytest.raises(WireError, match="'valid'") as caught:
+        decode_arrow(bytes_of_table(table), schema, {})
+    assert caught.value.line == 9_001

@@ -447,12 +447,12 @@ def test_what_a_unit_cannot_keep_is_told_and_prevents_no_checkpoint(tmp_path, co
     declare_numbers(first)
     number(first, 1, 2, 3)
     unwritten = first.checkpoint()
-    (unkept,) = unwritten.unkept
+    (unkept,) = unwritten.put()
     assert unkept.process == "Sum"
     assert f"{part} is a lock and cannot be pickled" in unkept.reason
     assert "__getstate__" in unkept.reason
     first.log.commit()
-    unwritten.write()
+    unwritten.keep()
     # It goes on as it was, and so does a start; but what comes of it has other ids.
     number(first, 4)
     assert [value["value"] for *_, value in rows(first.engine, "summed")] == [1, 3, 6, 10]
@@ -481,7 +481,7 @@ def test_a_source_that_holds_something_open_goes_on_under_the_same_ids(tmp_path)
     first = opened(tmp_path, processes=registry)
     first.do(AddKpl("source float sensor"))
     first.do(Tick(SECOND))
-    (unkept,) = first.checkpoint().unkept
+    (unkept,) = first.checkpoint().put()
     assert "self.lock" in unkept.reason
     first.close()
     again = opened(tmp_path, processes=registry)
@@ -507,7 +507,7 @@ def test_what_a_process_that_can_be_written_remembers_goes_on(tmp_path):
     first = opened(tmp_path, processes=registry)
     declare_numbers(first)
     number(first, 1, 2, 3)
-    assert first.checkpoint().unkept == ()
+    assert first.checkpoint().put() == ()
     first.close()
     again = opened(tmp_path, processes=registry)
     assert again.recovery.notes == []

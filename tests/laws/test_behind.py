@@ -12,12 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from stepping import Steps, caught_up
 
-from dyknow.engine.commands import EndStream, Publish, Tick, done
+from dyknow.engine.commands import ANYTIME, done
 from dyknow.engine.engine import Engine
 from dyknow.engine.recorded import RecordedEngine
 from dyknow.journal.log import Durability
 
-ANYTIME = (Publish, Tick, EndStream)
 """What an engine is told while units are behind; who asks for more waits for them (service)."""
 
 

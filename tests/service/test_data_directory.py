@@ -56,8 +56,9 @@ def original(tmp_path_factory):
         recorded.do(speed(n))
         recorded.log.commit()
         if n in (5, 12):
-            unwritten = recorded.checkpoint()
-            Checkpoints(path / "checkpoints").write(unwritten.checkpoint)
+            checkpoints, unwritten = Checkpoints(path / "checkpoints"), recorded.checkpoint()
+            unwritten.put()
+            checkpoints.keep(unwritten.position)
     recorded.close(checkpoint=False)
     return path
 

@@ -1,0 +1,47 @@
+"""When a checkpoint is due."""
+
+from __future__ import annotations
+
+from dyknow.service.checkpoint_times import CheckpointTimes
+from dyknow.service.settings import Settings
+
+SETTINGS = Settings(checkpoint_interval=300, checkpoint_bytes=1 << 20, checkpoint_work=4)
+
+
+def test_time_bytes_or_work_make_one_due() -> None:
+    times = CheckpointTimes()
+    assert not times.is_due(0, 100, SETTINGS)
+    assert not times.is_due(299, 100, SETTINGS)
+    assert times.is_due(300, 100, SETTINGS)
+    times.taken()
+    times.kept(100, 0.1)
+    assert not times.is_due(301, 100, SETTINGS)
+    assert not times.is_due(601, 100, SETTINGS), "nothing has come since"
+    assert times.is_due(602, 101, SETTINGS)
+    times.taken()
+    times.kept(101, 0.1)
+    assert times.is_due(603, 101 + (1 << 20), SETTINGS)
+    times.taken()
+    times.kept(101 + (1 << 20), 0.1)
+    times.worked = 4.0
+    assert times.is_due(604, 101 + (1 << 20), SETTINGS)
+    times.taken()
+    assert not times.is_due(605, 101 + (1 << 20), SETTINGS), "work counts from the last one"
+
+
+def test_one_that_takes_long_is_rarer() -> None:
+    times = CheckpointTimes()
+    times.kept(0, 1.0)
+    times.worked = 4.0
+    assert not times.is_due(1, 1, SETTINGS)
+    times.worked = 20.0
+    assert times.is_due(2, 1, SETTINGS)
+
+
+def test_one_that_failed_is_not_tried_at_once() -> None:
+    times = CheckpointTimes()
+    times.worked = 4.0
+    assert times.is_due(1, 1, SETTINGS)
+    times.failed(1)
+    assert not times.is_due(10.9, 1, SETTINGS)
+    assert times.is_due(11, 1, SETTINGS)

@@ -1,0 +1,119 @@
+"""What is done on a copy of the process: with the state as it was, and without holding it up."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+
+import pytest
+
+from dyknow.engine.commands import DeclareStream, Publish
+from dyknow.engine.recorded import RecordedEngine
+from dyknow.engine.views import StreamDeclaration
+from dyknow.journal.errors import JournalFull
+from dyknow.service.snapshots import SnapshotError, Snapshots
+from dyknow.streams.sample import Field, FieldType
+
+
+def is_running(process):
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def test_it_is_as_it_was_when_the_copy_was_taken():
+    numbers = [1, 2, 3]
+    found = Snapshots().take(lambda: sum(numbers))
+    numbers.append(4)
+    assert found() == 6
+
+
+def test_what_is_raised_there_is_raised_here():
+    def full():
+        raise JournalFull("no room", "make some")
+
+    with pytest.raises(JournalFull, match="no room") as caught:
+        Snapshots().take(full)()
+    assert caught.value.hint == "make some"
+
+
+def test_a_copy_that_dies_is_told():
+    with pytest.raises(SnapshotError, match=r"has died \(7\)"):
+        Snapshots().take(lambda: os._exit(7))()
+
+
+def test_a_copy_that_takes_for_ever_is_ended():
+    with pytest.raises(SnapshotError, match=r"more than 0\.2 s"):
+        Snapshots(patience=0.2).take(lambda: time.sleep(600))()
+
+
+def test_it_can_be_given_up():
+    snapshots = Snapshots()
+    found = snapshots.take(lambda: time.sleep(600))
+    snapshots.end()
+    with pytest.raises(SnapshotError, match="has died"):
+        found()
+    snapshots.end()
+
+
+def test_a_lock_of_another_thread_is_not_waited_for_for_ever():
+    lock = threading.Lock()
+    with lock, pytest.raises(SnapshotError):
+        Snapshots(patience=0.2).take(lock.acquire)()
+
+
+def test_files_and_connections_of_the_service_end_with_the_service():
+    reader, writer = os.pipe()
+    found = Snapshots().take(lambda: time.sleep(1))
+    os.close(writer)
+    assert os.read(reader, 1) == b"", "the copy would hold it open"
+    os.close(reader)
+    found()
+
+
+def test_it_ends_with_the_thread_that_asked():
+    """Which is the service's: a copy of one that was killed holds up no start."""
+    reader, writer = os.pipe()
+    child = os.fork()
+    if not child:
+        work = Snapshots()
+        work.take(lambda: time.sleep(600))
+        os.write(writer, str(work._child).encode())
+        os._exit(0)
+    copy = int(os.read(reader, 100))
+    os.waitpid(child, 0)
+    until = time.monotonic() + 30
+    while is_running(copy):
+        assert time.monotonic() < until
+        time.sleep(0.01)
+    os.close(reader)
+    os.close(writer)
+
+
+def test_a_checkpoint_by_a_copy_has_what_was_done_before_and_nothing_after(tmp_path):
+    recorded = RecordedEngine(tmp_path, now=0)
+    recorded.do(DeclareStream(StreamDeclaration("s", (Field("n", FieldType.INTEGER),))))
+
+    def say(number):
+        line = f'{{"valid": {number}, "available": {number}, "n": {number}}}\n'
+        recorded.do(Publish("s", "ndjson", line.encode(), number))
+        recorded.log.commit()
+
+    say(1)
+    epoch = recorded.engine.epoch
+    unwritten = recorded.checkpoint(Snapshots().take)
+    say(2)
+    assert unwritten.write() == ()
+    say(3)
+    recorded.close(checkpoint=False)
+
+    again = RecordedEngine(tmp_path, now=0)
+    assert again.recovery.position == unwritten.position
+    assert again.recovery.replayed == 2
+    assert again.engine.epoch == epoch
+    samples = again.engine.generator("s").stream.all()
+    assert samples.columns["n"].values.tolist() == [1, 2, 3]
+    again.close()
