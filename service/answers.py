@@ -28,6 +28,8 @@ STREAMED = 1024 * 1024
 one before is taken (service/history)."""
 EACH = 0.75
 """The part of all places, and of all bytes, that one client may have: nobody alone takes all."""
+WATCHED = "/metrics"
+"""Who watches the service sees also that others take all places: only its own are counted."""
 RETRY = 5
 """Seconds after which a client that found no place should ask again."""
 
@@ -62,14 +64,14 @@ class LongAnswers:
         self._total = total
         self._of_key: dict[str, Taken] = {}
 
-    def begin(self, key: str, size: int) -> None:
+    def begin(self, key: str, size: int, *, always: bool = False) -> None:
         """One of ``size`` bytes for who is counted as ``key``. Raises `Problem`: 429 where the
-        client has all that it may have, 503 where nobody gets a further one."""
+        client has all that it may have, 503 where nobody gets a further one, unless ``always``."""
         own = self._of_key.get(key, Taken())
         if own.is_full(max(1, EACH * self._most), EACH * self._total, size):
             self.refused["each"] += 1
             raise _no_place(429, "you do not take the long answers that you have asked for")
-        if self.all.is_full(self._most, self._total, size):
+        if not always and self.all.is_full(self._most, self._total, size):
             self.refused["total"] += 1
             raise _no_place(503, "all places for long answers are taken")
         own.add(1, size)
@@ -109,7 +111,7 @@ class Answers:
                 if is_long and (scope["method"] == "GET" or scope["path"] == "/sparql"):
                     key = self._key(Request(scope))
                     try:
-                        self._long.begin(key, size)
+                        self._long.begin(key, size, always=scope["path"] == WATCHED)
                     except Problem as problem:
                         raise _Refused(problem) from None
                     counted = key, size

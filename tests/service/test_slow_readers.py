@@ -147,6 +147,8 @@ def test_an_answer_without_a_place_is_refused_and_others_are_answered(
     app.state.service.client_key = lambda request: request.headers.get("last-event-id", "")
     with running(app, narrow) as url, Client(url, timeout=LONG) as client:
         fill(client)
+        for i in range(200):  # so that /metrics are long, too
+            client.put_stream(f"other{i}", {"v": "float"})
         with httpx.Client(base_url=url, trust_env=False, timeout=LONG) as http:
             with connect(url, HISTORY, "a", receive=2048), connect(url, SPARQL, "a", receive=2048):
                 until(lambda: metric(http, "dyknow_long_answers") == 2)
@@ -155,6 +157,7 @@ def test_an_answer_without_a_place_is_refused_and_others_are_answered(
                     assert (refused.status_code, refused.headers["retry-after"]) == (status, "5")
                     assert refused.json()["title"] == "too many long answers"
                     assert refused.json()["hint"]
+                assert len(http.get("/metrics").content) > PIECE_BYTES
                 assert http.head(HISTORY).status_code == 200
                 assert http.get("/streams/s").status_code == 200
                 assert http.get("/streams/s/samples?limit=3").text.count("\n") == 3
@@ -180,6 +183,11 @@ def test_places_are_counted_by_client_in_answers_and_in_bytes() -> None:
     assert [status("a", 50), status("a", 25), status("a", 1)] == [200, 200, 429]
     assert [status("b", 20), status("b", 6), status("b", 5)] == [200, 503, 200]
     assert status("c", 0) == 503
+    long.begin("c", 70, always=True)
+    with pytest.raises(Problem) as refused:
+        long.begin("c", 10, always=True)
+    assert refused.value.status_code == 429
+    long.end("c", 70)
     assert EACH * 4 == 3
     long.end("a", 50)
     long.end("a", 25)
