@@ -134,7 +134,7 @@ class Settings(BaseSettings):
 
     @property
     def batch_limits(self) -> BatchLimits:
-        """What a batch may have; of Arrow eight times a body once it is decompressed. A line has room
-        for some of the longest texts."""
+        """What a batch may have; of Arrow eight times a body once it is decompressed. A line has
+        room for some of the longest texts."""
         line = max(MEBIBYTE, 16 * self.text_limit)
         return BatchLimits(self.batch_samples, self.text_limit, 8 * self.body_limit, line)
