@@ -13,8 +13,9 @@ from pyoxigraph import NamedNode, Quad
 from simulated_disk import SimulatedDisk
 
 import dyknow.engine.checkpoint as checkpoint_module
-import dyknow.engine.recovering as recovering
+import dyknow.engine.recorded as recorded_module
 from dyknow.continuous.asking import Kept
+from dyknow.engine import recovering
 from dyknow.engine.checkpoint import CheckpointError, Outside, program
 from dyknow.engine.commands import (
     AddKpl,
@@ -168,7 +169,7 @@ def test_another_program_goes_on_from_what_it_understands(tmp_path, monkeypatch,
     kept = rows(first.engine, "s")
     assert before.counters.pending
     first.close()
-    monkeypatch.setattr(recovering, "program", lambda *_: "a later version")
+    monkeypatch.setattr(recorded_module, "program", lambda *_: "a later version")
     later = opened(tmp_path)
     assert not later.recovery.is_continued
     assert "numbers" in " ".join(later.recovery.notes)
@@ -700,7 +701,7 @@ def test_whatever_another_version_refuses_can_be_taken_back(
         raise Conflict("this version takes none of it")
 
     with monkeypatch.context() as patched:
-        patched.setattr(recovering, "program", lambda *_: "a version that refuses")
+        patched.setattr(recorded_module, "program", lambda *_: "a version that refuses")
         for name in ("register_template", "declare", "annotate"):
             patched.setattr(Engine, name, refuse)
         patched.setattr(RegisteredQueries, "start", refuse)
@@ -736,7 +737,7 @@ def test_each_user_of_a_query_that_waits_is_one(tmp_path, monkeypatch):
         raise Conflict("this version has no windows")
 
     with monkeypatch.context() as patched:
-        patched.setattr(recovering, "program", lambda *_: "a version that refuses")
+        patched.setattr(recorded_module, "program", lambda *_: "a version that refuses")
         patched.setattr(RegisteredQueries, "start", refuse)
         refusing = opened(tmp_path)
         told = [value["specification"] or "" for *_, value in rows(refusing.engine, "status")]
@@ -776,14 +777,14 @@ def test_queries_without_a_name_keep_what_they_were_called(tmp_path, monkeypatch
         """This version makes more units for the same."""
         return [reserved_name(self) for _ in range(3)][-1]
 
-    monkeypatch.setattr(recovering, "program", lambda *_: "another version")
+    monkeypatch.setattr(recorded_module, "program", lambda *_: "another version")
     monkeypatch.setattr(Configuration, "reserved_name", wasteful)
     taking = opened(tmp_path)
     assert named(taking) == {kept: UNNAMED, other: UNNAMED.replace("5s", "3s")}
     assert taking.waiting() == ()
     cut_off(taking)
     with monkeypatch.context() as patched:
-        patched.setattr(recovering, "program", lambda *_: "a version that refuses")
+        patched.setattr(recorded_module, "program", lambda *_: "a version that refuses")
         patched.setattr(RegisteredQueries, "start", refuse)
         for _ in range(2):
             refusing = opened(tmp_path)
@@ -812,7 +813,7 @@ def test_what_was_said_anew_counts_and_not_what_waited(tmp_path, monkeypatch, hi
         raise Conflict("this version takes none of it")
 
     with monkeypatch.context() as patched:
-        patched.setattr(recovering, "program", lambda *_: "a version that refuses")
+        patched.setattr(recorded_module, "program", lambda *_: "a version that refuses")
         with patched.context() as once:
             once.setattr(Engine, "register_template", refuse)
             refusing = opened(tmp_path)
@@ -862,7 +863,7 @@ def test_a_new_life_begins_once_and_not_at_each_start(tmp_path, monkeypatch):
     declare(first, "s")
     say(first, 1, 2, 9)
     cut_off(first)
-    monkeypatch.setattr(recovering, "program", lambda *_: "a later version")
+    monkeypatch.setattr(recorded_module, "program", lambda *_: "a later version")
     later = opened(tmp_path)
     assert not later.recovery.is_continued
     say(later, 10, 20)
@@ -885,7 +886,7 @@ def test_what_another_program_did_after_a_checkpoint_of_this_one_begins_anew(tmp
     declare(first, "s")
     first.checkpoint().write()
     cut_off(first)
-    monkeypatch.setattr(recovering, "program", lambda *_: "a later version")
+    monkeypatch.setattr(recorded_module, "program", lambda *_: "a later version")
     monkeypatch.setattr(RecordedEngine, "_settle_down", lambda self: None)
     later = opened(tmp_path)
     say(later, 1, 9)
@@ -935,7 +936,7 @@ def test_a_stream_whose_fields_are_others_now_says_what_is_not_taken_over(tmp_pa
     say(first, 1, 2, 3, 9)
     before = first.engine.stream("s")
     first.close()
-    monkeypatch.setattr(recovering, "program", lambda *_: "a later version")
+    monkeypatch.setattr(recorded_module, "program", lambda *_: "a later version")
     usual = Ontology.of_quads
 
     def changed(quads):
