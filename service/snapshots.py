@@ -20,6 +20,8 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
 from typing import Any, Final, NoReturn, TypeVar
 
 from ..engine.checkpoint import CheckpointError
@@ -32,6 +34,8 @@ _PATIENCE: Final = 300.0
 """Seconds that a copy may take."""
 _NICE: Final = 5
 """It gives way to the service."""
+_DISPENSABLE: Final = "1000"
+"""Where memory is short it is the first that the kernel ends, and not the service."""
 _DIES_WITH_PARENT: Final = 1
 """PR_SET_PDEATHSIG of Linux' prctl(2)."""
 
@@ -55,14 +59,17 @@ class Snapshots:
 
         Raises `SnapshotError` where there can be no copy, and so does what waits.
         """
-        reader, writer = os.pipe()
         parent = os.getpid()
+        try:
+            reader, writer = os.pipe()
+        except OSError as error:
+            raise _no_room(error) from error
         try:
             child = os.fork()
         except OSError as error:
             os.close(reader)
             os.close(writer)
-            raise SnapshotError(f"there is no room for a copy of the process: {error}") from error
+            raise _no_room(error) from error
         if not child:
             self._be_copy(work, writer, parent)
         os.close(writer)
@@ -74,7 +81,7 @@ class Snapshots:
         """End the copy that is at work: nobody waits for it any more, or soon nobody will."""
         with self._lock:
             if self._child:
-                os.kill(self._child, signal.SIGKILL)
+                _kill(self._child)
 
     def _be_copy(self, work: Callable[[], Any], writer: int, parent: int) -> NoReturn:
         """In the copy: nothing that is the service's is touched, and nothing outlives it."""
@@ -92,6 +99,8 @@ class Snapshots:
                 signal.signal(each, signal.SIG_IGN)
             gc.disable()
             os.nice(_NICE)
+            with suppress(OSError):  # no /proc: then nobody knows which of the two it will be
+                Path("/proc/self/oom_score_adj").write_text(_DISPENSABLE)
             with os.fdopen(writer, "wb") as target:
                 try:
                     answer = True, work()
@@ -104,34 +113,57 @@ class Snapshots:
             os._exit(status)
 
     def _found(self, reader: int, child: int) -> Any:
-        data = self._read(reader)
-        os.close(reader)
-        with self._lock:
-            if data is None:
-                os.kill(child, signal.SIGKILL)
-            # Else it is about to end, or has: nothing is said any more.
-            _, status = os.waitpid(child, 0)
-            self._child = 0
+        data = None
+        try:
+            data = self._read(reader)
+        finally:
+            os.close(reader)
+            # One that has said all is about to end, or has.
+            status = self._ended(child, kill=data is None)
         if data is None:
             raise SnapshotError(f"a copy of the process took more than {self._patience:g} s")
         try:
             is_done, found = pickle.loads(data)
-        except (EOFError, pickle.UnpicklingError) as error:
-            died = os.waitstatus_to_exitcode(status)
-            raise SnapshotError(f"a copy of the process has died ({died})") from error
+        except Exception as error:  # it has not come to its end, or raised what cannot be read
+            told = "" if not data else f": {type(error).__name__}: {error}"
+            raise SnapshotError(f"a copy of the process has died ({status}){told}") from error
         if not is_done:
             raise found
         return found
 
+    def _ended(self, child: int, *, kill: bool) -> int:
+        """Wait until ``child`` is gone; its exit code."""
+        with self._lock:
+            if kill:
+                _kill(child)
+            try:
+                _, status = os.waitpid(child, 0)
+            except ChildProcessError:  # who started the service has it ignore the ends of children
+                status = 0
+            self._child = 0
+        return os.waitstatus_to_exitcode(status)
+
     def _read(self, reader: int) -> bytes | None:
         """What it says until its end; None: it has not come to an end."""
+        # Not `select`, which takes no descriptor from 1024 on: each connection has one.
+        ready = select.poll()
+        ready.register(reader, select.POLLIN)
         until = time.monotonic() + self._patience
         parts: list[bytes] = []
         while True:
             left = until - time.monotonic()
-            if left <= 0 or not select.select([reader], [], [], left)[0]:
+            if left <= 0 or not ready.poll(left * 1000):
                 return None
             part = os.read(reader, 1 << 16)
             if not part:
                 return b"".join(parts)
             parts.append(part)
+
+
+def _kill(child: int) -> None:
+    with suppress(ProcessLookupError):  # it has just ended, and is not waited for
+        os.kill(child, signal.SIGKILL)
+
+
+def _no_room(error: OSError) -> SnapshotError:
+    return SnapshotError(f"there is no room for a copy of the process: {error}")

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
+import resource
+import signal
 import threading
 import time
+from pathlib import Path
 
 import pytest
 
@@ -14,6 +18,13 @@ from dyknow.engine.views import StreamDeclaration
 from dyknow.journal.errors import JournalFull
 from dyknow.service.snapshots import SnapshotError, Snapshots
 from dyknow.streams.sample import Field, FieldType
+
+
+class Odd(Exception):
+    """Its arguments are not those that it was made with, as those of many are not."""
+
+    def __init__(self, one, two):
+        super().__init__(f"{one} and {two}")
 
 
 def is_running(process):
@@ -57,6 +68,51 @@ def test_it_can_be_given_up():
     with pytest.raises(SnapshotError, match="has died"):
         found()
     snapshots.end()
+
+
+def test_a_service_with_thousands_of_connections_has_copies_too(monkeypatch):
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    pipe = os.pipe
+
+    def high():
+        found = []
+        for low in pipe():
+            found.append(fcntl.fcntl(low, fcntl.F_DUPFD_CLOEXEC, 1500))
+            os.close(low)
+        return tuple(found)
+
+    resource.setrlimit(resource.RLIMIT_NOFILE, (2000, hard))
+    try:
+        monkeypatch.setattr(os, "pipe", high)
+        assert Snapshots().take(lambda: 7)() == 7
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+
+
+def test_where_memory_is_short_the_copy_goes_before_the_service():
+    score = Path("/proc/self/oom_score_adj")
+    before = score.read_text()
+    assert Snapshots().take(score.read_text)().strip() == "1000"
+    assert score.read_text() == before
+
+
+def test_an_error_that_cannot_be_read_is_told():
+    def fails():
+        raise Odd("this", "that")
+
+    with pytest.raises(SnapshotError, match="missing 1 required"):
+        Snapshots().take(fails)()
+
+
+def test_who_lets_the_system_wait_for_children_has_copies_too():
+    """As a service inherits it from some that start it."""
+    before = signal.signal(signal.SIGCHLD, signal.SIG_IGN)
+    try:
+        snapshots = Snapshots()
+        assert snapshots.take(lambda: 7)() == 7
+        assert snapshots._child == 0
+    finally:
+        signal.signal(signal.SIGCHLD, before)
 
 
 def test_a_lock_of_another_thread_is_not_waited_for_for_ever():
