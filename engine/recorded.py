@@ -373,6 +373,11 @@ class Unwritten:
         self._checkpoints.keep(self.position)
         self._log.drop(min(self._checkpoints.positions()))
 
+    def drop(self) -> None:
+        """It is not to be kept: leave nothing of it. Who has made it may have been killed. Raises
+        ``OSError``."""
+        self._checkpoints.drop(self.position)
+
     def write(self) -> tuple[Unkept, ...]:
         """`put` and `keep`; gives what `put` gives."""
         unkept = self.put()

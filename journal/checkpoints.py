@@ -98,12 +98,21 @@ class Checkpoints:
 
     def put(self, checkpoint: Checkpoint) -> None:
         """Put ``checkpoint`` on the disk, where nobody looks for it before `keep`. May be called in
-        another process. Raises `JournalFull` and `JournalBroken`; nothing is lost then."""
+        another process, one at a time. Raises `JournalFull` and `JournalBroken`; nothing is lost
+        then."""
         part = self._part(checkpoint.position)
         with self._told(part):
-            if part.exists():
-                self._disk.remove(part)
+            # Also those of others that came to nothing: each has as many bytes.
+            for left in self._folder.glob("*.part"):
+                self._disk.remove(left)
             self._write_part(part, checkpoint)
+
+    def drop(self, position: int) -> None:
+        """Remove what `put` has put there, as far as it came: it is not to be kept. Raises
+        ``OSError``."""
+        part = self._part(position)
+        if part.exists():
+            self._disk.remove(part)
 
     def keep(self, position: int) -> None:
         """Keep what `put` has put there, and of the others the newest. Raises as it does."""

@@ -20,6 +20,11 @@ class CheckpointTimes:
         self.worked = 0.0
         """Seconds of work since the last checkpoint: about as long a start would take."""
         self._written = 0
+        """Bytes of the log that the last one has."""
+        self._taken = 0
+        """And those of one that is on its way."""
+        self._spared = 0.0
+        """Seconds of work that it spares a start."""
         self._cost = 0.0
         """Seconds that the last one took."""
         self._begun: float | None = None
@@ -40,14 +45,18 @@ class CheckpointTimes:
             return True
         return False
 
-    def taken(self) -> None:
-        """What there is was taken, and will be written: work counts from here."""
-        self.worked = 0.0
+    def taken(self, written: int) -> None:
+        """What there is was taken, of a log that has ``written`` bytes, and will be kept: work
+        counts from here."""
+        self._taken = written
+        self.worked, self._spared = 0.0, self.worked
 
-    def kept(self, written: int, cost: float) -> None:
-        """It is written, of a log that has ``written`` bytes, and took ``cost`` s."""
-        self._written, self._cost = written, cost
+    def kept(self, cost: float) -> None:
+        """It is kept, and took ``cost`` s. What came meanwhile is not in it."""
+        self._written, self._spared, self._cost = self._taken, 0.0, cost
 
     def failed(self, now: float) -> None:
-        """It could not be written."""
+        """It could not be made, or not be kept: a start has all of the work to do."""
+        self.worked += self._spared
+        self._spared = 0.0
         self._not_before = now + _AGAIN

@@ -26,7 +26,7 @@ import anyio.to_thread
 from ..engine.checkpoint import CheckpointError
 from ..engine.commands import Command, ReadAlready, TellUnkept, done
 from ..engine.engine import Engine
-from ..engine.recorded import DiskUse, RecordedEngine
+from ..engine.recorded import DiskUse, RecordedEngine, Unwritten
 from ..engine.remembering import Unkept
 from ..engine.standing import Waiting
 from ..journal.errors import JournalError
@@ -91,7 +91,7 @@ class Keeper:
         self._snapshots = Snapshots()
         self._aside = CAN
         """Whether checkpoints are made by a copy of the process."""
-        self._putting = anyio.CapacityLimiter(1)
+        self._putting = ThreadPoolExecutor(1, "dyknow-checkpoints")
         self._kept_bytes = 0
         """Bytes of the log at the last commit."""
         self._tended = float("-inf")
@@ -293,6 +293,7 @@ class Keeper:
     def _has_checkpointed(self, task: asyncio.Task[None]) -> None:
         self._checkpointing = None
         if not task.cancelled() and (error := task.exception()) is not None:
+            self._checkpoints.failed(asyncio.get_running_loop().time())
             self._troubles[CHECKPOINT] = f"{type(error).__name__}: {error}"
             log().error("a checkpoint failed", exc_info=error)
 
@@ -303,11 +304,9 @@ class Keeper:
         try:
             with self.times.step("state"):
                 unwritten = recorded.checkpoint(self._snapshots.take if self._aside else None)
-            self._checkpoints.taken()
-            await self.kept()
+            self._checkpoints.taken(recorded.log.written)
             with self.times.step("disk"):
-                unkept = await anyio.to_thread.run_sync(unwritten.put, limiter=self._putting)
-                await self._beside(unwritten.keep)
+                unkept = await self._put(unwritten)
             self._aside = CAN
         except (CheckpointError, JournalError, OSError) as error:
             if isinstance(error, SnapshotError):
@@ -318,7 +317,7 @@ class Keeper:
             # All is kept by the log alone, which grows, and a start takes longer.
             self._fail(CHECKPOINT, error)
             return
-        self._checkpoints.kept(recorded.log.written, time.monotonic() - begun)
+        self._checkpoints.kept(time.monotonic() - begun)
         self._recover(CHECKPOINT)
         for process in set(unkept) - self._unkept:
             await self.quiet()
@@ -327,6 +326,18 @@ class Keeper:
             log().warning(
                 "the state of a process would not survive a restart", process=str(process)
             )
+
+    async def _put(self, unwritten: Unwritten) -> tuple[Unkept, ...]:
+        """Put a checkpoint on the disk and keep it, or leave nothing of it."""
+        loop = asyncio.get_running_loop()
+        try:
+            unkept = await loop.run_in_executor(self._putting, unwritten.put)
+            await self.kept()
+            await self._beside(unwritten.keep)
+        except (CheckpointError, JournalError, OSError):
+            await loop.run_in_executor(self._putting, unwritten.drop)
+            raise
+        return unkept
 
     async def disk_use(self) -> DiskUse | None:
         """What the data directory takes of the disk; None without one. Raises ``OSError``, and
@@ -351,6 +362,8 @@ class Keeper:
         if self._checkpointing is not None:
             self._checkpointing.cancel()
         self._snapshots.end()
+        # Nobody else writes into the directory when the last checkpoint is written.
+        self._putting.shutdown()
         self._thread.shutdown()
         if self._recorded is not None:
             try:

@@ -49,6 +49,16 @@ def test_what_a_crash_left_is_removed(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+def test_what_others_left_that_came_to_nothing_makes_room(tmp_path):
+    found = Checkpoints(tmp_path)
+    found.put(kept(5))
+    found.put(kept(9))
+    assert [path.name for path in tmp_path.iterdir()] == [f"{9:020d}.part"]
+    found.drop(9)
+    found.drop(9)
+    assert not list(tmp_path.iterdir())
+
+
 def test_one_under_the_name_of_another_is_told(tmp_path):
     found = Checkpoints(tmp_path)
     (tmp_path / "00000000000000000006.checkpoint").write_bytes(b"".join(parts_of(kept(5))))
