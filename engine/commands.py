@@ -18,6 +18,7 @@ import msgspec
 
 from ..continuous.options import Bounds, Report, Semantics
 from ..converters.arrow import decode_arrow
+from ..converters.arrow_sizes import declares_more
 from ..converters.errors import ConversionError
 from ..converters.ndjson import decode_ndjson
 from ..converters.wire import BatchLimits, Incoming
@@ -87,6 +88,12 @@ class Publish(Command, frozen=True, tag="publish"):
 
     def apply(self, engine: Engine) -> int:
         return self.apply_decoded(engine, self.decode(engine))
+
+    def is_large(self, most: int) -> bool:
+        """Whether it is more than so many bytes, once it is decompressed."""
+        if len(self.body) > most:
+            return True
+        return self.kind == "arrow" and declares_more(self.body, most)
 
     def decode(self, engine: Engine, limits: BatchLimits | None = None) -> Incoming:
         """The batch, by the fields that the stream has now. Raises `WireError`, also for more than

@@ -32,7 +32,8 @@ _PATIENCE: Final = 0.001
 class Decoding:
     """Decodes batches for streams of ``engine``.
 
-    ``turn``: seconds at a time. ``at_once``: bytes of a body that is decoded without turns.
+    ``turn``: seconds at a time. ``at_once``: bytes of a body, once it is decompressed, that is
+    decoded without turns.
 
     Law (tests/laws): what is decoded in turns is what is decoded at once, errors included, whatever
     others do in between, by the fields that the stream has at the end.
@@ -61,7 +62,7 @@ class Decoding:
 
         Raises `WireError`, and what `Engine.accepting` does.
         """
-        if len(batch.body) <= self._at_once:
+        if not batch.is_large(self._at_once):
             return batch.decode(self._engine, self._limits)
         async with self._places:
             while (incoming := await self._in_turns(batch)) is None:

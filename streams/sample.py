@@ -121,9 +121,8 @@ class Column:
         if self.pool is pool:
             return self
         assert self.pool is not None
-        present = self.present
-        codes = np.zeros(len(self), np.int32)
-        values = self.values[present]
+        present = None if self.null is None else self.present
+        values = self.values if present is None else self.values[present]
         if self.pool.has_place(pool):
             known, place = self.pool.codes_in(pool), values
         elif len(self.pool) <= len(values):
@@ -136,7 +135,10 @@ class Column:
         else:
             used, place = np.unique(values, return_inverse=True)
             known = pool.encode([self.pool[code] for code in used.tolist()])
-        codes[present] = known[place]
+        if present is None:
+            return Column(self.type, known.take(place), None, pool)
+        codes = np.zeros(len(self), np.int32)
+        codes[present] = known.take(place)
         return Column(self.type, codes, self.null, pool)
 
     def at(self, row: int) -> Value:

@@ -9,6 +9,7 @@ from itertools import pairwise
 from typing import Any
 
 import httpx
+import pyarrow as pa
 import pytest
 from starlette.requests import Request
 
@@ -117,6 +118,43 @@ def test_a_small_batch_takes_no_turn(engine: Engine, decoding: Decoding) -> None
     assert threading.active_count() == before
     # Its texts are the stream's already.
     assert found.batch.columns["id"].pool is engine.generator("s").stream.pools["id"]
+
+
+def test_a_small_body_that_stands_for_a_large_batch_takes_turns(
+    engine: Engine, decoding: Decoding
+) -> None:
+    """Some kilobytes of compressed Arrow held up all others for more than a second."""
+    count = 4 * AT_ONCE
+    ids = pa.DictionaryArray.from_arrays(pa.array([0] * count, pa.int8()), pa.array(["a"]))
+    numbers = pa.array([0] * count, pa.int8())
+    table = pa.table({"valid": pa.array([0] * count, pa.int64()), "id": ids, "n": numbers})
+    sink = pa.BufferOutputStream()
+    with pa.ipc.new_stream(
+        sink, table.schema, options=pa.ipc.IpcWriteOptions(compression="zstd")
+    ) as writer:
+        writer.write_table(table)
+    data = sink.getvalue().to_pybytes()
+    assert len(data) < AT_ONCE / 4
+    found = run(lambda: decoding.decode(Publish("s", "arrow", data, START)))
+    assert decoding.turns >= 4
+    at_once = Publish("s", "arrow", data, START).decode(engine, LIMITS)
+    assert found.batch.columns["id"].tolist() == at_once.batch.columns["id"].tolist()
+
+
+def test_a_small_arrow_batch_and_what_is_none_take_no_turn(
+    engine: Engine, decoding: Decoding
+) -> None:
+    table = pa.table({"valid": pa.array([1, 2]), "id": ["a", "b"], "n": [1, 2]})
+    sink = pa.BufferOutputStream()
+    with pa.ipc.new_stream(sink, table.schema) as writer:
+        writer.write_table(table)
+    data = sink.getvalue().to_pybytes()
+    found = run(lambda: decoding.decode(Publish("s", "arrow", data, START)))
+    assert len(found.batch) == 2
+    for broken in (b"ARROW1", data[:-100]):
+        with pytest.raises(WireError):
+            run(lambda broken=broken: decoding.decode(Publish("s", "arrow", broken, START)))
+    assert decoding.turns == 0
 
 
 def test_it_is_what_is_decoded_at_once(engine: Engine, decoding: Decoding) -> None:
