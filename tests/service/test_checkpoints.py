@@ -19,6 +19,7 @@ from dyknow.journal.checkpoints import Checkpoints
 from dyknow.journal.errors import JournalFull
 from dyknow.journal.log import Log
 from dyknow.service.keeper import CHECKPOINT, Keeper
+from dyknow.service.settings import Settings
 from dyknow.streams.sample import Field, FieldType
 
 
@@ -92,6 +93,32 @@ def test_a_copy_that_is_killed_leaves_no_file(
         assert Checkpoints._write_part is write
         await keeper._checkpoint(recorded)
         assert troubles == {}
+        keeper.close()
+
+    run(work)
+
+
+def test_one_that_fails_as_nobody_expects_is_not_tried_with_every_tick(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recorded = RecordedEngine(tmp_path, now=0)
+    troubles: dict[str, str] = {}
+    keeper = Keeper(recorded.engine, recorded, troubles)
+    often = Settings(checkpoint_bytes=1)
+
+    def odd(recorded: RecordedEngine) -> None:
+        raise TypeError("something is odd")
+
+    async def work() -> None:
+        declare(keeper, "s")
+        with monkeypatch.context() as patched:
+            patched.setattr(RecordedEngine, "_found", odd)
+            await keeper.tend(often)
+            while keeper._checkpointing is not None:
+                await asyncio.sleep(0.001)
+        assert troubles[CHECKPOINT] == "TypeError: something is odd"
+        await keeper.tend(often)
+        assert keeper._checkpointing is None
         keeper.close()
 
     run(work)
