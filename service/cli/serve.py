@@ -105,6 +105,7 @@ def serve(
     except BaseException:
         listener.close()
         windows.close()
+        warming.end()
         raise
     app = create_app(engine, settings, time.time_ns, known, windows)
     url = url_of(listener)
@@ -130,6 +131,7 @@ def serve(
         watchdog.close()
         for isolated in (windows, service.isolation):
             isolated.close()
+        warming.end()
     log().info("stopped", by_force=by_force)
     if by_force:
         raise typer.Exit(1)
