@@ -25,6 +25,7 @@ TABLES = (
     "latency.py",
     "sse.py",
     "turns.py",
+    "bombs.py",
     "journal.py",
     "ingest.py",
     "accuracy.py",
