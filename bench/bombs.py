@@ -235,7 +235,9 @@ def main(arguments: Sequence[str]) -> int:
         others(address) as somebody,
     ):
         turns.declare(client, "s5")
-        time.sleep(6)  # what is compiled beside the start
+        while client.get("/readyz").status_code != 200:  # what is compiled beside the start
+            time.sleep(0.1)
+        time.sleep(1)
         print(f"{'':35} {'answers':24} {'slowest':>8} {'p50':>7} {'p99':>7} {'longest':>7} ms")
         start = time.monotonic()
         time.sleep(3 if quick else 6)

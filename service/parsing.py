@@ -14,11 +14,12 @@ from typing import Final
 import anyio
 import anyio.to_thread
 
-from ..languages.csparql import algebra, parse_template
+from ..languages.csparql import algebra, parse_query, parse_template
 from ..languages.kpl import parse_kpl
 from ..languages.kpl.ast import Specification
 from ..languages.ssl import parse_ssl
 from ..languages.ssl.ast import Declaration
+from ..templates.patterns import patterns
 from .problems import Problem
 
 LONGEST: Final = 128 * 1024
@@ -84,6 +85,11 @@ async def parse_aside(parse: Callable[[str], object], text: str) -> None:
 def parse_registration(text: str) -> None:
     """Parse a template, and what registering it reads of it: for `parse_aside`."""
     algebra(parse_template(text).query)
+
+
+def parse_continuous(text: str) -> None:
+    """The same of a continuous query."""
+    patterns(algebra(parse_query(text)).algebra)
 
 
 def _check_words(text: str) -> None:

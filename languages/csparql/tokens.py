@@ -91,7 +91,9 @@ _KINDS: Final = {
     "word": Kind.WORD,
     "mark": Kind.MARK,
 }
-_BLANK_LINES: Final = re.compile(r"[ \t]*(?:\r?\n[ \t]*)*\r?\n")
+# It begins where white space does: from within a long line of it, it would be looked for in vain
+# again and again.
+_BLANK_LINES: Final = re.compile(r"(?<![ \t])[ \t]*(?:\r?\n[ \t]*)*\r?\n")
 _CLOSING: Final = {"{": "}", "(": ")", "[": "]"}
 
 

@@ -11,12 +11,11 @@ from fastapi.responses import JSONResponse, PlainTextResponse
 from ...continuous.options import Bounds, Report, Semantics
 from ...engine.commands import RegisterQuery, RemoveQuery
 from ...engine.views import Since
-from ...languages.csparql import parse_query
 from ...streams.time import format_time
 from ..context import Context
 from ..models import QueryModel, Strategy, text_schema
 from ..negotiation import JSON, SPARQL_QUERY, TEXT, accepted, text_body
-from ..parsing import parse_aside
+from ..parsing import parse_aside, parse_continuous
 from ..problems import responses
 from ..sparql_results import GRAPHS, RESULTS, many_windows, one_window
 from ..times import Time, time_of
@@ -87,7 +86,7 @@ async def register_query(
     is needed.
     """
     text = await text_body(request, TEXTS)
-    await parse_aside(parse_query, text)
+    await parse_aside(parse_continuous, text)
     engine = service.engine
     origin_time = time_of(origin, "origin") or 0
     view = await service.do(
