@@ -40,6 +40,7 @@ from .reading import TextFormat
 from .reasoning import DIRECT, Reasoning
 from .replicas import ChangeLog, as_nquads
 from .shipped import shipped_ontologies, text_hash
+from .successor import CONCEPTS, Successor, succeed
 from .turtle import ALL_PREFIXES
 from .units import UnitError
 from .validation import ShaclReport, validate
@@ -57,6 +58,14 @@ _ANNOTATION = NamedNode(STREAM_SPACE + "Annotation")
 _SPECIFICATION = NamedNode(STREAM_SPACE + "Specification")
 _IMPORTS = NamedNode(OWL + "imports")
 
+_NOT_STATIC = (
+    DefaultGraph(),
+    graphs.CATALOG,
+    graphs.QUERIES,
+    graphs.STREAM_SPACE,
+    graphs.STREAM_SPACE_ENTAILMENTS,
+)
+"""Graphs that continuous queries do not read."""
 _CHURN = 20_000
 """A store in memory is made anew after at least so many quads have come or gone."""
 _TABLES = {
@@ -86,12 +95,14 @@ class StoreChanges:
 @dataclass(frozen=True, slots=True)
 class PreparedOntology:
     """An ontology that is read and reasoned about, and not loaded yet: ``hashes`` are those of all
-    texts that are loaded with it, ``implied`` is what they entail together."""
+    texts that are loaded with it, ``implied`` is what they entail together. ``successor``: what
+    takes the place of a store in memory."""
 
     graph: NamedNode
     triples: frozenset[Triple]
     hashes: dict[str, str]
     implied: frozenset[Triple]
+    successor: Successor | None
 
 
 class Ontology:
@@ -109,7 +120,7 @@ class Ontology:
         self.path = path
         self.version = 0
         self._lock = threading.RLock()
-        self._closed: tuple[int, Store] | None = None
+        self._closed: Store | None = None
         self._churn = 0
         """Quads that have come or gone since the store was made."""
         self._look_at = _CHURN
@@ -178,12 +189,33 @@ class Ontology:
         raises as `load`, and what ``reasoning`` raises."""
         graph = _ontology_graph(name)
         triples = reasoning.read(text, format, graph)
-        with self._lock:
-            hashes = {**self._hashes(), graph.value: text_hash(f"{format}\n{text}")}
-            asserted = self._asserted({graph: triples}, hashes)
-            known = self._kept_closure(closure_key(hashes))
+        # Nobody waits for what is read here: where ontologies change meanwhile, `take` refuses.
+        hashes = {**self._hashes(), graph.value: text_hash(f"{format}\n{text}")}
+        asserted = self._asserted({graph: triples}, hashes)
+        known = self._kept_closure(closure_key(hashes))
         implied = reasoning.entailed(asserted) if known is None else known
-        return PreparedOntology(graph, triples, hashes, implied)
+        successor = None
+        if self.path is None:
+            try:
+                successor = self._successor(graph, triples, hashes, (asserted, implied))
+            except UnitError as error:
+                raise OntologyError(str(error)) from error
+        return PreparedOntology(graph, triples, hashes, implied, successor)
+
+    def _successor(
+        self,
+        graph: NamedNode,
+        triples: frozenset[Triple],
+        hashes: dict[str, str],
+        entailed: tuple[frozenset[Triple], frozenset[Triple]],
+    ) -> Successor:
+        with self._lock:
+            # A store's iterator goes on with what there was when it was made.
+            now = self.store.quads_for_pattern(None, None, None, None)
+            held = (self._concepts.held, self._live.held)
+            position = self._log.position
+        replaced = {graph: triples, graphs.CATALOG: _catalog(hashes)}
+        return succeed(position, now, replaced, entailed, held)
 
     def take(self, prepared: PreparedOntology) -> None:
         """Load what was prepared. Raises `OntologyError` if it contradicts the vocabulary, or other
@@ -194,7 +226,30 @@ class Ontology:
                 raise OntologyError(
                     "another ontology was loaded meanwhile", hint="load this one again"
                 )
-            self._reload({prepared.graph: prepared.triples}, prepared.hashes, prepared.implied)
+            if not self._taken_over(prepared.successor):
+                self._reload({prepared.graph: prepared.triples}, prepared.hashes, prepared.implied)
+
+    def _taken_over(self, successor: Successor | None) -> bool:
+        """Go on with ``successor``; False where too much has changed since it was made. Cost: as
+        much as has changed."""
+        missed = None if successor is None else self._log.since(successor.position)
+        if successor is None or missed is None:
+            return False
+        changes = successor.follow(*missed)
+        self.store, self._churn, self._look_at = successor.store, 0, _CHURN
+        self._apply(changes)
+        self._log.forget()
+        self._concepts, self._live, self._base = (
+            successor.concepts,
+            successor.live,
+            successor.vocabulary,
+        )
+        self._changed()
+        self._closed = successor.static
+        self._follow_statically(
+            *(changes[g] for g in (*CONCEPTS, graphs.CONCEPT_ENTAILMENTS) if g in changes)
+        )
+        return True
 
     def ontologies(self) -> tuple[str, ...]:
         """The IRIs of the loaded ontologies' graphs."""
@@ -217,16 +272,31 @@ class Ontology:
     def closed_store(self) -> Store:
         """The static side of continuous queries, in the default graph of a store of its own.
 
-        Loaded ontologies, templates and all that is entailed; not the live stream space. The same
-        store is returned until `version` changes. Treat it as read-only.
+        Loaded ontologies, templates and all that is entailed; not the live stream space. It is
+        another store, or has other triples, when `version` has changed. Treat it as read-only.
         """
         with self._lock:
-            if self._closed is None or self._closed[0] != self.version:
+            if self._closed is None:
                 store = Store()
                 static = self._ontology_triples() | self._concepts.held | self._concepts.current
                 store.extend(Quad(t.subject, t.predicate, t.object) for t in static)
-                self._closed = (self.version, store)
-            return self._closed[1]
+                self._closed = store
+            return self._closed
+
+    def _follow_statically(self, *changes: Change) -> None:
+        """Bring `closed_store` up to date: these changes of concepts, and of what they entail, are
+        in the store already."""
+        if self._closed is None:
+            return
+        for change in changes:
+            self._closed.extend(Quad(t.subject, t.predicate, t.object) for t in change.added)
+            for triple in change.removed:
+                if not self._is_static(triple):
+                    self._closed.remove(Quad(triple.subject, triple.predicate, triple.object))
+
+    def _is_static(self, triple: Triple) -> bool:
+        quads = self.store.quads_for_pattern(triple.subject, triple.predicate, triple.object, None)
+        return any(quad.graph_name not in _NOT_STATIC for quad in quads)
 
     # -- templates, annotations, declared streams --------------------------------------------
 
@@ -359,14 +429,16 @@ class Ontology:
 
     def changes_since(self, position: int | None) -> StoreChanges:
         """What a copy of the store lacks that was made or brought up to date at ``position``; None:
-        one that has nothing. Cost: O(changes), or a dump of the store."""
+        one that has nothing. Cost: O(changes), or a dump of the store, for which nobody waits."""
         with self._lock:
+            store, now = self.store, self._log.position
             found = None if position is None else self._log.since(position)
-            if found is None:
-                whole = self.store.dump(format=RdfFormat.N_QUADS)
-                return StoreChanges(self._log.position, _bytes(whole), b"", b"")
-            came, went = found
-            return StoreChanges(self._log.position, None, as_nquads(came), as_nquads(went))
+        if found is None:
+            # It may have some of what comes next, which the copy is told once more: no harm.
+            whole = store.dump(format=RdfFormat.N_QUADS)
+            return StoreChanges(now, _bytes(whole), b"", b"")
+        came, went = found
+        return StoreChanges(now, None, as_nquads(came), as_nquads(went))
 
     def query_rows(self, sparql: str) -> tuple[tuple[str, ...], list[tuple[Term | None, ...]]]:
         """Variables and rows of a SELECT; None is unbound. `QueryRefused` for another form."""
@@ -399,8 +471,7 @@ class Ontology:
 
     def validate(self) -> ShaclReport:
         """Whether the stream space is well-formed by shapes.ttl."""
-        with self._lock:
-            quads = list(self.store.quads_for_pattern(None, None, None, DefaultGraph()))
+        quads = self.store.quads_for_pattern(None, None, None, DefaultGraph())
         return validate(quad.triple for quad in quads)
 
     # -- inside -------------------------------------------------------------------------------
@@ -456,18 +527,17 @@ class Ontology:
         rules = Rules(asserted | implied)
         concepts = Entailments(rules, self._concept_triples())
         live = Entailments(rules, self._live.held)
-        catalog = {Triple(NamedNode(g), graphs.LOADED, Literal(h)) for g, h in hashes.items()}
-        catalog.add(Triple(graphs.ENTAILMENTS, graphs.CLOSED, Literal(key)))
         wanted = {
             **new,
             graphs.ENTAILMENTS: implied,
             graphs.CONCEPT_ENTAILMENTS: concepts.current,
             graphs.STREAM_SPACE_ENTAILMENTS: live.current,
-            graphs.CATALOG: frozenset(catalog),
+            graphs.CATALOG: _catalog(hashes),
         }
         self._apply({graph: _change(self._graph(graph), then) for graph, then in wanted.items()})
         self._flush()
         self._concepts, self._live, self._base = concepts, live, vocabulary
+        self._closed = None
         self._changed()
 
     def _keep(self, graph: NamedNode, subject: NamedNode, triples: set[Triple]) -> None:
@@ -478,6 +548,7 @@ class Ontology:
             _, implied = self._concepts.update(change.added, change.removed)
             self._apply({graph: change, graphs.CONCEPT_ENTAILMENTS: implied})
             self._flush()
+            self._follow_statically(change, implied)
             self._changed()
 
     def _keep_aside(self, graph: NamedNode, subject: NamedNode, triples: set[Triple]) -> None:
@@ -565,15 +636,7 @@ class Ontology:
         return frozenset().union(*map(self._graph, [*names, graphs.ENTAILMENTS]))
 
     def _concept_triples(self) -> frozenset[Triple]:
-        kept = (
-            graphs.TEMPLATES,
-            graphs.ANNOTATIONS,
-            graphs.DECLARATIONS,
-            graphs.TRANSFORMATIONS,
-            graphs.KPL,
-            graphs.SPECIFICATIONS,
-        )
-        return frozenset().union(*map(self._graph, kept))
+        return frozenset().union(*map(self._graph, CONCEPTS))
 
     def _named_texts(self, graph: NamedNode) -> dict[str, str]:
         names = self.store.quads_for_pattern(None, _HAS_NAME, None, graph)
@@ -582,6 +645,13 @@ class Ontology:
             for text in self.store.quads_for_pattern(quad.subject, _HAS_TEXT, None, graph):
                 found[_text(quad)] = _text(text)
         return found
+
+
+def _catalog(hashes: dict[str, str]) -> frozenset[Triple]:
+    """Which ontologies are loaded, and of which the closure is."""
+    loaded = {Triple(NamedNode(g), graphs.LOADED, Literal(h)) for g, h in hashes.items()}
+    closed = Triple(graphs.ENTAILMENTS, graphs.CLOSED, Literal(closure_key(hashes)))
+    return frozenset(loaded | {closed})
 
 
 def quads_of(store: Store) -> bytes:
