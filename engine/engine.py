@@ -390,6 +390,7 @@ class Engine:
         self._rematching.tick(self._now)
         self._settle()
         self._collect()
+        self.ontology.advance()
         if now - SECOND >= self._counted:
             self._counted = now
             self._count_subscribers()

@@ -66,6 +66,8 @@ _NOT_STATIC = (
     graphs.STREAM_SPACE_ENTAILMENTS,
 )
 """Graphs that continuous queries do not read."""
+_PIECE = 250
+"""Triples of the live stream space that are brought into the store in one go: some 10 ms."""
 _CHURN = 20_000
 """A store in memory is made anew after at least so many quads have come or gone."""
 _TABLES = {
@@ -116,7 +118,10 @@ class Ontology:
 
     def __init__(self, store: Store, path: Path | None) -> None:
         """Use `open`."""
-        self.store = store
+        self._store = store
+        self._awaited: dict[Triple, bool] = {}
+        """Triples of the live stream space that are not in the store yet: whether they come or go.
+        Only added to by those who tell of changes, only taken from under the lock."""
         self.path = path
         self.version = 0
         self._lock = threading.RLock()
@@ -154,6 +159,17 @@ class Ontology:
         """One in memory with these N-Quads, of `quads`."""
         return cls(store_of(quads), None)
 
+    @property
+    def store(self) -> Store:
+        """All there is. Treat it as read-only. Cost: what `mirror` was told of and is not there."""
+        self._bring_in()
+        return self._store
+
+    @property
+    def static_store(self) -> Store:
+        """The same, but that the live stream space may be as it was a moment ago."""
+        return self._store
+
     def quads(self) -> bytes:
         """All there is as N-Quads, sorted."""
         with self._lock:
@@ -163,6 +179,7 @@ class Ontology:
         """As it is copied, if it is in memory: the lock is each one's own. The store is for who
         copies (engine/checkpoint)."""
         assert self.path is None
+        self._bring_in()
         kept = dict(self.__dict__)
         del kept["_lock"], kept["_closed"]
         return kept
@@ -211,7 +228,7 @@ class Ontology:
     ) -> Successor:
         with self._lock:
             # A store's iterator goes on with what there was when it was made.
-            now = self.store.quads_for_pattern(None, None, None, None)
+            now = self._store.quads_for_pattern(None, None, None, None)
             held = (self._concepts.held, self._live.held)
             position = self._log.position
         replaced = {graph: triples, graphs.CATALOG: _catalog(hashes)}
@@ -236,7 +253,7 @@ class Ontology:
         if successor is None or missed is None:
             return False
         changes = successor.follow(*missed)
-        self.store, self._churn, self._look_at = successor.store, 0, _CHURN
+        self._store, self._churn, self._look_at = successor.store, 0, _CHURN
         self._apply(changes)
         self._log.forget()
         self._concepts, self._live, self._base = (
@@ -262,7 +279,7 @@ class Ontology:
 
     def imports(self) -> tuple[str, ...]:
         """What the loaded ontologies import; it was not fetched. Load it by `load` if needed."""
-        quads = self.store.quads_for_pattern(None, _IMPORTS, None, DefaultGraph())
+        quads = self._store.quads_for_pattern(None, _IMPORTS, None, DefaultGraph())
         return tuple(sorted({q.object.value for q in quads if isinstance(q.object, NamedNode)}))
 
     def static_graph(self, iri: str) -> bool:
@@ -295,7 +312,7 @@ class Ontology:
                     self._closed.remove(Quad(triple.subject, triple.predicate, triple.object))
 
     def _is_static(self, triple: Triple) -> bool:
-        quads = self.store.quads_for_pattern(triple.subject, triple.predicate, triple.object, None)
+        quads = self._store.quads_for_pattern(triple.subject, triple.predicate, triple.object, None)
         return any(quad.graph_name not in _NOT_STATIC for quad in quads)
 
     # -- templates, annotations, declared streams --------------------------------------------
@@ -318,7 +335,7 @@ class Ontology:
 
     def templates(self) -> dict[str, str]:
         """Event concept IRI -> template text."""
-        quads = self.store.quads_for_pattern(None, _HAS_TEMPLATE, None, graphs.TEMPLATES)
+        quads = self._store.quads_for_pattern(None, _HAS_TEMPLATE, None, graphs.TEMPLATES)
         return {_subject(q): _text(q) for q in sorted(quads, key=str)}
 
     def set_annotation(self, subject_name: str, source: str) -> None:
@@ -408,13 +425,36 @@ class Ontology:
     def mirror(self, added: Iterable[Triple], removed: Iterable[Triple]) -> None:
         """Changes the live stream space; what it entails follows (`entailment`).
 
-        A triple in both is there afterwards. Cost: O(changed triples). Not flushed: the graph is
-        emptied when the store is opened.
+        A triple in both is there afterwards. Whoever asks sees it; it is brought into the store
+        when somebody does, or by `advance`: what comes and goes in between costs next to nothing,
+        and a large change is made in pieces. Not flushed: the graph is emptied when the store is
+        opened. Cost: O(changed triples).
         """
-        with self._lock:
-            held, implied = self._live.update(added, removed)
-            self._apply({graphs.STREAM_SPACE: held, graphs.STREAM_SPACE_ENTAILMENTS: implied})
-            self._renew()
+        self._awaited.update(dict.fromkeys(removed, False))
+        self._awaited.update(dict.fromkeys(added, True))
+
+    def advance(self) -> None:
+        """Bring some of what `mirror` was told of into the store, if nobody else is at it."""
+        if self._awaited and self._lock.acquire(blocking=False):
+            try:
+                self._bring_in_some()
+            finally:
+                self._lock.release()
+
+    def _bring_in(self) -> None:
+        while self._awaited:
+            # Others may have the lock in between.
+            with self._lock:
+                self._bring_in_some()
+
+    def _bring_in_some(self) -> None:
+        changed: tuple[list[Triple], list[Triple]] = ([], [])
+        while self._awaited and len(changed[0]) + len(changed[1]) < _PIECE:
+            triple, there = self._awaited.popitem()
+            changed[there].append(triple)
+        held, implied = self._live.update(changed[True], changed[False])
+        self._apply({graphs.STREAM_SPACE: held, graphs.STREAM_SPACE_ENTAILMENTS: implied})
+        self._renew()
 
     # -- questions ----------------------------------------------------------------------------
 
@@ -430,8 +470,9 @@ class Ontology:
     def changes_since(self, position: int | None) -> StoreChanges:
         """What a copy of the store lacks that was made or brought up to date at ``position``; None:
         one that has nothing. Cost: O(changes), or a dump of the store, for which nobody waits."""
+        self._bring_in()
         with self._lock:
-            store, now = self.store, self._log.position
+            store, now = self._store, self._log.position
             found = None if position is None else self._log.since(position)
         if found is None:
             # It may have some of what comes next, which the copy is told once more: no harm.
@@ -543,7 +584,7 @@ class Ontology:
     def _keep(self, graph: NamedNode, subject: NamedNode, triples: set[Triple]) -> None:
         """Makes ``triples`` all that ``graph`` says of ``subject``."""
         with self._lock:
-            before = {q.triple for q in self.store.quads_for_pattern(subject, None, None, graph)}
+            before = {q.triple for q in self._store.quads_for_pattern(subject, None, None, graph)}
             change = _change(frozenset(before), frozenset(triples))
             _, implied = self._concepts.update(change.added, change.removed)
             self._apply({graph: change, graphs.CONCEPT_ENTAILMENTS: implied})
@@ -555,7 +596,7 @@ class Ontology:
         """The same of what nothing follows from and no continuous query reads: to them the
         ontology is as it was, and they need not look at it anew."""
         with self._lock:
-            before = {q.triple for q in self.store.quads_for_pattern(subject, None, None, graph)}
+            before = {q.triple for q in self._store.quads_for_pattern(subject, None, None, graph)}
             self._apply({graph: _change(frozenset(before), frozenset(triples))})
             self._flush()
 
@@ -585,15 +626,15 @@ class Ontology:
         self._churn += len(added) + len(removed)
         self._log.note(added, removed)
         if not removed:
-            self.store.extend(added)  # all at once, and without a text to be parsed
+            self._store.extend(added)  # all at once, and without a text to be parsed
         elif any(_has_blank(quad) for quad in removed | added):
             # SPARQL's DELETE DATA names no blank nodes, so these go one after the other: what
             # comes first, so that nothing that stays is missing in between.
-            self.store.extend(added)
+            self._store.extend(added)
             for quad in removed:
-                self.store.remove(quad)
+                self._store.remove(quad)
         else:
-            self.store.update(
+            self._store.update(
                 f"DELETE DATA {{ {_data(removed)} }} ; INSERT DATA {{ {_data(added)} }}"
             )
 
@@ -602,16 +643,16 @@ class Ontology:
         some of what was removed, and grows without end (0.6 KB a quad)."""
         if self.path is not None or self._churn <= self._look_at:
             return
-        much = max(_CHURN, 4 * len(self.store))
+        much = max(_CHURN, 4 * len(self._store))
         if self._churn <= much:
             self._look_at = much
             return
         store = Store()
-        store.extend(self.store)
-        self.store, self._churn, self._look_at = store, 0, _CHURN
+        store.extend(self._store)
+        self._store, self._churn, self._look_at = store, 0, _CHURN
 
     def _elsewhere(self, triple: Triple, removed: set[Quad]) -> bool:
-        holders = self.store.quads_for_pattern(
+        holders = self._store.quads_for_pattern(
             triple.subject, triple.predicate, triple.object, None
         )
         return any(
@@ -621,14 +662,14 @@ class Ontology:
 
     def _flush(self) -> None:
         if self.path is not None:
-            self.store.flush()
+            self._store.flush()
 
     def _hashes(self) -> dict[str, str]:
-        quads = self.store.quads_for_pattern(None, graphs.LOADED, None, graphs.CATALOG)
+        quads = self._store.quads_for_pattern(None, graphs.LOADED, None, graphs.CATALOG)
         return {_subject(q): _text(q) for q in quads}
 
     def _graph(self, graph: NamedNode) -> frozenset[Triple]:
-        quads = self.store.quads_for_pattern(None, None, None, graph)
+        quads = self._store.quads_for_pattern(None, None, None, graph)
         return frozenset(quad.triple for quad in quads)
 
     def _ontology_triples(self) -> frozenset[Triple]:
@@ -639,10 +680,10 @@ class Ontology:
         return frozenset().union(*map(self._graph, CONCEPTS))
 
     def _named_texts(self, graph: NamedNode) -> dict[str, str]:
-        names = self.store.quads_for_pattern(None, _HAS_NAME, None, graph)
+        names = self._store.quads_for_pattern(None, _HAS_NAME, None, graph)
         found = {}
         for quad in sorted(names, key=str):
-            for text in self.store.quads_for_pattern(quad.subject, _HAS_TEXT, None, graph):
+            for text in self._store.quads_for_pattern(quad.subject, _HAS_TEXT, None, graph):
                 found[_text(quad)] = _text(text)
         return found
 

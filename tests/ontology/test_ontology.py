@@ -330,7 +330,9 @@ def test_a_store_in_memory_is_made_anew_now_and_then() -> None:
     name = Triple(own("s1"), own("hasName"), Literal("s1"))
     for _ in range(4 * size):
         ontology.mirror([name], [])
+        ontology.advance()
         ontology.mirror([], [name])
+        ontology.advance()
     assert ontology.store is not first
     ontology.mirror([name], [])
     assert len(ontology.store) == size + 2  # in its graph and in the default graph
