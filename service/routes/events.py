@@ -10,6 +10,7 @@ from fastapi import APIRouter, Query, Request, Response
 from ...engine.commands import CancelEvent, RequestEvent
 from ...engine.views import Since
 from ..context import Context
+from ..listing import listed
 from ..models import EventIn, EventModel, Strategy, schema_of, text_schema
 from ..negotiation import JSON, TEXT, content_type, json_value, utf8
 from ..problems import responses
@@ -71,11 +72,13 @@ async def request_event(
     return EventModel.of(view, engine.epoch)
 
 
-@router.get("/events")
-async def list_events(service: Context) -> list[EventModel]:
+@router.get("/events", response_model=list[EventModel])
+async def list_events(service: Context) -> Response:
     """The requests that run."""
     engine = service.engine
-    return [EventModel.of(view, engine.epoch) for view in engine.events()]
+    return await listed(
+        engine.event_ids(), lambda id: EventModel.of(engine.event(id), engine.epoch)
+    )
 
 
 @router.get("/events/{id}", responses=responses(404))

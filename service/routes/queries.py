@@ -13,6 +13,7 @@ from ...engine.commands import RegisterQuery, RemoveQuery
 from ...engine.views import Since
 from ...streams.time import format_time
 from ..context import Context
+from ..listing import listed
 from ..models import QueryModel, Strategy, text_schema
 from ..negotiation import JSON, SPARQL_QUERY, TEXT, accepted, text_body
 from ..parsing import parse_aside, parse_continuous
@@ -98,11 +99,13 @@ async def register_query(
     return JSONResponse(body, 201 if view.users == 1 else 200, location)
 
 
-@router.get("/queries")
-async def list_queries(service: Context) -> list[QueryModel]:
+@router.get("/queries", response_model=list[QueryModel])
+async def list_queries(service: Context) -> Response:
     """The registered queries, oldest first."""
     engine = service.engine
-    return [QueryModel.of(view, engine.epoch) for view in engine.queries.views()]
+    return await listed(
+        engine.queries.names(), lambda name: QueryModel.of(engine.queries.view(name), engine.epoch)
+    )
 
 
 @router.get("/queries/{name}", response_model=QueryModel, responses=TEXT_TOO | responses(404, 406))

@@ -9,6 +9,7 @@ from fastapi import APIRouter, Depends, Query, Request, Response
 
 from ...engine.commands import Subscribe, SubscribeToFeature, Unsubscribe
 from ..context import Context
+from ..listing import listed
 from ..models import RematchModel, SubscriptionIn, SubscriptionModel
 from ..negotiation import EVENT_STREAM
 from ..problems import Problem, responses
@@ -49,10 +50,13 @@ async def subscribe(
     return SubscriptionModel.of(view)
 
 
-@router.get("/subscriptions")
-async def list_subscriptions(service: Context) -> list[SubscriptionModel]:
+@router.get("/subscriptions", response_model=list[SubscriptionModel])
+async def list_subscriptions(service: Context) -> Response:
     """The subscriptions that run."""
-    return [SubscriptionModel.of(view) for view in service.engine.subscriptions()]
+    engine = service.engine
+    return await listed(
+        engine.subscription_ids(), lambda id: SubscriptionModel.of(engine.subscription(id))
+    )
 
 
 @router.get("/subscriptions/{id}", responses=responses(404))
