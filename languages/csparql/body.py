@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -21,6 +20,7 @@ from pyoxigraph import BlankNode, Variable
 from ...rdf.dictionary import Term
 from ...rdf.namespaces import PREFIXES
 from ..errors import Span
+from ..remembered import remembered
 from .ast import Aggregation, ContinuousQuery, StreamClause
 from .shape import Group, Shape, groups, query_shape
 from .syntax import translated
@@ -173,14 +173,14 @@ def prefix_lines(query: ContinuousQuery) -> str:
     return "".join(f"PREFIX {name}: <{iri}>\n" for name, iri in used if name not in declared)
 
 
-@lru_cache(maxsize=64)
+@remembered
 def groups_of(sparql: str) -> tuple[Group, ...]:
     """The groups of a query's text: asked for a dozen times while it is registered."""
     shape = query_shape(sparql)
     return () if shape is None else tuple(groups(shape.tokens, shape.where_open))
 
 
-@lru_cache(maxsize=512)
+@remembered
 def _declared(sparql: str) -> frozenset[str]:
     tokens = tokenize(sparql)
     return frozenset(

@@ -11,10 +11,10 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from functools import lru_cache
 from typing import Final
 
 from ..errors import LanguageError, Span
+from ..remembered import remembered
 
 MAX_DEPTH: Final = 64
 """Deepest nesting of brackets; the parsers behind us recurse."""
@@ -97,7 +97,7 @@ _BLANK_LINES: Final = re.compile(r"(?<![ \t])[ \t]*(?:\r?\n[ \t]*)*\r?\n")
 _CLOSING: Final = {"{": "}", "(": ")", "[": "]"}
 
 
-@lru_cache(maxsize=1024)
+@remembered
 def tokenize(source: str) -> tuple[Token, ...]:
     """The tokens of a text. Brackets are balanced and at most `MAX_DEPTH` deep.
 
