@@ -24,6 +24,7 @@ from ...ontology.errors import OntologyError
 from ..app import create_app
 from ..context import Service
 from ..descriptors import raise_limit
+from ..garbage import Garbage
 from ..isolation.services import Windows
 from ..logs import configure, log
 from ..server import bind, run, url_of
@@ -112,6 +113,8 @@ def serve(
     say(f"DyKnow serves at {url} (documentation: {url}/docs)")
     service: Service = app.state.service
     service.warming = warming
+    service.garbage = Garbage()
+    service.garbage.begin()
     warming.workers("sparql", service.isolation.pools["sparql"])
     warming.application(app)
     _reload_on_hangup(service, settings)
