@@ -4,7 +4,7 @@ A collection that looks at a million objects lets everybody wait for half a seco
 one whenever a quarter more are there. So what has outlived one is left alone (`gc.freeze`): the
 next looks at what has come since, some 70,000 objects. What goes later is freed all the same when
 nobody refers to it any more; but not where it refers to itself. For that everything is looked at
-after ten minutes, and, as long as next to nothing is found, after twice as long each time.
+after five minutes, and, as long as next to nothing is found, after twice as long each time.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any, Final
 
-FIRST: Final = 600.0
+FIRST: Final = 300.0
 """Seconds until everything is looked at."""
 LONGEST: Final = 24 * 3600.0
 """And at most."""
