@@ -21,9 +21,9 @@ class Thing:
 class Policy(Garbage):
     """One whose clock is moved by hand."""
 
-    def __init__(self) -> None:
+    def __init__(self, slow: float = 0.0) -> None:
         self.now = 0.0
-        super().__init__(lambda: self.now)
+        super().__init__(lambda: self.now, slow)
 
     def looks_after(self, seconds: float) -> bool:
         """Whether everything is looked at then."""
@@ -59,6 +59,7 @@ def test_what_outlives_a_collection_is_left_alone(policy: Policy) -> None:
 
 
 def test_everything_is_looked_at_more_and_more_rarely(policy: Policy) -> None:
+    gc.collect()
     assert not policy.looks_after(FIRST - 1)
     assert policy.looks_after(1)
     assert not policy.looks_after(2 * FIRST - 1)
@@ -78,6 +79,26 @@ def test_and_sooner_again_where_much_is_found(policy: Policy) -> None:
     policy.now += 2 * FIRST
     policy.review()
     assert policy.looks_after(FIRST)
+
+
+def test_as_long_as_collections_are_quick_nothing_is_left_alone() -> None:
+    policy = Policy(slow=0.001)
+    policy.begin()
+    try:
+        gc.freeze()  # as at the end of a start
+        before = gc.get_freeze_count()
+        kept = Thing()
+        gone = ref(kept)
+        gc.collect()
+        assert gc.get_freeze_count() <= before
+        del kept
+        gc.collect()
+        assert gone() is None
+        policy.now += LONGEST
+        policy.review()
+        assert gc.get_freeze_count() > 0, "there was no need to look at what the start has left"
+    finally:
+        policy.end()
 
 
 def test_at_its_end_all_is_as_it_was() -> None:
