@@ -113,8 +113,8 @@ def serve(
     say(f"DyKnow serves at {url} (documentation: {url}/docs)")
     service: Service = app.state.service
     service.warming = warming
-    service.garbage = Garbage()
-    service.garbage.begin()
+    garbage = service.garbage = Garbage()
+    garbage.begin()
     warming.workers("sparql", service.isolation.pools["sparql"])
     warming.application(app)
     _reload_on_hangup(service, settings)
@@ -135,6 +135,7 @@ def serve(
         for isolated in (windows, service.isolation):
             isolated.close()
         warming.end()
+        garbage.end()
     log().info("stopped", by_force=by_force)
     if by_force:
         raise typer.Exit(1)
