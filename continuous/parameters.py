@@ -174,9 +174,10 @@ def _search(
 def _carrying_all(plan: Plan, names: Sequence[str]) -> Plan:
     """``plan`` such that each of its solutions binds all of ``names``; raises `Unfit`."""
     unfit: list[Unfit] = []
+    own = _OwnNames()
     for name in names:
         try:
-            plan = _carrying(plan, name, _Places(plan, name))
+            plan = _carrying(plan, name, _Places(plan, name, own))
         except Unfit as error:
             unfit.append(error)
     if unfit:
@@ -186,11 +187,26 @@ def _carrying_all(plan: Plan, names: Sequence[str]) -> Plan:
     return plan
 
 
+class _OwnNames:
+    """`own_names` of nodes, each looked at once: most are the same for every name."""
+
+    def __init__(self) -> None:
+        # With the node, whose number would be another's when it is gone.
+        self._known: dict[int, tuple[Plan, frozenset[str]]] = {}
+
+    def of(self, node: Plan) -> frozenset[str]:
+        known = self._known.get(id(node))
+        if known is None:
+            known = self._known[id(node)] = (node, own_names(node))
+        return known[1]
+
+
 class _Places:
     """Which parts of a plan mention a name: one pass over it."""
 
-    def __init__(self, plan: Plan, name: str) -> None:
+    def __init__(self, plan: Plan, name: str, own: _OwnNames) -> None:
         self._name = name
+        self._own = own
         self._parts: set[int] = set()
         self._note(plan)
 
@@ -198,8 +214,9 @@ class _Places:
         return id(part) in self._parts
 
     def _note(self, plan: Plan) -> bool:
-        within = [self._note(part) for part in inputs(plan)]
-        found = any(within) or self._name in own_names(plan)
+        found = self._name in self._own.of(plan)
+        for part in inputs(plan):
+            found |= self._note(part)
         if found:
             self._parts.add(id(plan))
         return found
