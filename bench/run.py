@@ -26,6 +26,7 @@ TABLES = (
     "sse.py",
     "turns.py",
     "batches.py",
+    "bombs.py",
     "journal.py",
     "ingest.py",
     "accuracy.py",

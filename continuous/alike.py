@@ -103,10 +103,8 @@ def _fit(query: Query) -> tuple[Query, tuple[Term, ...]]:
         except Unfit as unfit:
             if not unfit.name:
                 raise Unshared(str(unfit)) from unfit
-            pattern = [
-                found.constants[i] if one == Var(unfit.name) else one
-                for i, one in enumerate(pattern)
-            ]
+            fixed = {Var(name) for name in (unfit.name, *unfit.also)}
+            pattern = [found.constants[i] if one in fixed else one for i, one in enumerate(pattern)]
             continue
         for number, i in enumerate(kept):
             pattern[i] = Var(place(number))

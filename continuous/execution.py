@@ -74,7 +74,11 @@ class Execution:
             return
         self.plan, self.served = plan, parts
         graphs = [one.graph for one in windows]
-        wanted = [(part, needed_outside(plan, part) | (shown & outputs(part))) for part in parts]
+        needed = needed_outside(plan, parts)
+        wanted = [
+            (part, names | (shown & outputs(part)))
+            for part, names in zip(parts, needed, strict=True)
+        ]
         self.patterns = PatternSolver(wanted, graphs, self.static, distinct=self.distinct)
         covered = {id(node) for part in parts for node in walk(part)}
         alone = all(id(node) in covered for node in walk(plan) if isinstance(node, _SCANS))

@@ -298,7 +298,21 @@ def inputs(plan: Plan) -> tuple[Plan, ...]:
 
 
 def with_inputs(plan: Plan, change: Callable[[Plan], Plan]) -> Plan:
-    """The same node over ``change(input)`` for each of its inputs."""
+    """The same node over ``change(input)`` for each of its inputs: ``plan`` itself where no input
+    becomes another."""
+    is_same = True
+
+    def noted(child: Plan) -> Plan:
+        nonlocal is_same
+        found = change(child)
+        is_same &= found is child
+        return found
+
+    found = _over(plan, noted)
+    return plan if is_same else found
+
+
+def _over(plan: Plan, change: Callable[[Plan], Plan]) -> Plan:
     match plan:
         case Scan() | TypeScan() | AnyScan() | Values() | Given():
             return plan
@@ -417,8 +431,19 @@ def asked(node: Plan) -> frozenset[str]:
 
 
 def mentioned(plan: Plan) -> frozenset[str]:
-    """The variables that a plan binds or asks about."""
-    return frozenset().union(*(outputs(node) | asked(node) for node in walk(plan)))
+    """The variables that a plan binds or asks about. Cost: one pass over the plan."""
+    return frozenset().union(*map(own_names, walk(plan)))
+
+
+def own_names(node: Plan) -> frozenset[str]:
+    """Those of `mentioned` that are not because of an input of ``node``."""
+    match node:
+        case Exists(variable) | Extend(variable):
+            return asked(node) | {variable}
+        case Join() | Union() | LeftJoin() | Minus() | Filter() | Distinct() | Order() | Slice():
+            return asked(node)
+        case _:
+            return asked(node) | outputs(node)
 
 
 def walk(plan: Plan) -> list[Plan]:

@@ -45,6 +45,7 @@ from .logical import (
     inputs,
     mentioned,
     outputs,
+    own_names,
     walk,
     with_inputs,
 )
@@ -58,11 +59,13 @@ _FLIPPED = {"<": ">", "<=": ">=", ">": "<", ">=": "<="}
 
 
 class Unfit(Exception):
-    """The parameter ``name`` has to be fixed ("": all of them), and why."""
+    """The parameter ``name`` has to be fixed ("": all of them), and why. ``also``: others that
+    have to be, too."""
 
     def __init__(self, name: str, reason: str) -> None:
         super().__init__(reason)
         self.name = name
+        self.also: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +109,8 @@ class Joint:
 def joint(query: Query, names: Sequence[str]) -> Joint:
     """How ``query`` serves all instances that give ``names``, which are free in it.
 
-    Raises `Unfit` with the first of them that has to be fixed.
+    Raises `Unfit` with the first of them that has to be fixed. Cost: a pass over the plan, and one
+    over what mentions it for each name.
     """
     if names_now(query.plan):
         raise Unfit("", "it asks for NOW()")
@@ -119,10 +123,10 @@ def joint(query: Query, names: Sequence[str]) -> Joint:
     if isinstance(core, Aggregate):
         inner = mentioned(core.child) | asked(core)
         core = replace(core, keys=tuple(k for k in core.keys if k in inner or k not in names))
-    joined = tuple(name for name in names if name in mentioned(core))
-    compared = tuple(name for name in names if name not in joined)
-    for name in joined:
-        core = _carrying(core, name)
+    known = mentioned(core)
+    joined = tuple(name for name in names if name in known)
+    compared = tuple(name for name in names if name not in known)
+    core = _carrying_all(core, joined)
     shared: Plan = core
     at = 0
     for step in steps:
@@ -167,21 +171,72 @@ def _search(
     return tuple(steps), None
 
 
-def _carrying(plan: Plan, name: str) -> Plan:
+def _carrying_all(plan: Plan, names: Sequence[str]) -> Plan:
+    """``plan`` such that each of its solutions binds all of ``names``; raises `Unfit`."""
+    unfit: list[Unfit] = []
+    own = _OwnNames()
+    for name in names:
+        try:
+            plan = _carrying(plan, name, _Places(plan, name, own))
+        except Unfit as error:
+            unfit.append(error)
+    if unfit:
+        first, *others = unfit
+        first.also = frozenset(other.name for other in others)
+        raise first
+    return plan
+
+
+class _OwnNames:
+    """`own_names` of nodes, each looked at once: most are the same for every name."""
+
+    def __init__(self) -> None:
+        # With the node, whose number would be another's when it is gone.
+        self._known: dict[int, tuple[Plan, frozenset[str]]] = {}
+
+    def of(self, node: Plan) -> frozenset[str]:
+        known = self._known.get(id(node))
+        if known is None:
+            known = self._known[id(node)] = (node, own_names(node))
+        return known[1]
+
+
+class _Places:
+    """Which parts of a plan mention a name: one pass over it."""
+
+    def __init__(self, plan: Plan, name: str, own: _OwnNames) -> None:
+        self._name = name
+        self._own = own
+        self._parts: set[int] = set()
+        self._note(plan)
+
+    def __contains__(self, part: Plan) -> bool:
+        return id(part) in self._parts
+
+    def _note(self, plan: Plan) -> bool:
+        found = self._name in self._own.of(plan)
+        for part in inputs(plan):
+            found |= self._note(part)
+        if found:
+            self._parts.add(id(plan))
+        return found
+
+
+def _carrying(plan: Plan, name: str, places: _Places) -> Plan:
     """``plan`` such that each of its solutions binds ``name``, and those with one term are the
-    solutions of the plan with that term put in. Raises `Unfit`."""
+    solutions of the plan with that term put in. ``places``: where it stands. Raises `Unfit`."""
 
     def unfit(reason: str) -> Unfit:
         return Unfit(name, f"?{name} {reason}")
 
     def below(child: Plan) -> Plan:
-        if name not in mentioned(child):
+        if child not in places:
             raise unfit("stands where no pattern binds it")
-        return _carrying(child, name)
+        return _carrying(child, name, places)
 
     def also(part: Plan) -> Plan:
         # Bound on both sides, it is what the sides agree on.
-        return _carrying(part, name) if name in mentioned(part) else part
+        return _carrying(part, name, places) if part in places else part
 
     match plan:
         case Scan():
@@ -211,7 +266,7 @@ def _carrying(plan: Plan, name: str) -> Plan:
         case LeftJoin(child, optional):
             return replace(plan, child=below(child), optional=also(optional))
         case Minus(child, removed):
-            if name in mentioned(removed):
+            if removed in places:
                 # MINUS takes nothing away where the two sides share no variable.
                 raise unfit("stands in MINUS")
             return replace(plan, child=below(child))

@@ -4,8 +4,10 @@ and filters of numbers on them (see `patterns`).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import chain
 
 from pyoxigraph import NamedNode
 
@@ -141,26 +143,45 @@ def _depth(expression: Expression) -> int | None:
             return None
 
 
-def needed_outside(plan: Plan, part: Plan) -> frozenset[str]:
-    """The variables of ``part`` that the rest of ``plan`` looks at: all, where it compares whole
-    solutions."""
-    inside = {id(node) for node in walk(part)}
-    names: set[str] = set()
-    for node in walk(plan):
-        if id(node) in inside:
-            continue
-        if not inputs(node):
-            names |= outputs(node)
-        names |= asked(node)
-        match node:
-            case Project(shown):
-                names |= set(shown)
-            case Aggregate(keys, aggregations):
-                names |= set(keys)
-                if any(one.distinct and one.argument is None for one in aggregations):
-                    return outputs(part)
-            case Closure():
-                names |= outputs(node) | {START, STOP}
-            case Distinct(child) if not isinstance(child, Project):
-                return outputs(part)
-    return outputs(part) & names
+def needed_outside(plan: Plan, parts: Sequence[Plan]) -> list[frozenset[str]]:
+    """For each of ``parts`` the variables of it that the rest of ``plan`` looks at: all, where it
+    compares whole solutions. Cost: one pass over the plan, and one over each part."""
+    nodes = {id(node): node for node in walk(plan)}
+    looks = {number: _looked_at(node) for number, node in nodes.items()}
+    all_names = Counter(chain.from_iterable(looks.values()))
+    wholes = {number for number, node in nodes.items() if _compares_whole(node)}
+    found = []
+    for part in parts:
+        inside = {id(node) for node in walk(part)}
+        own = Counter(chain.from_iterable(looks[number] for number in inside))
+        if wholes <= inside:
+            found.append(frozenset(n for n in outputs(part) if all_names[n] > own[n]))
+        else:
+            found.append(outputs(part))
+    return found
+
+
+def _looked_at(node: Plan) -> frozenset[str]:
+    """The variables that one node looks at, of what its inputs give."""
+    names = asked(node)
+    if not inputs(node):
+        names |= outputs(node)
+    match node:
+        case Project(shown):
+            names |= set(shown)
+        case Aggregate(keys):
+            names |= set(keys)
+        case Closure():
+            names |= outputs(node) | {START, STOP}
+    return names
+
+
+def _compares_whole(node: Plan) -> bool:
+    """Whether a node compares all that its input gives."""
+    match node:
+        case Aggregate(_, aggregations):
+            return any(one.distinct and one.argument is None for one in aggregations)
+        case Distinct(child):
+            return not isinstance(child, Project)
+        case _:
+            return False

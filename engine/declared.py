@@ -235,7 +235,9 @@ class DeclaredStreams:
 
     def _is_term(self, name: str) -> bool:
         """Streams, units and transformations are individuals beside the terms of the ontology."""
-        said = self._ontology.store.quads_for_pattern(term(name), None, None, STREAM_SPACE_ONTOLOGY)
+        said = self._ontology.static_store.quads_for_pattern(
+            term(name), None, None, STREAM_SPACE_ONTOLOGY
+        )
         return next(said, None) is not None
 
     def _refuse_if_in_use(self, generator: StreamGenerator) -> None:

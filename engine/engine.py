@@ -391,6 +391,7 @@ class Engine:
         self._rematching.tick(self._now)
         self._settle()
         self._collect()
+        self.ontology.advance()
         if now - SECOND >= self._counted:
             self._counted = now
             self._count_subscribers()
@@ -515,6 +516,10 @@ class Engine:
         """The running requests, oldest first."""
         return self._requests.views()
 
+    def event_ids(self) -> tuple[str, ...]:
+        """Those of the running requests, oldest first."""
+        return self._requests.ids()
+
     def event(self, id: str) -> EventView:
         """One running request; raises `UnknownRequest`."""
         return self._requests.view(id)
@@ -566,6 +571,10 @@ class Engine:
     def subscriptions(self) -> tuple[SubscriptionView, ...]:
         """The subscriptions that run, oldest first."""
         return self._subscriptions.views()
+
+    def subscription_ids(self) -> tuple[str, ...]:
+        """Those of the subscriptions that run, oldest first."""
+        return self._subscriptions.ids()
 
     def subscription(self, id: str) -> SubscriptionView:
         """One subscription; raises `UnknownRequest`."""

@@ -55,7 +55,9 @@ def closed_ontology(ontology: Ontology, named: Sequence[str] = ()) -> Background
             both = Store()
             both.extend(ontology.closed_store())
             for iri in named:
-                both.extend(ontology.store.quads_for_pattern(None, None, None, NamedNode(iri)))
+                both.extend(
+                    ontology.static_store.quads_for_pattern(None, None, None, NamedNode(iri))
+                )
             made[:] = [(ontology.version, both)]
         return made[0][1]
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 
@@ -68,16 +68,26 @@ class RegisteredTransformations:
 
     def views(self) -> tuple[TransformationView, ...]:
         """All transformations, in the order of registration."""
-        return tuple(self.view(name) for name in self._transformations)
+        return self._views(self._transformations)
 
     def view(self, name: str) -> TransformationView:
         """One transformation; raises `UnknownTransformation`."""
+        units = self._configuration.units.values()
+        return self._view(name, [unit.name for unit in units if unit.transformation == name])
+
+    def _views(self, names: Iterable[str]) -> tuple[TransformationView, ...]:
+        """Cost: one look at all units."""
+        units: dict[str, list[str]] = {}
+        for unit in self._configuration.units.values():
+            units.setdefault(unit.transformation, []).append(unit.name)
+        return tuple(self._view(name, units.get(name, ())) for name in names)
+
+    def _view(self, name: str, units: Sequence[str]) -> TransformationView:
         known = self.get(name)
         description = self._transformations.describe(known)
         parameters = known.parameters
         if not description.lacks:
             parameters = self._transformations.parameters_of(known)
-        units = self._configuration.units.values()
         return TransformationView(
             name=known.name,
             text=unit_words(description),
@@ -87,7 +97,7 @@ class RegisteredTransformations:
             cost=known.cost,
             quality=known.quality,
             lacks=description.lacks,
-            units=tuple(unit.name for unit in units if unit.transformation == name),
+            units=tuple(units),
         )
 
     def get(self, name: str) -> Transformation:
@@ -123,7 +133,7 @@ class RegisteredTransformations:
         with self._together():
             for each in made:
                 self._keep(each)
-        return tuple(self.view(name) for name in names)
+        return self._views(names)
 
     def register_annotated(
         self,

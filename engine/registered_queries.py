@@ -201,8 +201,13 @@ class RegisteredQueries:
 
     def views(self) -> tuple[QueryView, ...]:
         """The registered queries, oldest first, with those of an earlier run that do not hold."""
-        views = map(self.view, (*self._lost, *self._running))
-        return tuple(sorted(views, key=lambda view: view.created))
+        return tuple(map(self.view, self.names()))
+
+    def names(self) -> tuple[str, ...]:
+        """Those of all of them, oldest first."""
+        registrations = {name: lost.registration for name, lost in self._lost.items()}
+        registrations |= {name: one.registration for name, one in self._running.items()}
+        return tuple(sorted(registrations, key=lambda name: registrations[name].number))
 
     def has(self, name: str) -> bool:
         """Whether a query of this name runs."""

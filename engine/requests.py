@@ -159,7 +159,11 @@ class EventRequests:
 
     def views(self) -> tuple[EventView, ...]:
         """The running requests, oldest first."""
-        return tuple(self.view(id) for id in self._requests)
+        return tuple(map(self.view, self.ids()))
+
+    def ids(self) -> tuple[str, ...]:
+        """Those of the running requests, oldest first."""
+        return tuple(self._requests)
 
     def of_event(self, event: str) -> tuple[str, ...]:
         """The ids of the requests that run for ``event`` (an IRI)."""

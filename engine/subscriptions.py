@@ -106,7 +106,11 @@ class Subscriptions:
 
     def views(self) -> tuple[SubscriptionView, ...]:
         """The subscriptions that run, oldest first."""
-        return tuple(self.view(id) for id in self._subscriptions)
+        return tuple(map(self.view, self.ids()))
+
+    def ids(self) -> tuple[str, ...]:
+        """Those of the subscriptions that run, oldest first."""
+        return tuple(self._subscriptions)
 
     def of_stream(self, stream: str) -> tuple[str, ...]:
         """The ids of the subscriptions whose samples come on a stream, which they read as it is

@@ -40,7 +40,7 @@ from .want import Want
 
 PARTICIPANTS = 64
 """Objects that are tried, at most, where a transformation takes any object of a sort."""
-COMBINED = 4096
+COMBINED = 512
 """Combinations of parts that are tried, at most, where several subjects are wanted at once."""
 
 

@@ -40,6 +40,7 @@ from .reading import TextFormat
 from .reasoning import DIRECT, Reasoning
 from .replicas import ChangeLog, as_nquads
 from .shipped import shipped_ontologies, text_hash
+from .successor import CONCEPTS, Successor, succeed
 from .turtle import ALL_PREFIXES
 from .units import UnitError
 from .validation import ShaclReport, validate
@@ -57,6 +58,16 @@ _ANNOTATION = NamedNode(STREAM_SPACE + "Annotation")
 _SPECIFICATION = NamedNode(STREAM_SPACE + "Specification")
 _IMPORTS = NamedNode(OWL + "imports")
 
+_NOT_STATIC = (
+    DefaultGraph(),
+    graphs.CATALOG,
+    graphs.QUERIES,
+    graphs.STREAM_SPACE,
+    graphs.STREAM_SPACE_ENTAILMENTS,
+)
+"""Graphs that continuous queries do not read."""
+_PIECE = 250
+"""Triples of the live stream space that are brought into the store in one go: some 10 ms."""
 _CHURN = 20_000
 """A store in memory is made anew after at least so many quads have come or gone."""
 _TABLES = {
@@ -86,12 +97,14 @@ class StoreChanges:
 @dataclass(frozen=True, slots=True)
 class PreparedOntology:
     """An ontology that is read and reasoned about, and not loaded yet: ``hashes`` are those of all
-    texts that are loaded with it, ``implied`` is what they entail together."""
+    texts that are loaded with it, ``implied`` is what they entail together. ``successor``: what
+    takes the place of a store in memory."""
 
     graph: NamedNode
     triples: frozenset[Triple]
     hashes: dict[str, str]
     implied: frozenset[Triple]
+    successor: Successor | None
 
 
 class Ontology:
@@ -105,11 +118,14 @@ class Ontology:
 
     def __init__(self, store: Store, path: Path | None) -> None:
         """Use `open`."""
-        self.store = store
+        self._store = store
+        self._awaited: dict[Triple, bool] = {}
+        """Triples of the live stream space that are not in the store yet: whether they come or go.
+        Only added to by those who tell of changes, only taken from under the lock."""
         self.path = path
         self.version = 0
         self._lock = threading.RLock()
-        self._closed: tuple[int, Store] | None = None
+        self._closed: Store | None = None
         self._churn = 0
         """Quads that have come or gone since the store was made."""
         self._look_at = _CHURN
@@ -143,6 +159,17 @@ class Ontology:
         """One in memory with these N-Quads, of `quads`."""
         return cls(store_of(quads), None)
 
+    @property
+    def store(self) -> Store:
+        """All there is. Treat it as read-only. Cost: what `mirror` was told of and is not there."""
+        self._bring_in()
+        return self._store
+
+    @property
+    def static_store(self) -> Store:
+        """The same, but that the live stream space may be as it was a moment ago."""
+        return self._store
+
     def quads(self) -> bytes:
         """All there is as N-Quads, sorted."""
         with self._lock:
@@ -152,6 +179,7 @@ class Ontology:
         """As it is copied, if it is in memory: the lock is each one's own. The store is for who
         copies (engine/checkpoint)."""
         assert self.path is None
+        self._bring_in()
         kept = dict(self.__dict__)
         del kept["_lock"], kept["_closed"]
         return kept
@@ -178,12 +206,33 @@ class Ontology:
         raises as `load`, and what ``reasoning`` raises."""
         graph = _ontology_graph(name)
         triples = reasoning.read(text, format, graph)
-        with self._lock:
-            hashes = {**self._hashes(), graph.value: text_hash(f"{format}\n{text}")}
-            asserted = self._asserted({graph: triples}, hashes)
-            known = self._kept_closure(closure_key(hashes))
+        # Nobody waits for what is read here: where ontologies change meanwhile, `take` refuses.
+        hashes = {**self._hashes(), graph.value: text_hash(f"{format}\n{text}")}
+        asserted = self._asserted({graph: triples}, hashes)
+        known = self._kept_closure(closure_key(hashes))
         implied = reasoning.entailed(asserted) if known is None else known
-        return PreparedOntology(graph, triples, hashes, implied)
+        successor = None
+        if self.path is None:
+            try:
+                successor = self._successor(graph, triples, hashes, (asserted, implied))
+            except UnitError as error:
+                raise OntologyError(str(error)) from error
+        return PreparedOntology(graph, triples, hashes, implied, successor)
+
+    def _successor(
+        self,
+        graph: NamedNode,
+        triples: frozenset[Triple],
+        hashes: dict[str, str],
+        entailed: tuple[frozenset[Triple], frozenset[Triple]],
+    ) -> Successor:
+        with self._lock:
+            # A store's iterator goes on with what there was when it was made.
+            now = self._store.quads_for_pattern(None, None, None, None)
+            held = (self._concepts.held, self._live.held)
+            position = self._log.position
+        replaced = {graph: triples, graphs.CATALOG: _catalog(hashes)}
+        return succeed(position, now, replaced, entailed, held)
 
     def take(self, prepared: PreparedOntology) -> None:
         """Load what was prepared. Raises `OntologyError` if it contradicts the vocabulary, or other
@@ -194,7 +243,30 @@ class Ontology:
                 raise OntologyError(
                     "another ontology was loaded meanwhile", hint="load this one again"
                 )
-            self._reload({prepared.graph: prepared.triples}, prepared.hashes, prepared.implied)
+            if not self._taken_over(prepared.successor):
+                self._reload({prepared.graph: prepared.triples}, prepared.hashes, prepared.implied)
+
+    def _taken_over(self, successor: Successor | None) -> bool:
+        """Go on with ``successor``; False where too much has changed since it was made. Cost: as
+        much as has changed."""
+        missed = None if successor is None else self._log.since(successor.position)
+        if successor is None or missed is None:
+            return False
+        changes = successor.follow(*missed)
+        self._store, self._churn, self._look_at = successor.store, 0, _CHURN
+        self._apply(changes)
+        self._log.forget()
+        self._concepts, self._live, self._base = (
+            successor.concepts,
+            successor.live,
+            successor.vocabulary,
+        )
+        self._changed()
+        self._closed = successor.static
+        self._follow_statically(
+            *(changes[g] for g in (*CONCEPTS, graphs.CONCEPT_ENTAILMENTS) if g in changes)
+        )
+        return True
 
     def ontologies(self) -> tuple[str, ...]:
         """The IRIs of the loaded ontologies' graphs."""
@@ -207,7 +279,7 @@ class Ontology:
 
     def imports(self) -> tuple[str, ...]:
         """What the loaded ontologies import; it was not fetched. Load it by `load` if needed."""
-        quads = self.store.quads_for_pattern(None, _IMPORTS, None, DefaultGraph())
+        quads = self._store.quads_for_pattern(None, _IMPORTS, None, DefaultGraph())
         return tuple(sorted({q.object.value for q in quads if isinstance(q.object, NamedNode)}))
 
     def static_graph(self, iri: str) -> bool:
@@ -217,16 +289,31 @@ class Ontology:
     def closed_store(self) -> Store:
         """The static side of continuous queries, in the default graph of a store of its own.
 
-        Loaded ontologies, templates and all that is entailed; not the live stream space. The same
-        store is returned until `version` changes. Treat it as read-only.
+        Loaded ontologies, templates and all that is entailed; not the live stream space. It is
+        another store, or has other triples, when `version` has changed. Treat it as read-only.
         """
         with self._lock:
-            if self._closed is None or self._closed[0] != self.version:
+            if self._closed is None:
                 store = Store()
                 static = self._ontology_triples() | self._concepts.held | self._concepts.current
                 store.extend(Quad(t.subject, t.predicate, t.object) for t in static)
-                self._closed = (self.version, store)
-            return self._closed[1]
+                self._closed = store
+            return self._closed
+
+    def _follow_statically(self, *changes: Change) -> None:
+        """Bring `closed_store` up to date: these changes of concepts, and of what they entail, are
+        in the store already."""
+        if self._closed is None:
+            return
+        for change in changes:
+            self._closed.extend(Quad(t.subject, t.predicate, t.object) for t in change.added)
+            for triple in change.removed:
+                if not self._is_static(triple):
+                    self._closed.remove(Quad(triple.subject, triple.predicate, triple.object))
+
+    def _is_static(self, triple: Triple) -> bool:
+        quads = self._store.quads_for_pattern(triple.subject, triple.predicate, triple.object, None)
+        return any(quad.graph_name not in _NOT_STATIC for quad in quads)
 
     # -- templates, annotations, declared streams --------------------------------------------
 
@@ -248,7 +335,7 @@ class Ontology:
 
     def templates(self) -> dict[str, str]:
         """Event concept IRI -> template text."""
-        quads = self.store.quads_for_pattern(None, _HAS_TEMPLATE, None, graphs.TEMPLATES)
+        quads = self._store.quads_for_pattern(None, _HAS_TEMPLATE, None, graphs.TEMPLATES)
         return {_subject(q): _text(q) for q in sorted(quads, key=str)}
 
     def set_annotation(self, subject_name: str, source: str) -> None:
@@ -338,13 +425,36 @@ class Ontology:
     def mirror(self, added: Iterable[Triple], removed: Iterable[Triple]) -> None:
         """Changes the live stream space; what it entails follows (`entailment`).
 
-        A triple in both is there afterwards. Cost: O(changed triples). Not flushed: the graph is
-        emptied when the store is opened.
+        A triple in both is there afterwards. Whoever asks sees it; it is brought into the store
+        when somebody does, or by `advance`: what comes and goes in between costs next to nothing,
+        and a large change is made in pieces. Not flushed: the graph is emptied when the store is
+        opened. Cost: O(changed triples).
         """
-        with self._lock:
-            held, implied = self._live.update(added, removed)
-            self._apply({graphs.STREAM_SPACE: held, graphs.STREAM_SPACE_ENTAILMENTS: implied})
-            self._renew()
+        self._awaited.update(dict.fromkeys(removed, False))
+        self._awaited.update(dict.fromkeys(added, True))
+
+    def advance(self) -> None:
+        """Bring some of what `mirror` was told of into the store, if nobody else is at it."""
+        if self._awaited and self._lock.acquire(blocking=False):
+            try:
+                self._bring_in_some()
+            finally:
+                self._lock.release()
+
+    def _bring_in(self) -> None:
+        while self._awaited:
+            # Others may have the lock in between.
+            with self._lock:
+                self._bring_in_some()
+
+    def _bring_in_some(self) -> None:
+        changed: tuple[list[Triple], list[Triple]] = ([], [])
+        while self._awaited and len(changed[0]) + len(changed[1]) < _PIECE:
+            triple, there = self._awaited.popitem()
+            changed[there].append(triple)
+        held, implied = self._live.update(changed[True], changed[False])
+        self._apply({graphs.STREAM_SPACE: held, graphs.STREAM_SPACE_ENTAILMENTS: implied})
+        self._renew()
 
     # -- questions ----------------------------------------------------------------------------
 
@@ -359,14 +469,17 @@ class Ontology:
 
     def changes_since(self, position: int | None) -> StoreChanges:
         """What a copy of the store lacks that was made or brought up to date at ``position``; None:
-        one that has nothing. Cost: O(changes), or a dump of the store."""
+        one that has nothing. Cost: O(changes), or a dump of the store, for which nobody waits."""
+        self._bring_in()
         with self._lock:
+            store, now = self._store, self._log.position
             found = None if position is None else self._log.since(position)
-            if found is None:
-                whole = self.store.dump(format=RdfFormat.N_QUADS)
-                return StoreChanges(self._log.position, _bytes(whole), b"", b"")
-            came, went = found
-            return StoreChanges(self._log.position, None, as_nquads(came), as_nquads(went))
+        if found is None:
+            # It may have some of what comes next, which the copy is told once more: no harm.
+            whole = store.dump(format=RdfFormat.N_QUADS)
+            return StoreChanges(now, _bytes(whole), b"", b"")
+        came, went = found
+        return StoreChanges(now, None, as_nquads(came), as_nquads(went))
 
     def query_rows(self, sparql: str) -> tuple[tuple[str, ...], list[tuple[Term | None, ...]]]:
         """Variables and rows of a SELECT; None is unbound. `QueryRefused` for another form."""
@@ -399,8 +512,7 @@ class Ontology:
 
     def validate(self) -> ShaclReport:
         """Whether the stream space is well-formed by shapes.ttl."""
-        with self._lock:
-            quads = list(self.store.quads_for_pattern(None, None, None, DefaultGraph()))
+        quads = self.store.quads_for_pattern(None, None, None, DefaultGraph())
         return validate(quad.triple for quad in quads)
 
     # -- inside -------------------------------------------------------------------------------
@@ -456,35 +568,35 @@ class Ontology:
         rules = Rules(asserted | implied)
         concepts = Entailments(rules, self._concept_triples())
         live = Entailments(rules, self._live.held)
-        catalog = {Triple(NamedNode(g), graphs.LOADED, Literal(h)) for g, h in hashes.items()}
-        catalog.add(Triple(graphs.ENTAILMENTS, graphs.CLOSED, Literal(key)))
         wanted = {
             **new,
             graphs.ENTAILMENTS: implied,
             graphs.CONCEPT_ENTAILMENTS: concepts.current,
             graphs.STREAM_SPACE_ENTAILMENTS: live.current,
-            graphs.CATALOG: frozenset(catalog),
+            graphs.CATALOG: _catalog(hashes),
         }
         self._apply({graph: _change(self._graph(graph), then) for graph, then in wanted.items()})
         self._flush()
         self._concepts, self._live, self._base = concepts, live, vocabulary
+        self._closed = None
         self._changed()
 
     def _keep(self, graph: NamedNode, subject: NamedNode, triples: set[Triple]) -> None:
         """Makes ``triples`` all that ``graph`` says of ``subject``."""
         with self._lock:
-            before = {q.triple for q in self.store.quads_for_pattern(subject, None, None, graph)}
+            before = {q.triple for q in self._store.quads_for_pattern(subject, None, None, graph)}
             change = _change(frozenset(before), frozenset(triples))
             _, implied = self._concepts.update(change.added, change.removed)
             self._apply({graph: change, graphs.CONCEPT_ENTAILMENTS: implied})
             self._flush()
+            self._follow_statically(change, implied)
             self._changed()
 
     def _keep_aside(self, graph: NamedNode, subject: NamedNode, triples: set[Triple]) -> None:
         """The same of what nothing follows from and no continuous query reads: to them the
         ontology is as it was, and they need not look at it anew."""
         with self._lock:
-            before = {q.triple for q in self.store.quads_for_pattern(subject, None, None, graph)}
+            before = {q.triple for q in self._store.quads_for_pattern(subject, None, None, graph)}
             self._apply({graph: _change(frozenset(before), frozenset(triples))})
             self._flush()
 
@@ -514,15 +626,15 @@ class Ontology:
         self._churn += len(added) + len(removed)
         self._log.note(added, removed)
         if not removed:
-            self.store.extend(added)  # all at once, and without a text to be parsed
+            self._store.extend(added)  # all at once, and without a text to be parsed
         elif any(_has_blank(quad) for quad in removed | added):
             # SPARQL's DELETE DATA names no blank nodes, so these go one after the other: what
             # comes first, so that nothing that stays is missing in between.
-            self.store.extend(added)
+            self._store.extend(added)
             for quad in removed:
-                self.store.remove(quad)
+                self._store.remove(quad)
         else:
-            self.store.update(
+            self._store.update(
                 f"DELETE DATA {{ {_data(removed)} }} ; INSERT DATA {{ {_data(added)} }}"
             )
 
@@ -531,16 +643,16 @@ class Ontology:
         some of what was removed, and grows without end (0.6 KB a quad)."""
         if self.path is not None or self._churn <= self._look_at:
             return
-        much = max(_CHURN, 4 * len(self.store))
+        much = max(_CHURN, 4 * len(self._store))
         if self._churn <= much:
             self._look_at = much
             return
         store = Store()
-        store.extend(self.store)
-        self.store, self._churn, self._look_at = store, 0, _CHURN
+        store.extend(self._store)
+        self._store, self._churn, self._look_at = store, 0, _CHURN
 
     def _elsewhere(self, triple: Triple, removed: set[Quad]) -> bool:
-        holders = self.store.quads_for_pattern(
+        holders = self._store.quads_for_pattern(
             triple.subject, triple.predicate, triple.object, None
         )
         return any(
@@ -550,14 +662,14 @@ class Ontology:
 
     def _flush(self) -> None:
         if self.path is not None:
-            self.store.flush()
+            self._store.flush()
 
     def _hashes(self) -> dict[str, str]:
-        quads = self.store.quads_for_pattern(None, graphs.LOADED, None, graphs.CATALOG)
+        quads = self._store.quads_for_pattern(None, graphs.LOADED, None, graphs.CATALOG)
         return {_subject(q): _text(q) for q in quads}
 
     def _graph(self, graph: NamedNode) -> frozenset[Triple]:
-        quads = self.store.quads_for_pattern(None, None, None, graph)
+        quads = self._store.quads_for_pattern(None, None, None, graph)
         return frozenset(quad.triple for quad in quads)
 
     def _ontology_triples(self) -> frozenset[Triple]:
@@ -565,23 +677,22 @@ class Ontology:
         return frozenset().union(*map(self._graph, [*names, graphs.ENTAILMENTS]))
 
     def _concept_triples(self) -> frozenset[Triple]:
-        kept = (
-            graphs.TEMPLATES,
-            graphs.ANNOTATIONS,
-            graphs.DECLARATIONS,
-            graphs.TRANSFORMATIONS,
-            graphs.KPL,
-            graphs.SPECIFICATIONS,
-        )
-        return frozenset().union(*map(self._graph, kept))
+        return frozenset().union(*map(self._graph, CONCEPTS))
 
     def _named_texts(self, graph: NamedNode) -> dict[str, str]:
-        names = self.store.quads_for_pattern(None, _HAS_NAME, None, graph)
+        names = self._store.quads_for_pattern(None, _HAS_NAME, None, graph)
         found = {}
         for quad in sorted(names, key=str):
-            for text in self.store.quads_for_pattern(quad.subject, _HAS_TEXT, None, graph):
+            for text in self._store.quads_for_pattern(quad.subject, _HAS_TEXT, None, graph):
                 found[_text(quad)] = _text(text)
         return found
+
+
+def _catalog(hashes: dict[str, str]) -> frozenset[Triple]:
+    """Which ontologies are loaded, and of which the closure is."""
+    loaded = {Triple(NamedNode(g), graphs.LOADED, Literal(h)) for g, h in hashes.items()}
+    closed = Triple(graphs.ENTAILMENTS, graphs.CLOSED, Literal(closure_key(hashes)))
+    return frozenset(loaded | {closed})
 
 
 def quads_of(store: Store) -> bytes:

@@ -35,6 +35,12 @@ class ChangeLog:
             first = self._changes.popleft()
             self._size -= len(first[0]) + len(first[1])
 
+    def forget(self) -> None:
+        """More has changed than is kept: copies are made anew."""
+        self.position += 1
+        self._changes.clear()
+        self._size = 0
+
     def since(self, position: int) -> tuple[Set[Quad], Set[Quad]] | None:
         """What came and what went after the first ``position`` changes, on balance; None if they
         are not all kept."""

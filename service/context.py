@@ -14,6 +14,7 @@ from ..streams.time import Clock
 from .access import Gate
 from .decoding import Decoding
 from .event_clients import ClientKey, address_of
+from .garbage import Garbage
 from .isolation.services import Isolation
 from .keeper import Keeper
 from .live import LiveBodies
@@ -51,6 +52,8 @@ class Service:
     """Reads the tokens again when they change."""
     warming: Warming | None = None
     """What goes on beside the start; the service is not ready before it is over."""
+    garbage: Garbage | None = None
+    """How the process looks for garbage; None: as Python does."""
     client_key: ClientKey = address_of
     """Whose event streams are counted together (`Settings.sse_clients_each`)."""
 
@@ -97,6 +100,8 @@ class Service:
         """Tell the engine the time, and event stream clients which streams are gone."""
         self.keeper.do(Tick(self.clock()))
         self.feeds.review()
+        if self.garbage is not None:
+            self.garbage.review()
 
 
 async def _service(request: Request) -> Service:

@@ -14,11 +14,12 @@ from typing import Final
 import anyio
 import anyio.to_thread
 
-from ..languages.csparql import algebra, parse_template
+from ..languages.csparql import algebra, parse_query, parse_template
 from ..languages.kpl import parse_kpl
 from ..languages.kpl.ast import Specification
 from ..languages.ssl import parse_ssl
 from ..languages.ssl.ast import Declaration
+from ..templates.patterns import patterns
 from .problems import Problem
 
 LONGEST: Final = 128 * 1024
@@ -94,6 +95,11 @@ def parse_registration(text: str) -> None:
 def count_words(text: str) -> int:
     """How many words and signs a text in SSL or KPL has."""
     return sum(1 for _ in _words(text))
+
+
+def parse_continuous(text: str) -> None:
+    """The same of a continuous query."""
+    patterns(algebra(parse_query(text)).algebra)
 
 
 def _check_words(text: str) -> None:

@@ -20,6 +20,13 @@ from .isolation.pool import Pool
 from .isolation.worker import WorkerError
 from .logs import log
 
+_PATIENCE = 30.0
+"""Seconds for one loop, on a slow machine."""
+
+
+class _Over(Exception):
+    """The service stops."""
+
 
 class Warming:
     """Work in threads of its own, each with a name for people. `reasons` may be asked in any."""
@@ -27,6 +34,7 @@ class Warming:
     def __init__(self) -> None:
         self._doing: dict[str, str] = {}
         self._threads: list[threading.Thread] = []
+        self._is_over = False
 
     def reasons(self) -> list[str]:
         """What is not over, or has failed: nothing when all is done."""
@@ -45,6 +53,8 @@ class Warming:
     def _run(self, name: str, work: Callable[[], None]) -> None:
         try:
             work()
+        except _Over:
+            return
         except Exception as error:  # noqa: BLE001 - told by log and /readyz
             log().exception("warm-up failed", what=name)
             self._doing[name] = f"failed: {error}"
@@ -56,8 +66,17 @@ class Warming:
 
         def tell(done: int, count: int) -> None:
             self._doing["loops"] = f"being compiled, {done} of {count} are done"
+            if self._is_over:
+                raise _Over
 
         self.begin("loops", "being compiled", lambda: compile_all(tell))
+
+    def end(self) -> None:
+        """The service stops: what is under way comes to an end that it can come to soon. A thread
+        that the interpreter's end finds within the compiler would take the process down with it."""
+        self._is_over = True
+        for thread in self._threads:
+            thread.join(_PATIENCE)
 
     def workers(self, name: str, pool: Pool) -> None:
         """Start the workers of a pool. That they cannot be started is for the pool to tell, which

@@ -7,6 +7,7 @@ field. `no_value` is a set bit in a column's null mask. `no_sample` is the absen
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -76,8 +77,8 @@ class Schema:
     fields: tuple[Field, ...]
 
     def __post_init__(self) -> None:
-        names = [field.name for field in self.fields]
-        twice = {name for name in names if names.count(name) > 1}
+        counts = Counter(field.name for field in self.fields)
+        twice = [name for name, count in counts.items() if count > 1]
         if twice:
             raise ValueError(f"field names must differ: {', '.join(sorted(twice))} is there twice")
 

@@ -101,7 +101,7 @@ class TemplateLibrary:
 
     def needs(self, query: ContinuousQuery) -> Needs:
         """`needs` of a query with what this library's ontology knows. Raises `NeedsError`."""
-        return needs(query, self._ontology.vocabulary, in_ontology(self._ontology.store))
+        return needs(query, self._ontology.vocabulary, in_ontology(self._ontology.static_store))
 
     def _check(self, template: Template) -> None:
         vocabulary = self._ontology.vocabulary

@@ -58,7 +58,7 @@ class Body:
         return isinstance(other, Body) and self.root is other.root
 
 
-@lru_cache(maxsize=512)
+@lru_cache(maxsize=64)
 def _found(body: Body) -> tuple[Pattern, ...]:
     return tuple(_patterns(body.root, {}, top=True))
 

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -21,8 +20,9 @@ from pyoxigraph import BlankNode, Variable
 from ...rdf.dictionary import Term
 from ...rdf.namespaces import PREFIXES
 from ..errors import Span
+from ..remembered import remembered
 from .ast import Aggregation, ContinuousQuery, StreamClause
-from .shape import Shape, groups, query_shape
+from .shape import Group, Shape, groups, query_shape
 from .syntax import translated
 from .terms import term_text
 from .tokens import Kind, Token, compact, tokenize
@@ -112,7 +112,7 @@ def nested_parameters(query: ContinuousQuery) -> frozenset[Variable]:
     shape = _shape(query)
     if not shape.has_where:
         return frozenset()
-    inner = (g for g in groups(shape.tokens, shape.where_open) if g.open != shape.where_open)
+    inner = (g for g in groups_of(query.sparql) if g.open != shape.where_open)
     names = {name for group in inner for name in group.names}
     return frozenset(variable for variable in query.bindings if variable.value in names)
 
@@ -151,13 +151,13 @@ def _body(query: ContinuousQuery, rows: Mapping[str, str], parameters: Sequence[
     shape = _shape(query)
     edits: list[Edit] = []
     if shape.has_where:
-        edits += values_edits(shape, rows, parameters)
+        edits += values_edits(shape, groups_of(query.sparql), rows, parameters)
         if query.aggregations:
             # The sub-select encloses the VALUES row, so its edit comes first at that place.
             edits = [*_aggregate_edits(query, shape, parameters), *edits]
         else:
             edits += _grouping_edits(shape, parameters)
-        for group in groups(shape.tokens, shape.where_open):
+        for group in groups_of(query.sparql):
             if group.select is not None:
                 edits += _alias_edits(group.select)
         edits += _alias_edits(shape)
@@ -173,7 +173,14 @@ def prefix_lines(query: ContinuousQuery) -> str:
     return "".join(f"PREFIX {name}: <{iri}>\n" for name, iri in used if name not in declared)
 
 
-@lru_cache(maxsize=512)
+@remembered
+def groups_of(sparql: str) -> tuple[Group, ...]:
+    """The groups of a query's text: asked for a dozen times while it is registered."""
+    shape = query_shape(sparql)
+    return () if shape is None else tuple(groups(shape.tokens, shape.where_open))
+
+
+@remembered
 def _declared(sparql: str) -> frozenset[str]:
     tokens = tokenize(sparql)
     return frozenset(
@@ -183,12 +190,14 @@ def _declared(sparql: str) -> frozenset[str]:
     )
 
 
-def values_edits(shape: Shape, rows: Mapping[str, str], parameters: Sequence[str]) -> list[Edit]:
+def values_edits(
+    shape: Shape, found: Sequence[Group], rows: Mapping[str, str], parameters: Sequence[str]
+) -> list[Edit]:
     """Insert a VALUES row into each group that uses a parameter, all of them into the first."""
     edits: list[Edit] = []
     tokens = shape.tokens
     sub_select: Sequence[str] = ()
-    for group in groups(tokens, shape.where_open):
+    for group in found:
         if group.select is not None:
             # The row goes into the sub-query's own WHERE, which is the next group.
             sub_select = [name for name in parameters if name in group.names]

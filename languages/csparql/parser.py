@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from functools import lru_cache
 from typing import Final
 
 from pyoxigraph import Variable
 
 from ...rdf.namespaces import DYKNOW
+from ..remembered import remembered
 from .ast import ContinuousQuery, Dialect, Form, StreamOperator, Template
 from .body import bind_names
 from .check import Check
@@ -84,13 +84,13 @@ def required_parameters(template: Template) -> tuple[Variable, ...]:
     return tuple(p for p in template.parameters if p.value not in bound)
 
 
-@lru_cache(maxsize=512)
+@remembered
 def _read(source: str) -> tuple[ClauseReader, Clauses]:
     reader = ClauseReader(source)
     return reader, reader.read()
 
 
-@lru_cache(maxsize=512)
+@remembered
 def _query(source: str) -> ContinuousQuery:
     reader, found = _read(source)
     assert found.form is not None

@@ -24,7 +24,7 @@ from .ast import (
     TimeWindow,
     Window,
 )
-from .body import Edit, apply_edits, prefix_lines, template_edit, values_edits
+from .body import Edit, apply_edits, groups_of, prefix_lines, template_edit, values_edits
 from .functions import check_functions
 from .groups import WINDOW
 from .shape import Shape, query_shape
@@ -36,6 +36,8 @@ _DIGITS = re.compile("[0-9]+")
 _FITTING: dict[tuple[object, ...], bool] = {}
 _REMEMBERED = 1_000
 """Of so many ways to fill in a text it is remembered whether it can be read."""
+MOST_READ = 200
+"""A text of more tokens is not read for that: it takes up to a millisecond each."""
 
 
 def format_query(query: ContinuousQuery) -> str:
@@ -51,7 +53,7 @@ def format_query(query: ContinuousQuery) -> str:
     replaced = {name: text for name, text in terms.items() if name not in kept}
     rows = {name: text for name, text in terms.items() if name in kept}
     edits = _binding_edits(query.sparql, shape, rows, replaced)
-    if replaced and not _fits(query, edits, replaced):
+    if replaced and (len(shape.tokens) > MOST_READ or not _fits(query, edits, replaced)):
         # A term cannot stand in every place of a variable (a projection, f:timestamp).
         edits = _binding_edits(query.sparql, shape, terms, {})
     body = apply_edits(query.sparql, [*edits, *_window_edits(query, shape)])
@@ -97,7 +99,7 @@ def _binding_edits(
         if token.kind is Kind.VARIABLE and token.text[1:] in replaced
     ]
     if rows:
-        edits += values_edits(shape, rows, list(rows))
+        edits += values_edits(shape, groups_of(sparql), rows, list(rows))
         if shape.is_short_construct:
             edits.append(template_edit(sparql, shape))
     return edits

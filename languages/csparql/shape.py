@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from itertools import pairwise
 from typing import Final
 
+from ..remembered import remembered
 from .ast import Form
 from .tokens import Kind, Token, closing, tokenize
 
@@ -115,7 +115,7 @@ def _name(token: Token) -> str:
     return token.text[1:]
 
 
-@lru_cache(maxsize=512)
+@remembered
 def query_shape(sparql: str) -> Shape | None:
     """The shape of a whole query; None if it has no form keyword or no WHERE group."""
     tokens = tokenize(sparql)

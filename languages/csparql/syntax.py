@@ -13,7 +13,6 @@ import threading
 from bisect import bisect_right
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import TYPE_CHECKING, Final
 
 from pyoxigraph import Literal
@@ -22,6 +21,7 @@ from pyparsing import ParseBaseException
 from ...rdf.namespaces import PREFIXES
 from ...rdf.sparql import check_sparql
 from ..errors import LanguageError, Span
+from ..remembered import remembered
 from .functions import UNCALLED
 from .terms import iri_text, string_text, term_text
 from .tokens import Kind, Token, tokenize
@@ -217,7 +217,7 @@ _REASONS: Final = {
 }
 
 
-@lru_cache(maxsize=512)
+@remembered
 def translated(text: str) -> Query:
     """rdflib's algebra of a SPARQL 1.1 text; one object a text, so do not change it."""
     from rdflib.plugins.sparql.algebra import translateQuery

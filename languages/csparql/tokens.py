@@ -11,10 +11,10 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from functools import lru_cache
 from typing import Final
 
 from ..errors import LanguageError, Span
+from ..remembered import remembered
 
 MAX_DEPTH: Final = 64
 """Deepest nesting of brackets; the parsers behind us recurse."""
@@ -91,11 +91,13 @@ _KINDS: Final = {
     "word": Kind.WORD,
     "mark": Kind.MARK,
 }
-_BLANK_LINES: Final = re.compile(r"[ \t]*(?:\r?\n[ \t]*)*\r?\n")
+# It begins where white space does: from within a long line of it, it would be looked for in vain
+# again and again.
+_BLANK_LINES: Final = re.compile(r"(?<![ \t])[ \t]*(?:\r?\n[ \t]*)*\r?\n")
 _CLOSING: Final = {"{": "}", "(": ")", "[": "]"}
 
 
-@lru_cache(maxsize=1024)
+@remembered
 def tokenize(source: str) -> tuple[Token, ...]:
     """The tokens of a text. Brackets are balanced and at most `MAX_DEPTH` deep.
 

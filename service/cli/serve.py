@@ -24,6 +24,7 @@ from ...ontology.errors import OntologyError
 from ..app import create_app
 from ..context import Service
 from ..descriptors import raise_limit
+from ..garbage import Garbage
 from ..isolation.services import Windows
 from ..logs import configure, log
 from ..server import bind, run, url_of
@@ -105,12 +106,15 @@ def serve(
     except BaseException:
         listener.close()
         windows.close()
+        warming.end()
         raise
     app = create_app(engine, settings, time.time_ns, known, windows)
     url = url_of(listener)
     say(f"DyKnow serves at {url} (documentation: {url}/docs)")
     service: Service = app.state.service
     service.warming = warming
+    garbage = service.garbage = Garbage()
+    garbage.begin()
     warming.workers("sparql", service.isolation.pools["sparql"])
     warming.application(app)
     _reload_on_hangup(service, settings)
@@ -130,6 +134,8 @@ def serve(
         watchdog.close()
         for isolated in (windows, service.isolation):
             isolated.close()
+        warming.end()
+        garbage.end()
     log().info("stopped", by_force=by_force)
     if by_force:
         raise typer.Exit(1)

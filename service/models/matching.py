@@ -6,7 +6,7 @@ from pydantic import BaseModel, Field
 
 from ...engine import views
 from .events import PlanModel
-from .parts import Body, Name, Strategy
+from .parts import MOST_ARGUMENTS, Body, Name, Strategy
 
 
 class MatchIn(Body):
@@ -16,7 +16,7 @@ class MatchIn(Body):
     sort: Name | None = None
     objects: list[Name] = Field(
         default_factory=list,
-        max_length=1000,
+        max_length=MOST_ARGUMENTS,
         description="the object; of an n-ary feature its further arguments after it",
     )
     strategy: Strategy = "fast"

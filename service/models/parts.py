@@ -31,6 +31,8 @@ Duration = Annotated[
         examples=["5s"],
     ),
 ]
+MOST_ARGUMENTS = 16
+"""Of one feature: each of them may stand for parts of it, and all combinations are looked at."""
 Name = Annotated[str, StringConstraints(min_length=1, max_length=200)]
 Quality = Annotated[
     float, Field(ge=0, le=1, allow_inf_nan=False, description="how good it is, 0 to 1")

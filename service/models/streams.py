@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, BeforeValidator, Field, field_validator
@@ -60,11 +61,10 @@ class StreamIn(Body):
     @field_validator("fields")
     @classmethod
     def _tell_apart(cls, fields: list[FieldModel]) -> list[FieldModel]:
-        names = [field.name for field in fields]
-        for name in names:
+        for name, count in Counter(field.name for field in fields).items():
             if name in TIME_FIELDS:
                 raise ValueError(f"a field cannot be called {name!r}: that is a sample's time")
-            if names.count(name) > 1:
+            if count > 1:
                 raise ValueError(f"the field {name!r} is there twice")
         return fields
 

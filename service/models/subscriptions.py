@@ -11,7 +11,7 @@ from ...engine.adaptive import Rematch
 from ...engine.commands import Subscribe, SubscribeToFeature
 from ...engine.standing import Waiting
 from ...streams.time import SECOND, format_duration, format_time
-from .parts import Body, Duration, Name, Quality, Strategy
+from .parts import MOST_ARGUMENTS, Body, Duration, Name, Quality, Strategy
 
 
 class SubscriptionIn(Body):
@@ -22,7 +22,7 @@ class SubscriptionIn(Body):
     sort: Name | None = Field(None, description="the feature of every object of the sort")
     objects: list[Name] = Field(
         default_factory=list,
-        max_length=100,
+        max_length=MOST_ARGUMENTS,
         description="the feature of this object; of an n-ary feature its arguments",
     )
     strategy: Strategy = "fast"

@@ -5,12 +5,13 @@ from __future__ import annotations
 from typing import Annotated, TypeAlias
 
 from fastapi import APIRouter, Request
-from fastapi.responses import JSONResponse, PlainTextResponse, Response
+from fastapi.responses import PlainTextResponse, Response
 from pydantic import Field
 
 from ...engine.commands import Annotate, Describe
 from ...languages.ssl.ast import StreamDeclaration
 from ..context import Context
+from ..listing import listed
 from ..models import AnnotationModel, ContentsIn, schema_of, text_schema
 from ..negotiation import JSON, TEXT, accepted, content_type, json_value, utf8
 from ..parsing import MOST_CONTENTS, MOST_DECLARATIONS, check_length, read_ssl, too_long
@@ -96,7 +97,7 @@ async def annotate(request: Request, service: Context) -> list[AnnotationModel]:
 async def list_annotations(request: Request, service: Context) -> Response:
     """All annotations; as SSL for ``Accept: text/plain``."""
     kind = accepted(request, (JSON, TEXT))
-    found = [AnnotationModel.of(annotation) for annotation in service.engine.annotations()]
+    found = service.engine.annotations()
     if kind == TEXT:
-        return PlainTextResponse("".join(f"{model.source.rstrip()}\n" for model in found))
-    return JSONResponse([model.model_dump() for model in found])
+        return PlainTextResponse("".join(f"{each.source.rstrip()}\n" for each in found))
+    return await listed(found, AnnotationModel.of)

@@ -11,6 +11,7 @@ from ...engine.commands import CancelEvent, RequestEvent
 from ...engine.standing import REQUEST
 from ...engine.views import Since
 from ..context import Context
+from ..listing import listed
 from ..models import EventIn, EventModel, Strategy, schema_of, text_schema
 from ..negotiation import JSON, TEXT, content_type, json_value, utf8
 from ..problems import responses
@@ -72,12 +73,14 @@ async def request_event(
     return EventModel.of(view, engine.epoch)
 
 
-@router.get("/events")
-async def list_events(service: Context) -> list[EventModel]:
+@router.get("/events", response_model=list[EventModel])
+async def list_events(service: Context) -> Response:
     """The requests that run, then those of an earlier run that wait (``state``)."""
     engine = service.engine
-    running = [EventModel.of(view, engine.epoch) for view in engine.events()]
-    return running + [EventModel.waiting(each) for each in service.keeper.waits(REQUEST).values()]
+    waiting = [EventModel.waiting(each) for each in service.keeper.waits(REQUEST).values()]
+    return await listed(
+        engine.event_ids(), lambda id: EventModel.of(engine.event(id), engine.epoch), waiting
+    )
 
 
 @router.get("/events/{id}", responses=responses(404))

@@ -5,10 +5,11 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 from fastapi import APIRouter, Query, Request
-from fastapi.responses import JSONResponse, PlainTextResponse, Response
+from fastapi.responses import PlainTextResponse, Response
 
 from ...engine.commands import AddKpl, RemoveKpl
 from ..context import Context
+from ..listing import listed
 from ..models import DeclarationModel, OneDeclarationModel, RemovedModel, text_schema
 from ..negotiation import JSON, TEXT, accepted, text_body
 from ..parsing import check_length, read_kpl
@@ -56,8 +57,7 @@ async def list_declarations(request: Request, service: Context) -> Response:
     """Everything declared, in order; as KPL for ``Accept: text/plain``, integers in ms."""
     if accepted(request, (JSON, TEXT)) == TEXT:
         return PlainTextResponse(service.engine.kpl_text())
-    models = [DeclarationModel.of(view) for view in service.engine.kpl()]
-    return JSONResponse([model.model_dump() for model in models])
+    return await listed(service.engine.kpl(), DeclarationModel.of)
 
 
 @router.get("/kpl/{name:path}", responses=responses(404))

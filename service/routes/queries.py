@@ -12,12 +12,12 @@ from ...continuous.options import Bounds, Report, Semantics
 from ...engine.commands import RegisterQuery, RemoveQuery
 from ...engine.standing import QUERY, query_view
 from ...engine.views import Since
-from ...languages.csparql import parse_query
 from ...streams.time import format_time
 from ..context import Context
+from ..listing import listed
 from ..models import QueryModel, Strategy, text_schema
 from ..negotiation import JSON, SPARQL_QUERY, TEXT, accepted, text_body
-from ..parsing import parse_aside
+from ..parsing import parse_aside, parse_continuous
 from ..problems import responses
 from ..sparql_results import GRAPHS, RESULTS, many_windows, one_window
 from ..times import Time, time_of
@@ -88,7 +88,7 @@ async def register_query(
     is needed.
     """
     text = await text_body(request, TEXTS)
-    await parse_aside(parse_query, text)
+    await parse_aside(parse_continuous, text)
     engine = service.engine
     origin_time = time_of(origin, "origin") or 0
     view = await service.do(
@@ -100,13 +100,16 @@ async def register_query(
     return JSONResponse(body, 201 if view.users == 1 else 200, location)
 
 
-@router.get("/queries")
-async def list_queries(service: Context) -> list[QueryModel]:
+@router.get("/queries", response_model=list[QueryModel])
+async def list_queries(service: Context) -> Response:
     """The registered queries, oldest first, then those of an earlier run that wait (``state``)."""
     engine = service.engine
-    there = [QueryModel.of(view, engine.epoch) for view in engine.queries.views()]
-    waiting = service.keeper.waits(QUERY).values()
-    return there + [QueryModel.waiting(each, engine.epoch) for each in waiting]
+    there = engine.queries
+    waits = service.keeper.waits(QUERY).values()
+    waiting = [QueryModel.waiting(each, engine.epoch) for each in waits]
+    return await listed(
+        there.names(), lambda name: QueryModel.of(there.view(name), engine.epoch), waiting
+    )
 
 
 @router.get("/queries/{name}", response_model=QueryModel, responses=TEXT_TOO | responses(404, 406))

@@ -9,6 +9,7 @@ from fastapi import APIRouter, Depends, Path, Request, Response
 from ...engine.commands import DeclareStream, EndStream, RemoveStream, SetQuality
 from ...engine.errors import UnknownStream
 from ..context import Context, Service
+from ..listing import listed
 from ..models import QualityIn, StreamIn, StreamModel
 from ..negotiation import JSON, content_type
 from ..problems import responses
@@ -31,10 +32,12 @@ async def json_only(request: Request) -> None:
     content_type(request, (JSON,))
 
 
-@router.get("/streams")
-async def list_streams(service: Context) -> list[StreamModel]:
+@router.get("/streams", response_model=list[StreamModel])
+async def list_streams(service: Context) -> Response:
     """All streams with rate, counters, lag, annotation, producer and subscribers."""
-    return [StreamModel.of(view) for view in service.engine.streams()]
+    engine = service.engine
+    names = [generator.name for generator in engine.generators()]
+    return await listed(names, lambda name: StreamModel.of(engine.stream(name)))
 
 
 @router.get("/streams/{name}", responses=responses(404))

@@ -10,6 +10,7 @@ from fastapi import APIRouter, Depends, Query, Request, Response
 from ...engine.commands import Subscribe, SubscribeToFeature, Unsubscribe
 from ...engine.standing import SUBSCRIPTION
 from ..context import Context
+from ..listing import listed
 from ..models import RematchModel, SubscriptionIn, SubscriptionModel
 from ..negotiation import EVENT_STREAM
 from ..problems import Problem, responses
@@ -50,12 +51,15 @@ async def subscribe(
     return SubscriptionModel.of(view)
 
 
-@router.get("/subscriptions")
-async def list_subscriptions(service: Context) -> list[SubscriptionModel]:
+@router.get("/subscriptions", response_model=list[SubscriptionModel])
+async def list_subscriptions(service: Context) -> Response:
     """The subscriptions that run, then those of an earlier run that wait (``state``)."""
-    waiting = service.keeper.waits(SUBSCRIPTION).values()
-    running = [SubscriptionModel.of(view) for view in service.engine.subscriptions()]
-    return running + [SubscriptionModel.waiting(each) for each in waiting]
+    engine = service.engine
+    waits = service.keeper.waits(SUBSCRIPTION).values()
+    waiting = [SubscriptionModel.waiting(each) for each in waits]
+    return await listed(
+        engine.subscription_ids(), lambda id: SubscriptionModel.of(engine.subscription(id)), waiting
+    )
 
 
 @router.get("/subscriptions/{id}", responses=responses(404))

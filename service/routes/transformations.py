@@ -19,6 +19,7 @@ from ...engine.turtle_descriptions import read_transformations
 from ...languages.ssl import parse_ssl
 from ..context import Context, Service
 from ..isolation.serving import while_connected
+from ..listing import listed
 from ..models import TransformationIn, TransformationModel, WorthIn, schema_of, text_schema
 from ..negotiation import JSON, TURTLE, content_type, json_value, utf8
 from ..parsing import check_number, read_ssl
@@ -84,10 +85,10 @@ async def register_transformations(
     return found[0] if isinstance(wanted, TransformationIn) else found
 
 
-@router.get("/transformations")
-async def list_transformations(service: Context) -> list[TransformationModel]:
+@router.get("/transformations", response_model=list[TransformationModel])
+async def list_transformations(service: Context) -> Response:
     """All transformations, in the order of registration."""
-    return [TransformationModel.of(view) for view in service.engine.transformations.views()]
+    return await listed(service.engine.transformations.views(), TransformationModel.of)
 
 
 @router.get("/transformations/{name}", responses=responses(404))

@@ -26,11 +26,13 @@ from dyknow.languages.csparql import (
     group_keys,
     parse_query,
     parse_template,
+    printer,
     with_streams,
 )
 from dyknow.languages.csparql.functions import calls
 from dyknow.languages.csparql.limits import MOST_OPERATORS, MOST_PARTS
-from dyknow.languages.csparql.tokens import tokenize
+from dyknow.languages.csparql.printer import MOST_READ
+from dyknow.languages.csparql.tokens import compact, tokenize
 from dyknow.languages.errors import LanguageError
 
 MS = 1_000_000
@@ -268,3 +270,28 @@ def test_parts_of_patterns_are_bounded(part: str, costs: int) -> None:
     parse_query(condition("true").replace("}", " ".join(["", *[part] * most, "}"])))
     with pytest.raises(LanguageError, match="more than 160 groups"):
         parse_query(condition("true").replace("}", " ".join(["", *[part] * (most + 1), "}"])))
+
+
+def test_a_long_blank_is_looked_at_once() -> None:
+    """Looked at anew from each of its characters, this would take hours."""
+    assert compact(f"SELECT{' ' * 2_000_000}?a\n{' ' * 2_000_000}\n {{}}").split() == [
+        "SELECT",
+        "?a",
+        "{}",
+    ]
+
+
+def test_a_long_text_is_not_read_again_to_be_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Reading a template of 4,000 words takes three seconds; here a request is told."""
+    read = []
+    monkeypatch.setattr(printer, "check_syntax", lambda *given: read.append(given))
+    term = NamedNode("http://www.ida.liu.se/dyknow/uav1")
+    for conditions in (2, MOST_READ):
+        where = " || ".join(f"?v = {number}" for number in range(conditions))
+        text = (
+            "REGISTER QUERY q AS SELECT ?v FROM STREAM <urn:s> [RANGE 1s STEP 1s] "
+            f"WHERE {{ ?o <urn:p> ?v FILTER ({where}) }}"
+        )
+        told = format_query(bind(parse_query(text), {Variable("o"): term}))
+        assert ("VALUES" in told) == (conditions > 2)
+    assert len(read) == 1

@@ -584,7 +584,7 @@ def test_no_token_comes_into_a_log(
     def fails(*arguments: object) -> object:
         raise RuntimeError("broken within")
 
-    monkeypatch.setattr(engine, "streams", fails)
+    monkeypatch.setattr(engine, "generators", fails)
     assert http.get("/streams", headers=bearer(ADMIN)).status_code == 500
     http.get("/streams", params={"token": ADMIN})
     http.get("/streams", headers=bearer("wrong-0123456789-0123456789"))

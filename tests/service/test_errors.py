@@ -365,7 +365,7 @@ def test_a_failure_within_says_nothing_of_it(monkeypatch: pytest.MonkeyPatch) ->
     def broken() -> None:
         raise RuntimeError("secret place")
 
-    monkeypatch.setattr(engine, "streams", broken)
+    monkeypatch.setattr(engine, "generators", broken)
     app = create_app(engine, Settings(), lambda: 0)
     transport = httpx.ASGITransport(app, raise_app_exceptions=False)
 
@@ -386,7 +386,7 @@ def test_the_connection_outlives_a_failure_within(monkeypatch: pytest.MonkeyPatc
         raise RuntimeError
 
     with _service(engine, Settings(port=0), lambda: 0) as http:
-        monkeypatch.setattr(engine, "streams", broken)
+        monkeypatch.setattr(engine, "generators", broken)
         for _ in range(3):
             answer = http.get("/streams")
             problem(answer, 500)

@@ -10,6 +10,7 @@ import pytest
 
 from dyknow.service import parsing
 from dyknow.service.isolation.specifications import MOST_ELEMENTS, MOST_PARTS
+from dyknow.service.models.parts import MOST_ARGUMENTS
 from dyknow.service.parsing import MOST_CONTENTS, MOST_DECLARATIONS, MOST_WORDS
 
 TEXT = {"Content-Type": "text/plain"}
@@ -170,3 +171,11 @@ def test_declarations_are_parsed_in_another_thread(
     assert "AnyIO worker" in threads[0]
     # The engine has found it read.
     assert (parse.cache_info().misses, parse.cache_info().hits > 0) == (1, True)
+
+
+def test_how_many_arguments_a_wanted_feature_may_have(http: httpx.Client) -> None:
+    for path in ("/match", "/subscriptions"):
+        wanted = {"feature": "dyknow:speed", "objects": ["dyknow:uav1"] * MOST_ARGUMENTS}
+        assert http.post(path, json=wanted).status_code in (200, 201)
+        wanted["objects"] += ["dyknow:uav1"]
+        assert http.post(path, json=wanted).status_code == 422

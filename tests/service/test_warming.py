@@ -68,6 +68,30 @@ def test_the_loops_tell_how_far_they_are(
     until(lambda: warming.reasons() == [])
 
 
+def test_who_stops_waits_for_the_loop_at_hand_and_no_further_one(
+    monkeypatch: pytest.MonkeyPatch, gate: threading.Event
+) -> None:
+    compiled = []
+
+    def compile_all(tell: Callable[[int, int], None]) -> None:
+        for done in (1, 2, 3):
+            gate.wait(30)
+            compiled.append(done)
+            tell(done, 3)
+
+    monkeypatch.setattr("dyknow.service.warming.compile_all", compile_all)
+    warming = Warming()
+    warming.loops()
+    ending = threading.Thread(target=warming.end)
+    ending.start()
+    ending.join(0.1)
+    assert ending.is_alive(), "the interpreter must not end while the compiler works"
+    gate.set()
+    ending.join(30)
+    assert not ending.is_alive()
+    assert compiled == [1]
+
+
 def test_a_warm_up_that_fails_stays_a_reason() -> None:
     def fail() -> None:
         raise RuntimeError("no compiler")

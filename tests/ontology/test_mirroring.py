@@ -1,0 +1,108 @@
+"""The live stream space is brought into the store in pieces: whoever asks sees all of it."""
+
+from __future__ import annotations
+
+import copy
+import threading
+from collections.abc import Callable
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pyoxigraph import Literal, NamedNode, Triple
+
+from dyknow.ontology import ontology as module
+from dyknow.ontology.ontology import Ontology
+from dyknow.rdf.namespaces import RDF_TYPE, STREAM_SPACE
+
+
+def own(name: str) -> NamedNode:
+    return NamedNode(STREAM_SPACE + name)
+
+
+def said(number: int) -> list[Triple]:
+    unit = own(f"u{number % 3}")
+    return [
+        Triple(unit, RDF_TYPE, own("ComputationalUnit")),
+        Triple(unit, own("hasInput"), own(f"s{number}")),
+        Triple(unit, own("hasName"), Literal(f"u{number}")),
+    ]
+
+
+STREAMS = [Triple(own(f"s{number}"), RDF_TYPE, own("Stream")) for number in range(1000)]
+Step = tuple[bool, int, bool]
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.lists(st.tuples(st.booleans(), st.integers(0, 5), st.booleans()), max_size=12))
+def test_when_it_is_brought_in_makes_no_difference(steps: list[Step]) -> None:
+    lazy, eager = Ontology.open(), Ontology.open()
+    for comes, number, advances in steps:
+        for ontology in (lazy, eager):
+            ontology.mirror(*(((), said(number))[:: -1 if comes else 1]))
+        if advances:
+            lazy.advance()
+        assert len(eager.store) > 0
+    assert lazy.quads() == eager.quads()
+
+
+LOOKS: dict[str, Callable[[Ontology], object]] = {
+    "a query": lambda o: len(list(o.query("SELECT * { ?s a :Stream }"))),
+    "all quads": lambda o: o.quads().count(
+        b"ontology#Stream> <http://www.dyknow.eu/graphs/stream-"
+    ),
+    "the store": lambda o: len(
+        list(o.store.quads_for_pattern(None, RDF_TYPE, own("Stream"), None))
+    ),
+    "a copy": lambda o: (o.changes_since(None).whole or b"").count(b"ontology#Stream> .\n"),
+    "one that is brought up to date": lambda o: o.changes_since(1).added.count(b"Stream> .\n"),
+    "a deep copy": lambda o: len(copy.copy(o)._awaited),
+}
+
+
+@pytest.mark.parametrize("look", LOOKS)
+def test_whoever_asks_sees_all_of_it(look: str) -> None:
+    lazy, twin = Ontology.open(), Ontology.open()
+    for ontology in (lazy, twin):
+        ontology.mirror(STREAMS, [])
+    while twin._awaited:
+        twin.advance()
+    assert LOOKS[look](lazy) == LOOKS[look](twin)
+    assert not lazy._awaited
+
+
+def test_who_tells_of_changes_does_not_wait_for_the_store(monkeypatch: pytest.MonkeyPatch) -> None:
+    ontology = Ontology.open()
+    made: list[int] = []
+    apply = Ontology._apply
+
+    def noted(self: Ontology, changes: module._Changes) -> None:
+        made.append(sum(len(c.added) + len(c.removed) for c in changes.values()))
+        apply(self, changes)
+
+    monkeypatch.setattr(Ontology, "_apply", noted)
+    ontology.mirror(STREAMS, [])
+    assert made == []
+    ontology.advance()
+    # Each entails some more.
+    assert 0 < made[0] <= 8 * module._PIECE
+    ontology.mirror([], STREAMS)
+    assert ontology.query("ASK { ?s a :Stream }") is not None
+    # Of those that were there; the others came and went unseen.
+    assert sum(made) <= 2 * 8 * module._PIECE
+
+
+def test_nobody_waits_for_who_looks() -> None:
+    """The thread that tells of changes goes on while another one has the store."""
+    ontology = Ontology.open()
+    ontology.mirror(STREAMS, [])
+    done = threading.Event()
+
+    def tell() -> None:
+        ontology.mirror([Triple(own("x"), RDF_TYPE, own("Stream"))], [])
+        ontology.advance()
+        done.set()
+
+    with ontology._lock:
+        threading.Thread(target=tell).start()
+        assert done.wait(20)
