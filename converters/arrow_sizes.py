@@ -20,8 +20,11 @@ SCHEMA, DICTIONARY, RECORDS = 1, 2, 3
 _CONTINUATION = 0xFFFFFFFF
 _HEADER_TYPE, _HEADER, _BODY_LENGTH = 1, 2, 3
 """Places in the table `Message`, as in Message.fbs; below those of the other tables."""
-_LENGTH, _BUFFERS, _COMPRESSION = 0, 2, 3
+_LENGTH, _NODES, _BUFFERS, _COMPRESSION = 0, 1, 2, 3
 _OF_DICTIONARY = 1
+_VALUE = 4
+"""Bytes that a value is reckoned with at least: a truth value is a bit in a message, a text of a
+dictionary may be a byte, but here they are columns as others are."""
 _EARLY_COMPRESSION = b"ARROW:experimental_compression"
 """Before Arrow 1.0 it stood among the remarks of a message."""
 
@@ -37,7 +40,8 @@ class Message:
 
 @dataclass(frozen=True, slots=True)
 class Size:
-    """What a batch declares: its rows, and the bytes of its buffers once they are decompressed."""
+    """What a batch declares: its rows, and the bytes of its buffers once they are decompressed, or
+    of its values (`_VALUE`), if that is more."""
 
     rows: int
     bytes: int
@@ -52,7 +56,7 @@ class Size:
             raise WireError(
                 None,
                 f"a batch has at most {limits.decoded} bytes once it is decompressed, "
-                f"and this one {self.bytes}",
+                f"and this one {self.bytes} ({_VALUE} for each value at least)",
                 "send several batches",
             )
 
@@ -139,10 +143,11 @@ def size_of(data: bytes | bytearray, at: int = 0) -> Size:
             if length < 0:
                 raise struct.error("a buffer of less than nothing")
             total += length
-        rows = table.number(_LENGTH, "<q") if message.kind == RECORDS else 0
+        length = table.number(_LENGTH, "<q")
+        values = length * table.vector(_NODES)[1]
     except struct.error:
         raise WireError(None, "no Arrow IPC stream: a batch without its buffers") from None
-    return Size(rows, total)
+    return Size(length if message.kind == RECORDS else 0, max(total, _VALUE * values))
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,6 +39,9 @@ from .tokens import Caller, Scope, Tokens
 
 _PART = 1 << 16
 """So many bytes are worked off together: some milliseconds of work."""
+_TOGETHER = 1 << 20
+"""So many bytes of columns are published together: a record batch has as many as it likes, up to
+the limits of one."""
 _LINE = re.compile(rb"[^\n]*\n|[^\n]+")
 
 
@@ -76,8 +79,9 @@ class LiveSamples(ABC):
         """Bytes that have come and are not published."""
 
     @abstractmethod
-    def take(self, data: bytes) -> None:
-        """Publish what is complete with ``data``."""
+    def take(self, data: bytes) -> bool:
+        """Publish what is complete with ``data``, as much as there is time for. Whether there may
+        be more of it, which is published when nothing more has come (``b""``)."""
 
     @abstractmethod
     def end(self) -> None:
@@ -133,7 +137,7 @@ class LiveLines(LiveSamples):
     def held(self) -> int:
         return len(self._rest)
 
-    def take(self, data: bytes) -> None:
+    def take(self, data: bytes) -> bool:
         cut = data.rfind(b"\n") + 1
         lines = b""
         if cut:
@@ -141,6 +145,7 @@ class LiveLines(LiveSamples):
             self._rest.clear()
         self._rest += data[cut:]
         self._take_lines(lines)
+        return False
 
     def end(self) -> None:
         lines = bytes(self._rest)
@@ -205,18 +210,23 @@ class LiveTables(LiveSamples):
     def held(self) -> int:
         return self._messages.held
 
-    def take(self, data: bytes) -> None:
+    def take(self, data: bytes) -> bool:
         tables: list[Any] = []
+        size = 0
         try:
             for table in self._messages.take(data):
                 if table.num_rows:
-                    tables.append(table)  # noqa: PERF401  kept when the next one is broken
+                    tables.append(table)
+                    size += max(table.nbytes, table.num_rows * table.num_columns)
+                if size >= _TOGETHER:
+                    break
         except ArrowMissing:
             raise
         except WireError as error:
             self._take_all(tables)
             raise self._placed(error) from None
         self._take_all(tables)
+        return size >= _TOGETHER
 
     def _take_all(self, tables: list[Any]) -> None:
         for _, alike in groupby(tables, lambda table: table.schema):
@@ -308,11 +318,16 @@ class LiveBodies:
 
     async def _take(self, live: LiveSamples, data: bytes) -> None:
         """Publish what has come; of much of it a part at a time, with others in between."""
-        live.take(data[:_PART])
-        for start in range(_PART, len(data), _PART):
+        is_more = live.take(data[:_PART])
+        start = _PART
+        while is_more or start < len(data):
             for _ in range(PASSES):
                 await asyncio.sleep(0)
-            live.take(data[start : start + _PART])
+            if is_more:
+                is_more = live.take(b"")
+            else:
+                is_more = live.take(data[start : start + _PART])
+                start += _PART
 
     async def _next(self, request: Request, under_way: _UnderWay, patience: float) -> Message:
         try:

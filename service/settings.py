@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 from pydantic import Field, SecretStr
@@ -146,3 +147,8 @@ class Settings(BaseSettings):
         room for some of the longest texts."""
         line = max(MEBIBYTE, 16 * self.text_limit)
         return BatchLimits(self.batch_samples, self.text_limit, 8 * self.body_limit, line)
+
+    @property
+    def live_batch_limits(self) -> BatchLimits:
+        """The same of live samples, whose Arrow batches are decoded at once."""
+        return replace(self.batch_limits, decoded=self.body_limit)

@@ -63,7 +63,8 @@ async def publish_live(
 
 def _samples(name: str, kind: str, service: Service) -> LiveSamples:
     make = LiveLines if kind == NDJSON else LiveTables
-    return make(service.engine, service.keeper, name, service.clock, service.settings.batch_limits)
+    limits = service.settings.live_batch_limits
+    return make(service.engine, service.keeper, name, service.clock, limits)
 
 
 def _refusal(error: Exception, live: LiveSamples) -> Exception:

@@ -2,13 +2,14 @@
 
 import io
 import json
+from dataclasses import replace
 
 import pyarrow as pa
 import pytest
 
 from dyknow.converters.arrow import ArrowWriter, decode_arrow
 from dyknow.converters.arrow_messages import ArrowMessages
-from dyknow.converters.arrow_sizes import SCHEMA, message_at, size_of
+from dyknow.converters.arrow_sizes import SCHEMA, check_sizes, message_at, size_of
 from dyknow.converters.errors import WireError
 from dyknow.converters.ndjson import decode_ndjson
 from dyknow.converters.wire import BatchLimits
@@ -209,3 +210,15 @@ def test_batches_written_one_by_one_are_one_stream():
     batches = [batch_from_rows(SCHEMA_OF_TEXTS, rows[i : i + 10]) for i in (0, 10, 20)]
     body = b"".join(map(writer.write, batches)) + writer.close()
     assert list(decode_arrow(body, SCHEMA_OF_TEXTS, {}).batch.rows()) == rows
+
+
+@pytest.mark.parametrize("compression", [None, "zstd"])
+def test_values_count_even_where_they_are_bits(compression):
+    """A million truth values are some kilobytes of a message, and megabytes here."""
+    rows, columns = 1000, 400
+    bits = pa.table({f"b{i}": pa.array([True] * rows) for i in range(columns)})
+    body = stream(bits, compression=compression)
+    limits = BatchLimits(rows, 100, 4 * rows * columns)
+    check_sizes(body, limits)
+    with pytest.raises(WireError, match=f"and this one {4 * rows * columns} \\(4 for each"):
+        check_sizes(body, replace(limits, decoded=4 * rows * columns - 1))

@@ -3,6 +3,7 @@
 import itertools
 import json
 from contextlib import contextmanager
+from unittest.mock import patch
 
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
@@ -121,12 +122,14 @@ def cut(data, places):
     return [data[begin:end] for begin, end in itertools.pairwise(edges)]
 
 
-def live(name, parts, make=LiveLines):
+def live(name, parts, make=LiveLines, together=1 << 20):
     samples = make(ENGINE, KEEPER, name, lambda: 100)
     try:
-        for part in parts:
-            samples.take(part)
-        samples.end()
+        with patch("dyknow.service.live._TOGETHER", together):
+            for part in parts:
+                while samples.take(part):
+                    part = b""
+            samples.end()
     except (WireError, DyknowError) as error:
         return samples.accepted, type(error), getattr(error, "line", None)
     return samples.accepted, None, None
@@ -165,6 +168,8 @@ def tables(rows):
     ]
 
 
+TOGETHER = st.sampled_from([1, 300, 1 << 20])
+"""Bytes of record batches that are published in one go."""
 ROWS = st.lists(
     st.lists(st.tuples(st.integers(0, 50), st.integers(-5, 5)), min_size=1, max_size=5), max_size=5
 )
@@ -188,9 +193,12 @@ def one_stream(batches, dictionary):
 
 @LIMITS
 @given(
-    ROWS, st.lists(st.integers(0, 10_000), max_size=12), st.sampled_from(["many", "one", "dict"])
+    ROWS,
+    st.lists(st.integers(0, 10_000), max_size=12),
+    st.sampled_from(["many", "one", "dict"]),
+    TOGETHER,
 )
-def test_record_batches_are_published_as_they_are_complete(rows, places, form):
+def test_record_batches_are_published_as_they_are_complete(rows, places, form, together):
     batches = tables(rows)
     if form == "many":  # one stream after the other
         body = b"".join(encode_arrow(batch) for batch in batches)
@@ -202,7 +210,7 @@ def test_record_batches_are_published_as_they_are_complete(rows, places, form):
         for batch in batches:
             incoming = decode_arrow(encode_arrow(batch), SCHEMA, pools)
             accepted += ENGINE.publish(slow, incoming, 100)
-        assert live(whole, cut(body, places), LiveTables) == (accepted, None, None)
+        assert live(whole, cut(body, places), LiveTables, together) == (accepted, None, None)
         assert state(whole) == state(slow)
 
 
@@ -232,8 +240,9 @@ KINDS = st.sampled_from(["good", "good", "good", "good", "stamped", "too large",
     st.lists(st.tuples(KINDS, st.lists(st.integers(0, 9), min_size=1, max_size=3)), max_size=8),
     st.lists(st.integers(0, 10_000), max_size=6),
     st.booleans(),
+    TOGETHER,
 )
-def test_a_record_batch_is_refused_as_if_it_came_alone(parts, places, is_open):
+def test_a_record_batch_is_refused_as_if_it_came_alone(parts, places, is_open, together):
     bodies = [arrow_of(kind, times) for kind, times in parts]
     with streams(is_open) as (whole, slow):
         accepted, rows, stamped, refused = 0, 0, None, None
@@ -249,7 +258,7 @@ def test_a_record_batch_is_refused_as_if_it_came_alone(parts, places, is_open):
                 refused = (type(error), None if line is None else rows + line)
                 break
             rows, stamped = rows + len(times), incoming.stamped
-        found = live(whole, cut(b"".join(bodies), places), LiveTables)
+        found = live(whole, cut(b"".join(bodies), places), LiveTables, together)
         assert found == (accepted, *(refused or (None, None)))
         assert state(whole) == state(slow)
 

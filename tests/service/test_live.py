@@ -13,6 +13,7 @@ from urllib.parse import urlsplit
 
 import httpx
 import msgspec
+import pyarrow as pa
 import pytest
 from starlette.types import Receive, Scope, Send
 
@@ -267,6 +268,31 @@ def test_arrow_comes_record_batch_by_record_batch(client: Client, url: str, stre
         sender.send(b"\xff" * 4 + b"\x08\0\0\0" + b"\0" * 8)  # a message without a kind
         status, problem = sender.answer()
         assert (status, problem["accepted"]) == (400, 1)
+
+
+def test_a_record_batch_is_small_enough_to_be_decoded_at_once(
+    client: Client, url: str, stream: str
+) -> None:
+    """Some kilobytes of compressed values held up everybody for seconds."""
+    rows = 50_000  # a body has at most a megabyte here
+    table = pa.table({"valid": pa.array([1] * rows), "speed": pa.array([1.0] * rows)})
+    sink = pa.BufferOutputStream()
+    options = pa.ipc.IpcWriteOptions(compression="zstd")
+    with pa.ipc.new_stream(sink, table.schema, options=options) as writer:
+        writer.write_table(table, max_chunksize=rows // 2)
+        writer.write_table(table, max_chunksize=3 * rows)
+    with sending(url, stream, ARROW) as sender:
+        sender.send(sink.getvalue().to_pybytes())
+        assert sender.end() == (202, {"accepted": 2 * rows})
+    much = pa.concat_tables([table, table]).combine_chunks()
+    sink = pa.BufferOutputStream()
+    with pa.ipc.new_stream(sink, table.schema, options=options) as writer:
+        writer.write_table(much)
+    with sending(url, stream, ARROW) as sender:
+        sender.send(sink.getvalue().to_pybytes())
+        status, problem = sender.answer()
+    assert (status, problem["accepted"]) == (400, 0)
+    assert "at most 1048576 bytes once it is decompressed" in problem["detail"]
 
 
 @pytest.mark.parametrize(
