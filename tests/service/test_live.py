@@ -274,8 +274,9 @@ def test_a_record_batch_is_small_enough_to_be_decoded_at_once(
     client: Client, url: str, stream: str
 ) -> None:
     """Some kilobytes of compressed values held up everybody for seconds."""
-    rows = 50_000  # a body has at most a megabyte here
-    table = pa.table({"valid": pa.array([1] * rows), "speed": pa.array([1.0] * rows)})
+    rows = 40_000  # a body has at most a megabyte here
+    columns = {"valid": [1] * rows, "id": ["u"] * rows, "speed": [1.0] * rows}
+    table = pa.table({name: pa.array(values) for name, values in columns.items()})
     sink = pa.BufferOutputStream()
     options = pa.ipc.IpcWriteOptions(compression="zstd")
     with pa.ipc.new_stream(sink, table.schema, options=options) as writer:
