@@ -205,7 +205,8 @@ def evaluations() -> Iterator[Bomb]:
     """Queries that are small, right, and never end."""
     for name, (text, statuses) in {
         "a product, counted": (f"SELECT (COUNT(*) AS ?n) {{ {_EVERY} }}", (503,)),
-        "a product, shown": (f"SELECT * {{ {_EVERY} }}", (422,)),
+        # Its rows are too many, or, on a machine that is busy, its time is over before they are.
+        "a product, shown": (f"SELECT * {{ {_EVERY} }}", (422, 503)),
         "a product, constructed": (f"CONSTRUCT {{ ?a ?e ?i }} {{ {_EVERY} }}", (422, 503)),
         "a product, ordered": (f"SELECT * {{ {_EVERY} }} ORDER BY ?c", (422, 503)),
         "paths": (
