@@ -13,6 +13,8 @@ T = TypeVar("T")
 
 CHARACTERS: Final = 256 * 1024
 """Of all texts of which something is remembered, and the last one."""
+LEAST: Final = 512
+"""As so many a text counts that has fewer: so there are at most 512 of them."""
 
 
 class Remembered(Generic[T]):
@@ -36,10 +38,14 @@ class Remembered(Generic[T]):
             # Another thread may have read it meanwhile: all are given the same.
             if text not in self._known:
                 self._known[text] = found
-                self._size += len(text)
+                self._size += _size(text)
                 while self._size > CHARACTERS and len(self._known) > 1:
-                    self._size -= len(self._known.popitem(last=False)[0])
+                    self._size -= _size(self._known.popitem(last=False)[0])
             return self._known[text]
+
+
+def _size(text: str) -> int:
+    return max(LEAST, len(text))
 
 
 def remembered(work: Callable[[str], T]) -> Remembered[T]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from dyknow.languages.remembered import CHARACTERS, Remembered, remembered
+from dyknow.languages.remembered import CHARACTERS, LEAST, Remembered, remembered
 
 
 def counted() -> tuple[Remembered[list[str]], list[str]]:
@@ -38,13 +38,13 @@ def test_what_cannot_be_read_is_read_again() -> None:
 
 def test_many_short_texts_are_remembered_and_few_long_ones() -> None:
     parse, read = counted()
-    short = [f"{number:<100}" for number in range(CHARACTERS // 100)]
+    short = [f"{number:<100}" for number in range(CHARACTERS // LEAST)]
     for text in short * 2:
         parse(text)
     assert read == short
     # The one that was asked for last stays, also if it is longer than all may be.
     parse(short[0])
-    parse("x" * (CHARACTERS - 100))
+    parse("x" * (CHARACTERS - LEAST))
     assert parse(short[0]) == ["0"]
     assert read.count(short[0]) == 1
     parse(short[1])
