@@ -68,7 +68,7 @@ class Reader(Protocol):
 
 
 def is_reserved(name: str) -> bool:
-    """Whether a name is one that DyKnow assigns."""
+    """Whether a name is one that DyKnow assigns. In a text it only ties `stream` to `cu`."""
     return name.startswith(RESERVED) and name.removeprefix(RESERVED).isdigit()
 
 

@@ -33,11 +33,6 @@ SYSTEM = {SELECT_OBJECT: ("field", "object"), SYNCHRONIZE: (), POLICY: ("policy"
 """The transformations of the system that a specification can name, with their parameters."""
 
 
-def is_invented(name: str) -> bool:
-    """Whether a name is one that DyKnow assigns. In a text it only ties `stream` to `cu`."""
-    return is_reserved(name)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Elaborated:
     """An element and what it comes to."""
@@ -334,7 +329,7 @@ class Elaboration:
 
     def _found(self, given: StreamReference) -> StreamGenerator:
         try:
-            if self._restoring and is_invented(given.name):
+            if self._restoring and is_reserved(given.name):
                 raise UnknownStream("DyKnow had made it")
             return self._configuration.stream(given.name)
         except UnknownStream:

@@ -8,8 +8,8 @@ from ..languages.specification import UnitSpecification
 from ..matching.plan import Compute, Node, SelectObject, Synchronize, UseStream
 from ..streams.generator import StreamGenerator
 from ..streams.policy import Policy
-from .configuration import Configuration
-from .elaboration import Elaborated, is_invented
+from .configuration import Configuration, is_reserved
+from .elaboration import Elaborated
 from .insertions import Inserted, Insertions
 from .plans import Plans
 from .shapes import Running, Shape
@@ -75,11 +75,11 @@ class Inserting:
         for one in made:
             name = one.element.name
             stream = self.units[one.shape].output.name
-            if name is None or is_invented(name) or name == stream:
+            if name is None or is_reserved(name) or name == stream:
                 continue
             before = self._configuration.aliases.get(name)
             if before != stream:
-                if not is_invented(stream) or self._insertions.has_alias(stream):
+                if not is_reserved(stream) or self._insertions.has_alias(stream):
                     self._further.append(one.element)
                 self._insertions.give_alias(name, stream)
                 self._aliases.append((name, before))
@@ -101,7 +101,7 @@ class Inserting:
         inner = [one for one in self._further if not any(one is top for top in tops)]
         for element in (*tops, *inner):
             unit = self.units[shapes[id(element)]]
-            named = element.name is not None and not is_invented(element.name)
+            named = element.name is not None and not is_reserved(element.name)
             one = Inserted(element.name if named else None, unit, element)
             there = of_unit.setdefault(unit, [])
             if any(known.name == one.name for known in there) or (there and not named):

@@ -22,8 +22,7 @@ from ..languages.specification import (
 )
 from ..ontology.ontology import Ontology
 from .changes import Change, ChangeKind
-from .configuration import Configuration
-from .elaboration import is_invented
+from .configuration import Configuration, is_reserved
 from .shapes import Running, Shape
 from .specification_text import Writer, can_be_copied
 from .unit import ComputationalUnit
@@ -87,7 +86,7 @@ class Insertions:
         """The names that people gave to the streams of a shape, its own name first."""
         found: dict[Shape, list[str]] = {}
         for stream, shape in running.shape_of.items():
-            if not is_invented(stream):
+            if not is_reserved(stream):
                 found.setdefault(shape, []).append(stream)
         for alias, stream in self._aliases.items():
             if stream in running.shape_of:

@@ -9,6 +9,7 @@ same streams: the same samples under the same numbers, byte by byte.
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
@@ -243,9 +244,8 @@ class RecordedEngine:
             raise CheckpointError("what went wrong in sinks could not be written down yet")
         position = self.log.position
         if aside is not None:
-            return Unwritten(
-                position, aside(lambda: self._put(*self._found())), self.log, self._checkpoints
-            )
+            found_aside = aside(lambda: self._put(*self._found()), self.engine.ontology.lock)
+            return Unwritten(position, found_aside, self.log, self._checkpoints)
         found, unkept = self._found()
         return Unwritten(position, lambda: self._put(found, unkept), self.log, self._checkpoints)
 
@@ -345,8 +345,13 @@ class RecordedEngine:
 class Aside(Protocol):
     """Does what takes long on the state as it is now, while that goes on to change."""
 
-    def __call__(self, work: Callable[[], T]) -> Callable[[], T]:
-        """Gives what waits for what ``work`` gives, in any thread. Both raise `CheckpointError`."""
+    def __call__(
+        self, work: Callable[[], T], lock: AbstractContextManager[object]
+    ) -> Callable[[], T]:
+        """Gives what waits for what ``work`` gives, in any thread. Both raise `CheckpointError`.
+
+        ``lock``: under which other threads change some of the state.
+        """
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,8 @@ from ..languages.specification import (
     UnitSpecification,
     format_specification,
 )
-from .elaboration import elements_of, is_invented
+from .configuration import is_reserved
+from .elaboration import elements_of
 
 _AROUND = 256
 """Bytes of a text without its units."""
@@ -122,13 +123,13 @@ class _Copying:
 
     def _input(self, given: Input) -> Input | None:
         if isinstance(given, StreamReference):
-            if given.name not in self._earlier or not is_invented(given.name):
+            if given.name not in self._earlier or not is_reserved(given.name):
                 return given
             given = self._named[given.name]
         if given.name in self._earlier:
             assert given.name is not None
             # A name that people gave is there; an invented one was, in another text.
-            if not is_invented(given.name):
+            if not is_reserved(given.name):
                 return StreamReference(given.name, given.span)
             given = replace(given, name=None)
         return self.element(given)

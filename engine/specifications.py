@@ -21,8 +21,8 @@ from ..languages.specification import (
 from ..languages.ssl.annotation import Content
 from ..ontology.ontology import Ontology
 from .changes import Change, ChangeKind
-from .configuration import Configuration
-from .elaboration import Elaborated, Elaboration, is_invented
+from .configuration import Configuration, is_reserved
+from .elaboration import Elaborated, Elaboration
 from .errors import Refused
 from .explain import unit_view
 from .inserting import Inserting
@@ -63,7 +63,7 @@ class _Change:
     def named(self) -> tuple[tuple[str, Elaborated], ...]:
         """The names that the text gives."""
         pairs = ((one.element.name, one) for one in self.made)
-        return tuple((name, one) for name, one in pairs if name and not is_invented(name))
+        return tuple((name, one) for name, one in pairs if name and not is_reserved(name))
 
     def error(self, place: Removal | Elaborated, message: str, hint: str) -> LanguageError:
         """An error at an element of the text."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -164,6 +165,12 @@ class Ontology:
         """All there is. Treat it as read-only. Cost: what `mirror` was told of and is not there."""
         self._bring_in()
         return self._store
+
+    @property
+    def lock(self) -> AbstractContextManager[object]:
+        """Who changes it has this, whichever thread that is: whoever copies the process must, too.
+        Others have it for some milliseconds."""
+        return self._lock
 
     @property
     def static_store(self) -> Store:

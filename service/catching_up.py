@@ -17,7 +17,7 @@ from ..engine.behind import Behind
 from ..engine.commands import ANYTIME, Command
 from ..engine.engine import Engine
 from ..journal.errors import JournalError
-from .fibers import FURTHER, PASSES
+from .fibers import FURTHER, let_others, waking
 from .pausing import FIRST, Pausing
 
 _LOOK: Final = 0.01
@@ -115,17 +115,10 @@ class CatchingUp:
     async def _catch_up(self) -> None:
         """Close windows, and let others do what they have to in between, until nobody is behind."""
         assert self._pausing is not None
-        loop = asyncio.get_running_loop()
-
-        def wake() -> None:
-            with suppress(RuntimeError):  # the loop has come to its end
-                loop.call_soon_threadsafe(self._woken.set)
-
-        self._pausing.on_ready = wake
+        self._pausing.on_ready = waking(self._woken)
         try:
             while self._behind:
-                for _ in range(PASSES):
-                    await asyncio.sleep(0)
+                await let_others()
                 if self._behind.is_waiting:
                     await self._woken.wait()
                 self._woken.clear()

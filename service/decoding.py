@@ -10,13 +10,12 @@ Used by routes/publish.
 from __future__ import annotations
 
 import asyncio
-from contextlib import suppress
 from typing import Final
 
 from ..converters.wire import BatchLimits, Incoming
 from ..engine.commands import Publish
 from ..engine.engine import Engine
-from .fibers import PASSES, Fiber, Fibers
+from .fibers import Fiber, Fibers, let_others, waking
 
 AT_ONCE: Final = 1 << 17
 """A body of so many bytes takes some milliseconds at most; one of a thousand samples has less."""
@@ -79,13 +78,7 @@ class Decoding:
             self._fibers,
             lambda: found.append(batch.decode_apart(self._engine, self._limits, self._fibers)),
         )
-        loop = asyncio.get_running_loop()
-
-        def wake() -> None:
-            with suppress(RuntimeError):  # the loop has come to its end
-                loop.call_soon_threadsafe(self._ready.set)
-
-        self._fibers.on_ready = wake
+        self._fibers.on_ready = waking(self._ready)
         try:
             while not await self._take_turn(fiber):
                 while not fiber.is_ready:
@@ -102,6 +95,5 @@ class Decoding:
             self._fibers.allow(self._turn_seconds)
             if fiber.go_on():
                 return True
-            for _ in range(PASSES):
-                await asyncio.sleep(0)
+            await let_others()
             return False

@@ -9,18 +9,36 @@ large batches decoded (`decoding`).
 
 from __future__ import annotations
 
+import asyncio
 import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from typing import Final
 
 FURTHER: Final = 0.005
 """Seconds at a time for what is left, with others in between."""
-PASSES: Final = 3
-"""So often others have their turn between two of these: a request takes some."""
+_PASSES: Final = 3
+"""Passes of the event loop for others between two turns: a request takes some."""
 _NOTHING = nullcontext()
+
+
+async def let_others() -> None:
+    """Everybody else in the event loop has a turn."""
+    for _ in range(_PASSES):
+        await asyncio.sleep(0)
+
+
+def waking(event: asyncio.Event) -> Callable[[], None]:
+    """What sets ``event`` of the loop that runs here, from any thread; see `Fibers.on_ready`."""
+    loop = asyncio.get_running_loop()
+
+    def wake() -> None:
+        with suppress(RuntimeError):  # the loop has come to its end
+            loop.call_soon_threadsafe(event.set)
+
+    return wake
 
 
 class Abandoned(Exception):

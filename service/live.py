@@ -32,7 +32,7 @@ from ..streams.time import Clock
 from .access import CALLER, revoked
 from .body import HELD, Held
 from .event_clients import OPEN
-from .fibers import PASSES
+from .fibers import let_others
 from .keeper import Keeper
 from .problems import Problem
 from .tokens import Caller, Scope, Tokens
@@ -321,8 +321,7 @@ class LiveBodies:
         is_more = live.take(data[:_PART])
         start = _PART
         while is_more or start < len(data):
-            for _ in range(PASSES):
-                await asyncio.sleep(0)
+            await let_others()
             if is_more:
                 is_more = live.take(b"")
             else:

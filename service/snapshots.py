@@ -5,7 +5,8 @@
 
 The copy is a fork: the kernel copies a page of memory when one of the two writes into it. So the
 service goes on while the copy pickles gigabytes. Only the thread that asked is in the copy: it must
-not wait for another one, and opens its files anew. It ends with the thread that asked.
+not wait for another one, and opens its files anew. What another thread has locked at that moment is
+locked there for ever, and half changed. It ends with the thread that asked.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import AbstractContextManager, nullcontext, suppress
 from pathlib import Path
 from typing import Any, Final, NoReturn, TypeVar
 
@@ -38,6 +39,7 @@ _DISPENSABLE: Final = "1000"
 """Where memory is short it is the first that the kernel ends, and not the service."""
 _DIES_WITH_PARENT: Final = 1
 """PR_SET_PDEATHSIG of Linux' prctl(2)."""
+_FREE: Final = nullcontext()
 
 
 class SnapshotError(CheckpointError):
@@ -54,10 +56,14 @@ class Snapshots:
         self._child = 0
         """The process at work; 0: none."""
 
-    def take(self, work: Callable[[], T]) -> Callable[[], T]:
+    def take(
+        self, work: Callable[[], T], lock: AbstractContextManager[object] = _FREE
+    ) -> Callable[[], T]:
         """Begin ``work`` in a copy; gives what waits for what it gives or raises, both pickled.
 
-        Raises `SnapshotError` where there can be no copy, and so does what waits.
+        ``lock``: under which other threads change what ``work`` reads. The copy is made while none
+        of them has it, and nobody has it there. Raises `SnapshotError` where there can be no copy,
+        and so does what waits.
         """
         parent = os.getpid()
         try:
@@ -65,7 +71,8 @@ class Snapshots:
         except OSError as error:
             raise _no_room(error) from error
         try:
-            child = os.fork()
+            with lock:
+                child = os.fork()
         except OSError as error:
             os.close(reader)
             os.close(writer)

@@ -8,7 +8,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from specifying import state, text
 
-from dyknow.engine.elaboration import elements_of, is_invented
+from dyknow.engine.configuration import is_reserved
+from dyknow.engine.elaboration import elements_of
 from dyknow.engine.engine import Engine
 from dyknow.engine.processes import Processes
 from dyknow.engine.specification_parts import Bounds, parts_of
@@ -141,12 +142,12 @@ def meaning(given):
             return written(named[one.name]) if one.name in named else one.name
         return one.type, one.parameters, tuple(map(written, one.inputs))
 
-    names = {name: written(one) for name, one in named.items() if not is_invented(name)}
+    names = {name: written(one) for name, one in named.items() if not is_reserved(name)}
     return names, {written(one) for one in elements_of(found)}
 
 
 def inserted(view):
-    return None if is_invented(view.name or "") else view.name, view.transformation
+    return None if is_reserved(view.name or "") else view.name, view.transformation
 
 
 def without_users(seen):

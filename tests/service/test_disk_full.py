@@ -10,6 +10,7 @@ import pytest
 from httpx_sse import EventSource, connect_sse
 from serving import Serving
 from simulated_disk import SimulatedDisk
+from waiting import until
 
 from dyknow.engine.recorded import RecordedEngine
 from dyknow.service import failures
@@ -50,14 +51,6 @@ def fill(disk, log):
     with log._lock:
         for segment in log._open:
             segment._room = segment.end
-
-
-def until(found, seconds=20):
-    """Waits until it is so: the service works by its own clock."""
-    end = time.monotonic() + seconds
-    while not found():
-        assert time.monotonic() < end
-        time.sleep(0.02)
 
 
 def sample(n):

@@ -7,7 +7,6 @@ import signal
 import socket
 import threading
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +14,7 @@ import anyio
 import httpx
 import pytest
 from pyoxigraph import BlankNode, Literal, NamedNode, Quad, Triple
+from waiting import until
 
 from dyknow.continuous.asking import DIRECT, NOTHING, Kept
 from dyknow.continuous.budget import BudgetExceeded
@@ -272,20 +272,12 @@ def test_a_client_that_goes_frees_its_worker(engine: Engine) -> None:
         with socket.create_connection((host, int(port))) as gone:
             query = httpx.QueryParams({"query": ENDLESS})
             gone.sendall(f"GET /sparql?{query} HTTP/1.1\r\nHost: localhost\r\n\r\n".encode())
-            _until(lambda: app.state.service.isolation.pools["sparql"].busy == 1)
+            until(lambda: app.state.service.isolation.pools["sparql"].busy == 1)
             refused = ask(http, "ASK {}")
             assert refused.status_code == 503
             assert refused.json()["title"] == "too many queries"
-        _until(lambda: app.state.service.isolation.pools["sparql"].busy == 0)
+        until(lambda: app.state.service.isolation.pools["sparql"].busy == 0)
         assert ask(http, "ASK {}").status_code == 200
-
-
-def _until(holds: Callable[[], bool]) -> None:
-    """Wait for what happens in other threads and processes."""
-    end = time.monotonic() + 30
-    while not holds():
-        assert time.monotonic() < end
-        time.sleep(0.01)
 
 
 # -- Oxigraph for continuous queries ---------------------------------------------------------

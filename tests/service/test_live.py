@@ -16,6 +16,7 @@ import msgspec
 import pyarrow as pa
 import pytest
 from starlette.types import Receive, Scope, Send
+from waiting import until
 
 from dyknow.converters.arrow import encode_arrow
 from dyknow.converters.ndjson import decode_ndjson
@@ -74,12 +75,6 @@ def accepted(client: Client, stream: str) -> int:
     return int(client.stream(stream)["counters"]["accepted"])
 
 
-def wait_until_accepted(client: Client, stream: str, count: int) -> None:
-    """What was sent arrives when it arrives: ask until it has."""
-    while accepted(client, stream) < count:
-        pass
-
-
 @pytest.fixture
 def stream(client: Client) -> str:
     client.put_stream("s5", FIELDS)
@@ -89,9 +84,9 @@ def stream(client: Client) -> str:
 def test_samples_are_there_before_the_body_ends(client: Client, url: str, stream: str) -> None:
     with sending(url, stream) as sender:
         sender.send(line(1) + line(2)[:20])
-        wait_until_accepted(client, stream, 1)
+        until(lambda: accepted(client, stream) >= 1)
         sender.send(line(2)[20:] + line(3) + line(4).rstrip(b"\n"))
-        wait_until_accepted(client, stream, 3)
+        until(lambda: accepted(client, stream) >= 3)
         assert [row["speed"] for row in client.history(stream)] == [1.5, 2.5, 3.5]
         assert sender.end() == (202, {"accepted": 4})
     assert accepted(client, stream) == 4
@@ -100,7 +95,7 @@ def test_samples_are_there_before_the_body_ends(client: Client, url: str, stream
 def test_events_come_while_the_body_does(client: Client, url: str, stream: str) -> None:
     with sending(url, stream) as sender:
         sender.send(line(1))
-        wait_until_accepted(client, stream, 1)
+        until(lambda: accepted(client, stream) >= 1)
         events = client.events(stream, since="start")
         assert next(events).values["speed"] == 1.5
         sender.send(line(2))
@@ -112,7 +107,7 @@ def test_events_come_while_the_body_does(client: Client, url: str, stream: str) 
 def test_a_bad_line_ends_it_and_says_how_far_it_came(client: Client, url: str, stream: str) -> None:
     with sending(url, stream) as sender:
         sender.send(line(1) + line(2))
-        wait_until_accepted(client, stream, 2)
+        until(lambda: accepted(client, stream) >= 2)
         sender.send(b"\n" + line(3) + b'{"valid": 4}\n' + line(5))
         status, problem = sender.answer()
         assert status == 400
@@ -140,7 +135,7 @@ def test_a_client_that_disappears_leaves_what_was_complete(
 ) -> None:
     with sending(url, stream) as sender:
         sender.send(line(1) + line(2) + line(3)[:-1])
-        wait_until_accepted(client, stream, 2)
+        until(lambda: accepted(client, stream) >= 2)
     # The connection is gone; another body is taken, and nothing of the first one is left over.
     assert client.publish_live(stream, [line(4)]) == 1
     assert [row["speed"] for row in client.history(stream)] == [1.5, 2.5, 4.5]
@@ -165,7 +160,7 @@ def test_the_stop_of_the_service_is_told(engine: Engine, settings: Settings, clo
                 client.put_stream("s5", FIELDS)
                 sender = senders.enter_context(sending(url, "s5"))
                 sender.send(line(1))
-                wait_until_accepted(client, "s5", 1)
+                until(lambda: accepted(client, "s5") >= 1)
             begun = time.monotonic()
         assert time.monotonic() - begun < GRACE
         status, problem = sender.answer()
@@ -260,7 +255,7 @@ def test_arrow_comes_record_batch_by_record_batch(client: Client, url: str, stre
     ]
     with sending(url, stream, ARROW) as sender:
         sender.send(parts[0] + parts[1][:50])
-        wait_until_accepted(client, stream, 2)
+        until(lambda: accepted(client, stream) >= 2)
         sender.send(parts[1][50:])
         assert sender.end() == (202, {"accepted": 4})
     with sending(url, stream, ARROW) as sender:
@@ -316,7 +311,7 @@ def test_refusals_before_anything_is_read(
 def test_a_stream_that_is_removed_meanwhile(client: Client, url: str, stream: str) -> None:
     with sending(url, stream) as sender:
         sender.send(line(1))
-        wait_until_accepted(client, stream, 1)
+        until(lambda: accepted(client, stream) >= 1)
         client.remove_stream(stream)
         sender.send(line(2))
         status, problem = sender.answer()

@@ -11,13 +11,12 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 import warnings
-from collections.abc import Callable
 from pathlib import Path
 
 import httpx
 import pytest
+from waiting import until
 
 from dyknow.service.logs import REQUEST, configure, log
 from dyknow.service.tokens import new_token
@@ -36,13 +35,6 @@ async def broken():
     raise RuntimeError("of ours, with dyk_" + "s" * 43)
 status.router.add_api_route("/broken", broken)
 """
-
-
-def until(holds: Callable[[], bool], seconds: float = 60) -> None:
-    end = time.monotonic() + seconds
-    while not holds():
-        assert time.monotonic() < end
-        time.sleep(0.02)
 
 
 def test_every_line_of_a_service_is_json_with_ids_and_without_tokens(tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ import pytest
 from hosting import hosting
 from prometheus_client.parser import text_string_to_metric_families
 from simulated_disk import SimulatedDisk
+from waiting import until
 
 from dyknow.continuous.budget import OVERRUNS, Budget
 from dyknow.engine.engine import Engine
@@ -62,14 +63,6 @@ def parsed(text: str) -> Values:
 
 def scraped(http: httpx.Client) -> Values:
     return parsed(http.get("/metrics").text)
-
-
-def until(holds: Callable[[], bool], seconds: float = 30) -> None:
-    """The service works by its own clock."""
-    end = time.monotonic() + seconds
-    while not holds():
-        assert time.monotonic() < end
-        time.sleep(0.02)
 
 
 @pytest.fixture

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import httpx
 import pytest
+from waiting import until
 
 from dyknow.continuous.budget import Budget, Stopped
 from dyknow.engine.commands import Annotate, DeclareStream, Publish
@@ -267,15 +268,6 @@ def told(http: httpx.Client, name: str) -> int:
     return int(str(query(http, name)["position"]).split("-")[-1])
 
 
-def until(http: httpx.Client, name: str, is_so: Callable[[dict[str, object]], bool]) -> None:
-    for _ in range(2000):
-        found = query(http, name)
-        if is_so(found):
-            return
-        time.sleep(0.02)
-    raise AssertionError(found)
-
-
 def served(engine: Engine | RecordedEngine) -> object:
     settings = Settings(port=0, tick=0.02, sse_ping=0, slow_request=60)
     return running(create_app(engine, settings, lambda: 10**18), settings)
@@ -307,7 +299,7 @@ def test_ten_thousand_windows_of_one_sample_hold_nobody_up() -> None:
                 before = now
             # What changes more than streams is done, too: between two windows.
             declared(other, "third")
-            until(other, "jump", lambda found: found["position"] == "e1-10000")
+            until(lambda: query(other, "jump")["position"] == "e1-10000")
             sender.join()
             assert query(other, "jump")["state"] == "running"
 
@@ -322,7 +314,7 @@ def test_a_unit_that_cannot_keep_up_is_cut_off_alone() -> None:
         for text in (JUMP, JUMP.replace("jump", "beside").replace("STEP 1ms", "STEP 1s")):
             http.post("/queries", content=text, headers={"Content-Type": TEXT}).raise_for_status()
         publish(http, "s", line(1) + line(100) + line(101))
-        until(http, "jump", lambda found: found["state"] == "failed")
+        until(lambda: query(http, "jump")["state"] == "failed")
         failure = str(query(http, "jump")["failure"])
         assert "Overwhelmed: its windows took 0 s, and more of them wait" in failure
         beside = query(http, "beside")
@@ -401,7 +393,7 @@ def test_what_is_behind_when_the_service_stops_goes_on_at_the_next_start(tmp_pat
         http.post("/queries", content=text, headers={"Content-Type": TEXT}).raise_for_status()
         sender = threading.Thread(target=publish, args=(http, "s", line(1) + line(100)))
         sender.start()
-        until(http, "jump", lambda found: found["last_window"] is not None)
+        until(lambda: query(http, "jump")["last_window"] is not None)
         sender.join()
         assert 0 < told(http, "jump") < 100_000
     with (
@@ -409,5 +401,5 @@ def test_what_is_behind_when_the_service_stops_goes_on_at_the_next_start(tmp_pat
         httpx.Client(base_url=url, trust_env=False, timeout=60) as http,
     ):
         assert query(http, "jump")["state"] == "running"
-        until(http, "jump", lambda found: str(found["position"]).endswith("-100000"))
+        until(lambda: str(query(http, "jump")["position"]).endswith("-100000"))
         assert told(http, "jump") == 100_000

@@ -6,7 +6,7 @@ from __future__ import annotations
 import asyncio
 import socket
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 
 import httpx
@@ -15,6 +15,7 @@ from fastapi import FastAPI
 from sse_clients import chunks, connect
 from starlette.responses import PlainTextResponse, StreamingResponse
 from starlette.types import Message, Receive, Scope, Send
+from waiting import until
 
 from dyknow.engine.engine import Engine
 from dyknow.service.answers import EACH, PIECE_BYTES, STREAMED, Answers, LongAnswers
@@ -59,13 +60,6 @@ def fill(client: Client) -> None:
 def metric(http: httpx.Client, line: str) -> float:
     found = [row for row in http.get("/metrics").text.splitlines() if row.startswith(line + " ")]
     return float(found[0].rpartition(" ")[2]) if found else 0.0
-
-
-def until(condition: Callable[[], bool]) -> None:
-    limit = time.monotonic() + LONG
-    while not condition():
-        assert time.monotonic() < limit
-        time.sleep(0.02)
 
 
 def slow_readers(http: httpx.Client) -> float:

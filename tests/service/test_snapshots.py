@@ -121,6 +121,32 @@ def test_a_lock_of_another_thread_is_not_waited_for_for_ever():
         Snapshots(patience=0.2).take(lock.acquire)()
 
 
+def test_what_another_thread_changes_under_a_lock_is_whole_and_free_in_a_copy():
+    lock, begun, values = threading.RLock(), threading.Event(), [1, 1]
+
+    def change():
+        with lock:
+            values[0] = 2
+            begun.set()
+            time.sleep(0.2)
+            values[1] = 2
+
+    def look():
+        # In a thread of its own, as a state is pickled in one.
+        found = []
+        thread = threading.Thread(target=lambda: found.append(lock.acquire(timeout=20)))
+        thread.start()
+        thread.join()
+        return found, list(values)
+
+    thread = threading.Thread(target=change)
+    thread.start()
+    begun.wait()
+    assert Snapshots(patience=30).take(look, lock)() == ([True], [2, 2])
+    assert lock.acquire(blocking=False), "it is free here, too"
+    thread.join()
+
+
 def test_files_and_connections_of_the_service_end_with_the_service():
     reader, writer = os.pipe()
     found = Snapshots().take(lambda: time.sleep(1))
@@ -172,4 +198,29 @@ def test_a_checkpoint_by_a_copy_has_what_was_done_before_and_nothing_after(tmp_p
     assert again.engine.epoch == epoch
     samples = again.engine.generator("s").stream.all()
     assert samples.columns["n"].values.tolist() == [1, 2, 3]
+    again.close()
+
+
+def test_who_asks_the_ontology_meanwhile_does_not_hold_a_checkpoint_up(tmp_path):
+    """A worker's thread brings it up to date for a query, as a state does when it is written."""
+    recorded = RecordedEngine(tmp_path, now=0)
+    ontology = recorded.engine.ontology
+    # So there is something to be brought in.
+    recorded.do(DeclareStream(StreamDeclaration("s", (Field("n", FieldType.INTEGER),))))
+    begun = threading.Event()
+
+    def ask():
+        with ontology.lock:
+            begun.set()
+            time.sleep(0.2)
+
+    asking = threading.Thread(target=ask)
+    asking.start()
+    begun.wait()
+    unwritten = recorded.checkpoint(Snapshots(patience=10).take)
+    assert unwritten.write() == ()
+    asking.join()
+    recorded.close(checkpoint=False)
+    again = RecordedEngine(tmp_path, now=0)
+    assert again.recovery.replayed == 0
     again.close()

@@ -9,11 +9,12 @@ import socket
 import struct
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import httpx
 import pytest
 from sse_clients import Reader, connect, head, read_all
+from waiting import until
 
 from dyknow.engine.engine import Engine
 from dyknow.service.app import create_app
@@ -40,13 +41,6 @@ def metric(http: httpx.Client, line: str) -> float:
     found = [row for row in http.get("/metrics").text.splitlines() if row.startswith(line + " ")]
     assert len(found) == 1, line
     return float(found[0].rpartition(" ")[2])
-
-
-def until(condition: Callable[[], bool]) -> None:
-    limit = time.monotonic() + 30
-    while not condition():
-        assert time.monotonic() < limit
-        time.sleep(0.01)
 
 
 @pytest.fixture

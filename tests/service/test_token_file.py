@@ -12,12 +12,13 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import httpx
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
+from waiting import until
 
 from dyknow.engine.engine import Engine
 from dyknow.service import token_file
@@ -44,13 +45,6 @@ def write(path: Path, *lines: str) -> None:
     new.write_text("\n".join(lines))
     new.chmod(0o600)
     new.replace(path)
-
-
-def until(holds: Callable[[], bool], seconds: float = 20) -> None:
-    end = time.monotonic() + seconds
-    while not holds():
-        assert time.monotonic() < end
-        time.sleep(0.01)
 
 
 @pytest.fixture

@@ -8,12 +8,12 @@ import re
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator
 
 import httpx
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
+from waiting import until
 
 from dyknow.engine.engine import Engine
 from dyknow.service.app import create_app
@@ -23,13 +23,6 @@ from dyknow.service.server import running
 from dyknow.service.settings import Settings
 from dyknow.service.warming import Warming
 from dyknow.streams.time import Clock
-
-
-def until(holds: Callable[[], bool], seconds: float = 30) -> None:
-    end = time.monotonic() + seconds
-    while not holds():
-        assert time.monotonic() < end
-        time.sleep(0.01)
 
 
 @pytest.fixture

@@ -8,10 +8,10 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from pathlib import Path
 
 import httpx
+from waiting import PATIENCE, until
 
 COMMAND = "from dyknow.service.cli import main; main()"
 
@@ -40,13 +40,9 @@ class Serving:
         self._reader.start()
         self.http = httpx.Client(base_url=self.url, trust_env=False, timeout=20)
 
-    def until(self, found, seconds: float = 20):
-        """Waits until ``found()`` gives something, and gives it."""
-        end = time.monotonic() + seconds
-        while not (given := found()):
-            assert time.monotonic() < end, self.lines
-            time.sleep(0.02)
-        return given
+    def until(self, found, seconds: float = PATIENCE):
+        """What ``found()`` gives as soon as that is true."""
+        return until(found, seconds, self.lines)
 
     def kill(self) -> None:
         self._end(signal.SIGKILL)

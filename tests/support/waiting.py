@@ -1,0 +1,21 @@
+"""Waiting for what a service does by its own clock."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import TypeVar
+
+T = TypeVar("T")
+
+PATIENCE = 60.0
+"""Seconds: only what never comes takes so long."""
+
+
+def until(found: Callable[[], T], seconds: float = PATIENCE, said: object = "") -> T:
+    """What ``found()`` gives as soon as that is true; ``said`` helps to see why it never was."""
+    end = time.monotonic() + seconds
+    while not (given := found()):
+        assert time.monotonic() < end, (given, said)
+        time.sleep(0.01)
+    return given
