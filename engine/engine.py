@@ -486,6 +486,7 @@ class Engine:
                 "cancel the requests first",
             )
         self._templates.remove(name)
+        self._requests.forget(template)
         self._changed(
             Change(ChangeKind.TRANSFORMATION_REMOVED, transformation=shorten(template.name))
         )

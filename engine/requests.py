@@ -153,6 +153,10 @@ class EventRequests:
                 self._sharing.ended_alone(running.common)
         self._configuration.release(running.unit)
 
+    def forget(self, template: Template) -> None:
+        """``template`` is gone."""
+        self._sharing.forget(template)
+
     def __len__(self) -> int:
         """How many requests run."""
         return len(self._requests)

@@ -38,7 +38,7 @@ SAME_STREAMS = 4
 OWN_OBJECTS = 32
 """So many requests that select objects of their own from the same streams are."""
 _REMEMBERED = 1_000
-"""Of so many kinds of requests it is kept whether they can share."""
+"""Of so many kinds of requests of one template it is kept whether they can share."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +54,15 @@ class Common:
     least: int
 
 
+@dataclass(frozen=True, slots=True)
+class _Agreements:
+    """Of a template with this text: by kind of request the parameters on which they have to agree,
+    None where they cannot share."""
+
+    source: str
+    known: dict[Hashable, frozenset[str] | None]
+
+
 class Sharing:
     """Says of a request with whom it could share, and counts those who do not yet."""
 
@@ -61,7 +70,8 @@ class Sharing:
         self._ontology = ontology
         self._templates = templates
         self._plans = plans
-        self._agreements: dict[Hashable, frozenset[str] | None] = {}
+        self._agreements: dict[str, _Agreements] = {}
+        """By the template's name."""
         self._alone: Counter[Hashable] = Counter()
 
     def common(
@@ -109,6 +119,10 @@ class Sharing:
         if not self._alone[common.key]:
             del self._alone[common.key]
 
+    def forget(self, template: Template) -> None:
+        """``template`` is gone."""
+        self._agreements.pop(template.name, None)
+
     def _agreement(
         self,
         template: Template,
@@ -120,14 +134,18 @@ class Sharing:
         None; found once. (Others would have a plan each over what all of them read.)"""
         streamed = frozenset(supply.want.feature for supply in supplies)
         given = frozenset(variable.value for variable in query.bindings)
-        key = (template.source, given, selected, streamed)
-        if key not in self._agreements:
-            if len(self._agreements) >= _REMEMBERED:
-                self._agreements.clear()
-            self._agreements[key] = self._plans.queries.agreement(
+        agreements = self._agreements.get(template.name)
+        if agreements is None or agreements.source != template.source:
+            agreements = self._agreements[template.name] = _Agreements(template.source, {})
+        known = agreements.known
+        kind = (given, selected, streamed)
+        if kind not in known:
+            if len(known) >= _REMEMBERED:
+                known.clear()
+            known[kind] = self._plans.queries.agreement(
                 template.query, query.bindings, streamed, selected
             )
-        return self._agreements[key]
+        return known[kind]
 
     def _unselected(
         self,

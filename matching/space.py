@@ -7,10 +7,10 @@ a match cost what is relevant, not what exists.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections import defaultdict
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Hashable, Iterable
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from functools import lru_cache
+from typing import NamedTuple, TypeAlias, TypeVar
 
 from ..languages.ssl.annotation import (
     Argument,
@@ -24,6 +24,10 @@ from ..ontology.units import Unit, format_unit
 from ..ontology.vocabulary import SELF
 from .subject import Subject
 from .want import Want
+
+K = TypeVar("K", bound=Hashable)
+_Index: TypeAlias = dict[K, dict[str, None]]
+"""Names by what they have in common. Dictionaries without values are sets that keep their order."""
 
 ITSELF = (Argument("self", None, SELF),)
 """Whose a feature is that a source gives without saying so."""
@@ -155,10 +159,9 @@ class StreamSpace:
         self.transformations: dict[str, TransformationDescription] = {}
         self._order: dict[str, int] = {}
         self._came = 0
-        # Dictionaries without values are sets that keep their order.
-        self._holding: dict[str, dict[str, None]] = defaultdict(dict)
-        self._holding_object: dict[tuple[str, str | None], dict[str, None]] = defaultdict(dict)
-        self._giving: dict[str, dict[str, None]] = defaultdict(dict)
+        self._holding: _Index[str] = {}
+        self._holding_object: _Index[tuple[str, str | None]] = {}
+        self._giving: _Index[str] = {}
         for stream in streams:
             self.put_stream(
                 StreamDescription.of(stream) if isinstance(stream, StreamAnnotation) else stream
@@ -175,9 +178,9 @@ class StreamSpace:
             self._came += 1
             self._order[stream.name] = self._came
         for content in stream.contents:
-            self._holding[content.feature][stream.name] = None
+            _enter(self._holding, content.feature, stream.name)
             for role in content.roles:
-                self._holding_object[content.feature, role.object][stream.name] = None
+                _enter(self._holding_object, (content.feature, role.object), stream.name)
 
     def discard_stream(self, name: str) -> None:
         """A stream is no more, or nobody knows what it means."""
@@ -186,9 +189,9 @@ class StreamSpace:
             return
         self.version += 1
         for content in stream.contents:
-            self._holding[content.feature].pop(name, None)
+            _leave(self._holding, content.feature, name)
             for role in content.roles:
-                self._holding_object[content.feature, role.object].pop(name, None)
+                _leave(self._holding_object, (content.feature, role.object), name)
 
     def forget_stream(self, name: str) -> None:
         """A stream is no more, and one of the same name would be another."""
@@ -201,17 +204,17 @@ class StreamSpace:
         if before is not None:
             feature = before.output.feature
             if feature != transformation.output.feature:
-                del self._giving[feature][transformation.name]
+                _leave(self._giving, feature, transformation.name)
         self.version += 1
         self.transformations[transformation.name] = transformation
-        self._giving[transformation.output.feature][transformation.name] = None
+        _enter(self._giving, transformation.output.feature, transformation.name)
 
     def discard_transformation(self, name: str) -> None:
         """A transformation is no more."""
         transformation = self.transformations.pop(name, None)
         if transformation is not None:
             self.version += 1
-            del self._giving[transformation.output.feature][name]
+            _leave(self._giving, transformation.output.feature, name)
 
     def holding(self, feature: str) -> Iterable[str]:
         """The streams that contain ``feature`` (an IRI)."""
@@ -230,12 +233,20 @@ class StreamSpace:
         return self._order[stream]
 
 
-_TEXTS: dict[Unit, str] = {}
+def _enter(index: _Index[K], key: K, name: str) -> None:
+    index.setdefault(key, {})[name] = None
 
 
+def _leave(index: _Index[K], key: K, name: str) -> None:
+    """It may have left before. Keys come without end, so nothing is kept of one without names."""
+    names = index.get(key)
+    if names is not None:
+        names.pop(name, None)
+        if not names:
+            del index[key]
+
+
+@lru_cache(maxsize=4096)
 def unit_text(unit: Unit) -> str:
     """A unit's text: cheaper to compare and to look up than the unit itself."""
-    found = _TEXTS.get(unit)
-    if found is None:
-        found = _TEXTS[unit] = format_unit(unit)
-    return found
+    return format_unit(unit)

@@ -157,6 +157,10 @@ class Entailments:
         """How many of the triples held say so of a node."""
         self.update(triples, ())
 
+    def holds(self, triple: Triple) -> bool:
+        """Whether it is one of `held`. Cost: a look-up."""
+        return triple in self._held
+
     @property
     def held(self) -> frozenset[Triple]:
         """The triples whose entailments these are."""

@@ -33,6 +33,7 @@ from pyoxigraph import (
 from ..rdf.dictionary import Term
 from ..rdf.namespaces import OWL, RDF_TYPE, STREAM_SPACE
 from . import graphs
+from .churn import Churn
 from .closure import closure_key, entailed
 from .entailment import Change, Entailments, Rules
 from .errors import OntologyError, QueryRefused
@@ -69,8 +70,6 @@ _NOT_STATIC = (
 """Graphs that continuous queries do not read."""
 _PIECE = 250
 """Triples of the live stream space that are brought into the store in one go: some 10 ms."""
-_CHURN = 20_000
-"""A store in memory is made anew after at least so many quads have come or gone."""
 _TABLES = {
     "json": QueryResultsFormat.JSON,
     "xml": QueryResultsFormat.XML,
@@ -126,11 +125,9 @@ class Ontology:
         self.path = path
         self.version = 0
         self._lock = threading.RLock()
+        self._churn = Churn()
         self._closed: Store | None = None
-        self._churn = 0
-        """Quads that have come or gone since the store was made."""
-        self._look_at = _CHURN
-        """When so many have, it is looked at: counting its quads takes as long as there are."""
+        self._closed_churn = Churn()
         self._log = ChangeLog()
         self._start()
 
@@ -260,7 +257,7 @@ class Ontology:
         if successor is None or missed is None:
             return False
         changes = successor.follow(*missed)
-        self._store, self._churn, self._look_at = successor.store, 0, _CHURN
+        self._store, self._churn = successor.store, Churn()
         self._apply(changes)
         self._log.forget()
         self._concepts, self._live, self._base = (
@@ -269,7 +266,7 @@ class Ontology:
             successor.vocabulary,
         )
         self._changed()
-        self._closed = successor.static
+        self._closed, self._closed_churn = successor.static, Churn()
         self._follow_statically(
             *(changes[g] for g in (*CONCEPTS, graphs.CONCEPT_ENTAILMENTS) if g in changes)
         )
@@ -304,7 +301,7 @@ class Ontology:
                 store = Store()
                 static = self._ontology_triples() | self._concepts.held | self._concepts.current
                 store.extend(Quad(t.subject, t.predicate, t.object) for t in static)
-                self._closed = store
+                self._closed, self._closed_churn = store, Churn()
             return self._closed
 
     def _follow_statically(self, *changes: Change) -> None:
@@ -317,6 +314,8 @@ class Ontology:
             for triple in change.removed:
                 if not self._is_static(triple):
                     self._closed.remove(Quad(triple.subject, triple.predicate, triple.object))
+            self._closed_churn.note(len(change.added) + len(change.removed))
+        self._closed = self._closed_churn.over(self._closed)
 
     def _is_static(self, triple: Triple) -> bool:
         quads = self._store.quads_for_pattern(triple.subject, triple.predicate, triple.object, None)
@@ -433,12 +432,16 @@ class Ontology:
         """Changes the live stream space; what it entails follows (`entailment`).
 
         A triple in both is there afterwards. Whoever asks sees it; it is brought into the store
-        when somebody does, or by `advance`: what comes and goes in between costs next to nothing,
-        and a large change is made in pieces. Not flushed: the graph is emptied when the store is
-        opened. Cost: O(changed triples).
+        when somebody does, or by `advance`: what comes and goes in between leaves nothing, and a
+        large change is made in pieces. Not flushed: the graph is emptied when the store is opened.
+        Cost: O(changed triples).
         """
-        self._awaited.update(dict.fromkeys(removed, False))
-        self._awaited.update(dict.fromkeys(added, True))
+        for triples, there in ((removed, False), (added, True)):
+            for triple in triples:
+                before = self._awaited.pop(triple, None)
+                # One that nobody waits for may be about to be brought in, by another thread.
+                if before is None or self._live.holds(triple) != there:
+                    self._awaited[triple] = there
 
     def advance(self) -> None:
         """Bring some of what `mirror` was told of into the store, if nobody else is at it."""
@@ -630,7 +633,7 @@ class Ontology:
         }
         if not added and not removed:
             return
-        self._churn += len(added) + len(removed)
+        self._churn.note(len(added) + len(removed))
         self._log.note(added, removed)
         if not removed:
             self._store.extend(added)  # all at once, and without a text to be parsed
@@ -646,17 +649,9 @@ class Ontology:
             )
 
     def _renew(self) -> None:
-        """Put what there is in a new store when so much has come and gone: one in memory keeps
-        some of what was removed, and grows without end (0.6 KB a quad)."""
-        if self.path is not None or self._churn <= self._look_at:
-            return
-        much = max(_CHURN, 4 * len(self._store))
-        if self._churn <= much:
-            self._look_at = much
-            return
-        store = Store()
-        store.extend(self._store)
-        self._store, self._churn, self._look_at = store, 0, _CHURN
+        """A store in memory does not grow by what came and went."""
+        if self.path is None:
+            self._store = self._churn.over(self._store)
 
     def _elsewhere(self, triple: Triple, removed: set[Quad]) -> bool:
         holders = self._store.quads_for_pattern(

@@ -24,7 +24,7 @@ _FAN: Final = 32
 
 _TEXTS: Final = 4096
 """So many texts of a field are not worth looking for those that are gone."""
-_SHARE: Final = 4
+_SHARE: Final = 2
 """Nor are so many a kept sample."""
 _TRIES: Final = 4
 """So often texts are looked for that others have changed meanwhile; then at once."""

@@ -66,7 +66,11 @@ class IsolatedAsking:
             self._rows,
             self._size,
         )
-        return worker.call(Job(ask, self.seconds), 16 * self._size + _OVERHEAD)
+        answer = worker.call(Job(ask, self.seconds), 16 * self._size + _OVERHEAD)
+        if is_new and isinstance(answer, Failed):
+            # Nobody knows how much of them it has: they are sent again.
+            worker.kept.pop(key, None)
+        return answer
 
 
 def _found(answer: Answer) -> Found:

@@ -23,6 +23,14 @@ def main() -> None:
     worker.warm()
     restrict(int(sys.argv[1]))
     _write(b"ready")
+    try:
+        _serve(worker)
+    except MemoryError:
+        # For a job's text or its answer: as it ends where the store needs more.
+        os.abort()
+
+
+def _serve(worker: Worker) -> None:
     while True:
         message = _read()
         if message is None:

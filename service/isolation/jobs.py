@@ -29,6 +29,7 @@ from pyoxigraph import (
 from ...languages.errors import LanguageError
 from ...languages.specification import parse_specification
 from ...languages.specification.markup import NAMESPACE
+from ...ontology.churn import Churn
 from ...ontology.closure import closure_of
 from ...ontology.errors import OntologyError, QueryRefused
 from ...ontology.query_guard import check_user_query
@@ -68,6 +69,7 @@ class Worker:
 
     def __init__(self) -> None:
         self._store = Store()
+        self._churn = Churn()
         self._kept: dict[str, list[Quad]] = {}
 
     def warm(self) -> None:
@@ -114,11 +116,14 @@ class Worker:
 
     def _follow(self, work: Follow) -> Answer:
         if work.whole is not None:
-            self._store = Store()
-            self._store.bulk_extend(_quads(work.whole))
-        for quad in _quads(work.removed):
+            self._store, self._churn = Store(), Churn()
+            self._store.extend(_quads(work.whole))
+        removed, added = list(_quads(work.removed)), list(_quads(work.added))
+        for quad in removed:
             self._store.remove(quad)
-        self._store.extend(_quads(work.added))
+        self._store.extend(added)
+        self._churn.note(len(removed) + len(added))
+        self._store = self._churn.over(self._store)
         return Truth(True)
 
     def _query(self, work: Query) -> Answer:

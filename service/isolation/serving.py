@@ -10,6 +10,7 @@ from fastapi import Request
 
 from ..problems import Problem
 from .pool import Busy
+from .sparql import NotUpToDate
 from .worker import Died, TookTooLong, WorkerError
 
 T = TypeVar("T")
@@ -66,6 +67,14 @@ def _problem(error: Exception) -> Exception:
                 "query needs too much",
                 f"it was stopped: {error}",
                 hint="ask for less: name the graph patterns that join, add a LIMIT",
+            )
+        case NotUpToDate():
+            return Problem(
+                503,
+                "no worker",
+                str(error),
+                hint="start the service with more DYKNOW_WORKER_MEMORY",
+                headers=_RETRY,
             )
         case WorkerError():
             return Problem(503, "no worker", str(error), headers=_RETRY)

@@ -5,14 +5,19 @@ from __future__ import annotations
 from typing import Final
 
 from ...ontology.ontology import Ontology
-from .messages import Answer, Follow, Job, Query
+from .messages import Answer, Follow, Job, Query, Truth
 from .pool import Pool
-from .worker import Worker
+from .worker import End, NoWorker, Worker, WorkerError
 
 OVERHEAD: Final = 1 << 16
 """Bytes of an answer beside what it tells."""
 CATCHING_UP: Final = 30.0
 """Seconds that a worker has for what it lacks of the ontology, beside those of the query."""
+_TOO_LARGE: Final = "a worker cannot take all that is known with its memory and in its time"
+
+
+class NotUpToDate(NoWorker):
+    """A worker could not take what has changed, and is gone: nothing is wrong with the query."""
 
 
 class IsolatedQueries:
@@ -34,12 +39,29 @@ class IsolatedQueries:
         """
 
         def work(worker: Worker) -> Answer:
-            lacks = self._ontology.changes_since(worker.position)
-            if worker.position != lacks.position:
-                follow = Follow(lacks.whole, lacks.added, lacks.removed)
-                worker.call(Job(follow, CATCHING_UP), OVERHEAD)
-                worker.position = lacks.position
+            self._bring_up_to_date(worker)
             query = Query(text, format, self._rows, self._size)
             return worker.call(Job(query, self._seconds), self._size + OVERHEAD)
 
-        return await self._pool.run(work, self._seconds)
+        try:
+            return await self._pool.run(work, self._seconds)
+        except NotUpToDate:
+            # What earlier queries have left of its memory was not enough: a new one has all of it.
+            return await self._pool.run(work, self._seconds)
+
+    def _bring_up_to_date(self, worker: Worker) -> None:
+        lacks = self._ontology.changes_since(worker.position)
+        if worker.position == lacks.position:
+            return
+        follow = Follow(lacks.whole, lacks.added, lacks.removed)
+        try:
+            answer = worker.call(Job(follow, CATCHING_UP), OVERHEAD)
+        except WorkerError as error:
+            if error.end in (End.MEMORY, End.DEADLINE):
+                raise NotUpToDate(_TOO_LARGE) from error
+            raise
+        if answer != Truth(True):
+            # It may have some of it: what it says of anything is not to be trusted.
+            worker.kill(End.MEMORY)
+            raise NotUpToDate(f"{_TOO_LARGE}: {answer}")
+        worker.position = lacks.position

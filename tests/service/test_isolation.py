@@ -7,6 +7,8 @@ import signal
 import socket
 import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +19,7 @@ from pyoxigraph import BlankNode, Literal, NamedNode, Quad, Triple
 from waiting import until
 
 from dyknow.continuous.asking import DIRECT, NOTHING, Kept
+from dyknow.continuous.asking import Table as Solutions
 from dyknow.continuous.budget import BudgetExceeded
 from dyknow.engine.engine import Engine
 from dyknow.ontology.ontology import Ontology
@@ -24,10 +27,13 @@ from dyknow.ontology.replicas import MOST
 from dyknow.service.app import create_app
 from dyknow.service.isolation.messages import (
     BadAnswer,
+    Failed,
+    Follow,
     Job,
     Query,
     Table,
     Truth,
+    Written,
     cell_of,
     decode_answer,
     encode,
@@ -35,7 +41,8 @@ from dyknow.service.isolation.messages import (
 )
 from dyknow.service.isolation.pool import Busy, Pool
 from dyknow.service.isolation.services import Windows
-from dyknow.service.isolation.worker import Died, TookTooLong, Worker, WorkerError
+from dyknow.service.isolation.sparql import IsolatedQueries, NotUpToDate
+from dyknow.service.isolation.worker import Died, End, TookTooLong, Worker, WorkerError
 from dyknow.service.server import running
 from dyknow.service.settings import Settings
 
@@ -206,6 +213,76 @@ def test_copies_follow_every_change() -> None:
     assert ontology.changes_since(first.position).whole is not None
 
 
+def test_a_worker_whose_copy_changes_for_long_needs_no_more_memory(worker: Worker) -> None:
+    before: bytes = b""
+    for number in range(1500):
+        quads = "".join(f"<urn:s{number}> <urn:p> <urn:o{number}_{i}> .\n" for i in range(150))
+        assert worker.call(Job(Follow(None, quads.encode(), before), 20), 1000) == Truth(True)
+        before = quads.encode()
+    found = worker.call(job("SELECT (COUNT(*) AS ?n) { ?s ?p ?o }"), 1 << 20)
+    assert isinstance(found, Written)
+    assert b'"150"' in found.body
+
+
+def test_what_no_worker_can_take_is_not_the_fault_of_a_query() -> None:
+    ontology = Ontology.open()
+    text = "x" * 1000
+    many = [
+        Triple(NamedNode(f"urn:a{i}"), NamedNode("urn:p"), Literal(f"{text}{i}"))
+        for i in range(MOST + 40_000)
+    ]
+
+    async def scenario(queries: Any) -> None:
+        assert isinstance(await queries.answer("ASK {}", "application/json"), Written)
+        ontology.mirror(many, [])
+        with pytest.raises(NotUpToDate, match="cannot take all"):
+            await queries.answer("ASK {}", "application/json")
+        ontology.mirror([], many)
+        assert isinstance(await queries.answer("ASK {}", "application/json"), Written)
+
+    with queries_of(ontology) as (_, queries):
+        anyio.run(scenario, queries)
+
+
+@pytest.mark.parametrize("trouble", [Died("no memory", End.MEMORY), Failed("no memory")])
+def test_who_could_not_be_told_what_has_changed_is_replaced(
+    monkeypatch: pytest.MonkeyPatch, trouble: WorkerError | Failed
+) -> None:
+    ontology = Ontology.open()
+    asked = "ASK { <urn:a> <urn:p> 1 }"
+    call = Worker.call
+    troubles = [trouble]
+
+    def troubled(worker: Worker, job: Job, most: int) -> Any:
+        if isinstance(job.work, Follow) and job.work.whole is None and troubles:
+            found = troubles.pop()
+            if isinstance(found, WorkerError):
+                worker.kill(found.end)
+                raise found
+            return found
+        return call(worker, job, most)
+
+    async def scenario(queries: Any) -> None:
+        assert b"false" in (await queries.answer(asked, "application/json")).body
+        ontology.mirror([Triple(NamedNode("urn:a"), NamedNode("urn:p"), Literal(1))], [])
+        assert b"true" in (await queries.answer(asked, "application/json")).body
+
+    monkeypatch.setattr(Worker, "call", troubled)
+    with queries_of(ontology) as (pool, queries):
+        anyio.run(scenario, queries)
+        assert not troubles
+        assert pool.ends[End.MEMORY] == 1
+
+
+@contextmanager
+def queries_of(ontology: Ontology) -> Iterator[tuple[Pool, Any]]:
+    pool = Pool(1, MEMORY)
+    try:
+        yield pool, IsolatedQueries(ontology, pool, 20, 1000, 1 << 20)
+    finally:
+        pool.close()
+
+
 @pytest.fixture
 def settings() -> Settings:
     return Settings(
@@ -322,6 +399,20 @@ def test_a_worker_answers_what_oxigraph_answers(windows: Windows, text: str) -> 
                 assert set(mine) == set(theirs)
             else:
                 assert theirs == mine
+
+
+def test_quads_that_a_worker_could_not_keep_are_sent_again(
+    windows: Windows, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asking, kept = windows.budget.asking, Kept(quads(5))
+    text = "SELECT * { GRAPH ?g { ?s ?p ?o } }"
+    with monkeypatch.context() as patched:
+        patched.setattr(Worker, "call", lambda *_: Failed("it needs more memory than it may have"))
+        with pytest.raises(ValueError, match="more memory"):
+            asking.ask(text, kept, [])
+    found = asking.ask(text, kept, [])
+    assert isinstance(found, Solutions)
+    assert len(found.rows) == 5
 
 
 def test_more_sets_of_quads_than_a_worker_keeps(windows: Windows) -> None:
