@@ -7,6 +7,7 @@ before or after one. The graphs are listed in `graphs` and explained in docs/ont
 from __future__ import annotations
 
 import threading
+from collections import OrderedDict
 from collections.abc import Iterable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -70,6 +71,8 @@ _NOT_STATIC = (
 """Graphs that continuous queries do not read."""
 _PIECE = 250
 """Triples of the live stream space that are brought into the store in one go: some 10 ms."""
+_MOST_AWAITED = 10_000
+"""So many may wait to be brought in; whoever changes more brings some of them in."""
 _TABLES = {
     "json": QueryResultsFormat.JSON,
     "xml": QueryResultsFormat.XML,
@@ -119,9 +122,9 @@ class Ontology:
     def __init__(self, store: Store, path: Path | None) -> None:
         """Use `open`."""
         self._store = store
-        self._awaited: dict[Triple, bool] = {}
+        self._awaited: OrderedDict[Triple, bool] = OrderedDict()
         """Triples of the live stream space that are not in the store yet: whether they come or go.
-        Only added to by those who tell of changes, only taken from under the lock."""
+        Added to by those who tell of changes, who take back what is as it was."""
         self.path = path
         self.version = 0
         self._lock = threading.RLock()
@@ -442,6 +445,8 @@ class Ontology:
                 # One that nobody waits for may be about to be brought in, by another thread.
                 if before is None or self._live.holds(triple) != there:
                     self._awaited[triple] = there
+        if len(self._awaited) > _MOST_AWAITED:
+            self.advance()
 
     def advance(self) -> None:
         """Bring some of what `mirror` was told of into the store, if nobody else is at it."""
@@ -459,8 +464,12 @@ class Ontology:
 
     def _bring_in_some(self) -> None:
         changed: tuple[list[Triple], list[Triple]] = ([], [])
-        while self._awaited and len(changed[0]) + len(changed[1]) < _PIECE:
-            triple, there = self._awaited.popitem()
+        while len(changed[0]) + len(changed[1]) < _PIECE:
+            try:
+                # Those first that came first: of the last ones some are about to go again.
+                triple, there = self._awaited.popitem(last=False)
+            except KeyError:  # who tells of changes takes some back, whatever thread this is
+                break
             changed[there].append(triple)
         held, implied = self._live.update(changed[True], changed[False])
         self._apply({graphs.STREAM_SPACE: held, graphs.STREAM_SPACE_ENTAILMENTS: implied})

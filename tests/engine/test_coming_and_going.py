@@ -13,17 +13,24 @@ import pytest
 
 from dyknow.engine import configuration, engine
 from dyknow.engine.commands import (
+    AddKpl,
     Annotate,
+    ApplySpecification,
     CancelEvent,
     DeclareStream,
     Publish,
+    RegisterAnnotatedTransformation,
     RegisterQuery,
     RegisterTemplate,
+    RemoveKpl,
     RemoveQuery,
     RemoveStream,
     RemoveTemplate,
+    RemoveTransformation,
     RequestEvent,
     Subscribe,
+    SubscribeToFeature,
+    Tick,
     Unsubscribe,
 )
 from dyknow.engine.recorded import RecordedEngine
@@ -48,30 +55,67 @@ SECOND = 1_000_000_000
 OUTSIDE = (type, ModuleType, FunctionType, CodeType)
 
 
+def text(insertions: str = "", removals: str = "") -> bytes:
+    namespace = "http://www.dyknow.eu/ontology#Specification"
+    return (
+        f'<specification xmlns="{namespace}"><insertions>{insertions}</insertions>'
+        f"<removals>{removals}</removals></specification>"
+    ).encode()
+
+
 def come_and_go(recorded: RecordedEngine, number: int) -> None:
     def do(command: Any) -> Any:
         return recorded.do(command)
 
     name = f"{number:04}"
+    # What is asked for.
     do(RegisterTemplate(TEMPLATE.format(name)))
     limits = (10, 20, 30, 40, 50)
     asked = [do(RequestEvent(f"dyknow:Round{name}Event(?o, dyknow:UAV, {n})")) for n in limits]
     do(RegisterQuery(QUERY.format(name)))
-    subscription = do(Subscribe("s", "sample every 1s, max delay 2s"))
+    followed = [
+        do(Subscribe("s", "sample every 1s, max delay 2s")),
+        do(SubscribeToFeature("dyknow:speed", sort="dyknow:UAV")),
+        do(SubscribeToFeature("dyknow:heading", objects=(f"dyknow:round{name}",))),
+    ]
+    # What there is.
     do(DeclareStream(StreamDeclaration(f"other{name}", FIELDS)))
     do(Annotate(f"stream other{name} contains speed(UAV) = v for every UAV = id"))
+    do(DeclareStream(StreamDeclaration(f"own{name}", FIELDS)))
+    do(Annotate(f"stream own{name} contains heading(round{name}) = v"))
+    scaled = f"compunit scaled{name} transforms lat:latitude, lon:longitude to spd:speed [m.s-1]"
+    do(RegisterAnnotatedTransformation(scaled, "coordinatesToSpeed", {"baseline": "10s"}))
+    do(
+        AddKpl(
+            f"source float source{name}\nstrmgen drawn{name} = source{name}\n"
+            f"stream slow{name} = drawn{name} with sample every 2s, max delay 1s"
+        )
+    )
+    policy = '<parameter name="policy" value="sample every 1s"/><stream name="s"/>'
+    do(ApplySpecification(text(f'<cu name="slower{name}" type="policy">{policy}</cu>')))
+    # What comes.
     start = number * 10 * SECOND
     times = range(start, start + 10 * SECOND, SECOND // 10)
-    rows = [{"valid": t, "available": t, "id": f"uav{t % 7}", "v": 1.0 * (t % 100)} for t in times]
+    rows = [
+        {"valid": t, "available": t, "id": f"uav{name}.{i % 7}", "v": 1.0 * i}
+        for i, t in enumerate(times)
+    ]
     body = "\n".join(map(json.dumps, rows)).encode()
-    do(Publish("s", "ndjson", body, start + 10 * SECOND))
-    do(Publish(f"other{name}", "ndjson", body, start + 10 * SECOND))
+    for stream in ("s", f"other{name}", f"own{name}"):
+        do(Publish(stream, "ndjson", body, start + 10 * SECOND))
+    do(Tick(start + 10 * SECOND))
+    # And all of it goes.
     for each in asked:
         do(CancelEvent(each.id))
-    do(Unsubscribe(subscription.id))
+    for each in followed:
+        do(Unsubscribe(each.id))
+    do(ApplySpecification(text(removals=f'<cu name="slower{name}"/>')))
+    do(RemoveKpl(f"source{name}", cascade=True))
     do(RemoveQuery(f"round{name}"))
+    do(RemoveTransformation(f"scaled{name}"))
     do(RemoveTemplate(f"dyknow:Round{name}Event"))
     do(RemoveStream(f"other{name}"))
+    do(RemoveStream(f"own{name}"))
     recorded.log.commit()
 
 

@@ -46,6 +46,31 @@ def test_when_it_is_brought_in_makes_no_difference(steps: list[Step]) -> None:
     assert lazy.quads() == eager.quads()
 
 
+def test_what_comes_and_goes_again_is_not_waited_for() -> None:
+    ontology = Ontology.open()
+    ontology.mirror(STREAMS[:10], [])
+    ontology.mirror([], STREAMS[:10])
+    assert not ontology._awaited
+    ontology.mirror(STREAMS[:10], [])
+    assert len(ontology.store)
+    ontology.mirror(STREAMS[10:20], STREAMS[:10])
+    ontology.mirror(STREAMS[:10], STREAMS[10:20])
+    assert not ontology._awaited
+
+
+def test_changes_that_nobody_asks_for_do_not_pile_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "_PIECE", 10)
+    monkeypatch.setattr(module, "_MOST_AWAITED", 100)
+    ontology = Ontology.open()
+    quads = len(ontology.store)
+    for turn in range(40):
+        for number in range(0, 200, 5):
+            change = STREAMS[number : number + 5]
+            ontology.mirror(*((), change)[:: 1 if turn % 2 else -1])
+        assert len(ontology._awaited) <= 105
+    assert len(ontology.store) == quads
+
+
 LOOKS: dict[str, Callable[[Ontology], object]] = {
     "a query": lambda o: len(list(o.query("SELECT * { ?s a :Stream }"))),
     "all quads": lambda o: o.quads().count(
