@@ -10,6 +10,7 @@ import numpy as np
 
 from ..ontology.units import Conversion
 from ..streams.generator import StreamGenerator
+from ..streams.numbering import TextNumbering
 from ..streams.sample import Column, FieldType, Mask, SampleBatch, Times
 from .unit import ComputationalUnit
 
@@ -52,6 +53,7 @@ class FunctionUnit(ComputationalUnit):
         self._id_fields = tuple(id_fields)
         self._carried = tuple(carried)
         self._output_field = output_field
+        self._texts = [TextNumbering() for _ in id_fields]
         self._keys: dict[tuple[int, ...], int] = {}
 
     def process(self, source: StreamGenerator, batch: SampleBatch) -> None:
@@ -76,7 +78,14 @@ class FunctionUnit(ComputationalUnit):
 
     def _objects(self, batch: SampleBatch) -> Times:
         """A number for each sample's object, or tuple of objects of an n-ary feature."""
-        columns = [batch.columns[f].values.astype(np.int64) for f in self._id_fields]
+        columns = [
+            column.values.astype(np.int64)
+            if column.pool is None
+            else texts.of(column.values, column.pool)
+            for column, texts in zip(
+                (batch.columns[field] for field in self._id_fields), self._texts, strict=True
+            )
+        ]
         if not columns:
             return np.zeros(len(batch), np.int64)
         if len(columns) == 1:

@@ -6,7 +6,7 @@ its output. It is what an adaptive subscription reads.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
@@ -212,7 +212,8 @@ class _Feed:
             name: _Naming(
                 whose,
                 dictionary,
-                output.stream.pools[name],
+                output.stream.pools,
+                name,
                 input.wanted if name == OBJECT else None,
             )
             for name, whose in zip(object_fields(len(input.whose)), input.whose, strict=True)
@@ -259,10 +260,14 @@ class _Naming(TermTable):
         self,
         whose: Whose,
         dictionary: TermDictionary,
-        pool: StringPool,
+        pools: Mapping[str, StringPool],
+        name: str,
         wanted: Callable[[str], bool] | None,
     ) -> None:
-        self.pool = pool
+        self.pool = pools[name]
+        """The output's, as it was when names were last asked for."""
+        self._pools = pools
+        self._name = name
         self._whose = whose
         self._dictionary = dictionary
         self._wanted = wanted
@@ -276,6 +281,9 @@ class _Naming(TermTable):
 
     def of(self, batch: SampleBatch) -> tuple[Codes, Mask]:
         """The codes of the objects in the output's pool, and where there is one that is meant."""
+        if self.pool is not self._pools[self._name]:
+            self.pool = self._pools[self._name]
+            self._codes.clear()
         if self._whose.object is not None or self._whose.id_field is None:
             code = self._code_of(self._whose.object or "")
             return np.full(len(batch), max(code, 0), np.int32), np.full(len(batch), code >= 0)

@@ -16,8 +16,6 @@ class SelectionUnit(ComputationalUnit):
     Cost: a table look-up per sample; the table grows with the distinct ids of the stream.
     """
 
-    knows_codes = False
-
     def __init__(self, *args: Any, id_field: str, object_id: int, objects: ObjectTable) -> None:
         super().__init__(*args)
         self._id_field = id_field

@@ -64,6 +64,8 @@ class TransformationUnit(ComputationalUnit):
     ) -> None:
         super().__init__(*args)
         self.implementation = implementation
+        self.knows_codes = implementation.batch
+        """Batches are the user's, to keep what he likes."""
         self._code = dict(parameters)
         self._ports = tuple(ports)
         self._id_fields = tuple(id_fields)

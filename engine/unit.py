@@ -33,8 +33,9 @@ class ComputationalUnit(ABC):
     role = Role.UNIT
     waits_for_all: ClassVar[bool] = True
     """Whether what it makes waits for all inputs, so that a sample may come after that."""
-    knows_codes = True
-    """Whether it keeps codes of its inputs' texts beyond a call."""
+    knows_codes = False
+    """Whether it keeps codes of its inputs' texts beyond a call (but in batches, which know what
+    they mean): then these are never forgotten."""
 
     def __init__(
         self,

@@ -33,8 +33,6 @@ class WindowUnit(ComputationalUnit):
     ``evaluator``; those that are too late for every window are left out before. Texts become terms
     on the way."""
 
-    knows_codes = False
-
     def __init__(
         self,
         *args: Any,

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from .numbering import Numbers
 from .sample import Column, Mask, SampleBatch
+from .strings import StringPool
 
 _LEAST = 16
 """Room is made for so many objects at first."""
@@ -48,15 +49,11 @@ class Latest:
             self._rows = _with_room(self._rows, room)
 
     def put(self, numbers: Numbers, batch: SampleBatch) -> None:
-        """The next samples; of several of one object the last one stays.
-
-        Raises `ValueError` where text is not encoded with the pool of the samples before.
-        """
+        """The next samples; of several of one object the last one stays. Where their texts have
+        another pool than those before, all have that one from now on. Cost of that: O(objects)."""
         if self._rows is None:
             self._rows = _with_room(batch.take(slice(0, 0)), len(self._there))
-        rows = self._rows
-        if any(column.pool is not rows.columns[n].pool for n, column in batch.columns.items()):
-            raise ValueError("batches of one stream share one string pool")
+        rows = self._rows = self._recoded(self._rows, batch)
         # numpy assigns in order, so that the last of equal numbers wins.
         self._there[numbers] = True
         rows.available[numbers] = batch.available
@@ -71,6 +68,21 @@ class Latest:
                 null[numbers] = False if column.null is None else column.null
             columns[name] = Column(kept.type, kept.values, null, kept.pool)
         self._rows = SampleBatch(rows.available, rows.valid, columns)
+
+    def _recoded(self, rows: SampleBatch, batch: SampleBatch) -> SampleBatch:
+        """``rows`` with their texts in the codes of those of ``batch``."""
+        columns = {
+            name: column
+            if (pool := batch.columns[name].pool) is column.pool or pool is None
+            else self._in_pool(column, pool)
+            for name, column in rows.columns.items()
+        }
+        return SampleBatch(rows.available, rows.valid, columns)
+
+    def _in_pool(self, column: Column, pool: StringPool) -> Column:
+        lacks = ~self._there if column.null is None else ~self._there | column.null
+        codes = Column(column.type, column.values, lacks, column.pool).recoded(pool).values
+        return Column(column.type, codes, column.null, pool)
 
 
 def _with_room(rows: SampleBatch, room: int) -> SampleBatch:

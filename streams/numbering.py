@@ -7,6 +7,8 @@ from typing import Final, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from .strings import Codes, StringPool
+
 Keys: TypeAlias = NDArray[np.int64]
 """Names of objects as 64-bit integers, shape ``(n,)``."""
 Numbers: TypeAlias = NDArray[np.int64]
@@ -61,6 +63,34 @@ class Numbering:
             table[:room] = self._table
             self._table = table
         return True
+
+
+class TextNumbering:
+    """The same for texts, by their codes in a pool that may be another one at any time.
+
+    Cost: one gather a batch, Python per text that is new, and per text in use once for each pool.
+    Memory: each distinct text, and 8 bytes for each of the pool, for as long as it lives.
+    """
+
+    def __init__(self) -> None:
+        self._known: dict[str, int] = {}
+        self._pool: StringPool | None = None
+        self._table: Numbers = np.empty(0, np.int64)
+
+    def of(self, codes: Codes, pool: StringPool) -> Numbers:
+        """The numbers of the texts that have these ``codes``, shape ``(n,)``."""
+        if pool is not self._pool:
+            self._pool, self._table = pool, np.empty(0, np.int64)
+        if len(self._table) < len(pool):
+            table = np.full(2 * len(pool), -1)
+            table[: len(self._table)] = self._table
+            self._table = table
+        numbers: Numbers = self._table[codes]
+        if len(numbers) and int(numbers.min()) < 0:
+            for code in codes[numbers < 0].tolist():
+                self._table[code] = self._known.setdefault(pool[code], len(self._known))
+            numbers = self._table[codes]
+        return numbers
 
 
 def paired(firsts: Keys, seconds: Keys) -> Keys:

@@ -274,15 +274,16 @@ def column_from_values(
 
 
 def concatenate(batches: Sequence[SampleBatch]) -> SampleBatch:
-    """One batch of all samples, in order. All have the same fields and, for text, the same pool."""
+    """One batch of all samples, in order. All have the same fields; text is in the codes of the
+    last one's pool: streams get new pools, and what is kept of before is older."""
     if len(batches) == 1:
         return batches[0]
-    first = batches[0]
+    last = batches[-1]
     columns: dict[str, Column] = {}
-    for name, column in first.columns.items():
+    for name, column in last.columns.items():
         parts = [batch.columns[name] for batch in batches]
-        if any(part.pool is not column.pool for part in parts):
-            raise ValueError(f"field {name!r}: batches of one stream share one string pool")
+        if column.pool is not None:
+            parts = [part.recoded(column.pool) for part in parts]
         null = None
         if any(part.null is not None for part in parts):
             null = np.concatenate([~part.present for part in parts])

@@ -63,7 +63,7 @@ def test_an_hour_of_new_names_is_flat(integers, monkeypatch) -> None:
 
 def test_merged_objects_keep_their_names() -> None:
     dictionary, own, pool = TermDictionary(), StringPool(), StringPool()
-    naming = _Naming(Whose(None, "id"), dictionary, pool, None)
+    naming = _Naming(Whose(None, "id"), dictionary, {"object": pool}, "object", None)
     for turn in range(6):
         names = [f"o{turn}", "always", f"o{turn - 2}"][:: 1 if turn % 2 else -1]
         times = np.arange(3, dtype=np.int64)

@@ -22,7 +22,13 @@ FIELDS = (
     Field("id", FieldType.STRING),
     Field("note", FieldType.STRING),
     Field("v", FieldType.FLOAT),
+    Field("lat", FieldType.FLOAT),
+    Field("lon", FieldType.FLOAT),
 )
+SAYS = {
+    "its speed": "speed(UAV) = v",
+    "where it is": "latitude(UAV) = lat [deg], longitude(UAV) = lon [deg]",
+}
 QUERY = """REGISTER STREAM {name} COMPUTE EVERY 1s AS
 PREFIX dyknow: <http://www.ida.liu.se/dyknow/>
 SELECT ?o (MAX(?v) AS ?most) FROM STREAM <http://www.ida.liu.se/dyknow/{of}.trdf> [RANGE 2s STEP 1s]
@@ -30,10 +36,13 @@ WHERE {{ ?o dyknow:speed ?v }} GROUP BY ?o"""
 MS = 1_000_000
 
 
-def engine(lateness: int) -> Engine:
+def engine(lateness: int, says: str = "its speed") -> Engine:
     made = Engine(epoch="e")
     made.declare(StreamDeclaration("s", FIELDS, lateness=lateness, retention=Retention(20)))
-    made.annotate("stream s contains speed(UAV) = v for every UAV = id")
+    made.annotate(f"stream s contains {SAYS[says]} for every UAV = id")
+    # The same samples, for terms of KPL.
+    fields = "id string, note string, v float, lat float, lon float"
+    made.add_kpl(f"sort row = ({fields})\nsource row r\nstrmgen row = r")
     return made
 
 
@@ -41,18 +50,28 @@ def publish(made: Engine, rows: list[tuple[int, str, str | None]]) -> None:
     """Each: available time in ms, object, note."""
     lines = [
         json.dumps(
-            {"valid": time * MS, "available": time * MS, "id": name, "note": note, "v": time % 7}
+            {
+                "valid": time * MS,
+                "available": time * MS,
+                "id": name,
+                "note": note,
+                "v": time % 7,
+                "lat": 58 + time % 11 / 1000,
+                "lon": 15 + time % 13 / 1000,
+            }
         )
         for time, name, note in rows
     ]
-    generator = made.accepting("s")
-    batch = decode_ndjson("\n".join(lines).encode(), generator.schema, generator.stream.pools)
-    made.publish("s", batch, 0)
+    for stream in ("s", "r"):
+        generator = made.accepting(stream)
+        batch = decode_ndjson("\n".join(lines).encode(), generator.schema, generator.stream.pools)
+        made.publish(stream, batch, 0)
 
 
 def told(made: Engine) -> dict[str, object]:
     """What every stream has; the status stream tells no texts of these."""
-    made.end("s")
+    for stream in ("s", "r"):
+        made.end(stream)
     return {
         each.name: (list(each.stream.all().rows()), each.counters) for each in made.generators()
     }
@@ -62,21 +81,35 @@ names = st.sampled_from(["a", "b", "c", "d", "e"])
 notes = st.none() | st.sampled_from(["x", "y", "z"]) | st.integers(0, 30).map(str)
 rows = st.lists(st.tuples(st.integers(0, 6000), names, notes), min_size=1, max_size=12)
 batches = st.lists(rows, min_size=1, max_size=8)
-readers = st.sets(st.sampled_from(["late", "query", "changes", "sampled", "select"]))
+POLICIES = {
+    "changes": "any change",
+    "sampled": "sample every 700, max delay 2000",
+    "most recent": "sample every 700, max delay 2000, use most recent, from 0 to 5600",
+    "ordered": "monotone order, max delay 1500",
+    "strictly ordered": "strict order, any change",
+}
+KPL = {
+    "pairs": "join(row, row)",
+    "states": "sync(row, row with any change; any change, max delay 1500)",
+}
+readers = st.sets(st.sampled_from(["late", "query", "select", "every object", *POLICIES, *KPL]))
 
 
-@settings(deadline=None, max_examples=60)
-@given(batches, readers, st.sampled_from([0, SECOND]), st.integers(0, 8))
+@settings(deadline=None, max_examples=100)
+@given(
+    batches, readers, st.sampled_from([0, SECOND]), st.integers(0, 8), st.sampled_from(list(SAYS))
+)
 def test_forgetting_at_any_moment_changes_nothing(
     given_batches: list[list[tuple[int, str, str | None]]],
     readers: set[str],
     lateness: int,
     begins: int,
+    says: str,
 ) -> None:
     """Whoever reads the stream from the ``begins``-th batch on, and whatever it makes of it."""
 
     def run(forgetting: bool) -> dict[str, object]:
-        made = engine(lateness)
+        made = engine(lateness, says)
         with texts_at_every_chance() if forgetting else nullcontext():
             for number, batch in enumerate(given_batches):
                 if number == begins:
@@ -94,12 +127,14 @@ def read(made: Engine, readers: set[str]) -> None:
         made.generator("s_late")
     if "query" in readers:
         made.queries.register(QUERY.format(name="most", of="s"))
-    if "changes" in readers:
-        made.subscribe("s", "any change")
-    if "sampled" in readers:
-        made.subscribe("s", "sample every 700, max delay 2000")
     if "select" in readers:
         made.subscribe_to_feature("speed", objects=["a"])
+    if "every object" in readers:
+        made.subscribe_to_feature("speed", sort="UAV")
+    for name in sorted(readers & POLICIES.keys()):
+        made.subscribe("s", POLICIES[name])
+    for number, name in enumerate(sorted(readers & KPL.keys())):
+        made.add_kpl(f"strmgen made{number} = {KPL[name]}")
 
 
 @pytest.fixture
@@ -112,7 +147,7 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_texts_of_a_stream_that_queries_read_are_forgotten(lateness: int) -> None:
     made = engine(lateness)
     made.queries.register(QUERY.format(name="most", of="s"))
-    made.subscribe_to_feature("speed", objects=["u3"])
+    read(made, {"select", "every object", *POLICIES, *KPL})
     for second in range(60):
         publish(
             made,
