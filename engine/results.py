@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 from rdflib import BNode, URIRef
@@ -16,6 +15,7 @@ from rdflib.namespace import RDF
 from rdflib.plugins.sparql.parserutils import CompValue
 
 from ..converters.to_samples import ID, ResultConverter, field_names, result_schema
+from ..languages.attached import attached
 from ..languages.csparql import algebra
 from ..languages.csparql.ast import ContinuousQuery, Form
 from ..languages.csparql.shape import query_shape
@@ -30,7 +30,7 @@ from ..rdf.namespaces import RDFS, XSD, local_name, shorten
 from ..rdf.timed import DATATYPES, Kind
 from ..streams.sample import TIME_FIELDS, Schema
 from ..streams.strings import StringPool
-from ..templates.patterns import Body, patterns
+from ..templates.patterns import patterns
 
 _AGGREGATE_KINDS = {
     "Aggregate_Avg": Kind.DOUBLE,
@@ -96,12 +96,11 @@ class ResultForm:
 def result_form(query: ContinuousQuery, vocabulary: Vocabulary) -> ResultForm:
     """The form of ``query``'s results: types by features' ranges and by aggregates. Cost: found
     once for all instances of a template."""
-    return _form(Body(algebra(query).algebra), query.form, query.sparql, vocabulary)
+    return _form(algebra(query).algebra, query.form, query.sparql, vocabulary)
 
 
-@lru_cache(maxsize=128)
-def _form(body: Body, form: Form, sparql: str, vocabulary: Vocabulary) -> ResultForm:
-    tree = body.root
+@attached
+def _form(tree: CompValue, form: Form, sparql: str, vocabulary: Vocabulary) -> ResultForm:
     if form is Form.ASK:
         return ResultForm(result_schema(ask=True), (), {})
     kinds_of = _kinds(tree, vocabulary)

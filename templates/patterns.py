@@ -8,13 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache, reduce
+from functools import reduce
 from typing import Any, TypeAlias
 
 from rdflib import URIRef
 from rdflib.namespace import RDF
 from rdflib.paths import InvPath, Path
 from rdflib.plugins.sparql.parserutils import CompValue
+
+from ..languages.attached import attached
 
 Typing: TypeAlias = Mapping[Any, frozenset[Any]]
 """Subject -> the classes that every solution says it has."""
@@ -32,6 +34,7 @@ class Pattern:
     classes: frozenset[Any]
 
 
+@attached
 def patterns(root: CompValue) -> tuple[Pattern, ...]:
     """The triple patterns over the default graph, in reading order of the algebra.
 
@@ -39,28 +42,7 @@ def patterns(root: CompValue) -> tuple[Pattern, ...]:
     and left out. ``classes`` are those of ``?o a S`` patterns that must hold along with the
     pattern: not those in another branch of a UNION or in an OPTIONAL. Cost: found once a root.
     """
-    return _found(Body(root))
-
-
-class Body:
-    """An algebra by its identity: all instances of a template have one, which nobody changes. What
-    is read off it can be remembered."""
-
-    __slots__ = ("root",)
-
-    def __init__(self, root: CompValue) -> None:
-        self.root = root
-
-    def __hash__(self) -> int:
-        return id(self.root)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Body) and self.root is other.root
-
-
-@lru_cache(maxsize=64)
-def _found(body: Body) -> tuple[Pattern, ...]:
-    return tuple(_patterns(body.root, {}, top=True))
+    return tuple(_patterns(root, {}, top=True))
 
 
 def _patterns(node: CompValue, inherited: Typing, *, top: bool) -> Iterator[Pattern]:

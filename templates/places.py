@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from enum import StrEnum
-from functools import lru_cache
 from typing import Any
 
 from rdflib import Literal, URIRef, Variable
 from rdflib.namespace import RDF
 from rdflib.plugins.sparql.parserutils import CompValue
 
+from ..languages.attached import attached
 from ..ontology.vocabulary import Vocabulary
 from ..rdf.datatypes import NUMBERS
-from .patterns import Body, everything, patterns
+from .patterns import everything, patterns
 
 _ARITHMETIC = ("AdditiveExpression", "MultiplicativeExpression", "UnaryMinus", "UnaryPlus")
 _NUMERIC_CALLS = ("Builtin_ABS", "Builtin_CEIL", "Builtin_FLOOR", "Builtin_ROUND", "Builtin_STRLEN")
@@ -35,18 +35,13 @@ def is_numeric(datatype: str | None) -> bool:
     return datatype in NUMBERS
 
 
+@attached
 def places(root: CompValue, vocabulary: Vocabulary) -> dict[str, frozenset[Place]]:
     """Variable name -> the restricting positions that it stands in, over the whole body.
 
     A number is due where a variable is calculated with, or compared with what is a number: a
     literal, a calculation, an aggregate, a feature whose range is numeric. Cost: found once.
     """
-    return _found(Body(root), vocabulary)
-
-
-@lru_cache(maxsize=128)
-def _found(body: Body, vocabulary: Vocabulary) -> dict[str, frozenset[Place]]:
-    root = body.root
     found: dict[str, set[Place]] = {}
     for pattern in patterns(root):
         _note(found, pattern.subject, Place.SUBJECT)

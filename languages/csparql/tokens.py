@@ -198,10 +198,14 @@ def blanked(source: str, spans: Sequence[Span]) -> str:
 def compact(text: str) -> str:
     """The text without the blank lines that blanked clauses leave; literals are not touched."""
     parts: list[str] = []
-    position = 0
+    position = end = 0
     for token in tokenize(text):
-        parts.append(_BLANK_LINES.sub("\n", text[position : token.start]))
-        parts.append(token.text)
-        position = token.end
+        if token.start - end > 1:  # most have a single space before them
+            between = text[end : token.start]
+            compacted = _BLANK_LINES.sub("\n", between)
+            if compacted != between:
+                parts += (text[position:end], compacted)
+                position = token.start
+        end = token.end
     parts.append(text[position:].rstrip())
     return "".join(parts).strip()
