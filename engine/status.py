@@ -21,6 +21,8 @@ STATUS = "status"
 FIELDS = ("change", "stream", "unit", "transformation", "inputs", "specification")
 SCHEMA = Schema(tuple(Field(name, FieldType.STRING) for name in FIELDS))
 RETENTION = Retention(samples=10_000)
+LONGEST = 8192
+"""Characters of a text that are told: thousands of long ones would be gigabytes."""
 
 Listener: TypeAlias = Callable[[Change], None]
 
@@ -69,7 +71,11 @@ class StatusStream:
             "stream": change.stream or None,
             "unit": change.unit or None,
             "transformation": change.transformation or None,
-            "inputs": " ".join(change.inputs) or None,
-            "specification": change.specification or None,
+            "inputs": _told(" ".join(change.inputs)) or None,
+            "specification": _told(change.specification) or None,
         }
         output.offer(batch_from_rows(output.schema, [(now, now, values)], output.stream.pools), now)
+
+
+def _told(text: str) -> str:
+    return text if len(text) <= LONGEST else f"{text[:LONGEST]}… ({len(text)} characters)"

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from hashlib import blake2b
 from typing import assert_never
 
 from ...rdf.namespaces import XSD
@@ -33,7 +34,8 @@ from .terms import short_text
 from .tokens import Kind, compact, tokenize
 
 _DIGITS = re.compile("[0-9]+")
-_FITTING: dict[tuple[object, ...], bool] = {}
+_FITTING: dict[bytes, bool] = {}
+"""By a digest: a text may have megabytes, and there are many."""
 _REMEMBERED = 1_000
 """Of so many ways to fill in a text it is remembered whether it can be read."""
 MOST_READ = 200
@@ -64,7 +66,8 @@ def _fits(query: ContinuousQuery, edits: Sequence[Edit], terms: Mapping[str, str
     """Whether the terms can stand where the edits put them. Terms that are written alike fit
     alike: of the many instances of a template few have to be read."""
     kinds = tuple((name, _DIGITS.sub("0", _kind(text))) for name, text in sorted(terms.items()))
-    key = (query.sparql, tuple(sorted(query.prefixes.items())), kinds)
+    told = repr((query.sparql, sorted(query.prefixes.items()), kinds))
+    key = blake2b(told.encode(), digest_size=16).digest()
     if key not in _FITTING:
         if len(_FITTING) >= _REMEMBERED:
             _FITTING.clear()

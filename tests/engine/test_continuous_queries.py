@@ -455,6 +455,15 @@ def test_it_is_in_the_stream_space_and_on_status(flying):
     assert started["specification"] == FAST
 
 
+def test_of_a_long_text_the_status_stream_tells_the_beginning(flying):
+    long = FAST + "# " + "x" * 20_000
+    flying.queries.register(long)
+    changes = [values for _, values in samples(flying, "status") if values["stream"] == "fast"]
+    started = next(values for values in changes if values["change"] == "unit started")
+    assert started["specification"] == f"{long[:8192]}… ({len(long)} characters)"
+    assert flying.queries.view("fast").source.endswith("xxx")
+
+
 def test_explanations(flying):
     flying.queries.register(FAST)
     text = flying.queries.explain_running("fast")
