@@ -173,17 +173,19 @@ def _search(
 
 def _carrying_all(plan: Plan, names: Sequence[str]) -> Plan:
     """``plan`` such that each of its solutions binds all of ``names``; raises `Unfit`."""
-    unfit: list[Unfit] = []
+    # Not the errors, which would hold each other by the frames that they came through.
+    unfit: dict[str, str] = {}
     own = _OwnNames()
     for name in names:
         try:
             plan = _carrying(plan, name, _Places(plan, name, own))
         except Unfit as error:
-            unfit.append(error)
+            unfit[error.name] = str(error)
     if unfit:
         first, *others = unfit
-        first.also = frozenset(other.name for other in others)
-        raise first
+        found = Unfit(first, unfit[first])
+        found.also = frozenset(others)
+        raise found
     return plan
 
 

@@ -55,7 +55,7 @@ class WindowedEvaluator(ABC, Generic[Result]):
         """Why the next window has no result, where that is known before."""
         self.options = options or Options()
         self._results: list[Result] = []
-        self._windows = Windowing(query, terms, inputs, self.options, self._closing)
+        self._windows = Windowing(query, terms, inputs, self.options)
         self._static = StaticSide(background, terms)
 
     @property
@@ -83,11 +83,13 @@ class WindowedEvaluator(ABC, Generic[Result]):
 
     def advance(self, input: str, watermark: int) -> list[Result]:
         """Every later row of ``input`` has τ ≥ ``watermark``: the windows that close now."""
-        return self._until_quarantined(lambda: self._windows.advance(input, watermark))
+        return self._until_quarantined(
+            lambda: self._windows.advance(input, watermark, self._closing)
+        )
 
     def end(self, input: str) -> list[Result]:
         """``input`` has come to its end. After the last one every window with content closes."""
-        return self._until_quarantined(lambda: self._windows.end(input))
+        return self._until_quarantined(lambda: self._windows.end(input, self._closing))
 
     @property
     def is_due(self) -> bool:
@@ -103,7 +105,7 @@ class WindowedEvaluator(ABC, Generic[Result]):
             return False
         self._stopped = stopped
         try:
-            return self._windows.close_next()
+            return self._windows.close_next(self._closing)
         except Quarantined:
             return True
         finally:

@@ -27,7 +27,8 @@ _BLOCK = 2**15
 
 
 class Windowing:
-    """The windows of a query over named inputs; ``closed`` is told of each, in order.
+    """The windows of a query over named inputs. Whoever lets them close says who is told of each,
+    in order: nobody is held by them, so that an evaluator nobody needs is gone at once.
 
     Arguments, errors and law as of `evaluator.ContinuousEvaluator`.
     """
@@ -38,7 +39,6 @@ class Windowing:
         terms: TermValues,
         inputs: Sequence[str],
         options: Options,
-        closed: Closed,
     ) -> None:
         self.options = options
         self.inputs = tuple(inputs)
@@ -60,7 +60,6 @@ class Windowing:
         self.closed = 0
         """How many evaluations have come to their end."""
         self._settled: int | None = None
-        self._tell = closed
         self._watermarks: dict[str, int] = {}
         self._ended: set[str] = set()
         self._closed: int | None = None
@@ -79,28 +78,28 @@ class Windowing:
             if rows is not None:
                 self.late += self.contents.push(input, rows, limit)
 
-    def advance(self, input: str, watermark: int) -> None:
+    def advance(self, input: str, watermark: int, closed: Closed) -> None:
         """Every later row of ``input`` has τ ≥ ``watermark``: some windows may close."""
         known = self._watermarks.get(input)
         if known is None or watermark > known:
             self._watermarks[input] = watermark
-        self._close()
+        self._close(closed)
 
-    def end(self, input: str) -> None:
+    def end(self, input: str, closed: Closed) -> None:
         """``input`` has come to its end. After the last one every window with content closes."""
         self._ended.add(input)
-        self._close()
+        self._close(closed)
 
     @property
     def is_due(self) -> bool:
         """Whether a window can close."""
         return self._closable() is not None
 
-    def close_next(self) -> bool:
+    def close_next(self, closed: Closed) -> bool:
         """Close the next window that can; whether there was one."""
         due = self._closable()
         if due is not None:
-            self._evaluate(due)
+            self._evaluate(due, closed)
         return due is not None
 
     def resume(self, input: str) -> None:
@@ -167,9 +166,9 @@ class Windowing:
             least = min(least, self._watermarks[name])
         return least
 
-    def _close(self) -> None:
+    def _close(self, closed: Closed) -> None:
         self._settled = None
-        while not self.defers and self.close_next():
+        while not self.defers and self.close_next(closed):
             pass
 
     def _closable(self) -> Due | None:
@@ -201,7 +200,7 @@ class Windowing:
         leaves = self.differs or self.options.report == "change"
         return following if leaves and self._had_content else due
 
-    def _evaluate(self, due: Due) -> None:
+    def _evaluate(self, due: Due, closed: Closed) -> None:
         end, reports = due.end, True
         if not self._plain:
             content, changed = self.contents.changed(due, self._closed)
@@ -212,7 +211,7 @@ class Windowing:
         self.contents.turn(due)
         self.turned = 0 if self.clock is None else self.clock() - begin
         try:
-            again = self._tell(end, reports)
+            again = closed(end, reports)
             self.contents.drop(end, raw=again)
         finally:
             self.closed += 1

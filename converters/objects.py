@@ -7,6 +7,8 @@ names the same object as ``name``, in its shortest spelling.
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import lru_cache
 from urllib.parse import unquote
 
@@ -14,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pyoxigraph import NamedNode
 
-from ..rdf.dictionary import NO_TERM, Ids, TermDictionary, TermTable
+from ..rdf.dictionary import NO_TERM, Ids, Term, TermDictionary, TermTable
 from ..rdf.namespaces import PREFIXES
 from ..streams.sample import Column, Mask
 from .term_tables import PoolTable
@@ -59,6 +61,17 @@ _SMALL = 1 << 20
 """Integers from 0 to here are looked up by their place, others by search."""
 
 
+@dataclass(frozen=True, slots=True)
+class _Interning:
+    """Knows no table, so that one nobody needs is gone at once."""
+
+    intern: Callable[[Term], int]
+    namespace: str
+
+    def __call__(self, name: str) -> int:
+        return self.intern(NamedNode(object_iri(name, self.namespace)))
+
+
 class ObjectTable(TermTable):
     """Term ids of the objects that a field names: a table that follows the field's pool, or the
     integers that have come.
@@ -73,8 +86,8 @@ class ObjectTable(TermTable):
     """
 
     def __init__(self, dictionary: TermDictionary, namespace: str, *, pinned: bool = False) -> None:
-        self._intern = dictionary.id if pinned else dictionary.transient_id
-        self._namespace = namespace
+        self.of_name = _Interning(dictionary.id if pinned else dictionary.transient_id, namespace)
+        """The term id of the object that is called so."""
         self._texts = PoolTable(self.of_name, dictionary)
         self._small: Ids = np.empty(0, np.int32)
         self._large: NDArray[np.int64] = np.empty(0, np.int64)
@@ -129,10 +142,6 @@ class ObjectTable(TermTable):
 
     def _of_new(self, values: NDArray[np.int64]) -> Ids:
         return np.array([self.of_name(str(value)) for value in values.tolist()], np.int32)
-
-    def of_name(self, name: str) -> int:
-        """The term id of the object called ``name``."""
-        return self._intern(NamedNode(object_iri(name, self._namespace)))
 
     def forget(self, freed: NDArray[np.bool_]) -> None:
         """See `dictionary.TermTable`."""

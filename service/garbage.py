@@ -3,10 +3,10 @@
 A collection that looks at a million objects lets everybody wait for half a second, and Python has
 one whenever a quarter more are there. So what has outlived one that took long is left alone
 (`gc.freeze`): the next looks at what has come since. What goes later is freed all the same when
-nobody refers to it any more; but not where it refers to itself. For that everything is looked at
-five minutes after it was first left alone, and, as long as next to nothing is found, after twice as
-long each time. In a service with little in it collections are quick, and nothing is left alone but
-what was there at the start (`warming`).
+nobody refers to it any more; but not where it refers to itself, as what parsers make does. For that
+everything is looked at after a thousand times as long as that takes, half a minute at least, and,
+as long as next to nothing is found, after twice as long each time. In a service with little in it
+collections are quick, and nothing is left alone but what was there at the start (`warming`).
 """
 
 from __future__ import annotations
@@ -16,8 +16,10 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any, Final
 
-FIRST: Final = 300.0
-"""Seconds until everything is looked at."""
+LEAST: Final = 30.0
+"""Seconds until everything is looked at, at least."""
+SHARE: Final = 1000.0
+"""And so many times as long as it takes to look."""
 LONGEST: Final = 24 * 3600.0
 """And at most."""
 FEW: Final = 10_000
@@ -34,7 +36,7 @@ class Garbage:
     def __init__(self, clock: Callable[[], float] = time.monotonic, slow: float = SLOW) -> None:
         self._clock = clock
         self._slow = slow
-        self._interval = FIRST
+        self._interval = LEAST
         self._due = float("inf")
         """When everything is looked at; never, while nothing is left alone."""
         self._begun = 0.0
@@ -54,8 +56,10 @@ class Garbage:
             return
         self._due = float("inf")
         gc.unfreeze()
+        begun = self._clock()
         found = gc.collect()
-        self._interval = FIRST if found > FEW else min(2 * self._interval, LONGEST)
+        least = max(LEAST, SHARE * (self._clock() - begun))
+        self._interval = least if found > FEW else max(least, min(2 * self._interval, LONGEST))
         if self._due < float("inf"):
             self._due = self._clock() + self._interval
 
@@ -67,4 +71,6 @@ class Garbage:
             self._begun = now
         elif now - self._begun >= self._slow:
             gc.freeze()
-            self._due = min(self._due, now + self._interval)
+            if self._due == float("inf"):
+                self._interval = max(self._interval, SHARE * (now - self._begun))
+                self._due = now + self._interval

@@ -8,7 +8,7 @@ from weakref import ref
 
 import pytest
 
-from dyknow.service.garbage import FEW, FIRST, LONGEST, Garbage
+from dyknow.service.garbage import FEW, LEAST, LONGEST, SHARE, Garbage
 
 
 class Thing:
@@ -60,9 +60,9 @@ def test_what_outlives_a_collection_is_left_alone(policy: Policy) -> None:
 
 def test_everything_is_looked_at_more_and_more_rarely(policy: Policy) -> None:
     gc.collect()
-    assert not policy.looks_after(FIRST - 1)
+    assert not policy.looks_after(LEAST - 1)
     assert policy.looks_after(1)
-    assert not policy.looks_after(2 * FIRST - 1)
+    assert not policy.looks_after(2 * LEAST - 1)
     assert policy.looks_after(1)
     for _ in range(20):
         policy.now += LONGEST
@@ -72,13 +72,29 @@ def test_everything_is_looked_at_more_and_more_rarely(policy: Policy) -> None:
 
 
 def test_and_sooner_again_where_much_is_found(policy: Policy) -> None:
-    assert policy.looks_after(FIRST)
+    assert policy.looks_after(LEAST)
     things = [Thing() for _ in range(FEW + 1)]
     gc.collect()
     things.clear()
-    policy.now += 2 * FIRST
+    policy.now += 2 * LEAST
     policy.review()
-    assert policy.looks_after(FIRST)
+    assert policy.looks_after(LEAST)
+
+
+def test_a_thousand_times_as_long_as_it_takes(policy: Policy) -> None:
+    def slowly(phase: str, info: object) -> None:
+        if phase == "start":
+            policy.now += 0.2
+
+    gc.callbacks.append(slowly)
+    try:
+        gc.collect()
+        gc.callbacks.remove(slowly)
+        assert not policy.looks_after(SHARE * 0.2 - 1)
+        assert policy.looks_after(1)
+    finally:
+        if slowly in gc.callbacks:
+            gc.callbacks.remove(slowly)
 
 
 def test_as_long_as_collections_are_quick_nothing_is_left_alone() -> None:
