@@ -178,6 +178,8 @@ class Fiber:
         """Nobody wants it any more: it ends with `Abandoned` where it would breathe next, which is
         waited for."""
         self._is_abandoned = True
+        if self._thread is None:
+            self._work = _nobody
         while not self._is_done and self._thread is not None:
             self._is_ready.wait()
             self._hand_over()
@@ -203,8 +205,10 @@ class Fiber:
 
     def run(self) -> None:
         """Do the work, and keep what it raises for who waits for it."""
+        # Work that is its own method would keep it, and what it works on, when it is done.
+        work, self._work = self._work, _nobody
         try:
-            self._work()
+            work()
         except BaseException as error:  # noqa: BLE001  raised where it is waited for
             self._error = error
         self._is_done = True

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import msgspec
 from fastapi import Request
@@ -198,6 +199,11 @@ class Start:
     seen: int = 0
 
 
+def _is_shown(feed: Feed, switch: Rematch) -> bool:
+    shown = feed.shown
+    return shown is None or (shown.switched is not None and switch.time <= shown.switched)
+
+
 class Cursor:
     """How far one client has got in one stream; `Messages`, which it `take`s one after the other.
 
@@ -217,17 +223,16 @@ class Cursor:
         self._opening = start.opening
         self._seen = start.seen
         self._switches = switches
-        self._marks = Marks(() if switches is None else switches, start.number - 1, self._is_shown)
+        self._marks = Marks((), 0)
+        self._begins = start.number
 
     def join(self, client: EventClient) -> None:
         """``client`` is to be woken when there is something. Raises `UnknownStream`."""
-        self._feed = self._feeds.join(self.name, self._seen, client)
+        feed = self._feed = self._feeds.join(self.name, self._seen, client)
         if self._switches is not None:
-            self._feed.switches = self._switches
-
-    def _is_shown(self, switch: Rematch) -> bool:
-        shown = None if self._feed is None else self._feed.shown
-        return shown is None or (shown.switched is not None and switch.time <= shown.switched)
+            feed.switches = self._switches
+            # Not a method of this: in a circle it would stay when its client has gone.
+            self._marks = Marks(self._switches, self._begins - 1, partial(_is_shown, feed))
 
     def leave(self, client: EventClient) -> None:
         """It is not there any more."""
