@@ -180,7 +180,10 @@ class MediationUnit(ComputationalUnit):
     def _leave_replaced(self) -> None:
         """Leave streams that have ended where objects have others by now, and those that do not
         hold."""
-        for generator in [ended for ended in self._ended if ended in self._read_by]:
+        # In the order of the inputs: that of a set is another one when it is done again.
+        for generator in [one for one in self.sources if one in self._ended]:
+            if generator not in self._read_by:
+                continue
             is_void = self._life_of(generator).is_void
             for label in list(self._read_by[generator]):
                 there = self._stream_of(label)

@@ -40,7 +40,6 @@ class Violations:
         self._stream: StreamGenerator | None = None
         self._reasons = StringPool([*map(str, REASONS), _LATE])
         self._inputs = StringPool()
-        self._samples = StringPool()
 
     @property
     def stream(self) -> StreamGenerator:
@@ -74,11 +73,13 @@ class Violations:
             for row in range(count)
         ]
         codes = np.full(count, self._reasons.code(reason), np.int32)
+        samples = StringPool()
         columns = {
             "reason": self._text(codes, self._reasons),
             "input": self._text(self._inputs.encode([label] * count), self._inputs),
             "arrived": Column(FieldType.INTEGER, batch.available),
-            "sample": self._text(self._samples.encode(texts), self._samples),
+            # A pool for each time: each sample is another text, and the stream forgets them.
+            "sample": self._text(samples.encode(texts), samples),
         }
         self._offer(late.at, batch.valid, columns)
 

@@ -125,6 +125,11 @@ class Ontology:
         self._awaited: OrderedDict[Triple, bool] = OrderedDict()
         """Triples of the live stream space that are not in the store yet: whether they come or go.
         Added to by those who tell of changes, who take back what is as it was."""
+        self._arriving: dict[Triple, bool] = {}
+        """Those of them that are being brought in."""
+        self._telling = threading.Lock()
+        """Of these two: had for a look-up a triple. Who takes some has `lock`, too, so that in a
+        copy of the process it is free."""
         self.path = path
         self.version = 0
         self._lock = threading.RLock()
@@ -188,11 +193,11 @@ class Ontology:
         assert self.path is None
         self._bring_in()
         kept = dict(self.__dict__)
-        del kept["_lock"], kept["_closed"]
+        del kept["_lock"], kept["_telling"], kept["_closed"]
         return kept
 
     def __setstate__(self, kept: dict[str, Any]) -> None:
-        self.__dict__.update(kept, _lock=threading.RLock(), _closed=None)
+        self.__dict__.update(kept, _lock=threading.RLock(), _telling=threading.Lock(), _closed=None)
 
     # -- ontologies -------------------------------------------------------------------------
 
@@ -439,12 +444,13 @@ class Ontology:
         large change is made in pieces. Not flushed: the graph is emptied when the store is opened.
         Cost: O(changed triples).
         """
-        for triples, there in ((removed, False), (added, True)):
-            for triple in triples:
-                before = self._awaited.pop(triple, None)
-                # One that nobody waits for may be about to be brought in, by another thread.
-                if before is None or self._live.holds(triple) != there:
-                    self._awaited[triple] = there
+        with self._telling:
+            for triples, there in ((removed, False), (added, True)):
+                for triple in triples:
+                    self._awaited.pop(triple, None)
+                    will_be = self._arriving.get(triple)
+                    if (self._live.holds(triple) if will_be is None else will_be) != there:
+                        self._awaited[triple] = there
         if len(self._awaited) > _MOST_AWAITED:
             self.advance()
 
@@ -464,14 +470,17 @@ class Ontology:
 
     def _bring_in_some(self) -> None:
         changed: tuple[list[Triple], list[Triple]] = ([], [])
-        while len(changed[0]) + len(changed[1]) < _PIECE:
-            try:
-                # Those first that came first: of the last ones some are about to go again.
+        with self._telling:
+            # Those first that came first: of the last ones some are about to go again.
+            for _ in range(min(_PIECE, len(self._awaited))):
                 triple, there = self._awaited.popitem(last=False)
-            except KeyError:  # who tells of changes takes some back, whatever thread this is
-                break
-            changed[there].append(triple)
-        held, implied = self._live.update(changed[True], changed[False])
+                self._arriving[triple] = there
+                changed[there].append(triple)
+        try:
+            held, implied = self._live.update(changed[True], changed[False])
+        finally:
+            with self._telling:
+                self._arriving.clear()
         self._apply({graphs.STREAM_SPACE: held, graphs.STREAM_SPACE_ENTAILMENTS: implied})
         self._renew()
 

@@ -47,7 +47,7 @@ class IsolatedAsking:
 
     def _asked(self, worker: Worker, sparql: str, kept: Kept, content: Sequence[Quad]) -> Answer:
         key = str(kept.number)
-        is_new = bool(kept.quads) and key not in worker.kept
+        is_new = bool(kept.quads) and not worker.kept.get(key)
         forget = []
         # Known again, it is the one that was asked about last.
         worker.kept.pop(key, None)
@@ -68,8 +68,8 @@ class IsolatedAsking:
         )
         answer = worker.call(Job(ask, self.seconds), 16 * self._size + _OVERHEAD)
         if is_new and isinstance(answer, Failed):
-            # Nobody knows how much of them it has: they are sent again.
-            worker.kept.pop(key, None)
+            # Nobody knows how much of them it has: they are sent again, or it is told to forget.
+            worker.kept[key] = 0
         return answer
 
 

@@ -17,7 +17,14 @@ _TOO_LARGE: Final = "a worker cannot take all that is known with its memory and 
 
 
 class NotUpToDate(NoWorker):
-    """A worker could not take what has changed, and is gone: nothing is wrong with the query."""
+    """A worker could not take what has changed, and is gone: nothing is wrong with the query.
+
+    ``was_new``: it had all of its memory for that.
+    """
+
+    def __init__(self, message: str, was_new: bool) -> None:
+        super().__init__(message)
+        self.was_new = was_new
 
 
 class IsolatedQueries:
@@ -43,25 +50,29 @@ class IsolatedQueries:
             query = Query(text, format, self._rows, self._size)
             return worker.call(Job(query, self._seconds), self._size + OVERHEAD)
 
-        try:
-            return await self._pool.run(work, self._seconds)
-        except NotUpToDate:
-            # What earlier queries have left of its memory was not enough: a new one has all of it.
-            return await self._pool.run(work, self._seconds)
+        while True:
+            try:
+                return await self._pool.run(work, self._seconds)
+            except NotUpToDate as error:
+                # What earlier queries have left of its memory was not enough. Each try ends one
+                # that is like that: after the last one comes a new one, which has all of it.
+                if error.was_new:
+                    raise
 
     def _bring_up_to_date(self, worker: Worker) -> None:
         lacks = self._ontology.changes_since(worker.position)
         if worker.position == lacks.position:
             return
+        was_new = worker.position is None
         follow = Follow(lacks.whole, lacks.added, lacks.removed)
         try:
             answer = worker.call(Job(follow, CATCHING_UP), OVERHEAD)
         except WorkerError as error:
             if error.end in (End.MEMORY, End.DEADLINE):
-                raise NotUpToDate(_TOO_LARGE) from error
+                raise NotUpToDate(_TOO_LARGE, was_new) from error
             raise
         if answer != Truth(True):
             # It may have some of it: what it says of anything is not to be trusted.
             worker.kill(End.MEMORY)
-            raise NotUpToDate(f"{_TOO_LARGE}: {answer}")
+            raise NotUpToDate(f"{_TOO_LARGE}: {answer}", was_new)
         worker.position = lacks.position

@@ -374,3 +374,29 @@ def test_numbers_name_objects_too():
     assert list(sets_of(batch_from_rows(schema, [(0, 0, {"mmsi": 265})]))) == [(0, ("265",))]
     floats = batch_from_rows(Schema((Field("x", FieldType.FLOAT),)), [(0, 0, {"x": 1.0})])
     assert list(sets_of(floats)) == [(0, "no field names objects: there is no text among x")]
+
+
+def test_what_is_told_of_streams_that_others_replace_is_told_in_one_order():
+    """So that it is the same when commands are done again."""
+
+    def told():
+        engine = Engine()
+        engine.add_kpl(
+            "sort row = (id string, x float)\nsource row r\nsource object m\n"
+            "strmgen row = r\nstrmgen members = m\n"
+            "foreach x in members { strmgen one[x] = selectObject(row) }\n"
+            "strmgen all = aggregate(one[x] foreach x in members)"
+        )
+        names = "abcdefgh"
+        publish(engine, "r", *((i, name, 1.0) for i, name in enumerate(names)))
+        publish(engine, "m", (10, " ".join(names)))
+        publish(engine, "m", (12, None))
+        publish(engine, "m", (13, " ".join(names)))
+        publish(engine, "r", *((14 + i, name, 1.0) for i, name in enumerate(names)))
+        publish(engine, "r", *((30 + i, name, 1.0) for i, name in enumerate(names)))
+        rows = engine.generator("status").stream.all().rows()
+        return [v["inputs"] for _, _, v in rows if v["change"] == "inputs changed"]
+
+    first = told()
+    assert len(first) > 8
+    assert all(told() == first for _ in range(3))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 from contextlib import nullcontext
 
@@ -13,9 +14,14 @@ from sweeping import texts_at_every_chance
 from dyknow.converters.ndjson import decode_ndjson
 from dyknow.engine.engine import Engine
 from dyknow.engine.views import StreamDeclaration
+from dyknow.engine.violations import Violations
 from dyknow.streams import fluent
 from dyknow.streams.fluent import Retention
-from dyknow.streams.sample import Field, FieldType
+from dyknow.streams.generator import StreamGenerator
+from dyknow.streams.policy import Constraint
+from dyknow.streams.sample import Field, FieldType, Schema, batch_from_rows
+from dyknow.streams.strings import StringPool
+from dyknow.streams.synchronization import Late
 from dyknow.streams.time import SECOND
 
 FIELDS = (
@@ -169,3 +175,20 @@ def test_late_samples_are_kept_after_texts_were_forgotten() -> None:
         publish(made, [(second * 1000, "a", f"late{second}")])
     said = [values["note"] for _, _, values in late.stream.all().rows()]
     assert said == [f"late{second}" for second in range(20)]
+
+
+@pytest.mark.usefixtures("few")
+def test_samples_that_came_too_late_for_a_state_are_forgotten() -> None:
+    stream = StreamGenerator("late", Schema(()), retention=Retention(10))
+    violations = Violations(lambda: stream)
+    schema = Schema((Field("note", FieldType.STRING),))
+    for number in range(300):
+        batch = batch_from_rows(schema, [(number, number, {"note": f"told{number}"})])
+        violations.late(Late(0, batch, Constraint.ORDER, batch.available), "f[o]")
+    gc.collect()
+    pools = [found for found in gc.get_objects() if isinstance(found, StringPool)]
+    told = [sum("told" in text for text in pool.strings()) for pool in pools]
+    assert 10 <= sum(told) <= 120
+    assert [values["sample"] for _, _, values in stream.stream.newest(1).rows()] == [
+        '{"note":"told299"}'
+    ]

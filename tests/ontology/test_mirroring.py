@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import threading
 from collections.abc import Callable
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 from pyoxigraph import Literal, NamedNode, Triple
 
 from dyknow.ontology import ontology as module
+from dyknow.ontology.entailment import Entailments
 from dyknow.ontology.ontology import Ontology
 from dyknow.rdf.namespaces import RDF_TYPE, STREAM_SPACE
 
@@ -69,6 +71,27 @@ def test_changes_that_nobody_asks_for_do_not_pile_up(monkeypatch: pytest.MonkeyP
             ontology.mirror(*((), change)[:: 1 if turn % 2 else -1])
         assert len(ontology._awaited) <= 105
     assert len(ontology.store) == quads
+
+
+@pytest.mark.parametrize("turns", [1, 2, 3, 4])
+def test_what_changes_while_it_is_brought_in_is_as_it_was_told_last(
+    monkeypatch: pytest.MonkeyPatch, turns: int
+) -> None:
+    """One thread has taken what waits; another one tells of more before that is there."""
+    ontology = Ontology.open()
+    ontology.mirror(STREAMS[:1], [])
+    update = Entailments.update
+
+    def told_meanwhile(self: Entailments, *given: Any) -> Any:
+        monkeypatch.setattr(Entailments, "update", update)
+        for turn in range(turns):
+            ontology.mirror(*(STREAMS[:1], ())[:: 1 if turn % 2 else -1])
+        return update(self, *given)
+
+    monkeypatch.setattr(Entailments, "update", told_meanwhile)
+    ontology.advance()
+    is_there = bool(ontology.query(f"ASK {{ {STREAMS[0]} }}"))
+    assert is_there == (turns % 2 == 0)
 
 
 LOOKS: dict[str, Callable[[Ontology], object]] = {

@@ -25,7 +25,9 @@ from dyknow.engine.engine import Engine
 from dyknow.ontology.ontology import Ontology
 from dyknow.ontology.replicas import MOST
 from dyknow.service.app import create_app
+from dyknow.service.isolation.asking import MOST_KEPT
 from dyknow.service.isolation.messages import (
+    Ask,
     BadAnswer,
     Failed,
     Follow,
@@ -274,9 +276,33 @@ def test_who_could_not_be_told_what_has_changed_is_replaced(
         assert pool.ends[End.MEMORY] == 1
 
 
+def test_when_no_worker_has_memory_left_a_new_one_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The next one that is free may be as worn as the first one."""
+    ontology = Ontology.open()
+    call = Worker.call
+
+    def worn(worker: Worker, job: Job, most: int) -> Any:
+        if isinstance(job.work, Follow) and job.work.whole is None:
+            worker.kill(End.MEMORY)
+            raise Died("no memory", End.MEMORY)
+        return call(worker, job, most)
+
+    monkeypatch.setattr(Worker, "call", worn)
+    with queries_of(ontology, 2) as (pool, queries):
+        workers = [pool.take(), pool.take()]
+        for worker in workers:
+            queries._bring_up_to_date(worker)
+            pool.give(worker)
+        ontology.mirror([Triple(NamedNode("urn:a"), NamedNode("urn:p"), Literal(1))], [])
+        found = anyio.run(queries.answer, "ASK { <urn:a> <urn:p> 1 }", "application/json")
+        assert isinstance(found, Written)
+        assert b"true" in found.body
+        assert pool.ends[End.MEMORY] == 2
+
+
 @contextmanager
-def queries_of(ontology: Ontology) -> Iterator[tuple[Pool, Any]]:
-    pool = Pool(1, MEMORY)
+def queries_of(ontology: Ontology, count: int = 1) -> Iterator[tuple[Pool, Any]]:
+    pool = Pool(count, MEMORY)
     try:
         yield pool, IsolatedQueries(ontology, pool, 20, 1000, 1 << 20)
     finally:
@@ -413,6 +439,28 @@ def test_quads_that_a_worker_could_not_keep_are_sent_again(
     found = asking.ask(text, kept, [])
     assert isinstance(found, Solutions)
     assert len(found.rows) == 5
+
+
+def test_quads_of_which_it_may_have_some_are_forgotten(
+    windows: Windows, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """When nobody has asked about them for long, as others are."""
+    asking, told = windows.budget.asking, list[str]()
+    call = Worker.call
+
+    def noted(worker: Worker, job: Job, most: int) -> Any:
+        assert isinstance(job.work, Ask)
+        told.extend(job.work.forget)
+        return call(worker, job, most)
+
+    monkeypatch.setattr(Worker, "call", noted)
+    failed = [Kept(quads(3)) for _ in range(5)]
+    for kept in failed:
+        with pytest.raises(ValueError, match="expected"):
+            asking.ask("ASK { 1 }", kept, [])
+    for kept in [Kept(quads(1)) for _ in range(MOST_KEPT)]:
+        asking.ask("ASK {}", kept, [])
+    assert told == [str(kept.number) for kept in failed]
 
 
 def test_more_sets_of_quads_than_a_worker_keeps(windows: Windows) -> None:
