@@ -174,8 +174,8 @@ class Ontology:
     @property
     def lock(self) -> AbstractContextManager[object]:
         """Who changes it has this, whichever thread that is: whoever copies the process must, too.
-        Others have it for some milliseconds; where a large store is made anew (`churn`), 2 s a million
-        quads."""
+        Others have it for some milliseconds, but 2 s a million quads where a large store is made
+        anew (`churn`)."""
         return self._lock
 
     @property
