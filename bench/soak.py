@@ -49,9 +49,9 @@ WHERE { ?o dyknow:speed ?v } GROUP BY ?o"""
 POLICIES = ("any change", "sample every 1s, max delay 2s", "monotone order, max delay 1s")
 MOST = 0.01
 """MiB a round by which memory may grow."""
-WARM = 1_100
-"""Rounds until what is remembered of what was is full: 10,000 Idempotency-Keys, of which a round
-has ten."""
+WARM = 1_500
+"""Rounds until what is remembered of what was is full: 10,000 names of removed streams, of which a
+round has seven."""
 FAILURES = ("dyknow_checkpoint_failures_total", "dyknow_worker_ends_total")
 
 
@@ -109,7 +109,8 @@ class Soaked:
         rows = []
         for i in range(200):
             self._time += 5_000_000
-            name = f"uav{i % 50}" if i % 40 else f"seen{self._time}"
+            # Terms are forgotten when some ten thousand have come: every seventy rounds.
+            name = f"uav{i % 50}" if i % 4 else f"seen{self._time}"
             row = {"id": name, "v": float((i * 7 + number) % 100)}
             rows.append(json.dumps({"valid": self._time, "available": self._time, **row}))
         key = {**NDJSON, "Idempotency-Key": str(number)}
@@ -207,7 +208,7 @@ def main(seconds: float) -> int:
         status = soaked.end()
     finally:
         shutil.rmtree(folder)
-    warm = max(sum(row[0] < seconds / 3 for row in found), min(WARM, len(found) // 2))
+    warm = max(sum(row[0] < seconds / 3 for row in found), min(WARM, 3 * len(found) // 4))
     later = np.array(found[warm:])
     grows = False
     print(f"after {warm} rounds:")
