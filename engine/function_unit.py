@@ -78,14 +78,10 @@ class FunctionUnit(ComputationalUnit):
 
     def _objects(self, batch: SampleBatch) -> Times:
         """A number for each sample's object, or tuple of objects of an n-ary feature."""
-        columns = [
-            column.values.astype(np.int64)
-            if column.pool is None
-            else texts.of(column.values, column.pool)
-            for column, texts in zip(
-                (batch.columns[field] for field in self._id_fields), self._texts, strict=True
-            )
-        ]
+        columns = []
+        for field, texts in zip(self._id_fields, self._texts, strict=True):
+            values, pool = batch.columns[field].values, batch.columns[field].pool
+            columns.append(values.astype(np.int64) if pool is None else texts.of(values, pool))
         if not columns:
             return np.zeros(len(batch), np.int64)
         if len(columns) == 1:

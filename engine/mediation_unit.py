@@ -181,9 +181,7 @@ class MediationUnit(ComputationalUnit):
         """Leave streams that have ended where objects have others by now, and those that do not
         hold."""
         # In the order of the inputs: that of a set is another one when it is done again.
-        for generator in [one for one in self.sources if one in self._ended]:
-            if generator not in self._read_by:
-                continue
+        for generator in [s for s in self.sources if s in self._ended and s in self._read_by]:
             is_void = self._life_of(generator).is_void
             for label in list(self._read_by[generator]):
                 there = self._stream_of(label)

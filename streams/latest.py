@@ -53,7 +53,9 @@ class Latest:
         another pool than those before, all have that one from now on. Cost of that: O(objects)."""
         if self._rows is None:
             self._rows = _with_room(batch.take(slice(0, 0)), len(self._there))
-        rows = self._rows = self._recoded(self._rows, batch)
+        rows = self._rows
+        if any(column.pool is not rows.columns[n].pool for n, column in batch.columns.items()):
+            rows = self._recoded(rows, batch)
         # numpy assigns in order, so that the last of equal numbers wins.
         self._there[numbers] = True
         rows.available[numbers] = batch.available
@@ -72,14 +74,12 @@ class Latest:
     def _recoded(self, rows: SampleBatch, batch: SampleBatch) -> SampleBatch:
         """``rows`` with their texts in the codes of those of ``batch``."""
         columns = {
-            name: column
-            if (pool := batch.columns[name].pool) is column.pool or pool is None
-            else self._in_pool(column, pool)
+            name: column if (pool := batch.columns[name].pool) is None else self._in(column, pool)
             for name, column in rows.columns.items()
         }
         return SampleBatch(rows.available, rows.valid, columns)
 
-    def _in_pool(self, column: Column, pool: StringPool) -> Column:
+    def _in(self, column: Column, pool: StringPool) -> Column:
         lacks = ~self._there if column.null is None else ~self._there | column.null
         codes = Column(column.type, column.values, lacks, column.pool).recoded(pool).values
         return Column(column.type, codes, column.null, pool)

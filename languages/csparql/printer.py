@@ -35,7 +35,7 @@ from .tokens import Kind, compact, tokenize
 
 _DIGITS = re.compile("[0-9]+")
 _FITTING: dict[bytes, bool] = {}
-"""By a digest: a text may have megabytes, and there are many."""
+"""By a digest: of texts of 64 KiB these would be as many bytes, a thousand times."""
 _REMEMBERED = 1_000
 """Of so many ways to fill in a text it is remembered whether it can be read."""
 MOST_READ = 200
