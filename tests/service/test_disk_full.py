@@ -2,7 +2,9 @@
 
 import logging
 import resource
+import threading
 import time
+from contextlib import contextmanager
 from pathlib import Path
 
 import httpx
@@ -36,8 +38,23 @@ def disk():
 
 
 @pytest.fixture
-def recorded(disk, tmp_path):
-    return RecordedEngine(tmp_path / "data", now=0, disk=disk)
+def recorded(disk, tmp_path, between):
+    found = RecordedEngine(tmp_path / "data", now=0, disk=disk)
+    entry = found.log.entry
+
+    @contextmanager
+    def alone(payload):
+        with between, entry(payload) as begun:
+            yield begun
+
+    found.log.entry = alone
+    return found
+
+
+@pytest.fixture
+def between():
+    """Had while the log writes an entry down."""
+    return threading.Lock()
 
 
 @pytest.fixture
@@ -45,12 +62,18 @@ def engine(recorded):
     return recorded.engine
 
 
-def fill(disk, log):
-    """No room from now on, not even what the log has made before."""
-    disk.room = 0
-    with log._lock:
-        for segment in log._open:
-            segment._room = segment.end
+@pytest.fixture
+def fill(disk, recorded, between):
+    """Leaves no room, not even what the log has made before. It waits for the end of an entry that
+    has begun: no disk takes back what it gave."""
+
+    def run():
+        with between:
+            disk.room = 0
+            for segment in recorded.log._open:
+                segment._room = segment.end
+
+    return run
 
 
 def sample(n):
@@ -104,7 +127,7 @@ WRITES = {
 """A request for each route that changes something."""
 
 
-def test_every_route_that_writes_is_refused_with_507_and_documents_it(http, disk, recorded):
+def test_every_route_that_writes_is_refused_with_507_and_documents_it(http, fill):
     declare(http)
     http.post("/templates", content=_body("high"), headers=TEXT).raise_for_status()
     schema = http.get("/openapi.json").json()
@@ -115,7 +138,7 @@ def test_every_route_that_writes_is_refused_with_507_and_documents_it(http, disk
         if method != "get" and path not in ASKING
     }
     assert writing == set(WRITES)
-    fill(disk, recorded.log)
+    fill()
     for (method, path), (target, body, headers) in WRITES.items():
         answer = http.request(method, target, content=_body(body), headers=headers)
         assert answer.status_code == 507, (method, path, answer.text)
@@ -136,13 +159,13 @@ def _body(body):
     return body
 
 
-def test_reading_goes_on_and_all_goes_on_when_there_is_room(http, disk, recorded):
+def test_reading_goes_on_and_all_goes_on_when_there_is_room(http, disk, fill):
     declare(http)
     assert post(http, 1).status_code == 202
     with connect_sse(http, "GET", "/streams/s5/events?since=start") as source:
         events = source.iter_sse()
         assert next(events).json()["values"] == {"n": 1}
-        fill(disk, recorded.log)
+        fill()
         assert post(http, 2, "two").status_code == 507
         assert http.get("/healthz").status_code == 200
         until(lambda: http.get("/readyz").status_code == 503)
@@ -212,10 +235,10 @@ def test_after_a_full_disk_and_a_kill_nothing_is_lost_and_nothing_doubled(
     again.close()
 
 
-def test_a_full_disk_is_logged_once(http, disk, recorded, caplog, monkeypatch):
+def test_a_full_disk_is_logged_once(http, disk, caplog, monkeypatch, fill):
     monkeypatch.setattr(failures, "CALM", 0.1)
     declare(http)
-    fill(disk, recorded.log)
+    fill()
     until(lambda: http.get("/readyz").status_code == 503)
     counted = "dyknow_tick_failures_total"
     until(lambda: float(_metric(http, counted)) > 10)
@@ -233,11 +256,11 @@ def told(caplog):
     return [record for record in caplog.records if record.levelno >= logging.WARNING]
 
 
-def test_a_disk_that_takes_something_now_and_then_is_logged_once(http, disk, recorded, caplog):
+def test_a_disk_that_takes_something_now_and_then_is_logged_once(http, disk, caplog, fill):
     """What is small finds room, what is large does not, again and again."""
     declare(http)
     for _ in range(3):
-        fill(disk, recorded.log)
+        fill()
         until(lambda: http.get("/readyz").status_code == 503)
         disk.room = None
         until(lambda: http.get("/readyz").status_code == 200)
@@ -246,14 +269,14 @@ def test_a_disk_that_takes_something_now_and_then_is_logged_once(http, disk, rec
     assert [record.msg["event"] for record in told(caplog)] == ["journal failed"]
 
 
-def test_no_room_is_told_before_an_ontology_is_worked_on(http, disk, recorded, monkeypatch):
+def test_no_room_is_told_before_an_ontology_is_worked_on(http, monkeypatch, fill):
     worked = []
 
     async def work(*arguments):
         worked.append(arguments)
 
     monkeypatch.setattr(ontologies, "while_connected", work)
-    fill(disk, recorded.log)
+    fill()
     text = "<x:o> a <http://www.w3.org/2002/07/owl#Ontology> ."
     answer = http.post("/ontologies", content=text, headers={"Content-Type": "text/turtle"})
     assert answer.status_code == 507
