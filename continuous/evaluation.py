@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Callable, Mapping
-from functools import lru_cache
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 from pyoxigraph import NamedNode
 
+from ..languages.attached import attached
 from ..rdf.dictionary import Term
 from ..rdf.timed import Kind, ObjectColumn, split_term
 from ..streams.sample import Mask
@@ -24,6 +24,7 @@ from .expressions import INFIX, Call, Const, Expression, Var, variables
 from .foreign import ask
 from .timestamps import LATEST
 
+_Parted: TypeAlias = tuple[Expression, tuple[tuple[str, Call], ...]]
 _ORDER: Final[dict[str, Callable[[Any, Any], Any]]] = {
     "=": operator.eq,
     "!=": operator.ne,
@@ -81,9 +82,17 @@ def foreign_calls(expression: Expression) -> tuple[Call, ...]:
     return tuple(call for _, call in _parted(expression)[1])
 
 
-@lru_cache(maxsize=1024)
-def _parted(expression: Expression) -> tuple[Expression, tuple[tuple[str, Call], ...]]:
+def _parted(expression: Expression) -> _Parted:
     """The expression with a variable for each call that columns do not know, and these calls."""
+    if not isinstance(expression, Call):
+        return expression, ()
+    if expression.name not in NATIVE:
+        return Var("\0f0"), (("\0f0", expression),)
+    return _parted_call(expression)
+
+
+@attached
+def _parted_call(expression: Call) -> _Parted:
     strange: dict[Call, str] = {}
 
     def go(expression: Expression) -> Expression:

@@ -24,7 +24,7 @@ class Const:
         return str(self.term)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, weakref_slot=True)
 class Call:
     """An operator or function, by its SPARQL name in upper case, on its arguments."""
 

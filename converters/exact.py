@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from functools import lru_cache
 from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from ..languages.attached import attached
 from ..streams.pauses import STRAIGHT, Pauses
 from ..streams.sample import Column, Field, FieldType, Mask, SampleBatch, Schema, Times
 from ..streams.strings import StringPool
@@ -160,7 +160,7 @@ def _one_a_line(part: Part, samples: int) -> bool:
     return part.samples() == samples
 
 
-@lru_cache(maxsize=256)
+@attached
 def _decoder(schema: Schema) -> Any:
     """A decoder compiled for the schema; field ``f<i>`` holds the i-th field."""
     fields: list[Any] = [

@@ -44,9 +44,13 @@ def object_iri(name: str, namespace: str) -> str:
     return namespace + "".join(c if _may_stand(c) else _encoded(c) for c in name)
 
 
-@lru_cache(maxsize=65_536)
 def object_name(iri: str, namespace: str) -> str:
     """The shortest name that `object_iri` takes to ``iri``: local in ``namespace``, else full."""
+    # Of long ones thousands would be gigabytes.
+    return _known_name(iri, namespace) if len(iri) <= _SHORT else _name(iri, namespace)
+
+
+def _name(iri: str, namespace: str) -> str:
     if iri.startswith(namespace):
         try:
             name = unquote(iri.removeprefix(namespace), errors="strict")
@@ -57,6 +61,9 @@ def object_name(iri: str, namespace: str) -> str:
     return iri
 
 
+_SHORT = 256
+"""Characters of an IRI whose name is remembered."""
+_known_name = lru_cache(maxsize=65_536)(_name)
 _SMALL = 1 << 20
 """Integers from 0 to here are looked up by their place, others by search."""
 

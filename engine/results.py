@@ -28,7 +28,7 @@ from ..rdf.datatypes import NUMBERS
 from ..rdf.namespaces import RDF as RDF_NAMESPACE
 from ..rdf.namespaces import RDFS, XSD, local_name, shorten
 from ..rdf.timed import DATATYPES, Kind
-from ..streams.sample import TIME_FIELDS, Schema
+from ..streams.sample import LONGEST_NAME, TIME_FIELDS, Schema
 from ..streams.strings import StringPool
 from ..templates.patterns import patterns
 
@@ -37,8 +37,6 @@ _AGGREGATE_KINDS = {
     "Aggregate_Sum": Kind.DOUBLE,
     "Aggregate_Count": Kind.INTEGER,
 }
-LONGEST_NAME = 200
-"""So many characters has the name of a field at most, as of streams that people declare."""
 _KIND_OF_RANGE = {datatype.value: kind for kind, datatype in DATATYPES.items()}
 
 

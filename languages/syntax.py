@@ -9,10 +9,10 @@ from typing import Final, TypeAlias
 from lark import Token, Tree
 from lark.exceptions import UnexpectedCharacters, UnexpectedInput, UnexpectedToken
 
+from ..streams.sample import LONGEST_NAME
 from .errors import LanguageError, Span
 
-REMEMBERED: Final = 16
-"""So many texts a parser remembers, with what they say."""
+_NAMES: Final = ("NAME", "UNIT_NAME", "PREFIXED", "OBJECT_ID", "STRING")
 SyntaxHint: TypeAlias = Callable[[str, AbstractSet[str]], str]
 """From what was found (empty at the end of the text) and the terminals that could stand there."""
 
@@ -41,6 +41,21 @@ def syntax_error(error: UnexpectedInput, source: str, hint: SyntaxHint) -> Langu
     expected -= {"COMMENT", "WS"}
     message = f"`{found}` cannot stand here" if found else "the text ends too early"
     return LanguageError(message, source, Span(start, start + len(found)), hint(found, expected))
+
+
+def check_names(tree: Tree[Token], source: str) -> None:
+    """Raise `LanguageError` for a name that is too long: names are kept, in many places, for a time
+    after what they name is gone."""
+    named = (token for part in tree.iter_subtrees() for token in tokens(part, *_NAMES))
+    long = [token for token in named if len(token) > LONGEST_NAME]
+    if long:
+        first = min(long, key=lambda token: span_of(token).start)
+        raise LanguageError(
+            f"a name has at most {LONGEST_NAME} characters, and this one {len(first)}",
+            source,
+            span_of(first),
+            "shorten it",
+        )
 
 
 def expected_hint(expected: AbstractSet[str], names: Mapping[str, str]) -> str:

@@ -13,6 +13,7 @@ import threading
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
+from itertools import count
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
@@ -110,6 +111,10 @@ _DEFINITIONS: Final = (
     "flight_level = 100 * foot",
 )
 
+MOST_FACTORS: Final = 16
+"""Of a unit; of the SI's derived ones none has more than five."""
+_REMEMBERED: Final = 4096
+"""Units, and pairs of them, of which pint may remember something."""
 _FACTOR: Final = re.compile(r"\s*([A-Za-z]+)\s*([+-]?\s*[0-9]{1,9})?\s*")
 _LARGEST_POWER: Final = 99
 
@@ -125,6 +130,8 @@ def parse_unit(text: str) -> Unit:
     if stripped.startswith("[") and stripped.endswith("]"):
         stripped = stripped[1:-1]
     factors = []
+    if stripped.count(".") + stripped.count(",") >= MOST_FACTORS:
+        raise UnitError(f"a unit has at most {MOST_FACTORS} factors")
     for part in re.split(r"[.,]", stripped):
         match = _FACTOR.fullmatch(part)
         if match is None:
@@ -152,9 +159,12 @@ def dimension(unit: Unit) -> str:
 
     Raises `UnitError` if a name is unknown or a power is 0 or beyond ±99.
     """
+    if len(unit) > MOST_FACTORS:
+        raise UnitError(f"a unit has at most {MOST_FACTORS} factors")
     with _lock:
-        container = _container(unit)
-        powers = _registry().get_dimensionality(container)
+        registry = _registry()
+        powers = registry.get_dimensionality(_container(unit))
+        _forget()
     above = [_power_text(name, power) for name, power in sorted(powers.items()) if power > 0]
     below = [_power_text(name, -power) for name, power in sorted(powers.items()) if power < 0]
     if not above and not below:
@@ -193,6 +203,8 @@ def conversion(source: Unit, target: Unit) -> Conversion:
             raise UnitError(
                 f"no linear conversion from {format_unit(source)} to {format_unit(target)}"
             ) from error
+        finally:
+            _forget()
     if factor == 0.0 or not np.isfinite([factor, offset]).all():
         raise UnitError(
             f"the conversion from {format_unit(source)} to {format_unit(target)} "
@@ -214,6 +226,16 @@ def _registry() -> Any:
     for definition in _DEFINITIONS:
         registry.define(definition)
     return registry
+
+
+_asked = count(1)
+
+
+def _forget() -> None:
+    """Called after each question: pint remembers every unit that it was ever asked for, some 2 KB
+    each, so now and then its tables are made anew."""
+    if next(_asked) % _REMEMBERED == 0:
+        _registry.cache_clear()
 
 
 def _container(unit: Unit) -> Any:

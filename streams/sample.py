@@ -70,7 +70,11 @@ class Field:
     type: FieldType
 
 
-@dataclass(frozen=True, slots=True)
+LONGEST_NAME = 200
+"""Characters of a name that people give: to a stream, a field, an object of an annotation."""
+
+
+@dataclass(frozen=True, slots=True, weakref_slot=True)
 class Schema:
     """The fields of a stream's samples, in order; names are distinct."""
 

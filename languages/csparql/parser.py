@@ -14,6 +14,7 @@ from typing import Final
 from pyoxigraph import Variable
 
 from ...rdf.namespaces import DYKNOW
+from ...streams.sample import LONGEST_NAME
 from ..remembered import remembered
 from .ast import ContinuousQuery, Dialect, Form, StreamOperator, Template
 from .body import bind_names
@@ -29,6 +30,7 @@ from .terms import suggest_prefix
 from .tokens import Kind, blanked
 
 _ASK_FILTER: Final = "ASK{FILTER "
+_LONGEST_IRI: Final = 1_000
 _PLAIN_NAME: Final = re.compile(r"[A-Za-z_]\w*")
 
 
@@ -153,9 +155,13 @@ def _name(found: Clauses, reader: ClauseReader) -> str:
         return ""
     is_relative = token.kind is Kind.IRI and not reader.base
     plain = token.text[1:-1] if is_relative else token.text
-    if _PLAIN_NAME.fullmatch(plain):
-        return DYKNOW + plain if found.kind == "TEMPLATE" else plain
-    return reader.iri_of(token)
+    is_plain = _PLAIN_NAME.fullmatch(plain) is not None
+    name = plain if is_plain else reader.iri_of(token)
+    longest = LONGEST_NAME if is_plain else _LONGEST_IRI
+    if len(name) > longest:
+        what = "name" if is_plain else "IRI"
+        raise reader.error(f"the {what} has more than {longest} characters", token, "shorten it")
+    return DYKNOW + name if is_plain and found.kind == "TEMPLATE" else name
 
 
 def _dialect(found: Clauses, groups: Sequence[NamedGroup]) -> Dialect:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable
 from collections.abc import Set as AbstractSet
-from functools import cache, lru_cache
+from functools import cache
 from importlib import resources
 from typing import Final
 
@@ -16,11 +16,14 @@ from lark import Lark, Token, Tree
 from lark.exceptions import UnexpectedInput
 
 from ...streams.policy import Approximation, Order
+from ...streams.sample import LONGEST_NAME
 from ..errors import LanguageError, Span
 from ..hints import did_you_mean
-from ..syntax import REMEMBERED, expected_hint, span_of, syntax_error, tokens, trees
+from ..remembered import remembered
+from ..syntax import check_names, expected_hint, span_of, syntax_error, tokens, trees
 from . import ast
 
+_LONGEST_LABEL: Final = 5 * LONGEST_NAME
 _EXPECTED: Final = {
     "NAME": "a name",
     "PREFIXED": "a name",
@@ -67,7 +70,7 @@ def _grammar() -> Lark:
     return Lark(text, start=starts, parser="lalr", lexer="contextual", propagate_positions=True)
 
 
-@lru_cache(maxsize=REMEMBERED)
+@remembered
 def parse_kpl(source: str) -> ast.Specification:
     """The declarations of a KPL text, in order; ``#`` and ``//`` start comments.
 
@@ -95,7 +98,7 @@ def parse_label_term(source: str) -> ast.LabelTerm:
 
 def _parse(source: str, start: str) -> Tree[Token]:
     try:
-        return _grammar().parse(source, start=start)
+        tree = _grammar().parse(source, start=start)
     except UnexpectedInput as error:
         history = getattr(error, "token_history", None)
         before = history[-1] if history else None
@@ -109,6 +112,8 @@ def _parse(source: str, start: str) -> Tree[Token]:
             return _syntax_hint(found, expected)
 
         raise syntax_error(error, source, hint) from None
+    check_names(tree, source)
+    return tree
 
 
 def _syntax_hint(found: str, expected: AbstractSet[str]) -> str:
@@ -253,7 +258,15 @@ class _Reader:
     def label(self, tree: Tree[Token]) -> ast.LabelTerm:
         symbol, *objects = trees(tree)
         named = tokens(objects[0]) if objects else []
-        return ast.LabelTerm(self.symbol(symbol), tuple(map(self.object, named)), span_of(tree))
+        found = ast.LabelTerm(self.symbol(symbol), tuple(map(self.object, named)), span_of(tree))
+        if found.span.end - found.span.start > _LONGEST_LABEL:
+            raise LanguageError(
+                f"a label has at most {_LONGEST_LABEL} characters",
+                self._source,
+                found.span,
+                "it is the name of what it labels: declare streams of some of its objects each",
+            )
+        return found
 
     def split(self, tree: Tree[Token]) -> tuple[list[Tree[Token]], Tree[Token] | None]:
         """The terms and constraints among arguments, and what stands behind them."""

@@ -13,6 +13,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
+from ...streams.sample import LONGEST_NAME
 from ..errors import LanguageError, Span
 from ..hints import did_you_mean
 from .document import Document, Element, Value
@@ -182,6 +183,12 @@ class _Walk:
                 f"`{shown(text)}` is no name",
                 place,
                 "a name is letters a-z, digits, `_`, `.` and `-`, and begins with a letter or `_`",
+            )
+        if name not in _KINDS[kind].references and len(text) > LONGEST_NAME:
+            raise self.error(
+                f"`{shown(text)}` has {len(text)} characters",
+                place,
+                f"a name has at most {LONGEST_NAME}",
             )
 
     def removal(self, element: Element) -> None:

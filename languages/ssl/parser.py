@@ -6,7 +6,7 @@ Names are not resolved here; `check` does that.
 from __future__ import annotations
 
 from collections.abc import Set as AbstractSet
-from functools import cache, lru_cache
+from functools import cache
 from importlib import resources
 from typing import Final
 
@@ -14,7 +14,8 @@ from lark import Lark, Token, Tree
 from lark.exceptions import UnexpectedInput
 
 from ..errors import LanguageError, Span
-from ..syntax import REMEMBERED, expected_hint, span_of, syntax_error, tokens, trees
+from ..remembered import remembered
+from ..syntax import check_names, expected_hint, span_of, syntax_error, tokens, trees
 from .ast import (
     Argument,
     CompunitDeclaration,
@@ -51,7 +52,7 @@ def _grammar() -> Lark:
     return Lark(text, parser="lalr", lexer="contextual", propagate_positions=True)
 
 
-@lru_cache(maxsize=REMEMBERED)
+@remembered
 def parse_ssl(source: str) -> tuple[Declaration, ...]:
     """The declarations of an SSL text, in order; `#` starts a comment.
 
@@ -63,6 +64,7 @@ def parse_ssl(source: str) -> tuple[Declaration, ...]:
         tree = _grammar().parse(source)
     except UnexpectedInput as error:
         raise syntax_error(error, source, _syntax_hint) from None
+    check_names(tree, source)
     return tuple(_declaration(node, source) for node in trees(tree))
 
 

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, StringConstraints
 
 from ...matching.strategy import Kind
+from ...streams.sample import LONGEST_NAME
 from ...streams.time import format_duration, format_time, parse_duration
 
 
@@ -33,7 +34,7 @@ Duration = Annotated[
 ]
 MOST_ARGUMENTS = 16
 """Of one feature: each of them may stand for parts of it, and all combinations are looked at."""
-Name = Annotated[str, StringConstraints(min_length=1, max_length=200)]
+Name = Annotated[str, StringConstraints(min_length=1, max_length=LONGEST_NAME)]
 Quality = Annotated[
     float, Field(ge=0, le=1, allow_inf_nan=False, description="how good it is, 0 to 1")
 ]

@@ -8,6 +8,7 @@ from fastapi import APIRouter, Depends, Path, Request, Response
 
 from ...engine.commands import DeclareStream, EndStream, RemoveStream, SetQuality
 from ...engine.errors import UnknownStream
+from ...streams.sample import LONGEST_NAME
 from ..context import Context, Service
 from ..listing import listed
 from ..models import QualityIn, StreamIn, StreamModel
@@ -21,7 +22,7 @@ NewName = Annotated[
     str,
     Path(
         pattern="^[A-Za-z][A-Za-z0-9_]*$",
-        max_length=200,
+        max_length=LONGEST_NAME,
         description="letters, digits and _; the first is a letter",
     ),
 ]

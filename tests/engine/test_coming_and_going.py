@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import gc
 import json
-from collections import deque
 from pathlib import Path
-from statistics import mean
-from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
 import pytest
+from growing import entries, grown, growth
 
 from dyknow.engine import configuration, engine
 from dyknow.engine.commands import (
@@ -53,8 +50,6 @@ QUERY = """REGISTER STREAM round{} COMPUTE EVERY 1s AS
 SELECT ?o (MAX(?v) AS ?most) FROM STREAM <http://www.ida.liu.se/dyknow/s.trdf> [RANGE 3s STEP 1s]
 WHERE {{ ?o dyknow:speed ?v }} GROUP BY ?o"""
 SECOND = 1_000_000_000
-OUTSIDE = (type, ModuleType, FunctionType, CodeType, TermDictionary)
-"""Of the program, and what forgets now and then, in jumps (test_forgetting)."""
 
 
 def text(insertions: str = "", removals: str = "") -> bytes:
@@ -121,22 +116,6 @@ def come_and_go(recorded: RecordedEngine, number: int) -> None:
     recorded.log.commit()
 
 
-def entries(root: object) -> int:
-    """How much dictionaries, sets and lists have that can be reached from ``root``."""
-    seen: dict[int, object] = {}
-    waiting = [root]
-    count = 0
-    while waiting:
-        found = waiting.pop()
-        if id(found) in seen or isinstance(found, OUTSIDE):
-            continue
-        seen[id(found)] = found
-        if isinstance(found, dict | list | set | frozenset | deque):
-            count += len(found)
-        waiting += gc.get_referents(found)
-    return count
-
-
 def test_what_comes_and_goes_leaves_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -152,7 +131,8 @@ def test_what_comes_and_goes_leaves_nothing(
     sizes = []
     for number in range(1000, 1100):
         come_and_go(recorded, number)
-        sizes.append(entries(recorded.engine))
+        # Terms are forgotten now and then, in jumps (test_forgetting).
+        sizes.append(entries(recorded.engine, TermDictionary))
     # One thing that stays of each round would be 30 more.
-    assert mean(sizes[70:]) < mean(sizes[40:70]) + 20
+    assert grown(sizes[40:70], sizes[70:]) < 20, growth(sizes[69], sizes[99])
     recorded.close(checkpoint=False)

@@ -5,11 +5,17 @@ from __future__ import annotations
 import gc
 import weakref
 
+from pyoxigraph import Literal
+
+from dyknow.continuous.evaluation import _parted_call, foreign_calls
+from dyknow.continuous.expressions import Call, Const, Var
+from dyknow.converters.exact import _decoder
 from dyknow.engine.results import _form
 from dyknow.languages.attached import attached
 from dyknow.languages.csparql.ast import Form
 from dyknow.languages.csparql.syntax import translated
 from dyknow.ontology.ontology import Ontology
+from dyknow.streams.sample import Field, FieldType, Schema
 from dyknow.templates.patterns import patterns
 from dyknow.templates.places import places
 
@@ -61,3 +67,18 @@ def test_what_is_read_off_an_algebra_does_not_hold_it() -> None:
     del query
     gc.collect()
     assert root() is None
+
+
+def test_what_is_read_off_an_expression_or_a_schema_does_not_hold_it() -> None:
+    strange = Call("STRLEN", (Var("a"),))
+    expression = Call("+", (strange, Const(Literal(1))))
+    assert foreign_calls(expression) == (strange,)
+    assert foreign_calls(strange) == (strange,)
+    schema = Schema((Field("v", FieldType.FLOAT),))
+    assert _decoder(schema) is not None
+    known = len(_parted_call), len(_decoder)
+    gone = weakref.ref(expression), weakref.ref(schema)
+    del expression, schema
+    gc.collect()
+    assert [each() for each in gone] == [None, None]
+    assert (len(_parted_call), len(_decoder)) == (known[0] - 1, known[1] - 1)

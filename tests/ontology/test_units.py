@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
+from dyknow.ontology import units
 from dyknow.ontology.units import (
+    MOST_FACTORS,
     Conversion,
     UnitError,
     UnitPower,
@@ -109,3 +111,21 @@ def test_an_unknown_unit_is_named_with_a_hint() -> None:
 def test_a_scale_that_is_not_linear_is_refused() -> None:
     with pytest.raises(UnitError, match="no linear conversion"):
         conversion(parse_unit("dB"), parse_unit("no_unit"))
+
+
+def test_a_unit_has_a_bound() -> None:
+    assert len(parse_unit(".".join(["m"] * MOST_FACTORS))) == MOST_FACTORS
+    with pytest.raises(UnitError, match="a unit has at most 16 factors"):
+        parse_unit(".".join(["m"] * (MOST_FACTORS + 1)))
+    with pytest.raises(UnitError, match="a unit has at most 16 factors"):
+        dimension((UnitPower("m"),) * (MOST_FACTORS + 1))
+
+
+def test_units_that_nobody_names_again_are_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(units, "_REMEMBERED", 20)
+    before = units._registry()
+    for power in range(2, 50):
+        square = parse_unit(f"km{power}.ft3")
+        assert conversion(square, parse_unit(f"m{power}.ft3")).factor == 10.0 ** (3 * power)
+    assert units._registry() is not before
+    assert len(units._registry()._cache.dimensionality) < 60

@@ -1,0 +1,60 @@
+"""What an object keeps, and where: to find what becomes more and more."""
+
+from __future__ import annotations
+
+import gc
+from collections import Counter, deque
+from collections.abc import Iterator, Sequence
+from types import CodeType, FunctionType, ModuleType
+
+PROGRAM = (type, ModuleType, FunctionType, CodeType)
+_NAMES = 6
+"""A place is told by so many names, from its end."""
+
+
+def entries(root: object, *outside: type) -> Counter[str]:
+    """How much dictionaries, sets and lists have that can be reached from ``root``, by where they
+    are: attributes and keys on the way. Nothing is looked for in what is of a type ``outside``, nor
+    in the program.
+
+    What two ways lead to is counted once, and told by any of them. Other threads may go on: what
+    they change meanwhile is told as before or after.
+    """
+    excluded = (*PROGRAM, *outside)
+    seen: dict[int, object] = {}
+    waiting: deque[tuple[object, tuple[str, ...]]] = deque([(root, ())])
+    found: Counter[str] = Counter()
+    while waiting:
+        each, place = waiting.popleft()
+        if id(each) in seen or isinstance(each, excluded):
+            continue
+        seen[id(each)] = each
+        if isinstance(each, dict | list | set | frozenset | deque):
+            found[".".join(place)] += len(each)
+        waiting += [(one, (*place, name)[-_NAMES:]) for name, one in _parts(each)]
+    return found
+
+
+def _parts(each: object) -> Iterator[tuple[str, object]]:
+    named: dict[int, str] = {}
+    if isinstance(each, dict):
+        # A copy, made at once: another thread may put something there.
+        pairs = list(each.items())
+        texts = [(key, value) for key, value in pairs if isinstance(key, str)]
+        named = {id(value): key for key, value in texts if key.isidentifier()}
+    else:
+        slots = [name for kind in type(each).__mro__ for name in getattr(kind, "__slots__", ())]
+        named = {id(getattr(each, name, None)): name for name in slots}
+    for one in gc.get_referents(each):
+        yield named.get(id(one), type(one).__name__), one
+
+
+def grown(before: Sequence[Counter[str]], after: Sequence[Counter[str]]) -> int:
+    """How many entries more there are ``after`` than ``before`` at least, of several looks each:
+    what goes on just now is in some of them."""
+    return min(each.total() for each in after) - min(each.total() for each in before)
+
+
+def growth(before: Counter[str], after: Counter[str]) -> list[tuple[str, int]]:
+    """Where the most of what has come is."""
+    return (after - before).most_common(10)
