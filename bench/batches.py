@@ -1,10 +1,11 @@
 """How long others wait for a large batch: one of 8 MiB, the most there may be, of each kind.
 
-    python bench/batches.py [--data] [NAME …]
+    python bench/batches.py [--data] [--read] [NAME …]
 
 A client asks for ``/healthz`` every 5 ms over one connection while another publishes a batch, four
 times for each kind. A row tells its longest waits and how long the batches took, in ms. With
-``--data`` there is a data directory. How long a wait is depends on what else the machine does: on
+``--data`` there is a data directory; with ``--read`` a query reads the stream, of kinds with
+objects. How long a wait is depends on what else the machine does: on
 two cores that are not busy the longest is about that of one turn.
 """
 
@@ -30,6 +31,9 @@ RUNS = 4
 FIELDS = {"id": "string", "x": "float", "n": "integer"}
 TEXTS = dict.fromkeys("abcd", "string")
 WIDE = {f"f{i}": "float" for i in range(100)}
+QUERY = """REGISTER QUERY reader COMPUTE EVERY 1s AS SELECT ?o (MAX(?v) AS ?most)
+FROM STREAM <http://www.ida.liu.se/dyknow/%s.trdf> [RANGE 3s STEP 1s]
+WHERE { ?o dyknow:altitude ?v } GROUP BY ?o"""
 Kind = tuple[dict[str, str] | None, str, Callable[[], bytes]]
 """The fields that are declared, the content type, the body."""
 
@@ -127,7 +131,7 @@ def longest_wait(served: Served, work: Callable[[], Any]) -> float:
     return max(waits)
 
 
-def measure(served: Served, kind: Kind, stream: str) -> tuple[int, float, float]:
+def measure(served: Served, kind: Kind, stream: str, is_read: bool) -> tuple[int, float, float]:
     """The answer's status, and seconds: the longest wait of somebody else, and until the answer."""
     fields, content_type, make = kind
     http_ = served.client
@@ -135,6 +139,10 @@ def measure(served: Served, kind: Kind, stream: str) -> tuple[int, float, float]
         http_.post("/kpl", content=f"source pos {stream}").raise_for_status()
     else:
         http_.put(f"/streams/{stream}", json={"fields": fields}).raise_for_status()
+    if is_read:
+        contains = f"stream {stream} contains altitude(UAV) = x for every UAV = id"
+        http_.post("/annotations", content=contains).raise_for_status()
+        http_.post("/queries", content=QUERY % stream).raise_for_status()
     body, said = make(), []
 
     def post() -> None:
@@ -144,6 +152,8 @@ def measure(served: Served, kind: Kind, stream: str) -> tuple[int, float, float]
         said.append((answer.status_code, time.perf_counter() - begin))
 
     waited = longest_wait(served, post)
+    if is_read:
+        http_.delete("/queries/reader").raise_for_status()
     if fields is not None:
         http_.delete(f"/streams/{stream}")
     return said[0][0], waited, said[0][1]
@@ -151,7 +161,9 @@ def measure(served: Served, kind: Kind, stream: str) -> tuple[int, float, float]
 
 def main(*arguments: str) -> None:
     """Print the table."""
-    names = [name for name in arguments if name != "--data"] or list(KINDS)
+    is_read = "--read" in arguments
+    names = [name for name in arguments if name not in ("--data", "--read")]
+    names = names or [name for name in KINDS if KINDS[name][0] is FIELDS or not is_read]
     with tempfile.TemporaryDirectory(prefix="dyknow-bench-") as folder:
         served = Served(Path(folder) / "data" if "--data" in arguments else None)
         try:
@@ -159,7 +171,7 @@ def main(*arguments: str) -> None:
             print(f"{'':24}{'':>5}{'others wait at most, ms':>32}{'the answer takes, ms':>32}")
             for name in names:
                 found = [
-                    measure(served, KINDS[name], f"s{list(KINDS).index(name)}_{run}")
+                    measure(served, KINDS[name], f"s{list(KINDS).index(name)}_{run}", is_read)
                     for run in range(RUNS)
                 ]
                 waits = "".join(f"{1000 * wait:8.1f}" for _, wait, _ in found)

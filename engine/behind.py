@@ -1,9 +1,9 @@
-"""Units whose windows take long: they fall behind, and catch up a little at a time.
+"""Units whose windows or batches take long: they fall behind, and catch up a little at a time.
 
-A query's windows are closed by `Behind.go_on`, not by who publishes: so whoever runs the engine can
-do other things in between, and nobody waits for a query that is none of theirs. A unit that is
-behind puts by what its inputs say, in order, so that its stream says what it would say had it never
-been behind, only later.
+A query's windows are closed by `Behind.go_on`, not by who publishes, and so are large batches
+taken: so whoever runs the engine can do other things in between, and nobody waits for a query that
+is none of theirs. A unit that is behind puts by what its inputs say, in order, so that its stream
+says what it would say had it never been behind, only later.
 
 What a window takes may depend on the machine; what comes of it must not. So `go_on` tells what it
 did, and `again` does that once more.
@@ -22,12 +22,14 @@ if TYPE_CHECKING:
 
 
 class Went(msgspec.Struct, frozen=True, array_like=True, omit_defaults=True):
-    """So many windows of ``unit`` closed. ``stopped``: why the last of them has no result, where
-    that depended on the machine; with no windows, why the unit was cut off."""
+    """So many windows of ``unit`` closed, and then so many parts of batches were taken.
+    ``stopped``: why the last window has no result, where that depended on the machine; with no
+    windows, why the unit was cut off."""
 
     unit: str
     windows: int
     stopped: str = ""
+    parts: int = 0
 
 
 class Overwhelmed(Exception):
@@ -109,7 +111,7 @@ class Behind:
         return bool(self._new)
 
     def fell(self, unit: WindowUnit) -> None:
-        """``unit`` has windows to close."""
+        """``unit`` has windows to close, or parts of a batch to take."""
         if unit not in self._units:
             self._units.append(unit)
             self._new.append(unit)
@@ -121,7 +123,7 @@ class Behind:
                 units.remove(unit)
 
     def go_on(self, *, new: bool = False, begins: bool = True) -> list[Went]:
-        """Close windows for as long as there is time; gives what was done.
+        """Close windows, and take batches, for as long as there is time; gives what was done.
 
         ``new``: only of units that have had no turn yet: most are done with one. Not ``begins``:
         only those that are half done.

@@ -84,6 +84,7 @@ from .views import (
     TemplateView,
     Totals,
 )
+from .window_unit import WindowUnit
 
 
 class Engine:
@@ -404,13 +405,16 @@ class Engine:
             self._collect()
         return done
 
-    def is_behind(self, stream: str) -> bool:
-        """Whether a unit is behind that reads ``stream``, itself or through other units."""
-        return any(
-            source.name == stream
+    def behind_of(self, stream: str) -> tuple[WindowUnit, ...]:
+        """The units that are behind and read ``stream``, themselves or through other units."""
+        return tuple(
+            unit
             for unit in self.behind.units
-            for one in self._configuration.units_behind(unit)
-            for source in one.inputs
+            if any(
+                source.name == stream
+                for one in self._configuration.units_behind(unit)
+                for source in one.inputs
+            )
         )
 
     def go_on_again(self, done: Sequence[Went]) -> None:

@@ -1,8 +1,8 @@
 """Units that evaluate windows, a little at a time (docs/design/0010-turns.md).
 
-What makes windows due does not close them. A unit that has windows to close is *behind*: it puts by
-what its inputs say until it has caught up, so that its stream says what it would have said at once,
-only later.
+What makes windows due does not close them, and a large batch is taken in parts. A unit that has
+windows to close or parts to take is *behind*: it puts by what its inputs say until it has caught
+up, so that its stream says what it would have said at once, only later.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, TypeVar
+from typing import Any, Final, TypeVar
 
 from ..continuous.budget import Quarantined
 from ..continuous.evaluator import ContinuousEvaluator
@@ -26,6 +26,11 @@ from .unit import ComputationalUnit
 from .views import Since
 
 T = TypeVar("T")
+
+_PART: Final = 4096
+"""Samples that are taken at once, of a batch of more than twice as many: some milliseconds, where
+all of their objects are new."""
+_TAKE: Final = "take"
 
 
 class WindowUnit(ComputationalUnit):
@@ -81,7 +86,12 @@ class WindowUnit(ComputationalUnit):
         super().start(since, after, until)
 
     def receive(self, source: StreamGenerator, batch: SampleBatch) -> None:
-        if not self._puts_by("receive", source, batch):
+        if len(batch) > 2 * _PART and self.behind.turns is not None:
+            for start in range(0, len(batch), _PART):
+                part = batch.take(slice(start, start + _PART))
+                self._put_by.append((_TAKE, (source, part)))
+            self.behind.fell(self)
+        elif not self._puts_by("receive", source, batch):
             super().receive(source, batch)
 
     def advance(self, source: StreamGenerator, watermark: int) -> None:
@@ -189,11 +199,32 @@ class WindowUnit(ComputationalUnit):
         done: list[Went] = []
         self._guarded(lambda: self._go_on(turns, done, begins=begins))
         self._catch_up()
+        parts = 0
+        while begins and self.is_taking and not turns.is_over:
+            self._take_part()
+            parts += 1
+        if parts:
+            done.append(Went(self.name, 0, parts=parts))
         return done
 
     def again(self, turn: Sequence[Went]) -> None:
-        """Do what `go_on` did."""
+        """Do what `go_on` did. Raises ``ValueError`` where there is no such thing to do."""
         self._guarded(lambda: self._again(turn))
+        self._catch_up()
+        for _ in range(turn[-1].parts):
+            if not self.is_taking:
+                raise ValueError(f"{self.name} has no part of a batch to take")
+            self._take_part()
+
+    @property
+    def is_taking(self) -> bool:
+        """Whether part of a batch comes next, and no window before it."""
+        has_part = bool(self._put_by) and self._put_by[0][0] == _TAKE
+        return has_part and not self.is_within and not self.evaluator.is_due
+
+    def _take_part(self) -> None:
+        _, given = self._put_by.popleft()
+        super().receive(*given)
         self._catch_up()
 
     def between_windows(self, change: Callable[[], T]) -> T:
@@ -216,7 +247,7 @@ class WindowUnit(ComputationalUnit):
 
     def _go_on(self, turns: Turns, done: list[Went], *, begins: bool) -> None:
         task, is_done = self._task, True
-        if task is None and begins:
+        if task is None and begins and self.evaluator.is_due:
             task = turns.begin(self.evaluator.close_next)
         if task is not None and (not begins or self._spent > turns.most):
             task.end()
@@ -266,11 +297,11 @@ class WindowUnit(ComputationalUnit):
         finally:
             self.emit(self.evaluator.taken())
         self.judge()
-        if not turn[-1].windows:
+        if turn[-1].stopped and not turn[-1].windows:
             raise Overwhelmed(turn[-1].stopped)
 
     def _puts_by(self, what: str, *given: Any) -> bool:
-        """Whether this is for later: windows have to close before."""
+        """Whether this is for later: windows have to close before, or parts are to be taken."""
         if not self._is_behind and not self._put_by:
             return False
         self._put_by.append((what, given))
@@ -280,11 +311,11 @@ class WindowUnit(ComputationalUnit):
         """Say and take what had to wait for windows that have closed."""
         while self.failure is None and not self.is_within and not self.evaluator.is_due:
             self._guarded(self._tell_time)
-            if not self._put_by:
+            if not self._put_by or self._put_by[0][0] == _TAKE:
                 break
             what, given = self._put_by.popleft()
             getattr(super(), what)(*given)
-        if not self._is_behind:
+        if not self._is_behind and not self._put_by:
             self._spent = 0.0
             self.behind.left(self)
 

@@ -91,12 +91,16 @@ class CatchingUp:
             self._holding -= 1
 
     async def caught_up(self, stream: str) -> None:
-        """Return when nobody who reads ``stream`` is behind, or a moment has passed."""
+        """Return when nobody who reads ``stream`` is behind, or a moment has passed and nobody has
+        parts of a batch to take."""
         if not self._behind:
             return
         loop = asyncio.get_running_loop()
         until = loop.time() + _PATIENCE
-        while self._engine.is_behind(stream) and loop.time() < until:
+        while behind := self._engine.behind_of(stream):
+            # Samples that wait to be taken are as many as those who publish may send at once.
+            if loop.time() >= until and not any(unit.is_taking for unit in behind):
+                break
             await asyncio.sleep(_LOOK)
 
     def close(self) -> None:

@@ -7,17 +7,25 @@ import random
 import shutil
 from pathlib import Path
 
+import pytest
 from commanding import REFUSALS, life, state
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from stepping import Steps, caught_up
 
+from dyknow.engine import window_unit
 from dyknow.engine.commands import ANYTIME, done
 from dyknow.engine.engine import Engine
 from dyknow.engine.recorded import RecordedEngine
 from dyknow.journal.log import Durability
 
-"""What an engine is told while units are behind; who asks for more waits for them (service)."""
+
+@pytest.fixture(autouse=True, scope="module")
+def parts():
+    """Batches of a few samples are large."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(window_unit, "_PART", 1)
+        yield
 
 
 def do(doer, command):

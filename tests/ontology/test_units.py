@@ -124,8 +124,9 @@ def test_a_unit_has_a_bound() -> None:
 def test_units_that_nobody_names_again_are_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(units, "_REMEMBERED", 20)
     before = units._registry()
-    for power in range(2, 50):
+    for power in range(2, 90):
         square = parse_unit(f"km{power}.ft3")
-        assert conversion(square, parse_unit(f"m{power}.ft3")).factor == 10.0 ** (3 * power)
+        factor = conversion(square, parse_unit(f"m{power}.ft3")).factor
+        assert factor == float(10 ** (3 * power))
     assert units._registry() is not before
-    assert len(units._registry()._cache.dimensionality) < 60
+    assert len(units._registry()._cache.dimensionality) < 100

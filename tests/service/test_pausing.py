@@ -13,11 +13,13 @@ import pytest
 from waiting import until
 
 from dyknow.continuous.budget import Budget, Stopped
+from dyknow.engine import window_unit
 from dyknow.engine.commands import Annotate, DeclareStream, Publish
 from dyknow.engine.engine import Engine
 from dyknow.engine.recorded import RecordedEngine
 from dyknow.engine.views import StreamDeclaration
 from dyknow.journal.log import Durability
+from dyknow.service import catching_up
 from dyknow.service.app import create_app
 from dyknow.service.pausing import Pausing
 from dyknow.service.server import running
@@ -26,6 +28,8 @@ from dyknow.streams.sample import Field, FieldType
 
 NDJSON, TEXT = "application/x-ndjson", "text/plain"
 SECOND = 10**9
+COUNT = """REGISTER QUERY count COMPUTE EVERY 1s AS SELECT (COUNT(?v) AS ?many)
+FROM STREAM <http://www.ida.liu.se/dyknow/s.trdf> [RANGE 1s STEP 1s] WHERE { ?o dyknow:speed ?v }"""
 
 
 def patient() -> Pausing:
@@ -403,3 +407,24 @@ def test_what_is_behind_when_the_service_stops_goes_on_at_the_next_start(tmp_pat
         assert query(http, "jump")["state"] == "running"
         until(lambda: str(query(http, "jump")["position"]).endswith("-100000"))
         assert told(http, "jump") == 100_000
+
+
+def test_who_publishes_waits_until_a_large_batch_is_taken(
+    http: httpx.Client, engine: Engine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else as many samples would wait as anybody likes to send."""
+    monkeypatch.setattr(window_unit, "_PART", 10)
+    monkeypatch.setattr(catching_up, "_PATIENCE", 0.0)
+    monkeypatch.setattr(catching_up, "FIRST", 0.0)
+    monkeypatch.setattr(catching_up, "FURTHER", 0.0001)
+    http.put("/streams/s", json={"fields": {"id": "string", "v": "float"}}).raise_for_status()
+    contains = "stream s contains speed(UAV) = v for every UAV = id"
+    http.post("/annotations", content=contains).raise_for_status()
+    http.post("/queries", content=COUNT).raise_for_status()
+    rows = [{"valid": i, "available": i, "id": f"uav{i}", "v": 1.0} for i in range(1, 2000)]
+    body = "\n".join(map(json.dumps, rows))
+    for _ in range(2):
+        answer = http.post("/streams/s/samples", content=body, headers={"content-type": NDJSON})
+        assert answer.status_code == 202
+        assert not any(unit.is_taking for unit in engine.behind_of("s"))
+        body = body.replace("uav", "car")

@@ -7,7 +7,8 @@ from random import Random
 
 
 class Steps:
-    """`Turns` that are over after a random number of windows; ``most`` as there."""
+    """`Turns` that are over after a random number of windows, or of parts of a batch; ``most`` as
+    there."""
 
     def __init__(self, random: Random, most: float = float("inf")) -> None:
         self.most = most
@@ -20,7 +21,8 @@ class Steps:
 
     @property
     def is_over(self) -> bool:
-        return self._left <= 0
+        # Nobody tells of parts that are taken.
+        return self._left <= 0 or self._random.random() < 0.1
 
     def begin(self, close_next: Callable[[], bool]) -> _Steps:
         return _Steps(self, close_next)
