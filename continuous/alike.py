@@ -41,6 +41,8 @@ READING = 200_000, 300
 1,000 samples 0.6 ms). Estimates of plans have only what their patterns select."""
 MOST_ALONE = 1_000_000_000
 """Estimates have no end; numbers of queries have."""
+_MOST_CONSTANTS = 128
+"""Of a query that may share: what it might share is planned while everybody waits."""
 
 
 class Unshared(Exception):
@@ -94,6 +96,8 @@ def _refuse(reason: str) -> None:
 def _fit(query: Query) -> tuple[Query, tuple[Term, ...]]:
     """``query`` with the constants taken out that can be parameters."""
     found = lifted(query)
+    if len(found.constants) > _MOST_CONSTANTS:
+        raise Unshared(f"it has {len(found.constants)} constants, more than {_MOST_CONSTANTS}")
     pattern: list[Term | Var] = [Var(place(i)) for i in range(len(found.constants))]
     while True:
         kept = [i for i, one in enumerate(pattern) if isinstance(one, Var)]

@@ -45,6 +45,9 @@ def test_a_name_is_one_constant_and_a_literal_one_wherever_it_is_written():
     assert form("?v", "dyknow:a dyknow:speed ?v . dyknow:a dyknow:heading ?h")[1] == (node("a"),)
 
 
+MANY = " || ".join(f"?v = {i}" for i in range(129))
+
+
 @pytest.mark.parametrize(
     ("parts", "constants"),
     [
@@ -76,6 +79,7 @@ def test_what_the_plan_has_to_have_stays_in_the_form(parts, constants):
             {"stream": STREAM.replace("RANGE 5s", "LANDMARK")},
             "lasts",
         ),
+        (("?v", f"?o dyknow:speed ?v FILTER({MANY})"), {}, "129 constants, more than 128"),
     ],
 )
 def test_what_is_a_querys_own_has_no_form(parts, more, why):
