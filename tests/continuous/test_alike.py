@@ -17,6 +17,7 @@ from dyknow.rdf.dictionary import TermDictionary
 
 DYKNOW = "http://www.ida.liu.se/dyknow/"
 STREAM = f"FROM STREAM <{DYKNOW}s.trdf> [RANGE 5s STEP 1s]"
+MANY = " || ".join(f"?v = {i}" for i in range(129))
 
 
 def read(select, where, after="", stream=STREAM):
@@ -43,9 +44,6 @@ def test_a_name_is_one_constant_and_a_literal_one_wherever_it_is_written():
     found = form("?v", "dyknow:a dyknow:speed ?v ; dyknow:heading ?h FILTER (?v > 1 && ?h > 1)")
     assert sorted(map(str, found[1])) == sorted(map(str, (node("a"), Literal(1), Literal(1))))
     assert form("?v", "dyknow:a dyknow:speed ?v . dyknow:a dyknow:heading ?h")[1] == (node("a"),)
-
-
-MANY = " || ".join(f"?v = {i}" for i in range(129))
 
 
 @pytest.mark.parametrize(
