@@ -54,6 +54,8 @@ class CatchingUp:
         self._pausing = turns if isinstance(turns, Pausing) else None
         self._task: asyncio.Task[None] | None = None
         self._woken = asyncio.Event()
+        self._is_stuck = False
+        """The log takes nothing at present, so nothing is closed or taken."""
         self._holding = 0
         """So many wait until no window is half done."""
 
@@ -91,15 +93,16 @@ class CatchingUp:
             self._holding -= 1
 
     async def caught_up(self, stream: str) -> None:
-        """Return when nobody who reads ``stream`` is behind, or a moment has passed and nobody has
-        parts of a batch to take."""
+        """Return when nobody who reads ``stream`` is behind, or a moment has passed and none of them
+        takes parts of a batch."""
         if not self._behind:
             return
         loop = asyncio.get_running_loop()
         until = loop.time() + _PATIENCE
         while behind := self._engine.behind_of(stream):
-            # Samples that wait to be taken are as many as those who publish may send at once.
-            if loop.time() >= until and not any(unit.is_taking for unit in behind):
+            # Else any number of samples would wait to be taken.
+            takes = any(unit.is_taking for unit in behind)
+            if loop.time() >= until and (not takes or self._is_stuck or self._task is None):
                 break
             await asyncio.sleep(_LOOK)
 
@@ -114,7 +117,12 @@ class CatchingUp:
     def _close_for(self, seconds: float, *, new: bool = False, begins: bool = True) -> None:
         assert self._pausing is not None
         self._pausing.allow(seconds)
-        self._go_on(new=new, begins=begins)
+        try:
+            self._go_on(new=new, begins=begins)
+        except JournalError:
+            self._is_stuck = True
+            raise
+        self._is_stuck = False
 
     async def _catch_up(self) -> None:
         """Close windows, and let others do what they have to in between, until nobody is behind."""

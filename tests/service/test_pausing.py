@@ -18,6 +18,7 @@ from dyknow.engine.commands import Annotate, DeclareStream, Publish
 from dyknow.engine.engine import Engine
 from dyknow.engine.recorded import RecordedEngine
 from dyknow.engine.views import StreamDeclaration
+from dyknow.journal.errors import JournalFull
 from dyknow.journal.log import Durability
 from dyknow.service import catching_up
 from dyknow.service.app import create_app
@@ -409,22 +410,59 @@ def test_what_is_behind_when_the_service_stops_goes_on_at_the_next_start(tmp_pat
         assert told(http, "jump") == 100_000
 
 
-def test_who_publishes_waits_until_a_large_batch_is_taken(
-    http: httpx.Client, engine: Engine, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Else as many samples would wait as anybody likes to send."""
+@pytest.fixture
+def _small_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(window_unit, "_PART", 10)
     monkeypatch.setattr(catching_up, "_PATIENCE", 0.0)
     monkeypatch.setattr(catching_up, "FIRST", 0.0)
     monkeypatch.setattr(catching_up, "FURTHER", 0.0001)
+
+
+def published(http: httpx.Client) -> int:
+    """The status of a large batch of objects that nobody has named before."""
+    rows = [{"valid": i, "available": i, "id": f"uav{i}", "v": 1.0} for i in range(1, 2000)]
+    body = "\n".join(map(json.dumps, rows))
+    headers = {"content-type": NDJSON}
+    return http.post("/streams/s/samples", content=body, headers=headers).status_code
+
+
+def counting(http: httpx.Client) -> None:
     http.put("/streams/s", json={"fields": {"id": "string", "v": "float"}}).raise_for_status()
     contains = "stream s contains speed(UAV) = v for every UAV = id"
     http.post("/annotations", content=contains).raise_for_status()
     http.post("/queries", content=COUNT).raise_for_status()
-    rows = [{"valid": i, "available": i, "id": f"uav{i}", "v": 1.0} for i in range(1, 2000)]
-    body = "\n".join(map(json.dumps, rows))
-    for _ in range(2):
-        answer = http.post("/streams/s/samples", content=body, headers={"content-type": NDJSON})
-        assert answer.status_code == 202
-        assert not any(unit.is_taking for unit in engine.behind_of("s"))
-        body = body.replace("uav", "car")
+
+
+@pytest.mark.usefixtures("_small_parts")
+def test_who_publishes_waits_until_a_large_batch_is_taken(
+    http: httpx.Client, engine: Engine
+) -> None:
+    """Else any number of samples would wait."""
+    counting(http)
+    assert published(http) == 202
+    assert not any(unit.is_taking for unit in engine.behind_of("s"))
+
+
+@pytest.mark.usefixtures("_small_parts")
+def test_nobody_waits_for_what_is_not_taken_as_the_log_takes_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recorded = RecordedEngine(tmp_path, now=0, durability=Durability.WRITE, turns=patient())
+    go_on, is_full = recorded.go_on, threading.Event()
+
+    def when_there_is_room(**given: bool) -> None:
+        if is_full.is_set():
+            raise JournalFull("no room", "make some")
+        go_on(**given)
+
+    monkeypatch.setattr(recorded, "go_on", when_there_is_room)
+    with (
+        served(recorded) as url,  # type: ignore[attr-defined]
+        httpx.Client(base_url=url, trust_env=False, timeout=20) as http,
+    ):
+        counting(http)
+        is_full.set()
+        assert published(http) == 202
+        assert recorded.engine.behind_of("s")[0].is_taking
+        is_full.clear()
+        until(lambda: not recorded.engine.behind_of("s"))
