@@ -93,8 +93,8 @@ class CatchingUp:
             self._holding -= 1
 
     async def caught_up(self, stream: str) -> None:
-        """Return when nobody who reads ``stream`` is behind, or a moment has passed and none of them
-        takes parts of a batch."""
+        """Return when nobody who reads ``stream`` is behind, or a moment has passed and none of
+        them takes parts of a batch."""
         if not self._behind:
             return
         loop = asyncio.get_running_loop()
