@@ -21,7 +21,7 @@ STATUS = "status"
 FIELDS = ("change", "stream", "unit", "transformation", "inputs", "specification")
 SCHEMA = Schema(tuple(Field(name, FieldType.STRING) for name in FIELDS))
 RETENTION = Retention(samples=10_000)
-LONGEST = 8192
+LONGEST = 2048
 """Characters of a text that are told: thousands of long ones would be gigabytes."""
 
 Listener: TypeAlias = Callable[[Change], None]

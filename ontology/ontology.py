@@ -323,7 +323,7 @@ class Ontology:
             for triple in change.removed:
                 if not self._is_static(triple):
                     self._closed.remove(Quad(triple.subject, triple.predicate, triple.object))
-            self._closed_churn.note(len(change.added) + len(change.removed))
+            self._closed_churn.note(change.added, change.removed)
         self._closed = self._closed_churn.over(self._closed)
 
     def _is_static(self, triple: Triple) -> bool:
@@ -483,7 +483,6 @@ class Ontology:
             with self._telling:
                 self._arriving.clear()
         self._apply({graphs.STREAM_SPACE: held, graphs.STREAM_SPACE_ENTAILMENTS: implied})
-        self._renew()
 
     # -- questions ----------------------------------------------------------------------------
 
@@ -652,7 +651,7 @@ class Ontology:
         }
         if not added and not removed:
             return
-        self._churn.note(len(added) + len(removed))
+        self._churn.note(added, removed)
         self._log.note(added, removed)
         if not removed:
             self._store.extend(added)  # all at once, and without a text to be parsed
@@ -666,9 +665,7 @@ class Ontology:
             self._store.update(
                 f"DELETE DATA {{ {_data(removed)} }} ; INSERT DATA {{ {_data(added)} }}"
             )
-
-    def _renew(self) -> None:
-        """A store in memory does not grow by what came and went."""
+        # A store in memory does not grow by what came and went.
         if self.path is None:
             self._store = self._churn.over(self._store)
 

@@ -13,27 +13,30 @@ from typing import Final
 
 from pyoxigraph import Quad
 
+from .churn import weight
+
 MOST: Final = 20_000
-"""Quads of changes that are kept: a copy is made anew rather than told more."""
+"""Short quads of changes that are kept: a copy is made anew rather than told more."""
 
 
 @dataclass(slots=True)
 class ChangeLog:
-    """The last changes of a store, numbered. Cost of `note`: O(1). Memory: `MOST` quads."""
+    """The last changes of a store, numbered. Cost of `note`: O(quads). Memory: `MOST` quads."""
 
     position: int = 0
     """How many changes there were."""
-    _changes: deque[tuple[Set[Quad], Set[Quad]]] = field(default_factory=deque)
+    _changes: deque[tuple[Set[Quad], Set[Quad], int]] = field(default_factory=deque)
+    """What came, what went, and how much that is."""
     _size: int = 0
 
     def note(self, added: Set[Quad], removed: Set[Quad]) -> None:
         """These came and these went, in one change."""
         self.position += 1
-        self._changes.append((added, removed))
-        self._size += len(added) + len(removed)
+        size = weight(added) + weight(removed)
+        self._changes.append((added, removed, size))
+        self._size += size
         while self._size > MOST:
-            first = self._changes.popleft()
-            self._size -= len(first[0]) + len(first[1])
+            self._size -= self._changes.popleft()[2]
 
     def forget(self) -> None:
         """More has changed than is kept: copies are made anew."""
@@ -50,7 +53,7 @@ class ChangeLog:
         came: set[Quad] = set()
         went: set[Quad] = set()
         for number in range(len(self._changes) - missing, len(self._changes)):
-            added, removed = self._changes[number]
+            added, removed, _ = self._changes[number]
             came = (came - removed) | added
             went = (went - added) | removed
         return came, went

@@ -122,7 +122,7 @@ class Worker:
         for quad in removed:
             self._store.remove(quad)
         self._store.extend(added)
-        self._churn.note(len(removed) + len(added))
+        self._churn.note(removed, added)
         self._store = self._churn.over(self._store)
         return Truth(True)
 

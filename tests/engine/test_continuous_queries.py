@@ -460,7 +460,7 @@ def test_of_a_long_text_the_status_stream_tells_the_beginning(flying):
     flying.queries.register(long)
     changes = [values for _, values in samples(flying, "status") if values["stream"] == "fast"]
     started = next(values for values in changes if values["change"] == "unit started")
-    assert started["specification"] == f"{long[:8192]}… ({len(long)} characters)"
+    assert started["specification"] == f"{long[:2048]}… ({len(long)} characters)"
     assert flying.queries.view("fast").source.endswith("xxx")
 
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 from itertools import pairwise
 
 import pytest
-from pyoxigraph import NamedNode, Quad, Store
+from pyoxigraph import Literal, NamedNode, Quad, Store
 
-from dyknow.ontology import churn
-from dyknow.ontology.churn import Churn
+from dyknow.ontology import churn, replicas
+from dyknow.ontology.churn import Churn, weight
 from dyknow.ontology.ontology import Ontology
+from dyknow.ontology.replicas import ChangeLog
 from dyknow.rdf.namespaces import DYKNOW
 
 P = NamedNode("urn:p")
@@ -29,7 +30,7 @@ def test_a_store_is_replaced_when_four_times_as_much_has_come_and_gone(
     for number in range(20, 400):
         store.add(quad(number))
         store.remove(quad(number - 20))
-        changes.note(2)
+        changes.note([quad(number)], [quad(number - 20)])
         then = changes.over(store)
         if then is not store:
             replaced.append(number)
@@ -37,6 +38,20 @@ def test_a_store_is_replaced_when_four_times_as_much_has_come_and_gone(
         store = then
     # Of 20 quads more than 80 come or go between two of these.
     assert [later - one for one, later in pairwise(replaced)] == [41] * 8
+
+
+def test_long_texts_count_as_many_quads(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(churn, "_LEAST", 100)
+    monkeypatch.setattr(replicas, "MOST", 100)
+    long = [Quad(NamedNode("urn:s"), P, Literal(f"{n}" * 10_240)) for n in range(10)]
+    assert weight(long) == 10 * 21
+    store, changes, log = Store(), Churn(), ChangeLog()
+    for number, each in enumerate(long):
+        changes.note([each])
+        assert (changes.over(store) is store) == (number % 5 != 4)
+        log.note({each}, set())
+    assert log.since(log.position - 4) == (set(long[6:]), set())
+    assert log.since(log.position - 5) is None
 
 
 def test_what_comes_and_goes_of_templates_leaves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:

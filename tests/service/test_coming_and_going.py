@@ -22,8 +22,7 @@ from dyknow.service.app import create_app
 from dyknow.service.pausing import Pausing
 from dyknow.service.server import running
 from dyknow.service.settings import Settings
-from dyknow.streams import fluent
-from dyknow.streams.fluent import Retention
+from dyknow.streams.fluent import FluentStream, Retention
 from dyknow.streams.time import SECOND
 
 NDJSON = {"content-type": "application/x-ndjson"}
@@ -40,9 +39,9 @@ SELECT ?o ?v FROM STREAM <http://www.ida.liu.se/dyknow/s.trdf> [RANGE 3s STEP 1s
 WHERE {{ ?o dyknow:speed ?v FILTER(?v > {0}) }}"""
 NAMESPACE = "http://www.dyknow.eu/ontology#Specification"
 ROUNDS = 48
-OUTSIDE = (TermDictionary, fluent._Run, _lru_cache_wrapper, Handler, Server, AbstractEventLoop)
-"""Terms are forgotten in jumps, and runs of samples put together; caches of libraries have a bound;
-pytest keeps logs; the server and its loop have what goes on."""
+OUTSIDE = (TermDictionary, FluentStream, _lru_cache_wrapper, Handler, Server, AbstractEventLoop)
+"""Terms are forgotten in jumps, as samples and texts of streams are; caches of libraries have a
+bound; pytest keeps logs; the server and its loop have what goes on."""
 
 
 class Using:
@@ -213,11 +212,10 @@ def test_what_comes_and_goes_leaves_nothing(
     settings: Settings, clock: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # What is kept of what was is kept of the last: of few, so that these have come soon.
-    monkeypatch.setattr(replicas, "MOST", 100)
+    monkeypatch.setattr(replicas, "MOST", 0)
     monkeypatch.setattr(configuration, "_REMEMBERED", 10)
     monkeypatch.setattr(intake, "_KEYS_KEPT", 10)
     monkeypatch.setattr(engine, "RETENTION", Retention(samples=20))
-    monkeypatch.setattr(fluent, "_TEXTS", 20)
     app = create_app(engine.Engine(turns=Pausing(5, 60)), settings, clock)
     sizes = []
     with (
