@@ -27,9 +27,9 @@ def closure(plan: Closure, step: Relation, nodes: ObjectColumn, terms: TermValue
     begins, ends = (as_terms(step.column(name), dictionary).values for name in (START, STOP))
     given = [ids[:0] for ids in (begins, begins)]
     if isinstance(plan.subject, Const):
-        given[0] = np.array([dictionary.id(plan.subject.term)], np.int32)
+        given[0] = np.array([dictionary.transient_id(plan.subject.term)], np.int32)
     elif isinstance(plan.object, Const):
-        given[0] = np.array([dictionary.id(plan.object.term)], np.int32)
+        given[0] = np.array([dictionary.transient_id(plan.object.term)], np.int32)
     elif plan.zero:
         given[1] = as_terms(nodes, dictionary).values
     # Numbered as they are met: ids say when a term came, which may be after it was forgotten.

@@ -218,7 +218,7 @@ class _Rows:
                 raise NeedsOxigraph(f"the expression {expression}")
 
     def _constant(self, term: Term) -> ObjectColumn:
-        kind, value = split_term(term, self.terms.dictionary.id)
+        kind, value = split_term(term, self.terms.dictionary.transient_id)
         if kind is Kind.TERM:
             sort = int(self.terms.sorts(np.array([value], np.int32))[0])
             if Sort.INTEGER <= sort <= Sort.BOOLEAN:

@@ -93,7 +93,7 @@ def instantiated(
         unique = relation.key is not None and relation.key <= named
         if isinstance(template[1], Const):
             if isinstance(template[1].term, NamedNode):
-                rows, id = np.flatnonzero(keep), terms.dictionary.id(template[1].term)
+                rows, id = np.flatnonzero(keep), terms.dictionary.transient_id(template[1].term)
                 whole = ObjectColumn(objects.kind, objects.values[rows])
                 part = Instantiated(rows, subjects.values[rows], whole, unique)
                 found.setdefault(id, []).append(part)
@@ -130,7 +130,7 @@ def _wide(head: Construct, relation: Relation, time: int, terms: TermValues) -> 
         assert isinstance(predicate, Const)
         values = _position(object, relation, time, terms)
         if values is not None and isinstance(predicate.term, NamedNode):
-            objects[terms.dictionary.id(predicate.term)] = values
+            objects[terms.dictionary.transient_id(predicate.term)] = values
             some |= values.present
     keep &= some
     if keep.all():
@@ -155,7 +155,7 @@ def _position(
             for row in range(relation.rows)
         )
         return ObjectColumn(Kind.TERM, terms.dictionary.transient_ids(nodes))
-    kind, value = split_term(position.term, terms.dictionary.id)
+    kind, value = split_term(position.term, terms.dictionary.transient_id)
     return ObjectColumn(kind, np.full(relation.rows, value, kind.dtype))
 
 

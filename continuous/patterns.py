@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pyoxigraph import NamedNode
 
+from ..rdf.dictionary import Named
 from ..rdf.namespaces import RDF_TYPE
 from ..rdf.timed import Kind, ObjectColumn
 from .budget import BudgetExceeded
@@ -75,7 +76,10 @@ class PatternJoin:
         self.filter_starts = np.array(starts, np.int64)
         self.filter_needs = np.array(needs, np.bool_)
         self.filter_needs = self.filter_needs.reshape(len(needs), len(self.variables))
-        encoded = [terms.encoded(_single(const, terms)) for const in constants]
+        # In the spelling that is compared: the loop has their ids as long as there is one.
+        self._named = Named(terms.dictionary, (canonical(one.term) for one in constants))
+        columns = [ObjectColumn(Kind.TERM, self._named.ids[i : i + 1]) for i in constants.values()]
+        encoded = [terms.encoded(column) for column in columns]
         self.constant_tags = np.array([tag[0] for tag, _ in encoded], np.int8)
         self.constant_bits = np.array([bit[0] for _, bit in encoded], np.int64)
         self._uniform = np.zeros(len(self._shown), np.int8)
@@ -205,12 +209,6 @@ class PatternJoin:
         if kept:
             self._solutions[:kept] = before[0][:kept]
             self._tags[:, :kept], self._bits[:, :kept] = before[1][:, :kept], before[2][:, :kept]
-
-
-def _single(const: Const, terms: TermValues) -> ObjectColumn:
-    # Pinned in the spelling that is compared: the loop has its id for good.
-    ids = np.array([terms.dictionary.id(canonical(const.term))], np.int32)
-    return ObjectColumn(Kind.TERM, ids)
 
 
 def _compiled(

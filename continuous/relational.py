@@ -112,7 +112,7 @@ def _execute(plan: Plan, source: Source, terms: TermValues) -> Relation:
             return select_pairs(pairs, plan.subject, plan.object, terms)
         case Values(variables, rows):
             columns = {
-                name: term_column([row[i] for row in rows], terms.dictionary.id)
+                name: term_column([row[i] for row in rows], terms.dictionary.transient_id)
                 for i, name in enumerate(variables)
             }
             return Relation(columns, len(rows))
@@ -330,7 +330,7 @@ def select_pairs(pairs: Pairs, subject: Position, object: Position, terms: TermV
 
 
 def _equals(column: ObjectColumn, constant: Const, terms: TermValues) -> NDArray[np.bool_]:
-    kind, value = split_term(constant.term, terms.dictionary.id)
+    kind, value = split_term(constant.term, terms.dictionary.transient_id)
     if column.kind is Kind.TERM:
         return np.asarray(column.values == terms.dictionary.find(constant.term))
     if column.kind is not kind:

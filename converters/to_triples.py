@@ -16,7 +16,7 @@ from pyoxigraph import NamedNode
 from ..languages.ssl.annotation import Content, Role, StreamAnnotation
 from ..ontology.units import IDENTITY, Conversion, Unit, UnitError, conversion
 from ..ontology.vocabulary import Vocabulary
-from ..rdf.dictionary import Ids, TermDictionary
+from ..rdf.dictionary import Ids, Named, TermDictionary
 from ..rdf.namespaces import DYKNOW, RDF, local_name
 from ..rdf.timed import Kind, ObjectColumn, TimedTriples, TripleRows
 from ..streams.sample import Field, FieldType, Mask, SampleBatch, Schema
@@ -64,6 +64,8 @@ class SampleConverter:
         self._tables: list[_Table] = []
         self._tables_of: dict[tuple[Role, ...], list[_Table]] = {}
         self._nodes: list[_Node] = []
+        self._named: list[Named] = []
+        """The features, whose ids columns have."""
         for position, content in enumerate(annotation.contents):
             if features is not None and content.feature not in features:
                 continue
@@ -80,8 +82,9 @@ class SampleConverter:
                 _Subject.compile(role, schema, annotation, dictionary, namespace)
                 for role in content.roles
             )
-            predicate = dictionary.id(NamedNode(content.feature))
-            column = _Column(content.field, predicate, objects)
+            predicate = Named(dictionary, [NamedNode(content.feature)])
+            self._named.append(predicate)
+            column = _Column(content.field, int(predicate.ids[0]), objects)
             if len(roles) > 1:
                 stem = node_stem(annotation, position, namespace)
                 self._nodes.append(_Node(column, roles, stem, dictionary))
@@ -152,7 +155,7 @@ def node_stem(annotation: StreamAnnotation, position: int, namespace: str) -> st
 class _Subject:
     """What a role names in each sample: a constant, or by a field, perhaps only if it is one."""
 
-    constant: int | None
+    constant: Named | None
     field: str | None
     names: ObjectTable
     sort: int | None
@@ -180,7 +183,7 @@ class _Subject:
                 hint=f"add: for every {local_name(role.sort or 'SORT')} = <id field>",
             )
         return cls(
-            None if role.object is None else dictionary.id(NamedNode(role.object)),
+            None if role.object is None else Named(dictionary, [NamedNode(role.object)]),
             role.id_field,
             ObjectTable(dictionary, namespace),
             None if role.sort is None else dictionary.id(NamedNode(role.sort)),
@@ -190,12 +193,12 @@ class _Subject:
         """Term ids, shape ``(n,)``, and where the role names its object (None: everywhere)."""
         if self.field is None:
             assert self.constant is not None
-            return np.full(len(batch), self.constant, np.int32), None
+            return np.full(len(batch), self.constant.ids[0], np.int32), None
         column = batch.columns[self.field]
         ids = self.names.of_column(column)
         named = None if column.null is None else ~column.null
         if self.constant is not None:
-            called = ids == self.constant
+            called = ids == self.constant.ids[0]
             named = called if named is None else named & called
         return ids, named
 
@@ -287,7 +290,7 @@ class _Node:
 
 
 def _stream(annotation: StreamAnnotation, dictionary: TermDictionary, namespace: str) -> _Subject:
-    subject = dictionary.id(NamedNode(stream_iri(annotation, namespace)))
+    subject = Named(dictionary, [NamedNode(stream_iri(annotation, namespace))])
     return _Subject(subject, None, ObjectTable(dictionary, namespace), None)
 
 

@@ -34,7 +34,7 @@ from ..matching.plan import (
 from ..matching.space import StreamSpace
 from ..matching.want import Want
 from ..ontology.ontology import Ontology
-from ..rdf.dictionary import TermDictionary
+from ..rdf.dictionary import Named, TermDictionary
 from ..rdf.namespaces import DYKNOW, shorten
 from ..streams.generator import StreamGenerator
 from ..streams.sample import Field, FieldType, Schema
@@ -257,7 +257,7 @@ class Plans:
         return SelectionUnit(
             *self._configuration.identity(SELECT_OBJECT, [source], output, parameters),
             id_field=id_field,
-            object_id=self._dictionary.id(NamedNode(object)),
+            object=Named(self._dictionary, [NamedNode(object)]),
             objects=ObjectTable(self._dictionary, namespace),
         )
 

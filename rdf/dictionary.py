@@ -4,9 +4,10 @@ Numbers on the way of a sample are *not* here: they stay float64 or int64 in the
 (`timed.ObjectColumn`). The dictionary holds IRIs, strings, blank nodes and the literals that
 fit no column.
 
-Streams say new terms without end, so terms are of two kinds. *Pinned* ones stay: what queries,
-annotations and the static side name. *Transient* ones, of streams and computed, are forgotten by
-mark and sweep when no *holder* has their ids any more (docs/design/0006-terms-that-pass.md).
+Streams say new terms without end, and so do those who ask, so terms are of two kinds. *Pinned* ones
+stay: features, sorts and the static side. *Transient* ones, of streams, computed, and constants of
+queries and annotations (`Named`), are forgotten by mark and sweep when no *holder* has their ids
+any more (docs/design/0006-terms-that-pass.md).
 """
 
 from __future__ import annotations
@@ -56,6 +57,21 @@ class TermTable(ABC):
     def forget(self, freed: NDArray[np.bool_]) -> None:
         """The ids ``freed`` have no terms any more, and will have others. Of shape one more than
         there are ids: the last one stands for `NO_TERM`, and is never freed."""
+
+
+class Named:
+    """What somebody names: its terms stay as long as this does."""
+
+    __slots__ = ("__weakref__", "ids")
+
+    def __init__(self, dictionary: TermDictionary, terms: Iterable[Term]) -> None:
+        self.ids = dictionary.transient_ids(terms)
+        """Theirs, in their order, shape ``(n,)``."""
+        dictionary.hold(self)
+
+    def held(self) -> Sequence[Ids]:
+        """See `Holder`."""
+        return (self.ids,)
 
 
 class TermDictionary:

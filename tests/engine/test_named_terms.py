@@ -1,0 +1,106 @@
+"""What queries and annotations name is forgotten when they are gone."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from dyknow.engine.commands import (
+    Annotate,
+    DeclareStream,
+    Publish,
+    RegisterQuery,
+    RemoveQuery,
+    RemoveStream,
+    Subscribe,
+    SubscribeToFeature,
+    Tick,
+    Unsubscribe,
+)
+from dyknow.engine.engine import Engine
+from dyknow.engine.views import StreamDeclaration
+from dyknow.streams.sample import Field, FieldType
+
+FIELDS = (Field("id", FieldType.STRING), Field("v", FieldType.FLOAT))
+SECOND = 10**9
+VALUES = " ".join(f"(<http://x/{{0}}.{k}> 'v{{0}}.{k}')" for k in range(20))
+
+
+@pytest.fixture
+def engine() -> Engine:
+    found = Engine()
+    DeclareStream(StreamDeclaration("s", FIELDS)).apply(found)
+    Annotate("stream s contains speed(UAV) = v for every UAV = id").apply(found)
+    return found
+
+
+def terms(engine: Engine) -> int:
+    """How many there are that are needed."""
+    engine.dictionary._sweep()
+    return engine.dictionary.count
+
+
+def ask(engine: Engine, number: int, query: str) -> None:
+    """Register a query, let windows of it close, and remove it."""
+    head, body = query.replace("ROWS", VALUES).format(number).split(" WHERE ")
+    stream = "FROM STREAM <http://www.ida.liu.se/dyknow/s.trdf> [RANGE 3s STEP 1s]"
+    text = f"REGISTER QUERY q{number} COMPUTE EVERY 1s AS {head} {stream} WHERE {body}"
+    RegisterQuery(text).apply(engine)
+    start = number * 10 * SECOND
+    times = [start + k * SECOND for k in range(5)]
+    rows = [{"valid": t, "available": t, "id": f"u{k}", "v": 1.0} for k, t in enumerate(times)]
+    body = "\n".join(map(json.dumps, rows))
+    Publish("s", "ndjson", body.encode(), times[-1]).apply(engine)
+    Tick(times[-1] + SECOND).apply(engine)
+    assert engine.generator(f"q{number}").stream.last_number or "FILTER NOT" in query
+    RemoveQuery(f"q{number}").apply(engine)
+
+
+@pytest.mark.parametrize(
+    "query",
+    [
+        "SELECT ?o WHERE {{ ?o dyknow:speed ?v FILTER(?o != <http://x/{0}>) }}",
+        "SELECT ?o ?x WHERE {{ ?o dyknow:speed ?v BIND('text {0}' AS ?x) }}",
+        "SELECT ?o ?x WHERE {{ ?o dyknow:speed ?v OPTIONAL {{ VALUES (?x ?y) {{ ROWS }} }} }}",
+        "SELECT ?o ?x WHERE {{ ?o dyknow:speed ?v OPTIONAL {{ <http://x/{0}> dyknow:speed ?x }} }}",
+        "SELECT ?o WHERE {{ ?o dyknow:speed ?v FILTER NOT EXISTS {{ ?o dyknow:speed 'a{0}' }} }}",
+        "CONSTRUCT {{ ?o <http://p/{0}> <http://o/{0}> }} WHERE {{ ?o dyknow:speed ?v }}",
+    ],
+)
+def test_constants_of_queries(engine: Engine, query: str) -> None:
+    ask(engine, 1, query)
+    before = terms(engine)
+    for number in range(2, 12):
+        ask(engine, number, query)
+    assert terms(engine) == before
+
+
+def test_objects_of_annotations_and_subscriptions(engine: Engine) -> None:
+    def come_and_go(number: int) -> None:
+        name = f"a{number}"
+        DeclareStream(StreamDeclaration(name, FIELDS)).apply(engine)
+        contents = ", ".join(f"heading(r{number}x{k}) = v" for k in range(20))
+        Annotate(f"stream {name} contains {contents}").apply(engine)
+        followed = [
+            SubscribeToFeature("dyknow:heading", objects=(f"dyknow:r{number}x3",)).apply(engine),
+            SubscribeToFeature("dyknow:speed", objects=(f"dyknow:uav{number}",)).apply(engine),
+            Subscribe("s", "sample every 1s, max delay 2s").apply(engine),
+        ]
+        text = (
+            f"REGISTER QUERY z{number} COMPUTE EVERY 1s AS SELECT ?o FROM STREAM "
+            f"<http://www.ida.liu.se/dyknow/{name}.trdf> [RANGE 3s STEP 1s] "
+            "WHERE { ?o dyknow:heading ?v }"
+        )
+        RegisterQuery(text).apply(engine)
+        Publish(name, "ndjson", b'{"valid": 1, "available": 1, "id": "u", "v": 1}', 1).apply(engine)
+        RemoveQuery(f"z{number}").apply(engine)
+        for each in followed:
+            Unsubscribe(each.id).apply(engine)
+        RemoveStream(name).apply(engine)
+
+    come_and_go(1)
+    before = terms(engine)
+    for number in range(2, 12):
+        come_and_go(number)
+    assert terms(engine) == before
