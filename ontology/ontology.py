@@ -11,6 +11,7 @@ from collections import OrderedDict
 from collections.abc import Iterable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -239,13 +240,16 @@ class Ontology:
         hashes: dict[str, str],
         entailed: tuple[frozenset[Triple], frozenset[Triple]],
     ) -> Successor:
+        # First, as it may raise: an iterator of a store must not be in a frame that an error keeps,
+        # since it may be dropped only where it was made.
+        vocabulary = Vocabulary.from_triples(chain(*entailed))
         with self._lock:
             # A store's iterator goes on with what there was when it was made.
             now = self._store.quads_for_pattern(None, None, None, None)
             held = (self._concepts.held, self._live.held)
             position = self._log.position
         replaced = {graph: triples, graphs.CATALOG: _catalog(hashes)}
-        return succeed(position, now, replaced, entailed, held)
+        return succeed(position, now, replaced, entailed, held, vocabulary)
 
     def take(self, prepared: PreparedOntology) -> None:
         """Load what was prepared. Raises `OntologyError` if it contradicts the vocabulary, or other

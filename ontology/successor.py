@@ -78,15 +78,14 @@ def succeed(
     replaced: Mapping[NamedNode, Set[Triple]],
     entailed: tuple[Set[Triple], Set[Triple]],
     held: tuple[Set[Triple], Set[Triple]],
+    vocabulary: Vocabulary,
 ) -> Successor:
     """``now`` are the quads at ``position``, ``replaced`` the graphs that become others, the
     catalog among them. ``entailed``: what is asserted by the ontologies, and what they entail;
-    ``held``: the concepts' triples and the live stream space's at ``position``.
-
-    Raises `UnitError` as `Vocabulary.from_triples`. Any thread may call.
+    ``held``: the concepts' triples and the live stream space's at ``position``; ``vocabulary``:
+    what ``entailed`` defines. Any thread may call.
     """
     asserted, implied = entailed
-    vocabulary = Vocabulary.from_triples(chain(asserted, implied))
     rules = Rules(chain(asserted, implied))
     concepts, live = (Entailments(rules, triples) for triples in held)
     wanted: dict[NamedNode, Iterable[Triple]] = {

@@ -4,7 +4,9 @@ loading the text at once, whatever changed meanwhile."""
 from __future__ import annotations
 
 import threading
+import traceback
 from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import pytest
@@ -175,3 +177,22 @@ def test_a_unit_that_is_none_is_told_before_anything_is_taken() -> None:
     text = f'<{DYKNOW}f> a <{STREAM_SPACE}UnaryFeature> ; <{STREAM_SPACE}hasUnit> "furlongs!" .'
     with pytest.raises(OntologyError, match="the unit of"):
         Ontology.open().prepare(text, name="urn:units")
+
+
+def test_an_error_of_another_thread_keeps_nothing_that_was_made_there() -> None:
+    """pyoxigraph's iterators are dropped where they were made only; else what they read stays."""
+    text = f'<{DYKNOW}f> a <{STREAM_SPACE}UnaryFeature> ; <{STREAM_SPACE}hasUnit> "furlongs!" .'
+    ontology = Ontology.open()
+    with ThreadPoolExecutor(1) as elsewhere:
+        error = elsewhere.submit(ontology.prepare, text, name="urn:units").exception()
+    assert isinstance(error, OntologyError)
+    kept: set[int] = set()
+    each: BaseException | None = error
+    found = []
+    while each is not None and id(each) not in kept:
+        kept.add(id(each))
+        for frame, _ in traceback.walk_tb(each.__traceback__):
+            found += [type(value).__name__ for value in frame.f_locals.values()]
+        each = each.__cause__ or each.__context__
+    assert "Ontology" in found
+    assert "QuadIter" not in found
