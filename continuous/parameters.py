@@ -12,7 +12,7 @@ compared terms, under `Joint.rest`, are those of the plan with all of its terms 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
@@ -62,10 +62,10 @@ class Unfit(Exception):
     """The parameter ``name`` has to be fixed ("": all of them), and why. ``also``: others that
     have to be, too."""
 
-    def __init__(self, name: str, reason: str) -> None:
+    def __init__(self, name: str, reason: str, also: Iterable[str] = ()) -> None:
         super().__init__(reason)
         self.name = name
-        self.also: frozenset[str] = frozenset()
+        self.also = frozenset(also)
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,9 +183,9 @@ def _carrying_all(plan: Plan, names: Sequence[str]) -> Plan:
             unfit[error.name] = str(error)
     if unfit:
         first, *others = unfit
-        found = Unfit(first, unfit[first])
-        found.also = frozenset(others)
-        raise found
+        # No variable has it: its frame, and by that all that the callers knew (evaluators that
+        # are gone, with their windows), would wait for a collection of garbage.
+        raise Unfit(first, unfit[first], others)
     return plan
 
 
