@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final, TypeAlias, assert_never
+from typing import Final, TypeAlias
 
 from ..rdf.dictionary import Term
 
@@ -44,17 +44,21 @@ ARITHMETIC: Final = ("+", "-", "*", "/")
 INFIX: Final = frozenset({*COMPARISONS, *ARITHMETIC, "&&", "||"})
 
 
+def postorder(expression: Expression) -> list[Expression]:
+    """``expression`` and all that is in it, arguments before their call, from left to right."""
+    found, left = [], [expression]
+    while left:
+        one = left.pop()
+        found.append(one)
+        if isinstance(one, Call):
+            left.extend(one.arguments)
+    found.reverse()
+    return found
+
+
 def variables(expression: Expression) -> frozenset[str]:
     """The variables that ``expression`` names."""
-    match expression:
-        case Var(name):
-            return frozenset({name})
-        case Const():
-            return frozenset()
-        case Call(_, arguments):
-            return frozenset().union(*map(variables, arguments))
-        case _:
-            assert_never(expression)
+    return frozenset([one.name for one in postorder(expression) if isinstance(one, Var)])
 
 
 def conjuncts(expression: Expression) -> tuple[Expression, ...]:

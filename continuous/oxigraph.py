@@ -199,9 +199,10 @@ class OxigraphWindows:
 
 def _restricted(sparql: str, graphs: Graphs) -> str:
     """The text with the graphs that each ``GRAPH ?g`` may stand for: windows or static ones."""
-    tokens = tokenize(sparql)
+    if "graph" not in sparql.lower():  # most: their tokens are many
+        return sparql
     edits = []
-    for word, name in pairwise(tokens):
+    for word, name in pairwise(tokenize(sparql)):
         if word.is_word("GRAPH") and name.kind is TokenKind.VARIABLE:
             windows = name.text[1:] in graphs.window_variables
             names = graphs.windows if windows else graphs.static

@@ -12,7 +12,7 @@ from itertools import chain
 from pyoxigraph import NamedNode
 
 from ..rdf.namespaces import RDF_TYPE
-from .expressions import Call, Const, Expression, Var, conjuncts, variables
+from .expressions import Call, Const, Expression, Var, conjuncts, postorder, variables
 from .logical import (
     START,
     STOP,
@@ -64,7 +64,7 @@ OPERATIONS = {
     "!": NOT,
     "NEGATE": NEGATE,
 }
-_DEEPEST = 60
+_HIGHEST = 60
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +110,7 @@ def _is_served(plan: Plan) -> bool:
         case Filter(condition, child):
             # What a filter inside a join does not see there is unbound.
             seen = variables(condition) <= outputs(child)
-            return seen and _is_served(child) and _depth(condition) is not None
+            return seen and _is_served(child) and _is_compiled(condition)
         case _:
             return False
 
@@ -129,18 +129,22 @@ def conditions(plan: Plan) -> Iterator[Expression]:
         yield from conditions(part)
 
 
-def _depth(expression: Expression) -> int | None:
-    """How high the stack grows; None for what the loop does not know."""
-    match expression:
-        case Var() | Const():
-            return 1
-        case Call("!" | "NEGATE", (argument,)):
-            return _depth(argument)
-        case Call(name, (left, right)) if name in OPERATIONS:
-            a, b = _depth(left), _depth(right)
-            return None if a is None or b is None or b >= _DEEPEST else max(a, b + 1)
-        case _:
-            return None
+def _is_compiled(expression: Expression) -> bool:
+    """Whether the loop knows all of it, and its stack is high enough."""
+    height = 0
+    for one in postorder(expression):
+        match one:
+            case Var() | Const():
+                height += 1
+                if height > _HIGHEST:
+                    return False
+            case Call("!" | "NEGATE", (_,)):
+                pass
+            case Call(name, (_, _)) if name in OPERATIONS:
+                height -= 1
+            case _:
+                return False
+    return True
 
 
 def needed_outside(plan: Plan, parts: Sequence[Plan]) -> list[frozenset[str]]:

@@ -25,7 +25,7 @@ from ..rdf.namespaces import RDF_TYPE
 from ..rdf.timed import Kind, ObjectColumn
 from .budget import BudgetExceeded
 from .columns import Relation, TermValues, canonical, decoded, decoded_terms
-from .expressions import Call, Const, Expression, Var, variables
+from .expressions import Call, Const, Expression, Var, postorder, variables
 from .logical import Plan, Position, TypeScan, outputs
 from .pattern_kernels import BY_OBJECT, BY_SLOT, BY_SUBJECT, BY_TRIPLE, LOST
 from .pattern_match import CONSTANT, DOUBTFUL, OVERSPENT, VARIABLE, match
@@ -78,10 +78,8 @@ class PatternJoin:
         self.filter_needs = self.filter_needs.reshape(len(needs), len(self.variables))
         # In the spelling that is compared: the loop has their ids as long as there is one.
         self._named = Named(terms.dictionary, (canonical(one.term) for one in constants))
-        columns = [ObjectColumn(Kind.TERM, self._named.ids[i : i + 1]) for i in constants.values()]
-        encoded = [terms.encoded(column) for column in columns]
-        self.constant_tags = np.array([tag[0] for tag, _ in encoded], np.int8)
-        self.constant_bits = np.array([bit[0] for _, bit in encoded], np.int64)
+        encoded = terms.encoded(ObjectColumn(Kind.TERM, self._named.ids))
+        self.constant_tags, self.constant_bits = encoded
         self._uniform = np.zeros(len(self._shown), np.int8)
         self._kept, self._seen, self._seen_turn = 0, 0, _NEVER
         """So many solutions are known, of so many rows, as of this turn."""
@@ -215,15 +213,14 @@ def _compiled(
     expression: Expression, place: Mapping[str, int], constants: dict[Const, int]
 ) -> Iterable[tuple[int, int]]:
     """The operations of a filter, arguments first."""
-    match expression:
-        case Var(name):
-            yield VARIABLE, place[name]
-        case Const():
-            yield CONSTANT, constants.setdefault(expression, len(constants))
-        case Call(name, arguments):
-            for argument in arguments:
-                yield from _compiled(argument, place, constants)
-            yield OPERATIONS[name], 0
+    for one in postorder(expression):
+        match one:
+            case Var(name):
+                yield VARIABLE, place[name]
+            case Const():
+                yield CONSTANT, constants.setdefault(one, len(constants))
+            case Call(name):
+                yield OPERATIONS[name], 0
 
 
 class PatternSolver:

@@ -4,7 +4,7 @@ only where they stand for one, and SPARQL is left in its place (SPEC §5)."""
 import re
 from dataclasses import replace
 
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from dyknow.languages.csparql import (
@@ -16,8 +16,8 @@ from dyknow.languages.csparql import (
     parse_query,
 )
 from dyknow.languages.csparql.shape import query_shape
-from dyknow.languages.csparql.tokens import Kind, tokenize
-from dyknow.languages.errors import Span
+from dyknow.languages.csparql.tokens import Kind, compact, tokenize
+from dyknow.languages.errors import LanguageError, Span
 
 HERE = Span(0, 0)
 WORDS = """register stream query as compute every select from named window on range step slide
@@ -172,3 +172,42 @@ def test_keywords_in_names_are_names(words: list[str], is_rsp_ql: bool) -> None:
     assert said.count(f"?{variable}") == 3
     assert said.count("GRAPH") == is_rsp_ql
     assert meaning(parse_query(format_query(query))) == meaning(query)
+
+
+def compacted(text: str) -> str:
+    """What `compact` is: blank lines and white space before a line's end go, between tokens."""
+    parts, end = [], 0
+    for token in tokenize(text):
+        between = re.sub(r"(?<![ \t])[ \t]*(?:\r?\n[ \t]*)*\r?\n", "\n", text[end : token.start])
+        parts += (between, token.text)
+        end = token.end
+    return "".join(parts).strip()
+
+
+PIECES = [
+    *(
+        "?a",
+        "<http://x/'y#z>",
+        "_:b",
+        "ex:a\\'b",
+        "ex:a\\#b",
+        'ex:b\\"c',
+        "'x'@en",
+        "^^",
+        "''",
+        '""',
+    ),
+    *("'s # x  \\' '", '"q \\" "', '"""l \n\n  "x" \n"""', "'''m  \n\n '''"),
+    *("# c ' \"  \n", "# d <a \t \r\n", "#\n", "# \\", "<", "<=", ">", "&&", "1.5e3"),
+    *("  ", "\n", "\t", "\r", "\r\n", " \n \n", "\n\n\n"),
+]
+
+
+@given(st.lists(st.sampled_from(PIECES), max_size=12))
+def test_only_blank_lines_between_tokens_go(pieces: list[str]) -> None:
+    text = "".join([*pieces, "\n?end"])
+    try:
+        expected = compacted(text)
+    except LanguageError:
+        assume(False)
+    assert compact(text) == expected
