@@ -118,6 +118,7 @@ class PatternRows:
         yield places[:, 2]
         yield words[places[:, 3] == Kind.TERM]
         yield list(self.sorts)
+        yield from map(list, self._numbers)
         # What waits has not been spelled, so it is told as it came.
         for _, _, kind, subjects, values, _ in self._waiting:
             yield subjects
@@ -197,7 +198,7 @@ class PatternRows:
             graph = self.windows[window]
             for slot, number in self.slots.items():
                 if slot.graph == graph:
-                    found[self.terms.dictionary.id(slot.predicate)] = number
+                    found[self.terms.dictionary.transient_id(slot.predicate)] = number
         return found
 
     def turn(
@@ -324,7 +325,7 @@ class PatternRows:
             if number == SORT_SLOT:
                 made = TripleRows(time[at], time[at], subject[at], {}, sorts[kind])
             else:
-                predicate = self.terms.dictionary.id(names[number].predicate)
+                predicate = self.terms.dictionary.transient_id(names[number].predicate)
                 column = decoded(Kind(kind), words[at])
                 made = TripleRows(time[at], time[at], subject[at], {predicate: column})
             tables.append(made)

@@ -253,6 +253,7 @@ class PatternSolver:
         self._version: int | None = None
         self._expanded: tuple[int, int] | None = None
         self._expansion: tuple[NDArray[np.int64], ...] = ()
+        self._expanded_sorts: list[Named] = []
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_joins": None}
@@ -294,13 +295,15 @@ class PatternSolver:
         if state != self._expanded:
             self._expanded = state
             starts, facts = [0], []
+            self._expanded_sorts = []
             for sort in self.rows.sorts:
                 for window, graph in enumerate(self.rows.windows):
                     slot = self.rows.slots.get(Slot(graph, RDF_TYPE))
                     if slot is not None:
                         names = sorted(self.static.supersorts(sort))
-                        ids = self.static.terms.dictionary.ids(map(NamedNode, names))
-                        facts += [(window, slot, int(id)) for id in ids]
+                        named = Named(self.static.terms.dictionary, map(NamedNode, names))
+                        self._expanded_sorts.append(named)
+                        facts += [(window, slot, int(id)) for id in named.ids]
                 starts.append(len(facts))
             table = np.array(facts, np.int64).reshape(-1, 3)
             self._expansion = (

@@ -30,11 +30,13 @@ from .relational import OBJECT, PREDICATE, SUBJECT, pairs_of
 
 
 class StaticSide:
-    """The background's triples in columns: each scan made once a version of the background."""
+    """The background's triples in columns: each scan made once a version of the background, and
+    its terms held as long."""
 
     def __init__(self, background: Background, terms: TermValues) -> None:
         self.background = background
         self.terms = terms
+        terms.dictionary.hold(self)
         self._version: int | None = None
         self._pairs: dict[Scan | TypeScan, Pairs] = {}
         self._triples: dict[str, Relation] = {}
@@ -53,12 +55,12 @@ class StaticSide:
                 scan.graph,
             )
             dictionary = self.terms.dictionary
-            subjects = dictionary.ids(subject for subject, _ in rows)
+            subjects = dictionary.transient_ids(subject for subject, _ in rows)
             if isinstance(object, Const):
-                kind, value = split_term(object.term, dictionary.id)
+                kind, value = split_term(object.term, dictionary.transient_id)
                 objects = ObjectColumn(kind, np.full(len(rows), value, kind.dtype))
             else:
-                objects = term_column([object for _, object in rows], dictionary.id)
+                objects = term_column([object for _, object in rows], dictionary.transient_id)
             found = self._pairs[scan] = (ObjectColumn(Kind.TERM, subjects), objects)
         return found
 
@@ -70,12 +72,21 @@ class StaticSide:
             rows = [row for row in self.background.triples(graph) if row[1] != RDF_TYPE]
             dictionary = self.terms.dictionary
             columns = {
-                SUBJECT: ObjectColumn(Kind.TERM, dictionary.ids(s for s, _, _ in rows)),
-                PREDICATE: ObjectColumn(Kind.TERM, dictionary.ids(p for _, p, _ in rows)),
-                OBJECT: term_column([o for _, _, o in rows], dictionary.id),
+                SUBJECT: ObjectColumn(Kind.TERM, dictionary.transient_ids(s for s, _, _ in rows)),
+                PREDICATE: ObjectColumn(
+                    Kind.TERM, dictionary.transient_ids(p for _, p, _ in rows)
+                ),
+                OBJECT: term_column([o for _, _, o in rows], dictionary.transient_id),
             }
             found = self._triples[graph] = Relation(columns, len(rows))
         return found
+
+    def held(self) -> Iterator[NDArray[np.int32]]:
+        """See `dictionary.Holder`."""
+        for pair in list(self._pairs.values()):
+            yield from (column.held for column in pair)
+        for relation in list(self._triples.values()):
+            yield from (column.held for column in relation.columns.values())
 
     def _follow(self) -> None:
         version = self.background.version
@@ -180,7 +191,7 @@ class WindowSource(ABC):
         if isinstance(scan, AnyScan):
             return self.static.triples(scan.graph)
         subjects, objects = self.static.pairs(Scan(Var("s"), scan.predicate, Var("o"), scan.graph))
-        predicate = self.static.terms.dictionary.id(scan.predicate)
+        predicate = self.static.terms.dictionary.transient_id(scan.predicate)
         columns = {SUBJECT: subjects, PREDICATE: _constant(predicate, len(subjects))}
         return Relation({**columns, OBJECT: objects}, len(subjects))
 
@@ -219,7 +230,7 @@ class WindowSource(ABC):
                 term = NamedNode(name)
                 if isinstance(scan.sort, Const) and scan.sort.term != term:
                     continue
-                objects = np.full(len(subjects), dictionary.id(term), np.int32)
+                objects = np.full(len(subjects), dictionary.transient_id(term), np.int32)
                 yield ObjectColumn(Kind.TERM, subjects), ObjectColumn(Kind.TERM, objects)
 
 

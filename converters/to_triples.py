@@ -158,7 +158,12 @@ class _Subject:
     constant: Named | None
     field: str | None
     names: ObjectTable
-    sort: int | None
+    named_sort: Named | None
+
+    @property
+    def sort(self) -> int | None:
+        """The id of the sort that what it names is of."""
+        return None if self.named_sort is None else int(self.named_sort.ids[0])
 
     @classmethod
     def compile(
@@ -186,7 +191,7 @@ class _Subject:
             None if role.object is None else Named(dictionary, [NamedNode(role.object)]),
             role.id_field,
             ObjectTable(dictionary, namespace),
-            None if role.sort is None else dictionary.id(NamedNode(role.sort)),
+            None if role.sort is None else Named(dictionary, [NamedNode(role.sort)]),
         )
 
     def ids(self, batch: SampleBatch) -> tuple[Ids, Mask | None]:

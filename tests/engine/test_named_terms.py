@@ -12,6 +12,7 @@ import pytest
 from dyknow.engine.commands import (
     Annotate,
     DeclareStream,
+    LoadOntology,
     Publish,
     RegisterQuery,
     RemoveQuery,
@@ -113,5 +114,39 @@ def test_objects_of_annotations_and_subscriptions(engine: Engine) -> None:
     come_and_go(1)
     before = terms(engine)
     for number in range(2, 12):
+        come_and_go(number)
+    assert terms(engine) == before
+
+
+@pytest.mark.parametrize(
+    "pattern",
+    ["?o a dyknow:UAV ; dyknow:speed ?v", "?s ?p ?o", "?o <http://x/p> ?x", "?o a ?c . ?c ?p ?x"],
+)
+def test_individuals_sorts_and_predicates_of_ontologies_and_annotations(
+    engine: Engine, pattern: str
+) -> None:
+    def come_and_go(number: int) -> None:
+        sort = f"dyknow:Sort{number}"
+        turtle = f"""@prefix : <http://www.dyknow.eu/ontology#> .
+            @prefix rdfs: <http://www.w3.org/2000/01/rdf-schema#> .
+            @prefix owl: <http://www.w3.org/2002/07/owl#> .
+            @prefix dyknow: <http://www.ida.liu.se/dyknow/> .
+            {sort} a owl:Class ; rdfs:subClassOf dyknow:UAV .
+            dyknow:feature{number} a owl:DatatypeProperty, :Feature ; rdfs:domain {sort} ."""
+        for k in range(20):
+            one = f"http://x/{number}.{k}"
+            turtle += f"<{one}> a dyknow:UAV, {sort} ; <http://x/p> 'is {one}', <{one}> ."
+        LoadOntology(turtle, "http://x/ontology").apply(engine)
+        name = f"n{number}"
+        DeclareStream(StreamDeclaration(name, FIELDS)).apply(engine)
+        said = f"feature{number}(Sort{number}) = v"
+        Annotate(f"stream {name} contains {said} for every Sort{number} = id").apply(engine)
+        ask(engine, number, f"SELECT * WHERE {{{{ {pattern} }}}}")
+        RemoveStream(name).apply(engine)
+
+    for number in (1, 2):
+        come_and_go(number)
+    before = terms(engine)
+    for number in range(3, 9):
         come_and_go(number)
     assert terms(engine) == before
