@@ -73,9 +73,7 @@ class StaticSide:
             dictionary = self.terms.dictionary
             columns = {
                 SUBJECT: ObjectColumn(Kind.TERM, dictionary.transient_ids(s for s, _, _ in rows)),
-                PREDICATE: ObjectColumn(
-                    Kind.TERM, dictionary.transient_ids(p for _, p, _ in rows)
-                ),
+                PREDICATE: ObjectColumn(Kind.TERM, dictionary.transient_ids(p for _, p, _ in rows)),
                 OBJECT: term_column([o for _, _, o in rows], dictionary.transient_id),
             }
             found = self._triples[graph] = Relation(columns, len(rows))

@@ -9,7 +9,6 @@ protocols are made with bounds (service/protocols), and connections are looked a
 
 from __future__ import annotations
 
-import ipaddress
 import secrets
 from collections import Counter
 from collections.abc import Callable, Iterable
@@ -131,18 +130,6 @@ class _Idle:
     begun: float
     left: int
     since: float
-
-
-def address_of(peer: Any) -> str:
-    """What counts as one client: an address, of IPv6 the network of 64 bits that one is given."""
-    if not isinstance(peer, tuple):
-        return ""
-    address = ipaddress.ip_address(str(peer[0]).partition("%")[0])
-    if isinstance(address, ipaddress.IPv6Address):
-        if address.ipv4_mapped is None:
-            return str(ipaddress.IPv6Network((address, 64), strict=False))
-        address = address.ipv4_mapped
-    return str(address)
 
 
 def encoded(problem: Problem, id: str) -> bytes:

@@ -15,6 +15,7 @@ from typing import Protocol
 from starlette.requests import Request
 from starlette.types import Message, Send
 
+from .addresses import network_of
 from .problems import Problem
 from .tokens import Caller, Scope, Tokens
 
@@ -35,7 +36,7 @@ OPEN = Tokens()
 
 def address_of(request: Request) -> str:
     """Who is counted together where nothing tells clients apart but where they come from."""
-    return request.client.host if request.client else ""
+    return network_of(request.client.host) if request.client else ""
 
 
 class EventClient:

@@ -11,6 +11,8 @@ from .logs import log
 
 CALM = 10.0
 """Seconds without a failure after which something works again."""
+MOST_REASONS = 16
+"""So many reasons of one failure are told: they may name what is never the same."""
 
 
 @dataclass(slots=True)
@@ -30,10 +32,10 @@ class Failures:
         self._failures: dict[str, _Failure] = {}
 
     def failed(self, what: str, reason: str) -> None:
-        """``what`` has failed: each reason is told once."""
+        """``what`` has failed: each reason is told once, the first `MOST_REASONS`."""
         found = self._failures.setdefault(what, _Failure(0.0))
         found.last, found.works = self._clock(), False
-        if reason not in found.reasons:
+        if reason not in found.reasons and len(found.reasons) < MOST_REASONS:
             found.reasons.add(reason)
             log().error(f"{what} failed", reason=reason)
 

@@ -13,7 +13,8 @@ from typing import Any
 from uvicorn.protocols.http.auto import AutoHTTPProtocol
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-from .bounds import Bounds, address_of
+from .addresses import network_of
+from .bounds import Bounds
 from .problems import Problem
 
 HEAD_LIMIT = 64 * 1024
@@ -46,7 +47,8 @@ class Bounded(AutoHTTPProtocol):  # type: ignore[misc, valid-type]
 
     def connection_made(self, transport: Any) -> None:
         """Admit the connection, or say why not."""
-        address = address_of(transport.get_extra_info("peername"))
+        peer = transport.get_extra_info("peername")
+        address = network_of(str(peer[0])) if isinstance(peer, tuple) else ""
         reason = self._bounds.admit(address)
         if reason is None:
             self._address = address

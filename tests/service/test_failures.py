@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from dyknow.service.failures import CALM, Failures
+from dyknow.service.failures import CALM, MOST_REASONS, Failures
 
 
 class Clock:
@@ -56,3 +56,12 @@ def test_each_reason_is_told_once(caplog: pytest.LogCaptureFixture) -> None:
         ("journal failed", "the disk fails"),
         ("checkpoint failed", "no room"),
     ]
+
+
+def test_reasons_that_are_never_the_same_are_not_told_without_end(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    failures = Failures(Clock())
+    for number in range(3 * MOST_REASONS):
+        failures.failed("checkpoint", f"no room for object {number}")
+    assert len(caplog.records) == MOST_REASONS

@@ -18,7 +18,7 @@ from waiting import until
 from dyknow.engine.engine import Engine
 from dyknow.service import protocols, slow_bodies
 from dyknow.service.app import create_app
-from dyknow.service.bounds import Bounds, address_of
+from dyknow.service.bounds import Bounds
 from dyknow.service.protocols import HEAD_LIMIT, REFUSED, TRAILERS
 from dyknow.service.server import running
 from dyknow.service.settings import Settings
@@ -491,15 +491,6 @@ def test_a_bound_that_is_reached_is_counted(url: str) -> None:
         assert httpx.get(f"{url}/healthz", trust_env=False).status_code == 503
     until(lambda: is_heard(url))
     assert "too many connections" in httpx.get(f"{url}/metrics", trust_env=False).text
-
-
-def test_what_counts_as_one_client() -> None:
-    assert address_of(("192.0.2.1", 1)) == "192.0.2.1"
-    assert address_of(("::ffff:192.0.2.1", 1, 0, 0)) == "192.0.2.1"
-    one, two = (address_of((f"2001:db8::{i}", 1, 0, 0)) for i in (1, 2))
-    assert one == two != address_of(("2001:db8:0:1::1", 1, 0, 0))
-    assert address_of(("fe80::1%eth0", 1, 0, 2)) == "fe80::/64"
-    assert address_of("") == ""
 
 
 def test_bounds_count_what_is_there() -> None:
