@@ -57,7 +57,7 @@ class SortFacts:
         return ids
 
     def held(self) -> Iterator[Ids]:
-        """The ids that the panes are about; those of the static side are pinned."""
+        """The ids that the panes are about; `StaticSide` holds its own."""
         return (ids for _, ids in self._panes)
 
     def evict(self, until: int) -> list[Ids]:

@@ -84,7 +84,7 @@ def samples_of_table(
     times = Counter(names)
     if not schema.fields and len(times) == len(names):
         if limits is not None:
-            limits.check_fields(len(times) - sum(name in times for name in TIME_FIELDS))
+            limits.check_fields([name for name in times if name not in TIME_FIELDS])
         own = [(name, table.column(name).type) for name in names if name not in TIME_FIELDS]
         schema = Schema(tuple(Field(name, arrow_field_type(name, type)) for name, type in own))
     check_names(schema)

@@ -16,7 +16,15 @@ from numpy.typing import NDArray
 
 from ..languages.attached import attached
 from ..streams.pauses import STRAIGHT, Pauses
-from ..streams.sample import Column, Field, FieldType, Mask, SampleBatch, Schema, Times
+from ..streams.sample import (
+    Column,
+    Field,
+    FieldType,
+    Mask,
+    SampleBatch,
+    Schema,
+    Times,
+)
 from ..streams.strings import StringPool
 from .bad_lines import NO_JSON, PYTHON_TYPES, first_bad, key_twice
 from .errors import WireError
@@ -162,16 +170,26 @@ def _one_a_line(part: Part, samples: int) -> bool:
 
 @attached
 def _decoder(schema: Schema) -> Any:
-    """A decoder compiled for the schema; field ``f<i>`` holds the i-th field."""
+    """A decoder compiled for the schema; field ``f<i>`` holds the i-th field.
+
+    Raises `WireError` for names that are spelled otherwise in JSON: units may say such fields, and
+    once they could be declared.
+    """
     fields: list[Any] = [
         (f"f{i}", PYTHON_TYPES[field.type] | None) for i, field in enumerate(schema.fields)
     ]
     fields.append(("valid", str | int))
     fields.append(("available", str | int | msgspec.UnsetType, msgspec.UNSET))
     wire_names = {f"f{i}": field.name for i, field in enumerate(schema.fields)}
-    sample = msgspec.defstruct(
-        "Sample", fields, rename=wire_names, forbid_unknown_fields=True, gc=False
-    )
+    try:
+        sample = msgspec.defstruct(
+            "Sample", fields, rename=wire_names, forbid_unknown_fields=True, gc=False
+        )
+    except ValueError as error:
+        hint = "send Arrow, or declare it with other names"
+        raise WireError(
+            None, f"no samples of this stream are read from JSON: {error}", hint
+        ) from None
     return msgspec.json.Decoder(sample)
 
 

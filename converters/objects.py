@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pyoxigraph import NamedNode
 
-from ..rdf.dictionary import NO_TERM, Ids, Term, TermDictionary, TermTable
+from ..rdf.dictionary import NO_TERM, Ids, Kept, Term, TermDictionary, TermTable
 from ..rdf.namespaces import PREFIXES
 from ..streams.sample import Column, Mask
 from .term_tables import PoolTable
@@ -83,8 +83,8 @@ class ObjectTable(TermTable):
     """Term ids of the objects that a field names: a table that follows the field's pool, or the
     integers that have come.
 
-    ``pinned``: they stay for good, for who keeps them in places that nobody asks; else as long as
-    they are held, and the table forgets them then.
+    ``keeps``: they stay as long as the table does, for who keeps them in places that nobody asks;
+    else as long as they are held, and the table forgets them then.
 
     Law (tests/laws): each row has the id that `of_name` gives its name; a name met before adds
     nothing. Cost: one gather a batch (a binary search for integers that are not small), and once
@@ -92,8 +92,9 @@ class ObjectTable(TermTable):
     integer, 12 a large one.
     """
 
-    def __init__(self, dictionary: TermDictionary, namespace: str, *, pinned: bool = False) -> None:
-        self.of_name = _Interning(dictionary.id if pinned else dictionary.transient_id, namespace)
+    def __init__(self, dictionary: TermDictionary, namespace: str, *, keeps: bool = False) -> None:
+        intern = Kept(dictionary).id if keeps else dictionary.transient_id
+        self.of_name = _Interning(intern, namespace)
         """The term id of the object that is called so."""
         self._texts = PoolTable(self.of_name, dictionary)
         self._small: Ids = np.empty(0, np.int32)

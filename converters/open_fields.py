@@ -33,7 +33,7 @@ def decided_by(
         if types is None and rows:
             types = {name: set() for name in rows[0] if name not in TIME_FIELDS}
             if limits is not None:
-                limits.check_fields(len(types))
+                limits.check_fields(types)
         for name, found in (types or {}).items():
             found.update(type(row.get(name)) for row in rows)
         pauses.breathe()

@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import msgspec
 import numpy as np
 
 from ..streams.pauses import Pauses, slices
-from ..streams.sample import TIME_FIELDS, Column, Field, FieldType, Mask, SampleBatch, Schema, Times
+from ..streams.sample import (
+    TIME_FIELDS,
+    Column,
+    Field,
+    FieldType,
+    Mask,
+    SampleBatch,
+    Schema,
+    Times,
+    check_field_name,
+)
 from ..streams.strings import Codes, StringPool
 from ..streams.time import TIME_MIN, format_time, parse_time
 from .errors import WireError
@@ -47,12 +57,17 @@ class BatchLimits:
                 line, f"a batch has at most {self.samples} samples", "send several batches"
             )
 
-    def check_fields(self, count: int) -> None:
-        """Raises `WireError` for more fields of an open stream."""
-        if count > self.fields:
+    def check_fields(self, names: Collection[str]) -> None:
+        """Raises `WireError` for more fields of an open stream, and for what none can be called."""
+        if len(names) > self.fields:
             raise WireError(
                 None, f"a sample has at most {self.fields} fields", "publish to several streams"
             )
+        for name in names:
+            try:
+                check_field_name(name)
+            except ValueError as error:
+                raise WireError(None, str(error), "give it another name") from None
 
     def too_long(self, line: int, field: str, size: int) -> WireError:
         """What is said of a text of ``size`` bytes."""

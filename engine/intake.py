@@ -46,6 +46,20 @@ class Intake:
     ) -> int:
         """See `Engine.publish`."""
         generator = self.accepting(name)
+        try:
+            return self._publish(generator, incoming, now, idempotency_key, digest)
+        finally:
+            # Its texts are in the pools of the stream, also where nothing comes of the batch.
+            generator.forget_texts()
+
+    def _publish(
+        self,
+        generator: StreamGenerator,
+        incoming: Incoming,
+        now: int,
+        idempotency_key: str | None,
+        digest: bytes,
+    ) -> int:
         name = generator.name
         key = (name, idempotency_key or "")
         if idempotency_key is not None and key in self._keys:

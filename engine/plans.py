@@ -290,7 +290,7 @@ class Plans:
             keys=keys,
             id_fields=id_fields,
             objects=lambda source: ObjectTable(
-                self._dictionary, namespaces[source.name], pinned=True
+                self._dictionary, namespaces[source.name], keeps=True
             ),
         )
 

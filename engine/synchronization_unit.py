@@ -41,7 +41,7 @@ class SynchronizationUnit(ComputationalUnit):
 
     ``keys`` are the id fields of each input; none: it is about one object that stands for all. All
     keyed inputs have as many, in the same order of roles. Who is the same object says ``objects``,
-    which gives a table of an input's names, pinned in one dictionary: an object is the same however
+    which gives a table of an input's names that keeps them: an object is the same however
     its id is spelled in different streams. ``id_fields`` are pairs (id field of the first
     keyed input, field of the output); there an id is spelled as in that input. The output has the
     schema and pools of `schema_of`, or is open and gets them.

@@ -74,6 +74,31 @@ class Named:
         return (self.ids,)
 
 
+class Kept:
+    """Who keeps ids in places that nobody asks (keys inside kernels) has them from here: the terms
+    stay as long as this does. Memory: a byte an id of the dictionary."""
+
+    __slots__ = ("__weakref__", "_dictionary", "_has")
+
+    def __init__(self, dictionary: TermDictionary) -> None:
+        self._dictionary = dictionary
+        self._has = bytearray()
+        """By id whether it was given."""
+        dictionary.hold(self)
+
+    def id(self, term: Term) -> int:
+        """The id of ``term``, given now if it is new."""
+        found = self._dictionary.transient_id(term)
+        if found >= len(self._has):
+            self._has.extend(bytes(max(found + 1 - len(self._has), len(self._has))))
+        self._has[found] = 1
+        return found
+
+    def held(self) -> Sequence[NDArray[Any]]:
+        """See `Holder`."""
+        return (np.flatnonzero(np.frombuffer(bytes(self._has), np.uint8)),)
+
+
 class TermDictionary:
     """Distinct terms by small integers.
 

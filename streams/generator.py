@@ -416,12 +416,14 @@ class StreamGenerator:
             receiver.receive(self, batch)
         for listener in tuple(self._listeners):
             listener.receive(self, batch)
-        if not any(receiver.knows_codes for receiver in self._receivers):
-            self._forget_texts()
+        self.forget_texts()
         self._announce(int(batch.available[-1]))
 
-    def _forget_texts(self) -> None:
-        """Texts that nothing kept or held back has. Contract: no receiver knows codes."""
+    def forget_texts(self) -> None:
+        """Forget texts that nothing kept or held back has, where most are of that kind and no
+        receiver knows codes. Cost: O(receivers), and what `FluentStream.forget_texts` costs."""
+        if any(receiver.knows_codes for receiver in self._receivers):
+            return
         held = 0 if self._pending is None else len(self._pending)
         if self.stream.forget_texts(held) and self._pending is not None:
             self._pending = self.stream.encoded(self._pending)

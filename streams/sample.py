@@ -7,6 +7,7 @@ field. `no_value` is a set bit in a column's null mask. `no_sample` is the absen
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -72,6 +73,19 @@ class Field:
 
 LONGEST_NAME = 200
 """Characters of a name that people give: to a stream, a field, an object of an annotation."""
+IN_FIELD_NAMES = r'[^"\\\x00-\x1f]'
+"""What the name of a field is made of: in JSON it is spelled as it is."""
+_FIELD_NAME = re.compile(f"{IN_FIELD_NAMES}{{1,{LONGEST_NAME}}}")
+
+
+def check_field_name(name: str) -> None:
+    """Raises `ValueError` for what a field cannot be called."""
+    if not _FIELD_NAME.fullmatch(name):
+        told = repr(name if len(name) <= LONGEST_NAME else f"{name[:LONGEST_NAME]}…")
+        raise ValueError(
+            f"a field cannot be called {told}: a name has 1 to {LONGEST_NAME} characters, and no "
+            "quotation marks, backslashes and control characters"
+        )
 
 
 @dataclass(frozen=True, slots=True, weakref_slot=True)

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections import Counter
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, BeforeValidator, Field, field_validator
+from pydantic import AfterValidator, BaseModel, BeforeValidator, Field, field_validator
 
 from ...engine import views
 from ...rdf.namespaces import DYKNOW
 from ...streams import fluent, sample
-from ...streams.sample import TIME_FIELDS
+from ...streams.sample import IN_FIELD_NAMES, LONGEST_NAME, TIME_FIELDS, check_field_name
 from ...streams.time import format_duration
-from .parts import Body, Duration, Name, iso, signed
+from .parts import Body, Duration, iso, signed
 
 _TYPES = {
     "double": "float",
@@ -36,6 +36,11 @@ def _fields(value: object) -> object:
     return value
 
 
+def _field_name(name: str) -> str:
+    check_field_name(name)
+    return name
+
+
 def _retention(value: object) -> object:
     return {"samples": value} if isinstance(value, int) and not isinstance(value, bool) else value
 
@@ -43,8 +48,24 @@ def _retention(value: object) -> object:
 class FieldModel(Body):
     """A named value of a stream's samples."""
 
-    name: Name
+    name: str
     type: Annotated[Literal["float", "integer", "boolean", "string"], BeforeValidator(_type)]
+
+
+class FieldIn(FieldModel):
+    """A named value of the samples of a stream that is declared."""
+
+    name: Annotated[
+        str,
+        AfterValidator(_field_name),
+        Field(
+            json_schema_extra={
+                "minLength": 1,
+                "maxLength": LONGEST_NAME,
+                "pattern": f"^{IN_FIELD_NAMES}+$",
+            }
+        ),
+    ]
 
 
 class RetentionModel(Body):
@@ -60,7 +81,7 @@ class StreamIn(Body):
 
     @field_validator("fields")
     @classmethod
-    def _tell_apart(cls, fields: list[FieldModel]) -> list[FieldModel]:
+    def _tell_apart(cls, fields: list[FieldIn]) -> list[FieldIn]:
         for name, count in Counter(field.name for field in fields).items():
             if name in TIME_FIELDS:
                 raise ValueError(f"a field cannot be called {name!r}: that is a sample's time")
@@ -68,7 +89,7 @@ class StreamIn(Body):
                 raise ValueError(f"the field {name!r} is there twice")
         return fields
 
-    fields: Annotated[list[FieldModel], BeforeValidator(_fields)] = Field(
+    fields: Annotated[list[FieldIn], BeforeValidator(_fields)] = Field(
         min_length=1,
         max_length=1000,
         description="a list of names and types; an object of name: type will do",

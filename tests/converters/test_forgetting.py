@@ -34,10 +34,10 @@ def column(names: list[str], pool: StringPool) -> Column:
     return Column(FieldType.STRING, pool.encode(names), None, pool)
 
 
-@pytest.mark.parametrize("pinned", [False, True])
-def test_names_of_objects_are_found_anew(pinned) -> None:
+@pytest.mark.parametrize("keeps", [False, True])
+def test_names_of_objects_are_found_anew(keeps) -> None:
     dictionary, pool = TermDictionary(), StringPool()
-    table = ObjectTable(dictionary, PLACE, pinned=pinned)
+    table = ObjectTable(dictionary, PLACE, keeps=keeps)
     numbers = np.array([5, 7, 2**40], np.int64)
     for turn in range(6):
         names = [f"o{turn}", "always", f"o{turn - 2}"][:: 1 if turn % 2 else -1]
@@ -53,7 +53,10 @@ def test_names_of_objects_are_found_anew(pinned) -> None:
             NamedNode(f"{PLACE}{number}") for number in more.tolist()
         ]
         dictionary._sweep()
-        assert (dictionary.count > 0) is pinned
+        assert (dictionary.count > 0) is keeps
+    del table
+    dictionary._sweep()
+    assert not dictionary.count
 
 
 def whole(values) -> Column:

@@ -12,7 +12,9 @@ from hypothesis import strategies as st
 from sweeping import texts_at_every_chance
 
 from dyknow.converters.ndjson import decode_ndjson
+from dyknow.engine.commands import Publish
 from dyknow.engine.engine import Engine
+from dyknow.engine.errors import Conflict
 from dyknow.engine.views import StreamDeclaration
 from dyknow.engine.violations import Violations
 from dyknow.streams import fluent
@@ -164,6 +166,30 @@ def test_texts_of_a_stream_that_queries_read_are_forgotten(lateness: int) -> Non
     newest = list(made.generator("s").stream.newest(1).rows())
     assert newest[0][2]["note"].startswith("fresh5")
     assert len(made.generator("most").stream) > 50
+
+
+@pytest.mark.usefixtures("few")
+@pytest.mark.parametrize("why", ["late", "twice", "stamped", "another body for a key"])
+def test_texts_of_what_nothing_comes_of_are_forgotten(why: str) -> None:
+    made = engine(0)
+    others = {"id": "a", "v": 1.0, "lat": None, "lon": None}
+    first = {"valid": 0, "available": 9 * SECOND, "note": "a"} | others
+    Publish("s", "ndjson", json.dumps(first).encode(), 0, "key").apply(made)
+    times = {
+        "late": {"available": 1},
+        "twice": {"available": 9 * SECOND},
+        "stamped": {},
+        "another body for a key": {"available": 10 * SECOND},
+    }
+    key = "key" if why == "another body for a key" else None
+    for number in range(60):
+        same = {"valid": number} | others | times[why]
+        rows = [{"note": f"{number} {k}"} | same for k in range(10)]
+        body = "\n".join(map(json.dumps, rows)).encode()
+        with nullcontext() if why in ("late", "twice") else pytest.raises(Conflict):
+            Publish("s", "ndjson", body, 0, key).apply(made)
+        assert len(made.generator("s").stream.pools["note"]) <= 60
+    assert made.generator("s").counters.used == 1
 
 
 @pytest.mark.usefixtures("few")

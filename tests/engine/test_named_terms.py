@@ -11,6 +11,7 @@ import pytest
 
 from dyknow.engine.commands import (
     Annotate,
+    ApplySpecification,
     DeclareStream,
     LoadOntology,
     Publish,
@@ -24,10 +25,13 @@ from dyknow.engine.commands import (
 )
 from dyknow.engine.engine import Engine
 from dyknow.engine.views import StreamDeclaration
+from dyknow.languages.specification.markup import NAMESPACE
 from dyknow.streams.sample import Field, FieldType
 
 FIELDS = (Field("id", FieldType.STRING), Field("v", FieldType.FLOAT))
 SECOND = 10**9
+SPECIFICATION = f"""<specification xmlns="{NAMESPACE}">
+<insertions>{{}}</insertions><removals>{{}}</removals></specification>"""
 VALUES = " ".join(f"(<http://x/{{0}}.{k}> 'v{{0}}.{k}')" for k in range(20))
 
 
@@ -77,6 +81,10 @@ def ask(engine: Engine, number: int, query: str) -> None:
         "SELECT ?o ?x WHERE {{ ?o dyknow:speed ?v OPTIONAL {{ VALUES (?x ?y) {{ ROWS }} }} }}",
         "SELECT ?o ?x WHERE {{ ?o dyknow:speed ?v OPTIONAL {{ <http://x/{0}> dyknow:speed ?x }} }}",
         "SELECT ?o WHERE {{ ?o dyknow:speed ?v FILTER NOT EXISTS {{ ?o dyknow:speed 'a{0}' }} }}",
+        "SELECT ?o ?x WHERE {{ ?o dyknow:speed ?v OPTIONAL {{ ?o <http://x/{0}> ?x }} }}",
+        "SELECT ?o ?x WHERE {{ ?o dyknow:speed ?v OPTIONAL {{ ?o <http://x/{0}>+ ?x }} }}",
+        "SELECT ?o ?x WHERE {{ ?o dyknow:speed ?v OPTIONAL {{ ?o a <http://x/{0}>, ?x }} }}",
+        "SELECT ?o WHERE {{ ?o dyknow:speed ?v FILTER NOT EXISTS {{ ?o <http://x/{0}> ?x }} }}",
         "CONSTRUCT {{ ?o <http://p/{0}> <http://o/{0}> }} WHERE {{ ?o dyknow:speed ?v }}",
     ],
 )
@@ -148,5 +156,31 @@ def test_individuals_sorts_and_predicates_of_ontologies_and_annotations(
         come_and_go(number)
     before = terms(engine)
     for number in range(3, 9):
+        come_and_go(number)
+    assert terms(engine) == before
+
+
+def test_objects_that_streams_were_put_together_by(engine: Engine) -> None:
+    Annotate("stream s contains speed(UAV) = v for every UAV = id").apply(engine)
+    DeclareStream(StreamDeclaration("t", FIELDS)).apply(engine)
+    Annotate("stream t contains altitude(UAV) = v for every UAV = id").apply(engine)
+    streams = '<stream name="s"/><stream name="t"/>'
+
+    def come_and_go(number: int) -> None:
+        unit = f'<cu name="both{number}" type="synchronize">{streams}</cu>'
+        ApplySpecification(SPECIFICATION.format(unit, "").encode()).apply(engine)
+        for stream in "st":
+            rows = [{"valid": number, "id": f"u{number}.{k}", "v": 1.0} for k in range(20)]
+            body = "\n".join(map(json.dumps, rows)).encode()
+            Publish(stream, "ndjson", body, number * SECOND).apply(engine)
+            Tick(number * SECOND + 1).apply(engine)
+        assert engine.generator(f"both{number}").stream.last_number >= 19
+        assert terms(engine) >= 20
+        unit = f'<cu name="both{number}"/>'
+        ApplySpecification(SPECIFICATION.format("", unit).encode()).apply(engine)
+
+    come_and_go(1)
+    before = terms(engine)
+    for number in range(2, 6):
         come_and_go(number)
     assert terms(engine) == before

@@ -92,6 +92,7 @@ def test_a_body_is_its_lines_whatever_a_part_is(drawn, size):
 
 
 @given(bodies() | mutated(), SIZES)
+@example((TWO, b'{"valid":1,"available":1,"a\\bb":1}'), 30)
 @LIMITS
 def test_an_open_streams_fields_do_not_depend_on_parts(drawn, size):
     _, data = drawn

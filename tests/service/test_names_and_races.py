@@ -1,9 +1,11 @@
 """Names beyond ASCII, namespaces that are none, and a stream that changes while a body comes."""
 
+import json
 from collections.abc import Iterator
 from urllib.parse import quote
 
 import httpx
+import pyarrow as pa
 import pytest
 
 TEMPLATE = """REGISTER TEMPLATE {name}(?o) COMPUTE EVERY 1s AS
@@ -52,6 +54,30 @@ def test_a_namespace_is_an_iri(http: httpx.Client, namespace: str) -> None:
     assert answer.status_code == 400
     assert "no IRI" in answer.json()["detail"]
     assert http.get("/streams/z").status_code == 404
+
+
+NO_NAMES = ['a"b', "a\\b", "a\bc", "a\0", "", "a" * 201]
+
+
+@pytest.mark.parametrize("name", NO_NAMES)
+def test_what_no_field_is_called(http: httpx.Client, name: str) -> None:
+    """In JSON it would be spelled in another way, which the reader of samples does not know."""
+    answer = http.put("/streams/z", json=fields((name, "float")))
+    assert answer.status_code == 422
+    assert "a field cannot be called" in answer.text
+    http.post("/kpl", content="source Whatever open", headers=TEXT).raise_for_status()
+    table = pa.table({"valid": [1], "available": [1], name: [1.0]})
+    sink = pa.BufferOutputStream()
+    with pa.ipc.new_stream(sink, table.schema) as writer:
+        writer.write_table(table)
+    for kind, body in (
+        (LINES["Content-Type"], json.dumps({"valid": 1, "available": 1, name: 1.0})),
+        ("application/vnd.apache.arrow.stream", sink.getvalue().to_pybytes()),
+    ):
+        answer = http.post("/streams/open/samples", content=body, headers={"Content-Type": kind})
+        assert answer.status_code == 400
+        assert "a field cannot be called" in answer.json()["detail"]
+    assert http.get("/streams/open").json()["fields"] == []
 
 
 def test_samples_fit_the_stream_that_is_there_when_the_body_is_complete(
