@@ -31,6 +31,7 @@ def checked_length(headers: Iterable[tuple[bytes, bytes]]) -> int | None:
             length = int(value) if value.isdigit() else None
         elif name == b"transfer-encoding":
             chunked = True
+            codings.extend(_beside_chunked(value))
         elif name == b"content-type":
             kinds.append(value)
         elif name == b"content-encoding":
@@ -50,6 +51,11 @@ def checked_length(headers: Iterable[tuple[bytes, bytes]]) -> int | None:
     return length
 
 
+def _beside_chunked(value: bytes) -> list[bytes]:
+    """Transfer codings that would have to be undone: the server undoes the chunks alone."""
+    return [coding for coding in value.split(b",") if coding.strip().lower() != b"chunked"]
+
+
 def _check_codings(values: Iterable[bytes]) -> None:
     for coding in b",".join(values).split(b","):
         if coding.strip().lower() not in (b"", b"identity"):
@@ -57,7 +63,7 @@ def _check_codings(values: Iterable[bytes]) -> None:
                 415,
                 "unsupported content encoding",
                 f"bodies are not taken as {coding.strip().decode('latin-1')!r}",
-                hint="send the body as it is, without Content-Encoding",
+                hint="send the body as it is, without Content-Encoding, at most in chunks",
                 headers={"Accept-Encoding": "identity"},
             )
 

@@ -151,7 +151,7 @@ async def _cut_when_gone(client: EventClient, receive: Receive) -> None:
 
 def _bound(transport: asyncio.Transport | None) -> None:
     """Of what the client does not take hold little: nothing is added until all is gone."""
-    if transport is not None:
+    if transport is not None and not transport.is_closing():
         transport.set_write_buffer_limits(high=0)
         peer: socket.socket | None = transport.get_extra_info("socket")
         if peer is not None:

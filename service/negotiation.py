@@ -7,7 +7,7 @@ from codecs import BOM_UTF8
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
-from typing import Any
+from typing import Any, Final
 
 import anyio
 import anyio.to_thread
@@ -43,6 +43,11 @@ ONTOLOGY_FORMATS: dict[str, TextFormat] = {
     NTRIPLES: "ntriples",
 }
 """What an ontology may be written in."""
+LONGEST_JSON: Final = 1 << 20
+"""Bytes of a JSON body. What is larger is samples, ontologies or texts, which have types of their
+own."""
+MOST_VALUES: Final = 10_000
+"""Values of a JSON body: some ten milliseconds of work for who reads and checks them."""
 _SHORT = 1 << 14
 """Bytes of JSON that are read at once: a few hundredths of a millisecond a KiB."""
 _LONG = anyio.CapacityLimiter(1)
@@ -116,9 +121,24 @@ def utf8(body: bytes) -> str:
 
 
 async def read_json(body: bytes) -> Any:
-    """``body`` as JSON. Raises ``ValueError`` (as ``json.loads``), and a 400 `Problem` for an
-    object with a member twice, of which others would take the first. Long ones are read beside the
-    event loop."""
+    """``body`` as JSON. Raises ``ValueError`` (as ``json.loads``), a 400 `Problem` for an object
+    with a member twice, of which others would take the first, and a 413 for more than
+    `LONGEST_JSON` or `MOST_VALUES`. Long ones are read beside the event loop."""
+    if len(body) > LONGEST_JSON:
+        raise Problem(
+            413,
+            "body too large",
+            f"a JSON body has at most {LONGEST_JSON} bytes, and this one {len(body)}",
+            hint="say it in several requests",
+        )
+    # Before it is read: reading, too, is work.
+    if body.count(b",") >= MOST_VALUES:
+        raise Problem(
+            413,
+            "body too large",
+            f"a JSON body has at most {MOST_VALUES} values, told by its commas",
+            hint="say it in several requests",
+        )
     if len(body) <= _SHORT:
         return _json(body)
     return await anyio.to_thread.run_sync(_json, body, limiter=_LONG)

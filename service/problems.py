@@ -35,6 +35,9 @@ REQUEST_ID: Final = "dyknow.request"
 """In the scope of a request: its id, which is in its answer, in the log and in problems."""
 LONGEST = 4000
 """Characters of a text in an error."""
+MOST_TOLD = 100
+"""Of so many values that do not fit is told where they are: an answer is not to be longer than what
+was asked."""
 _NAMES = "urn:dyknow:problem:"
 _REQUESTS = "urn:dyknow:request:"
 
@@ -268,8 +271,8 @@ def written_responses() -> dict[str, dict[str, Any]]:
 
 def _validation(errors: Sequence[Any]) -> Problem:
     details = [
-        {"at": ".".join(str(part) for part in error["loc"]), "problem": error["msg"]}
-        for error in errors
+        {"at": ".".join(str(part) for part in error["loc"])[:LONGEST], "problem": error["msg"]}
+        for error in errors[:MOST_TOLD]
     ]
     first = errors[0]
     if first["type"] == "json_invalid":
@@ -278,6 +281,8 @@ def _validation(errors: Sequence[Any]) -> Problem:
             400, "bad JSON", f"{first['ctx']['error']} at character {position}", errors=details
         )
     text = "; ".join(f"{detail['at']}: {detail['problem']}" for detail in details[:5])
+    if len(errors) > len(details):
+        text += f"; and {len(errors) - 5} more"
     return Problem(422, "values do not fit", text, errors=details)
 
 

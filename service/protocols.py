@@ -101,6 +101,22 @@ class BoundedHttptools(Bounded):
         self._between = 0
         """Bytes since the last ones of the body."""
         self._too_much = False
+        self._answering: Any = None
+        """The cycle whose answer is under way; uvicorn knows the last one that was asked for."""
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Who answers the request of now hears of it, also where others wait in the pipeline:
+        uvicorn tells only the last one, and this one would write on to what is closed."""
+        super().connection_lost(exc)
+        cycle = self._answering
+        if cycle is not None and not cycle.response_complete:
+            cycle.disconnected = True
+            cycle.message_event.set()
+
+    def _start_asgi_task(self, cycle: Any, app: Any) -> None:
+        """Begin an answer."""
+        self._answering = cycle
+        super()._start_asgi_task(cycle, app)
 
     def on_message_begin(self) -> None:
         """A head begins."""

@@ -36,6 +36,8 @@ from .negotiation import EVENT_STREAM, accepted
 from .observe import HEAD
 from .problems import Problem
 
+LONGEST_EPOCH = 64
+"""Characters of an epoch in an id that a client says; the service's own have eight."""
 POSITION = "Dyknow-Position"
 """The header of an answer that says after which id it begins."""
 
@@ -308,7 +310,7 @@ class Feeds:
         if since == "start":
             return Start(stream.first_number, seen=stream.last_number)
         epoch, _, digits = since.rpartition("-")
-        if not epoch or not is_number(digits):
+        if not 0 < len(epoch) <= LONGEST_EPOCH or not is_number(digits):
             raise bad_id(since)
         return self.after(name, epoch, int(digits))
 

@@ -7,13 +7,13 @@ and bytes (`isolation`).
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Final
 from urllib.parse import parse_qsl
 
 from fastapi import APIRouter, Query, Request, Response
 
 from ...ontology.errors import QueryRefused
-from ...ontology.query_guard import check_bounds
+from ...ontology.query_guard import LONGEST_TEXT, check_bounds
 from ..context import Context, Service
 from ..isolation.messages import Failed, Refused, TooMuch, Truth, Written
 from ..isolation.serving import while_connected
@@ -25,6 +25,8 @@ router = APIRouter(tags=["sparql"])
 
 EXAMPLE = """PREFIX dyknow-o: <http://www.dyknow.eu/ontology#>
 SELECT ?name WHERE { ?stream a dyknow-o:Stream ; dyknow-o:hasName ?name }"""
+_LONGEST_FORM: Final = 4 * LONGEST_TEXT
+"""Bytes of a form: encoded, a query takes three times as many at most."""
 TEXT_SCHEMA = {"type": "string", "description": "SELECT, ASK, CONSTRUCT or DESCRIBE"}
 BODY: dict[str, Any] = {
     "requestBody": {
@@ -74,7 +76,15 @@ async def query_by_post(request: Request, service: Context) -> Response:
     """The same, with the query as the body or in a form."""
     kind = content_type(request, (SPARQL_QUERY, FORM))
     parameters = list(request.query_params.multi_items())
-    body = utf8(await request.body())
+    sent = await request.body()
+    if kind == FORM and len(sent) > _LONGEST_FORM:
+        raise Problem(
+            413,
+            "body too large",
+            f"a form has at most {_LONGEST_FORM} bytes, and this one {len(sent)}",
+            hint=f"a query has at most {LONGEST_TEXT}; sent as {SPARQL_QUERY} it is not encoded",
+        )
+    body = utf8(sent)
     if kind == FORM:
         try:
             parameters += parse_qsl(body, keep_blank_values=True, max_num_fields=100)

@@ -59,12 +59,16 @@ def test_every_route_refuses_bodies_that_it_would_misread(http: httpx.Client) ->
             assert answer.json()["hint"]
 
 
-def test_it_is_refused_before_it_is_there(http: httpx.Client, samples: str) -> None:
+@pytest.mark.parametrize(
+    "coding",
+    ["Content-Encoding: gzip\r\nContent-Length: 1000000", "Transfer-Encoding: gzip, chunked"],
+)
+def test_it_is_refused_before_it_is_there(http: httpx.Client, samples: str, coding: str) -> None:
     parts = urlsplit(str(http.base_url))
     with socket.create_connection((parts.hostname, parts.port), timeout=20) as connection:
         connection.sendall(
-            f"POST {samples} HTTP/1.1\r\nHost: localhost\r\nContent-Encoding: gzip\r\n"
-            "Content-Length: 1000000\r\nExpect: 100-continue\r\n\r\n".encode()
+            f"POST {samples} HTTP/1.1\r\nHost: localhost\r\n{coding}\r\n"
+            "Expect: 100-continue\r\n\r\n".encode()
         )
         assert connection.recv(4096).startswith(b"HTTP/1.1 415 ")
 

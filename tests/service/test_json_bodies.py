@@ -9,6 +9,8 @@ from fastapi.routing import APIRoute
 
 from dyknow.engine.engine import Engine
 from dyknow.service.app import RESOURCES, create_app
+from dyknow.service.negotiation import LONGEST_JSON, MOST_VALUES
+from dyknow.service.problems import MOST_TOLD
 from dyknow.service.routes.json_body import JsonRoute
 from dyknow.service.settings import Settings
 
@@ -68,3 +70,36 @@ def test_what_is_no_json_is_told_as_before(http: httpx.Client) -> None:
             answer = http.post(path, content=body, headers=headers)
             assert answer.status_code == 400, (path, body[:10], answer.text)
             assert answer.json()["hint"]
+
+
+@pytest.mark.parametrize("count", [MOST_VALUES + 1, 200_000])
+def test_json_has_so_many_values(http: httpx.Client, count: int) -> None:
+    """Members that nobody knows, each of which would be told; or a list that is one value's."""
+    members = ",".join(f'"{number}":0' for number in range(count))
+    numbers = ",".join(["0"] * count)
+    headers = {"Content-Type": "application/json"}
+    for method, path in json_routes():
+        for body in (f"{{{members}}}", f'{{"fields": [{numbers}]}}'):
+            answer = http.request(method, path, content=body, headers=headers)
+            assert answer.status_code == 413, (method, path, answer.text[:200])
+            assert answer.json()["hint"]
+
+
+def test_json_has_so_many_bytes(http: httpx.Client) -> None:
+    headers = {"Content-Type": "application/json"}
+    body = '{"feature": "' + "a" * (LONGEST_JSON - 15) + '"}'
+    assert len(body) == LONGEST_JSON
+    assert http.post("/match", content=body, headers=headers).status_code != 413
+    answer = http.post("/match", content=body + " ", headers=headers)
+    assert answer.status_code == 413
+    assert str(LONGEST_JSON) in answer.json()["detail"]
+
+
+def test_an_answer_tells_some_of_what_does_not_fit(http: httpx.Client) -> None:
+    members = ",".join(f'"{number}":0' for number in range(MOST_VALUES - 1))
+    answer = http.post(
+        "/match", content=f"{{{members}}}", headers={"Content-Type": "application/json"}
+    )
+    assert answer.status_code == 422
+    assert len(answer.json()["errors"]) == MOST_TOLD
+    assert answer.json()["detail"].endswith(" more")

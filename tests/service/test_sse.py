@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import itertools
+import logging
+import socket
 import time
 from collections.abc import Iterator
+from contextlib import ExitStack
 from typing import Any
 
 import httpx
 import pytest
+from waiting import until
 
 from dyknow.engine.engine import Engine
 from dyknow.service.app import create_app
@@ -136,7 +140,7 @@ def test_a_new_beginning_is_told(client: Client, stream: str, id: str) -> None:
     assert numbers(events) == [1, 2, 3]
 
 
-@pytest.mark.parametrize("id", ["nonsense", "e1-", "-3", "e1-²", "e1-" + "9" * 30])
+@pytest.mark.parametrize("id", ["nonsense", "e1-", "-3", "e1-²", "e1-" + "9" * 30, "e" * 65 + "-1"])
 def test_an_id_that_is_none_is_refused(client: Client, stream: str, id: str) -> None:
     with pytest.raises(ServiceError) as caught:
         take(client.events(stream, since=id), 1)
@@ -307,3 +311,23 @@ def test_who_follows_a_stream_by_another_name_is_woken_after_others_have_left(
         events.close()  # type: ignore[attr-defined]
         while client.status()["clients"]:
             pass
+
+
+@pytest.mark.parametrize("more", ["", "GET /healthz HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"])
+def test_what_is_no_http_ends_an_event_stream_quietly(
+    client: Client, url: str, stream: str, more: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    """With requests behind it, uvicorn told only the last of them that the connection is gone."""
+    host, port = url.removeprefix("http://").split(":")
+    asked = f"GET /streams/{stream}/events HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n".encode()
+    with ExitStack() as stack:
+        for _ in range(8):
+            connection = stack.enter_context(socket.create_connection((host, int(port)), 5))
+            connection.sendall(asked)
+            assert connection.recv(64).startswith(b"HTTP/1.1 200")
+            connection.sendall(more.encode() + b"GET /x HTTP/1.1\r\nHost: a\r\n\0\xff")
+        for number in range(5):
+            client.publish(stream, samples(number * 20, 20))
+    gone = "dyknow_event_stream_clients 0.0"
+    until(lambda: gone in httpx.get(f"{url}/metrics", trust_env=False).text)
+    assert [r.getMessage() for r in caplog.records if r.levelno >= logging.ERROR] == []

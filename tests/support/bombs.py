@@ -12,6 +12,7 @@ SSL: Final = "stream s5 contains speed(UAV) = spd [km.h-1] for every UAV = id"
 TEXT, XML, TURTLE = "text/plain", "application/xml", "text/turtle"
 JSON_LD, RDF_XML, NTRIPLES = "application/ld+json", "application/rdf+xml", "application/n-triples"
 JSON, NDJSON, SPARQL = "application/json", "application/x-ndjson", "application/sparql-query"
+FORM = "application/x-www-form-urlencoded"
 _ONTOLOGY: Final = "/ontologies?name=urn:x:bomb"
 _RDF: Final = "http://www.w3.org/1999/02/22-rdf-syntax-ns#"
 
@@ -106,6 +107,13 @@ def texts() -> Iterator[Bomb]:
         }.items():
             body = f'{{"{key}": {value}}}'
             yield Bomb(f"JSON {name}: {path}", method, path, JSON, body, (400, 422))
+        for count, status in ((9_000, 422), (DEEP, 413), (700_000, 413)):
+            members = ",".join(f'"{number:x}":0' for number in range(count))
+            name = f"JSON with {count:,} members: {path}"
+            yield Bomb(name, method, path, JSON, f"{{{members}}}", (status,))
+    for name, value in {"a sign": "%25", "no sign": "%zz", "a letter": "%41"}.items():
+        body = "query=" + value * 2_600_000
+        yield Bomb(f"form: {name}", "POST", "/sparql", FORM, body, (413,))
     for name, value in {
         "lists": nested("[", "]"),
         "objects": nested('{"a":', "}", "1"),
@@ -124,7 +132,7 @@ def texts() -> Iterator[Bomb]:
         yield Bomb(f"KPL: {name}", "POST", "/kpl", TEXT, body, (400, 413))
     for name, policy in {"brackets": "(" * DEEP, "parts": "sample every 1s, " * 50_000}.items():
         body = json.dumps({"stream": "s5", "policy": policy})
-        yield Bomb(f"policy: {name}", "POST", "/subscriptions", JSON, body, (400, 422))
+        yield Bomb(f"policy: {name}", "POST", "/subscriptions", JSON, body, (400, 413, 422))
     begin = "stream s5 contains speed"
     for name, body in {
         "brackets": begin + nested("(", ")") + " = spd",
