@@ -105,7 +105,7 @@ class DataDirectory:
             )
         if lacks_format(self.path):
             raise JournalDamaged(
-                f"{self.path} has a journal, and format.json is missing",
+                f"{self.path} has a journal, and format.json is missing or damaged",
                 "dyknow check shows what is there; dyknow repair writes it anew",
             )
         if format_of(self.path) is None:
@@ -135,10 +135,15 @@ def write_whole(disk: Disk, path: Path, data: bytes) -> None:
 
 
 def lacks_format(path: Path) -> bool:
-    """Whether what says the format of the data directory ``path`` is gone: it is on the disk before
-    anything else is there."""
-    others = any((path / name).exists() for name in ("journal", "checkpoints"))
-    return others and not (path / "format.json").exists()
+    """Whether what says the format of the data directory ``path`` is gone, or says nothing: it is
+    on the disk before anything else is there. Each file there says its own format, too. Raises
+    `UnknownFormat`."""
+    if not any((path / name).exists() for name in ("journal", "checkpoints")):
+        return False
+    try:
+        return format_of(path) is None
+    except JournalDamaged:
+        return True
 
 
 def format_of(path: Path) -> int | None:

@@ -78,10 +78,11 @@ def inspect(path: Path, program: str, begun_by: BegunBy | None = None) -> Inspec
     Raises `JournalDamaged` where there is none, or its format cannot be read, `UnknownFormat`,
     ``OSError``. Cost: reads all of it.
     """
-    format = format_of(path) if path.is_dir() else None
-    if format is None and lacks_format(path):
+    if lacks_format(path):
         # Its file is gone, the rest is not.
-        format = FORMAT
+        format: int | None = FORMAT
+    else:
+        format = format_of(path) if path.is_dir() else None
     if format is None:
         if not (path / "ontology").is_dir():
             raise JournalDamaged(f"{path} is no data directory", "it has no format.json")
@@ -118,7 +119,7 @@ def _look(
     if refusal is not None and log.damage is None:
         damage.insert(0, refusal)
     if lacks_format(path):
-        damage.insert(0, "format.json is missing")
+        damage.insert(0, "format.json is missing or damaged")
         start = "refuses to start: see dyknow repair"
     elif log.damage is None and refusal is None:
         begun = _begun(log, begun_by) if not sound else None

@@ -45,12 +45,16 @@ def repair(found: Inspection, disk: Disk = DISK) -> Repair:
     sound = [each.position for each in found.checkpoints if each.damage is None]
     first, last = _run(there, sound)
     lost = _lost(found, there, last)
+    aside = []
     if lacks_format(found.path):
+        if (found.path / "format.json").exists():
+            aside.append(_set_aside(disk, found.path / "format.json"))
         write_whole(disk, found.path / "format.json", format_bytes())
     if lost is not None:
         write_whole(disk, found.path / REPAIRED, f"{lost} lost\n".encode())
-    aside = [_set_aside(disk, each.path) for each in found.checkpoints if each.damage is not None]
-    if aside:
+    bad = [_set_aside(disk, each.path) for each in found.checkpoints if each.damage is not None]
+    aside += bad
+    if bad:
         disk.sync_folder(found.path / "checkpoints")
     disk.make_folder(found.path / "checkpoints")
     write_list(found.path / "checkpoints", disk, sound[:KEPT])

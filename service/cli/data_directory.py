@@ -60,7 +60,7 @@ def check(
 def repair(directory: Directory, json: Json = False) -> None:
     """Keep what is good of a damaged data directory, and set the rest aside as *.damaged."""
     try:
-        if format_of(directory) is None and not lacks_format(directory):
+        if not lacks_format(directory) and format_of(directory) is None:
             raise fail(f"{directory} has no format.json: there is nothing to repair")
         lock = locked(directory)
     except JournalError as error:

@@ -3,6 +3,7 @@ alike, and no id is given twice (docs/data-directory.md)."""
 
 import json
 import shutil
+from pathlib import Path
 
 import pytest
 from command_line import run
@@ -182,15 +183,22 @@ def test_a_mark_of_an_earlier_version_is_read_and_made_longer(data):
     assert shown(opened(data))[0] != epoch
 
 
-def test_check_and_start_agree_on_a_missing_format(data):
+@pytest.mark.parametrize(
+    "left", [None, b"", bytes(13), b'{"format":"2"}', b'{"fnrmat":2}', b"\xff"]
+)
+def test_check_and_start_agree_on_a_format_that_is_not_told(data, left):
     epoch, numbers = shown(opened(data))
     (data / "format.json").unlink()
+    if left is not None:
+        (data / "format.json").write_bytes(left)
     found = checked(data)
-    assert found["damage"] == ["format.json is missing"]
+    assert found["damage"] == ["format.json is missing or damaged"]
     assert found["start"].startswith("refuses")
-    with pytest.raises(JournalDamaged, match=r"format\.json is missing"):
+    with pytest.raises(JournalDamaged, match=r"format\.json is missing or damaged"):
         opened(data)
-    assert json.loads(run("repair", data, "--json").stdout)["lost"] is None
+    done = json.loads(run("repair", data, "--json").stdout)
+    assert done["lost"] is None
+    assert [Path(name).read_bytes() for name in done["aside"]] == ([] if left is None else [left])
     checked(data, status=0)
     assert shown(opened(data)) == (epoch, numbers)
 
