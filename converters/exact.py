@@ -16,15 +16,7 @@ from numpy.typing import NDArray
 
 from ..languages.attached import attached
 from ..streams.pauses import STRAIGHT, Pauses
-from ..streams.sample import (
-    Column,
-    Field,
-    FieldType,
-    Mask,
-    SampleBatch,
-    Schema,
-    Times,
-)
+from ..streams.sample import Column, Field, FieldType, Mask, SampleBatch, Schema, Times
 from ..streams.strings import StringPool
 from .bad_lines import NO_JSON, PYTHON_TYPES, first_bad, key_twice
 from .errors import WireError
