@@ -1,8 +1,9 @@
 """Somebody else, in a process of its own: asks a service for small things all the time, and notes
-how long each takes. Used by bombs.py.
+how long each takes. Used by bombs.py, flood.py.
 
 One after the other, without a pause that matters: ``GET /healthz``, ``GET /streams/quiet``, a batch
-of three samples, and the last of these as a server-sent event. Connections are kept.
+of three samples, and the last of these as a server-sent event. Connections are kept. A batch may be
+refused for want of memory: then there is no event.
 """
 
 from __future__ import annotations
@@ -93,13 +94,16 @@ def _ask(address: str, pipe: Connection) -> None:
     waits: list[Wait] = []
     connection = http.client.HTTPConnection(address, timeout=PATIENCE)
 
-    def ask(method: str, path: str, body: bytes | None = None, kind: str = "") -> None:
+    def ask(method: str, path: str, body: bytes | None = None, kind: str = "") -> bool:
         headers = {"Content-Type": kind} if kind else {}
         connection.request(method, path, body, headers)
         answer = connection.getresponse()
         said = answer.read()
+        if answer.status == 503 and b"memory" in said:
+            return False
         if answer.status >= 300:
             raise OSError(f"{path}: {answer.status} {said.decode()}")
+        return True
 
     fields = json.dumps({"fields": {"v": "integer"}}).encode()
     ask("PUT", f"/streams/{STREAM}", fields, "application/json")
@@ -113,10 +117,11 @@ def _ask(address: str, pipe: Connection) -> None:
         told = time.monotonic()
         lines = (json.dumps({"valid": number + each, "v": number + each}) for each in range(3))
         path = f"/streams/{STREAM}/samples"
-        ask("POST", path, "\n".join(lines).encode(), "application/x-ndjson")
+        is_taken = ask("POST", path, "\n".join(lines).encode(), "application/x-ndjson")
         taken = time.monotonic()
-        number += 3
-        events.wait_for(number - 1)
+        if is_taken:
+            number += 3
+            events.wait_for(number - 1)
         moments = (begun, asked, told, told, time.monotonic())
         ends = (asked, told, taken, moments[-1])
         waits += (

@@ -1,8 +1,9 @@
 """Who may do what: the layer that every request passes before anything of it is read.
 
 In this order: a host that is ours, no page from elsewhere (service/origins), a token or session
-with the scope that the route needs (service/tokens, service/scopes), room within the quotas
-(service/quotas). A pure ASGI layer: a small batch of samples must stay cheap.
+with the scope that the route needs (service/tokens, service/scopes), room within the quotas and in
+memory (service/quotas, service/memory). A pure ASGI layer: a small batch of samples must stay
+cheap.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from .event_clients import address_of
+from .memory import Memory
 from .origins import FetchMetadata, Hosts, Origins, Place, is_same
 from .problems import REQUEST_ID, Problem
 from .quotas import Quotas
@@ -58,14 +60,17 @@ class Gate:
     tokens: Tokens
     sessions: Sessions
     quotas: Quotas
+    memory: Memory
     rules: Rules
     hosts: Hosts
     origins: Origins
 
     @classmethod
-    def of(cls, settings: Settings, tokens: Tokens, sessions: Sessions, quotas: Quotas) -> Gate:
+    def of(
+        cls, settings: Settings, tokens: Tokens, sessions: Sessions, quotas: Quotas, memory: Memory
+    ) -> Gate:
         """The gate of a service with these settings."""
-        return cls(tokens, sessions, quotas, Rules(), Hosts(settings), Origins(settings))
+        return cls(tokens, sessions, quotas, memory, Rules(), Hosts(settings), Origins(settings))
 
     def check_page(self, scope: Scope, headers: _Headers) -> Place:
         """Raises a `Problem` for a request to another host, or from a page elsewhere."""
@@ -82,7 +87,7 @@ class Gate:
         return place
 
     def check_caller(self, scope: Scope, headers: _Headers, place: Place) -> None:
-        """Raises a `Problem` where the caller may not do this, or a quota is reached."""
+        """Raises a `Problem` where the caller may not do this, or there is no room for it."""
         rule, parameters = self.rules.find(scope["method"], scope["path"])
         if self.tokens.required and rule.scope is not None:
             caller = self._caller(scope, headers, place)
@@ -92,6 +97,7 @@ class Gate:
             if not caller.may(rule.scope):
                 raise _lacking(caller, rule)
         self.quotas.check(rule.route, parameters)
+        self.memory.check_route(rule.route)
 
     def who(self, scope: Scope) -> Caller | None:
         """Who sends a request that has passed; None if it does not say. Raises a `Problem` for a

@@ -24,6 +24,7 @@ from .isolation.services import Isolation, Windows
 from .keeper import Keeper
 from .live import LiveBodies
 from .logs import log
+from .memory import Memory
 from .metrics import Metrics
 from .observe import Observe
 from .openapi import openapi_schema
@@ -108,7 +109,8 @@ def create_app(
         recorded, engine = engine, engine.engine
         recorded.refused_outside = (problems.Problem,)
     troubles: dict[str, str] = {}
-    keeper = Keeper(engine, recorded, troubles)
+    memory = Memory.of(settings)
+    keeper = Keeper(engine, recorded, troubles, memory)
     clients = EventClients(
         places(settings.sse_clients),
         settings.sse_clients_each,
@@ -131,11 +133,22 @@ def create_app(
         feeds,
         LiveBodies(tokens),
         Decoding(engine, settings.batch_limits),
-        Metrics(engine, feeds, bodies, answers, clock, keeper, isolation, settings.metrics_streams),
+        Metrics(
+            engine,
+            feeds,
+            bodies,
+            answers,
+            clock,
+            keeper,
+            isolation,
+            memory,
+            settings.metrics_streams,
+        ),
         isolation,
         clock(),
-        Gate.of(settings, tokens, Sessions(clock), Quotas(engine, settings)),
+        Gate.of(settings, tokens, Sessions(clock), Quotas(engine, settings), memory),
         keeper,
+        memory,
         troubles,
         client_key=client_key,
     )

@@ -18,6 +18,7 @@ from .garbage import Garbage
 from .isolation.services import Isolation
 from .keeper import Keeper
 from .live import LiveBodies
+from .memory import Memory
 from .metrics import Metrics
 from .settings import Settings
 from .sse import Feeds
@@ -43,6 +44,7 @@ class Service:
     started: int
     gate: Gate
     keeper: Keeper
+    memory: Memory
     troubles: dict[str, str]
     """What keeps the service from being ready, by whom: each puts its own here, and takes it away
     when it is over (`reasons`)."""
@@ -61,6 +63,7 @@ class Service:
         """Why the service is not ready: nothing if it is."""
         # A copy: some are put there and taken away by other threads.
         found = [f"{who}: {what}" for who, what in tuple(self.troubles.items())]
+        found += self.memory.reasons()
         found += self.isolation.reasons()
         if self.warming is not None:
             found += self.warming.reasons()
@@ -100,6 +103,7 @@ class Service:
         """Tell the engine the time, and event stream clients which streams are gone."""
         self.keeper.do(Tick(self.clock()))
         self.feeds.review()
+        self.memory.review()
         if self.garbage is not None:
             self.garbage.review()
 

@@ -16,6 +16,8 @@ HINTS: Final = {
     "conversion failed": "GET /streams/{name} tells the annotation and the fields it is for",
     "internal error": "send it again; who runs the service finds the cause in its log, by instance",
     "journal broken": "send it again later, with the same Idempotency-Key; /readyz tells why",
+    "memory is short": "remove streams or requests that are not needed, keep less history "
+    "(retention), or start the service with a larger DYKNOW_MEMORY_LIMIT; then send it again",
     "no plan": "GET /streams and /transformations tell what there is to build it from",
     "no result yet": "ask again when a window has closed",
     "no tokens": "send requests without logging in: a service without tokens is open",

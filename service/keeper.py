@@ -35,6 +35,7 @@ from .checkpoint_times import CheckpointTimes
 from .failures import Failures
 from .journal_metrics import JournalTimes
 from .logs import log
+from .memory import Memory
 from .settings import Settings
 from .snapshots import CAN, SnapshotError, Snapshots
 
@@ -74,11 +75,17 @@ class Keeper:
     """
 
     def __init__(
-        self, engine: Engine, recorded: RecordedEngine | None, troubles: dict[str, str]
+        self,
+        engine: Engine,
+        recorded: RecordedEngine | None,
+        troubles: dict[str, str],
+        memory: Memory | None = None,
     ) -> None:
+        """Without ``memory`` there is no limit to it."""
         self._engine = engine
         self._recorded = recorded
         self._catching_up = CatchingUp(engine, self._go_on, self.hasten, self._fault)
+        self._memory = memory or Memory()
         self._troubles = troubles
         self._failures = Failures()
         self._audience: Audience | None = None
@@ -175,7 +182,9 @@ class Keeper:
         await self._catching_up.caught_up(stream)
 
     def check_room(self, size: int) -> None:
-        """Before so many bytes are looked at: they can be kept. Raises `JournalError`."""
+        """Before so many bytes are looked at: there is memory for more, and they can be kept.
+        Raises a 503 `Problem`, and `JournalError`."""
+        self._memory.check()
         if self._recorded is None:
             return
         try:

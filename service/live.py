@@ -240,6 +240,7 @@ class LiveTables(LiveSamples):
             incoming = samples_of_table(
                 table, generator.schema, generator.stream.pools, self._limits
             )
+            self._keeper.check_room(table.nbytes)
             body = bytes_of_table(table) if self._keeper.is_recording else b""
             self._publish(incoming, "arrow", body, 1)
         except WireError as error:

@@ -31,6 +31,7 @@ from .isolation.services import Isolation
 from .journal_metrics import JournalState
 from .keeper import Keeper
 from .logs import log
+from .memory import Memory
 from .sse import Feeds
 from .stream_metrics import StreamMetrics
 
@@ -54,6 +55,7 @@ class Metrics:
         clock: Clock,
         keeper: Keeper,
         isolation: Isolation,
+        memory: Memory,
         streams: int,
     ) -> None:
         """``streams``: so many streams and units are told one by one."""
@@ -63,7 +65,7 @@ class Metrics:
         self._journal = JournalState(keeper)
         self._registry = registry = CollectorRegistry()
         ProcessCollector(registry=registry)
-        registry.register(_Service(engine, feeds, bodies, answers))
+        registry.register(_Service(engine, feeds, bodies, answers, memory))
         registry.register(self._journal)
         keeper.times.register(registry)
         registry.register(WorkerMetrics(isolation.pools))
@@ -143,12 +145,18 @@ class _Service(Collector):
     """Reads what the service counts itself at each scrape: nothing is counted twice."""
 
     def __init__(
-        self, engine: Engine, feeds: Feeds, bodies: UnderWay, answers: LongAnswers
+        self,
+        engine: Engine,
+        feeds: Feeds,
+        bodies: UnderWay,
+        answers: LongAnswers,
+        memory: Memory,
     ) -> None:
         self._engine = engine
         self._clients = feeds.all
         self._bodies = bodies
         self._answers = answers
+        self._memory = memory
 
     def describe(self) -> Iterable[Metric]:
         return ()
@@ -173,6 +181,11 @@ class _Service(Collector):
             "dyknow_long_answer_refusals",
             "Long answers for which there was no place, by the limit",
             self._answers.refused,
+        )
+        memory = self._memory
+        yield _gauge("dyknow_memory_limit_bytes", "Memory that the service may take", memory.limit)
+        yield CounterMetricFamily(
+            "dyknow_memory_refusals", "Refused for want of memory", value=memory.refused
         )
         yield _gauge("dyknow_event_stream_clients", "Clients of event streams", len(clients))
         yield _gauge(

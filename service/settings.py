@@ -129,6 +129,9 @@ class Settings(BaseSettings):
     """Seconds for reading an ontology, and as many for what all of them entail."""
     ontology_triples: int = Field(default=100_000, gt=0)
     """Triples that the ontologies may have together, and as many that they may entail."""
+    memory_limit: int | None = Field(default=None, ge=0)
+    """While the service takes so much, what would make it grow is refused with 503 and Retry-After;
+    0 for no limit. None: half of what the machine or container has (service/memory)."""
     worker_memory: int = Field(default=512 * MEBIBYTE, ge=16 * MEBIBYTE)
     """What one worker process may take beside its program."""
     metrics_streams: int = Field(default=1_000, ge=0)
