@@ -250,6 +250,7 @@ def test_every_reason_is_on_the_page(engine: Engine, settings: Settings, clock: 
         for name in ("sparql", "windows"):
             warming.workers(name, service.isolation.pools["sparql"])
     service.isolation.pools["sparql"].failure = "no memory"
+    service.memory.limit = 1
     service.stop()
     service.troubles |= dict.fromkeys((TICK, JOURNAL, CHECKPOINT, ENGINE, SOURCES), "why")
     found = service.reasons()
