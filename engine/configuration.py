@@ -44,6 +44,8 @@ C_SPARQL = "cSparql"
 SELECT_INSTANCE = "selectInstance"
 """The transformation that selects a query's results from those of the queries that share one."""
 AnyUnit = TypeVar("AnyUnit", bound=ComputationalUnit)
+RETENTION = Retention(bytes=256 << 20)
+"""What a stream keeps of which nobody has said how much."""
 _NAMED = 20
 """So many streams are listed when an unknown one is asked for."""
 RESERVED = "dyknow_reserved"
@@ -204,7 +206,7 @@ class Configuration:
             schema,
             lateness=lateness,
             idle=idle,
-            retention=retention,
+            retention=retention or RETENTION,
             pools=pools,
             first=self._removed.pop(name, 0) + 1,
         )

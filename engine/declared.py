@@ -70,7 +70,7 @@ class DeclaredStreams:
         The same declaration again changes nothing. Raises `Conflict` when a stream that has
         samples or subscribers would change, `Refused` for a name that is not the user's to give,
         `BadArguments` for a namespace that is no IRI and for an ``idle`` of nothing. How long a
-        stream may be silent can be changed while it is in use.
+        stream may be silent, and how much it keeps, can be changed while it is in use.
         """
         self.check_stream_name(declaration.name)
         schema = Schema(declaration.fields)
@@ -98,11 +98,15 @@ class DeclaredStreams:
         existing = self._configuration.streams.get(declaration.name)
         if existing is not None and self._declaration(existing) == declaration:
             return existing
-        if existing is not None and replace(self._declaration(existing), idle=None) == replace(
-            declaration, idle=None
+        if existing is not None and self._declaration(existing) == replace(
+            declaration, idle=existing.idle, retention=existing.stream.retention
         ):
-            existing.idle = declaration.idle
-            existing.wake()  # whether it is idle now is judged anew
+            if existing.idle != declaration.idle:
+                existing.idle = declaration.idle
+                existing.wake()  # whether it is idle now is judged anew
+            existing.stream.retention = declaration.retention
+            if existing.late_stream is not None:
+                existing.late_stream.stream.retention = declaration.retention
             self._ontology.set_stream(declaration.name, _declaration_json(declaration))
             return existing
         if existing is not None:
@@ -331,11 +335,12 @@ def _fields_of(annotation: StreamAnnotation) -> Iterator[tuple[str, Role | None]
 
 
 def _declaration_json(declaration: StreamDeclaration) -> str:
+    kept = declaration.retention
     return json.dumps(
         {
             "fields": [[field.name, str(field.type)] for field in declaration.fields],
             "lateness": declaration.lateness,
-            "retention": [declaration.retention.samples, declaration.retention.age],
+            "retention": [kept.samples, kept.age, *([] if kept.bytes is None else [kept.bytes])],
             "namespace": declaration.namespace,
             "idle": declaration.idle,
         }

@@ -92,6 +92,8 @@ class Settings(BaseSettings):
     """How often the engine is told the time."""
     retention_samples: int = Field(default=100_000, gt=0)
     """How many samples of history a stream keeps when its declaration does not say."""
+    retention_bytes: int = Field(default=256 * MEBIBYTE, gt=0)
+    """And how many bytes, when it says neither this nor how many samples."""
     history_limit: int = Field(default=10_000, gt=0)
     """How many samples one history answer holds when the request does not say."""
     sse_cache: int = Field(default=64 * MEBIBYTE, gt=0)

@@ -12,9 +12,10 @@ from operator import attrgetter
 from typing import Final, Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .pauses import Pauses
-from .sample import SampleBatch, Times, concatenate, empty_batch
+from .sample import TIMES_SIZE, SampleBatch, Times, concatenate, empty_batch
 from .sample import Schema as Schema
 from .strings import StringPool
 
@@ -26,21 +27,26 @@ _TEXTS: Final = 4096
 """So many texts of a field are not worth looking for those that are gone."""
 _SHARE: Final = 2
 """Nor are so many a kept sample."""
+_CHARACTERS: Final = 4 << 20
+"""But so many characters of them are, if these are more than `_SHARE` times as many as there were
+when texts that are gone were looked for."""
 _TRIES: Final = 4
 """So often texts are looked for that others have changed meanwhile; then at once."""
 
 
 @dataclass(frozen=True, slots=True)
 class Retention:
-    """How much history a stream keeps: at most ``samples``, at most ``age`` ns of available time.
+    """How much history a stream keeps: at most ``samples``, at most ``age`` ns of available time,
+    at most so many ``bytes`` (`SampleBatch.sizes`).
 
-    ``age`` None keeps any age. Law: with *asked* the number of newest samples that neither limit
-    forbids, ``max(asked, rows of the newest batch)`` samples are kept: never less than asked for,
-    and the newest batch is always there as a whole.
+    None for ``age`` or ``bytes`` keeps any. Law: with *asked* the number of newest samples that no
+    limit forbids, ``max(asked, rows of the newest batch)`` samples are kept: never less than asked
+    for, and the newest batch is always there as a whole.
     """
 
     samples: int = 100_000
     age: int | None = None
+    bytes: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +77,8 @@ class _Run(NamedTuple):
     """The size class: ``_FAN ** size`` to ``_FAN ** (size + 1) - 1`` samples."""
     place: int = 1
     """How many runs of this class stand here in a row, up to this one."""
+    weight: int | None = None
+    """Bytes of all its samples; None: nobody has asked yet."""
 
 
 _FIRST = attrgetter("first")
@@ -102,14 +110,29 @@ class FluentStream:
         first: int = 1,
     ) -> None:
         self.schema = schema
-        self.retention = retention or Retention()
+        self._retention = retention or Retention()
         # Its own: which pool a field has changes, and others change theirs at other times.
         self.pools = dict(pools or {})
         self._runs: list[_Run] = []
-        self._longest = max(_FAN, self.retention.samples // 8)
+        self._longest = max(_FAN, self._retention.samples // 8)
+        self._last_sums: tuple[int, int, NDArray[np.int64]] | None = None
+        self._looked_for: dict[str, int] = {}
+        """Characters of the texts of a field when those that are gone were looked for."""
         self._first = first
         self._next = first
         self._last_available: int | None = None
+
+    @property
+    def retention(self) -> Retention:
+        """How much is kept; less from the moment on when it is told so."""
+        return self._retention
+
+    @retention.setter
+    def retention(self, retention: Retention) -> None:
+        self._retention = retention
+        self._longest = max(_FAN, retention.samples // 8)
+        if self._runs:
+            self._drop(self._next - 1)
 
     def __len__(self) -> int:
         """How many samples are kept."""
@@ -154,15 +177,21 @@ class FluentStream:
 
         Cost: O(1), and O(kept samples) once for as many new texts.
         """
-        found = False
-        for name, pool in self.pools.items():
-            if len(pool) <= max(_TEXTS, _SHARE * (len(self) + held)):
-                continue
-            found = True
+        lost = [name for name, pool in self.pools.items() if self._has_lost(name, pool, held)]
+        for name in lost:
             self.pools[name] = StringPool()
+        if lost:
             for i, run in enumerate(self._runs):
                 self._runs[i] = run._replace(batch=self.encoded(run.batch))
-        return found
+            for name in lost:
+                self._looked_for[name] = self.pools[name].characters
+        return bool(lost)
+
+    def _has_lost(self, name: str, pool: StringPool, held: int) -> bool:
+        """Whether most texts of a field may be gone, by their number or by what they take."""
+        if len(pool) > max(_TEXTS, _SHARE * (len(self) + held)):
+            return True
+        return pool.characters > max(_CHARACTERS, _SHARE * self._looked_for.get(name, 0))
 
     def encoded(self, batch: SampleBatch) -> SampleBatch:
         """``batch`` with its texts in the codes of this stream's pools. Cost: O(columns) where they
@@ -355,19 +384,60 @@ class FluentStream:
                 rows += len(runs[start].batch)
             if rows > self._longest:
                 break
-            parts = [old.batch for old in runs[start:]]
-            run = _run(runs[start].first, concatenate([*parts, run.batch]))
+            parts = [*runs[start:], run]
+            weight = None
+            if (limit := self._retention.bytes) is not None and not self._fits(rows, limit // 8):
+                weight = sum(_weight(part) for part in parts)
+                if weight > limit // 8:
+                    break
+            run = _run(parts[0].first, concatenate([part.batch for part in parts]))
+            run = run._replace(weight=weight)
             del runs[start:]
         if runs and runs[-1].size == run.size:
-            run = _Run(*run[:-1], runs[-1].place + 1)
+            run = run._replace(place=runs[-1].place + 1)
         runs.append(run)
+
+    def _fits(self, count: int, limit: int) -> bool:
+        """Whether so many samples surely have no more than so many bytes: as many as if each of
+        their texts were the longest there is. Cost: O(fields)."""
+        most = TIMES_SIZE
+        for field in self.schema.fields:
+            pool = self.pools.get(field.name)
+            most += field.type.size if pool is None else pool.longest
+        return count * most <= limit
+
+    def _within(self, limit: int) -> int:
+        """The least number from which on the samples have no more than so many bytes. Cost:
+        O(runs), and O(rows) once for each run."""
+        for i in reversed(range(len(self._runs))):
+            run = self._runs[i]
+            weight = run.weight
+            if weight is None:
+                weight = _weight(run)
+                self._runs[i] = run._replace(weight=weight)
+            if weight > limit:
+                fitting = int(self._sums(run).searchsorted(limit, "right"))
+                return run.first + len(run.batch) - fitting
+            limit -= weight
+        return self._first
+
+    def _sums(self, run: _Run) -> NDArray[np.int64]:
+        """Bytes of the last samples of a run: of one, of two … Found once while it is asked for
+        the same run."""
+        known, rows = self._last_sums, len(run.batch)
+        if known is None or known[:2] != (run.first, rows):
+            known = self._last_sums = run.first, rows, np.cumsum(run.batch.sizes()[::-1])
+        return known[2]
 
     def _drop(self, newest: int) -> None:
         """Forget what the retention does not ask for, up to the batch that begins at ``newest``."""
-        kept, last = self.retention, self._last_available
+        kept, last = self._retention, self._last_available
         first = max(self._first, self._next - kept.samples)
         if kept.age is not None and last is not None:
             first = max(first, self._number(last - kept.age, "left"))
+        most = kept.bytes
+        if most is not None and first < newest and not self._fits(self._next - first, most):
+            first = max(first, self._within(most))
         self._first = first = min(first, newest)
         gone = 0
         while gone + 1 < len(self._runs) and self._runs[gone + 1].first <= first:
@@ -392,6 +462,11 @@ def _run(first: int, batch: SampleBatch) -> _Run:
         int(batch.valid.max()),
         (count.bit_length() - 1) // (_FAN.bit_length() - 1),
     )
+
+
+def _weight(run: _Run) -> int:
+    """Bytes of all samples of a run."""
+    return int(run.batch.sizes().sum()) if run.weight is None else run.weight
 
 
 def join_availtimes(*streams: FluentStream) -> Times:

@@ -69,11 +69,13 @@ class FieldIn(FieldModel):
 
 
 class RetentionModel(Body):
-    """How much history is kept: at least so many samples of at most such an age. What is beyond
-    goes in whole batches, as they came."""
+    """How much history is kept: the newest samples, at most so many, of at most such an age, of at
+    most so many bytes; and the newest batch. A sample has 16 bytes for its times, 8 for a number, 1
+    for a boolean, for a text 64 and its characters, four times as many where not all are ASCII."""
 
     samples: int | None = Field(default=None, gt=0, le=100_000_000)
     age: Duration | None = None
+    bytes: int | None = Field(default=None, gt=0, lt=2**63)
 
 
 class StreamIn(Body):
@@ -107,10 +109,13 @@ class StreamIn(Body):
         DYKNOW, min_length=1, description="where the objects of id fields have their names"
     )
 
-    def declaration(self, name: str, samples: int) -> views.StreamDeclaration:
-        """For the engine; ``samples`` is the history kept when the request does not say."""
+    def declaration(self, name: str, usual: fluent.Retention) -> views.StreamDeclaration:
+        """For the engine; ``usual`` is the history kept when the request does not say. Who says how
+        many samples has so many, however large they are."""
         fields = tuple(sample.Field(f.name, sample.FieldType(f.type)) for f in self.fields)
-        kept = fluent.Retention(self.retention.samples or samples, self.retention.age)
+        asked = self.retention
+        most = usual.bytes if asked.bytes is None and asked.samples is None else asked.bytes
+        kept = fluent.Retention(asked.samples or usual.samples, asked.age, most)
         return views.StreamDeclaration(name, fields, self.lateness, kept, self.namespace, self.idle)
 
 
@@ -167,6 +172,7 @@ class StreamModel(BaseModel):
             retention={
                 "samples": view.retention.samples,
                 "age": None if age is None else format_duration(age),
+                "bytes": view.retention.bytes,
             },
             stamped=view.stamped,
             ended=view.ended,

@@ -8,6 +8,7 @@ from fastapi import APIRouter, Depends, Path, Request, Response
 
 from ...engine.commands import DeclareStream, EndStream, RemoveStream, SetQuality
 from ...engine.errors import UnknownStream
+from ...streams.fluent import Retention
 from ...streams.sample import LONGEST_NAME
 from ..context import Context, Service
 from ..listing import listed
@@ -64,11 +65,12 @@ async def declare_stream(
     """Declare a stream. Saying the same again changes nothing.
 
     Other fields are taken while the stream has no samples and no subscribers, else 409; another
-    `idle` at any time.
+    `idle` or `retention` at any time: what is not to be kept any more goes at once.
     """
     known = _known(service, name)
-    samples = service.settings.retention_samples
-    view = await service.do(DeclareStream(declaration.declaration(name, samples)))
+    settings = service.settings
+    kept = Retention(settings.retention_samples, None, settings.retention_bytes)
+    view = await service.do(DeclareStream(declaration.declaration(name, kept)))
     if not known:
         response.status_code = 201
         response.headers["Location"] = f"/streams/{view.name}"

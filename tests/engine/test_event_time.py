@@ -166,6 +166,19 @@ def test_a_declaration_of_before_there_was_idleness(tmp_path):
     say(engine, "trains_late", 1)
 
 
+def test_how_much_is_kept_outlives_a_restart(tmp_path):
+    engine = Engine(tmp_path, epoch="first")
+    for name, kept in (("s", Retention(7)), ("t", Retention(7, SECOND, 1_000))):
+        engine.declare(StreamDeclaration(name, FIELDS, 0, kept))
+    # As an earlier version wrote it, which knew of no bytes.
+    assert json.loads(engine.ontology.streams()["s"])["retention"] == [7, None]
+    del engine
+    gc.collect()
+    engine = Engine(tmp_path, epoch="second")
+    assert engine.stream("s").retention == Retention(7)
+    assert engine.stream("t").retention == Retention(7, SECOND, 1_000)
+
+
 # -- idle streams ----------------------------------------------------------------------------
 
 
@@ -284,8 +297,10 @@ def test_how_long_a_stream_may_be_silent_can_be_changed(engine):
     for idle in (0, -1):
         with pytest.raises(BadArguments, match="longer than nothing"):
             declare(engine, "t", idle=idle)
+    engine.declare(StreamDeclaration("t", FIELDS, 0, Retention(7), idle=SECOND))
+    assert engine.stream("t").retention == Retention(7)
     with pytest.raises(Conflict):
-        engine.declare(StreamDeclaration("t", FIELDS, 0, Retention(7), idle=SECOND))
+        engine.declare(StreamDeclaration("t", FIELDS, 1, Retention(7), idle=SECOND))
 
 
 def test_late_samples_say_that_a_stream_is_not_idle(engine):

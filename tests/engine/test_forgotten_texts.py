@@ -21,7 +21,7 @@ from dyknow.streams import fluent
 from dyknow.streams.fluent import Retention
 from dyknow.streams.generator import StreamGenerator
 from dyknow.streams.policy import Constraint
-from dyknow.streams.sample import Field, FieldType, Schema, batch_from_rows
+from dyknow.streams.sample import Field, FieldType, SampleBatch, Schema, batch_from_rows
 from dyknow.streams.strings import StringPool
 from dyknow.streams.synchronization import Late
 from dyknow.streams.time import SECOND
@@ -218,3 +218,42 @@ def test_samples_that_came_too_late_for_a_state_are_forgotten() -> None:
     assert [values["sample"] for _, _, values in stream.stream.newest(1).rows()] == [
         '{"note":"told299"}'
     ]
+
+
+def test_few_long_texts_are_forgotten_as_many_short_ones_are() -> None:
+    """A pool is looked through when what it takes has doubled, not only when it is long."""
+    schema = Schema((Field("note", FieldType.STRING),))
+    stream = StreamGenerator("s", schema, retention=Retention(10))
+    most = 0
+    for i in range(2_000):
+        note = f"{i:08d}" + "x" * 30_000
+        stream.offer(batch_from_rows(schema, [(i, i, {"note": note})]))
+        most = max(most, len(stream.stream.pools["note"]))
+    # 4 Mi characters.
+    assert 10 < most < 160
+    kept = [values["note"][:8] for _, _, values in stream.stream.all().rows()]
+    assert kept == [f"{i:08d}" for i in range(1_990, 2_000)]
+
+
+def test_texts_that_are_all_kept_are_looked_through_ever_more_seldom(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    schema = Schema((Field("note", FieldType.STRING),))
+    stream = StreamGenerator("s", schema)
+    looks = 0
+    encoded = stream.stream.encoded
+
+    def counted(batch: SampleBatch) -> SampleBatch:
+        nonlocal looks
+        looks += batch.columns["note"].pool is not stream.stream.pools["note"]
+        return encoded(batch)
+
+    monkeypatch.setattr(stream.stream, "encoded", counted)
+    pool = stream.stream.pools.setdefault("note", StringPool())
+    for i in range(1_000):
+        pool = stream.stream.pools["note"]
+        rows = [(i, i, {"note": f"{i:08d}" + "x" * 60_000})]
+        stream.offer(batch_from_rows(schema, rows, {"note": pool}))
+    # 60 million characters: 4 Mi doubled four times, each time with some runs.
+    assert 1 <= looks < 500
+    assert len(stream.stream.pools["note"]) == 1_000

@@ -130,6 +130,91 @@ def test_retention_keeps_what_is_asked_for_and_the_newest_batch(sizes, most, age
         assert stream.first_available == every[-wanted][0]
 
 
+TEXTS = Schema(
+    (
+        Field("v", FieldType.INTEGER),
+        Field("is", FieldType.BOOLEAN),
+        Field("a", FieldType.STRING),
+        Field("b", FieldType.STRING),
+    )
+)
+SOME_TEXT = st.none() | st.sampled_from(["", "a", "é", "aé" * 50, "x" * 400, "x" * 5_000])
+ROWS = st.lists(st.tuples(SOME_TEXT, SOME_TEXT), max_size=40)
+
+
+def bytes_of(values):
+    """What docs/api.md says of the bytes of a sample."""
+    texts = [value or "" for value in (values["a"], values["b"])]
+    return 16 + 8 + 1 + sum(64 + len(t) * (1 if t.isascii() else 4) for t in texts)
+
+
+@given(
+    st.lists(ROWS, max_size=8),
+    st.integers(1, 30),
+    st.none() | st.integers(0, 60),
+    st.integers(1, 1_000) | st.integers(1, 60_000),
+    st.data(),
+)
+@LIMITS
+def test_retention_by_bytes(batches, most, age, size, data):
+    """Also where it is told later that less is kept, and texts are forgotten."""
+    kept = Retention(data.draw(st.sampled_from([most, 10_000])), age, size)
+    generator = StreamGenerator("s", TEXTS, retention=kept)
+    stream = generator.stream
+    every, time = [], 0
+    for number, batch in enumerate(batches):
+        rows = [
+            (time + i, 0, {"v": time, "is": None if i % 3 else True, "a": a, "b": b})
+            for i, (a, b) in enumerate(batch)
+        ]
+        time += len(batch)
+        # Each has pools of its own, as it has when it comes.
+        generator.offer(batch_from_rows(TEXTS, rows))
+        every.extend(rows)
+        asked = newest(every, kept)
+        wanted = max(asked, len(rows))
+        assert list(stream.all().rows()) == every[len(every) - len(stream) :]
+        if rows:
+            assert len(stream) == wanted
+        if number % 3 == 2:
+            kept = Retention(data.draw(st.integers(1, 30)), age, data.draw(st.integers(1, 9_000)))
+            there = len(stream)
+            stream.retention = kept
+            # The newest sample stays, and what has gone does not come back.
+            assert len(stream) == min(max(newest(every, kept), 1), there)
+            every = every[len(every) - len(stream) :]
+
+
+def newest(rows, kept):
+    """How many of the newest no limit forbids."""
+    count, size = 0, 0
+    for available, _, values in reversed(rows):
+        size += bytes_of(values)
+        old = kept.age is not None and available < rows[-1][0] - kept.age
+        if count == kept.samples or size > kept.bytes or old:
+            break
+        count += 1
+    return count
+
+
+@given(st.lists(ROWS, max_size=8), st.integers(1, 60_000))
+@LIMITS
+def test_history_by_bytes_does_not_depend_on_how_it_was_cut(batches, size):
+    rows = [row for batch in batches for row in batch]
+    samples = [(i, 0, {"v": i, "is": True, "a": a, "b": b}) for i, (a, b) in enumerate(rows)]
+    cut, whole = (FluentStream(TEXTS, Retention(bytes=size)) for _ in range(2))
+    at = 0
+    for batch in batches:
+        cut.append(cut.encoded(batch_from_rows(TEXTS, samples[at : at + len(batch)])))
+        at += len(batch)
+    for sample in samples:
+        whole.append(whole.encoded(batch_from_rows(TEXTS, [sample])))
+    # The newest batch is always there as a whole.
+    least = min(len(cut), len(whole))
+    assert len(cut) >= len(whole)
+    assert list(cut.newest(least).rows()) == list(whole.newest(least).rows())
+
+
 @st.composite
 def long_streams(draw):
     """Histories of many batches, mostly of single samples, with the valid times of all sorts."""

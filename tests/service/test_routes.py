@@ -77,7 +77,37 @@ def test_declare_a_stream(http: httpx.Client) -> None:
 def test_fields_as_an_object_and_types_by_other_names(http: httpx.Client) -> None:
     answer = http.put("/streams/s6", json={"fields": {"a": "double", "b": "int"}, "retention": 7})
     assert [field["type"] for field in answer.json()["fields"]] == ["float", "integer"]
-    assert answer.json()["retention"] == {"samples": 7, "age": None}
+    assert answer.json()["retention"] == {"samples": 7, "age": None, "bytes": None}
+
+
+def test_how_much_is_kept(http: httpx.Client, client: Client) -> None:
+    def kept(**retention: Any) -> dict[str, Any]:
+        fields = {"v": "float", "text": "string"}
+        found = client.put_stream("s7", fields, retention=retention)["retention"]
+        assert found == http.get("/streams/s7").json()["retention"]
+        return dict(found)
+
+    usual = {"samples": 100_000, "age": None, "bytes": 256 << 20}
+    assert kept() == usual
+    assert kept(age="1h") == {**usual, "age": "1h"}
+    assert kept(bytes=1_000) == {**usual, "bytes": 1_000}
+    # Who says how many has so many.
+    assert kept(samples=10**7) == {"samples": 10**7, "age": None, "bytes": None}
+    assert kept(samples=5, bytes=300) == {"samples": 5, "age": None, "bytes": 300}
+    # It is changed while the stream is in use, and at once.
+    kept()
+    for i in range(4):
+        client.publish("s7", [{"valid": i, "v": 1.0, "text": "x" * 100}])
+    assert http.get("/streams/s7").json()["kept"] == 4
+    assert kept(bytes=400)["bytes"] == 400
+    found = http.get("/streams/s7").json()
+    assert (found["kept"], found["first"], found["last"]) == (2, 3, 4)
+    assert kept() == usual
+    assert http.get("/streams/s7").json()["kept"] == 2
+    fields = {"v": "float", "text": "string"}
+    for wrong in (0, -1, 2**63, 1.5, "many"):
+        answer = http.put("/streams/s7", json={"fields": fields, "retention": {"bytes": wrong}})
+        assert answer.status_code == 422
 
 
 def test_publish_and_read_back_in_every_format(annotated: httpx.Client) -> None:
