@@ -22,6 +22,7 @@ from dyknow.service.app import create_app
 from dyknow.service.pausing import Pausing
 from dyknow.service.server import running
 from dyknow.service.settings import Settings
+from dyknow.streams import fluent
 from dyknow.streams.fluent import FluentStream, Retention
 from dyknow.streams.time import SECOND
 
@@ -37,6 +38,33 @@ WINDOW [RANGE {}s STEP 1s]"""
 QUERY = """REGISTER QUERY q{0} COMPUTE EVERY 1s AS
 SELECT ?o ?v FROM STREAM <http://www.ida.liu.se/dyknow/s.trdf> [RANGE 3s STEP 1s]
 WHERE {{ ?o dyknow:speed ?v FILTER(?v > {0}) }}"""
+MADE = """REGISTER QUERY made{0} AS SELECT ?o ?name
+FROM STREAM <http://www.ida.liu.se/dyknow/s.trdf> [RANGE 3s STEP 1s]
+WHERE {{ ?o dyknow:speed ?v BIND(IRI(CONCAT("http://x/{0}", STR(?v))) AS ?name) }}"""
+PLACED = """REGISTER QUERY placed{0} AS SELECT ?o ?place
+FROM STREAM <http://www.ida.liu.se/dyknow/s.trdf> [RANGE 3s STEP 1s]
+FROM NAMED <http://example.org/places>
+WHERE {{ ?o dyknow:speed ?v . GRAPH <http://example.org/places> {{ ?place a dyknow:Building }}
+FILTER(?v > {1} && ?place != dyknow:none{0}) }}"""
+PREFIXES = """@prefix : <http://www.dyknow.eu/ontology#> .
+@prefix dyknow: <http://www.ida.liu.se/dyknow/> .
+@prefix owl: <http://www.w3.org/2002/07/owl#> .
+"""
+TRANSFORMATION = """:listed{} a :Transformation ; :hasAnnotation [
+  :hasInputAnnotation [ :describesFeature dyknow:latitude ;
+    :nextSegment [ :hasInputAnnotation [ :describesFeature dyknow:longitude ] ] ] ;
+  :hasOutputAnnotation [ :describesFeature dyknow:speed ; :hasUnit "m.s-1" ] ] ;
+  :hasImplementation [ :hasName "coordinatesToSpeed" ] ."""
+TURTLE = {"content-type": "text/turtle"}
+FOREACH = """sort place = (id string, v float)
+source place all_cars
+source object cars_in_sight
+strmgen positions = all_cars
+strmgen cars = cars_in_sight
+foreach car in cars {
+  strmgen pos[car] = selectObject(positions)
+}
+strmgen places = aggregate(pos[car] foreach car in cars)"""
 NAMESPACE = "http://www.dyknow.eu/ontology#Specification"
 ROUNDS = 48
 OUTSIDE = (TermDictionary, FluentStream, _lru_cache_wrapper, Handler, Server, AbstractEventLoop)
@@ -54,6 +82,8 @@ class Using:
         self._send("PUT", "/streams/s", json=stream(retention={"samples": 20}, lateness="1s"))
         self._send("POST", "/annotations", content=annotation("s"))
         self._send("POST", "/templates", content=TEMPLATE.format("Standing", 5))
+        self._send("PUT", "/streams/all_cars", json=stream(retention={"samples": 20}))
+        self._send("POST", "/kpl", content=FOREACH)
 
     def round(self, number: int) -> None:
         name = f"{number:04}"
@@ -67,6 +97,8 @@ class Using:
         self._subscribe(name)
         self._ask(name)
         self._declare(name)
+        self._say_what_is_known(name)
+        self._see_others(name)
         self._be_refused(name)
 
     def _publish(self, name: str) -> None:
@@ -143,6 +175,41 @@ class Using:
         removed = specification(removals=f'<cu name="slow{name}"/>')
         self._send("POST", "/specifications", content=removed, headers=XML)
 
+    def _say_what_is_known(self, name: str) -> None:
+        """An ontology and a transformation in Turtle, and queries that read what is known."""
+        places = f"dyknow:place{name} a dyknow:Building, owl:NamedIndividual ; dyknow:of{name} 1 ."
+        path = "/ontologies?name=http://example.org/places"
+        self._send("POST", path, content=PREFIXES + places, headers=TURTLE)
+        made = PREFIXES + TRANSFORMATION.format(name)
+        self._send("POST", "/transformations", content=made, headers=TURTLE)
+        for query, called in ((MADE, "made"), (PLACED, "placed")):
+            self._send("POST", "/queries", content=query.format(name, int(name)))
+            self._publish(name)
+            self._send("GET", f"/queries/{called}{name}")
+            self._send("DELETE", f"/queries/{called}{name}")
+        self._send("DELETE", f"/transformations/listed{name}")
+
+    def _see_others(self, name: str) -> None:
+        """Objects of which nobody has heard before come into sight, and those of before go."""
+        seen = [f"car{name}", f"van{name}"]
+        now = {"valid": self._clock.now, "available": self._clock.now}
+        lines = [json.dumps({**now, "value": " ".join(seen)})]
+        self._send("POST", "/streams/cars_in_sight/samples", content=lines[0], headers=NDJSON)
+        lines = [
+            json.dumps(
+                {
+                    "valid": now["valid"] + i,
+                    "available": now["available"] + i,
+                    "id": seen[i % 2],
+                    "v": i,
+                }
+            )
+            for i in range(1, 9)
+        ]
+        body = "\n".join(lines)
+        self._send("POST", "/streams/all_cars/samples", content=body, headers=NDJSON)
+        self._send("GET", "/kpl")
+
     def _be_refused(self, name: str) -> None:
         for path in (f"/{name}", f"/streams/{name}", f"/templates/{name}", f"/events/{name}"):
             self._send("GET", path, 404)
@@ -214,7 +281,9 @@ def test_what_comes_and_goes_leaves_nothing(
     # What is kept of what was is kept of the last: of few, so that these have come soon.
     monkeypatch.setattr(replicas, "MOST", 0)
     monkeypatch.setattr(configuration, "_REMEMBERED", 10)
+    monkeypatch.setattr(configuration, "RETENTION", Retention(samples=20))
     monkeypatch.setattr(intake, "_KEYS_KEPT", 10)
+    monkeypatch.setattr(fluent, "_TEXTS", 10)
     monkeypatch.setattr(engine, "RETENTION", Retention(samples=20))
     app = create_app(engine.Engine(turns=Pausing(5, 60)), settings, clock)
     sizes = []
