@@ -54,7 +54,7 @@ EXAMPLES = [
             "s5",
             (Field("id", FieldType.STRING), Field("spd", FieldType.FLOAT)),
             5_000_000_000,
-            Retention(100, 3_600_000_000_000),
+            Retention(100, 3_600_000_000_000, 1_000_000),
             "http://example.org/",
             30_000_000_000,
         )
@@ -172,13 +172,24 @@ def _plain(value):
     return [_plain(each) for each in value] if isinstance(value, list | tuple) else value
 
 
+def _without_later(told, was):
+    """``told`` without the members of objects that ``was`` lacks and that say nothing."""
+    if not isinstance(told, dict) or not isinstance(was, dict):
+        return told
+    return {
+        key: _without_later(each, was.get(key))
+        for key, each in told.items()
+        if key in was or each is not None
+    }
+
+
 def test_commands_that_were_written_are_read_as_what_they_were():
     lines = _lines()
     for line in lines:
         command = c.read(bytes.fromhex(line["bytes"]))
         told = _plain(msgspec.to_builtins(command, builtin_types=(bytes,)))
-        # Members that came later have their defaults, which are not told but in arrays.
-        assert told == line["is"]
+        # Members that came later have their defaults, which are told in arrays and dataclasses.
+        assert _without_later(told, line["is"]) == line["is"]
     there = {line["bytes"] for line in lines}
     assert {c.written(each).hex() for each in EXAMPLES} <= there
     found = [c.read(bytes.fromhex(line["bytes"])) for line in lines]
