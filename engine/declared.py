@@ -104,9 +104,10 @@ class DeclaredStreams:
             if existing.idle != declaration.idle:
                 existing.idle = declaration.idle
                 existing.wake()  # whether it is idle now is judged anew
-            existing.stream.retention = declaration.retention
-            if existing.late_stream is not None:
-                existing.late_stream.stream.retention = declaration.retention
+            for each in (existing, existing.late_stream):
+                if each is not None and each.stream.retention != declaration.retention:
+                    each.stream.retention = declaration.retention
+                    each.forget_texts()
             self._ontology.set_stream(declaration.name, _declaration_json(declaration))
             return existing
         if existing is not None:

@@ -22,10 +22,10 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext, suppress
-from pathlib import Path
 from typing import Any, Final, NoReturn, TypeVar
 
 from ..engine.checkpoint import CheckpointError
+from .dispensable import be_dispensable
 
 T = TypeVar("T")
 
@@ -35,8 +35,6 @@ _PATIENCE: Final = 300.0
 """Seconds that a copy may take."""
 _NICE: Final = 5
 """It gives way to the service."""
-_DISPENSABLE: Final = "1000"
-"""Where memory is short it is the first that the kernel ends, and not the service."""
 _DIES_WITH_PARENT: Final = 1
 """PR_SET_PDEATHSIG of Linux' prctl(2)."""
 _FREE: Final = nullcontext()
@@ -106,8 +104,7 @@ class Snapshots:
                 signal.signal(each, signal.SIG_IGN)
             gc.disable()
             os.nice(_NICE)
-            with suppress(OSError):  # no /proc: then nobody knows which of the two it will be
-                Path("/proc/self/oom_score_adj").write_text(_DISPENSABLE)
+            be_dispensable()
             with os.fdopen(writer, "wb") as target:
                 try:
                     answer = True, work()

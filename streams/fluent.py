@@ -116,8 +116,9 @@ class FluentStream:
         self._runs: list[_Run] = []
         self._longest = max(_FAN, self._retention.samples // 8)
         self._last_sums: tuple[int, int, NDArray[np.int64]] | None = None
-        self._looked_for: dict[str, int] = {}
-        """Characters of the texts of a field when those that are gone were looked for."""
+        self._looked_for: dict[str, int | None] = {}
+        """Characters of the texts of a field when those that are gone were looked for; None: they
+        have just been."""
         self._first = first
         self._next = first
         self._last_available: int | None = None
@@ -131,8 +132,15 @@ class FluentStream:
     def retention(self, retention: Retention) -> None:
         self._retention = retention
         self._longest = max(_FAN, retention.samples // 8)
-        if self._runs:
-            self._drop(self._next - 1)
+        self._looked_for.clear()
+        if not self._runs:
+            return
+        self._drop(self._next - 1)
+        oldest = self._runs[0]
+        if gone := self._first - oldest.first:
+            # Nobody knows when the rest of this run will go.
+            kept = oldest.batch.take(np.arange(gone, len(oldest.batch)))
+            self._runs[0] = _run(self._first, kept)._replace(place=oldest.place)
 
     def __len__(self) -> int:
         """How many samples are kept."""
@@ -183,15 +191,18 @@ class FluentStream:
         if lost:
             for i, run in enumerate(self._runs):
                 self._runs[i] = run._replace(batch=self.encoded(run.batch))
-            for name in lost:
-                self._looked_for[name] = self.pools[name].characters
+            # Samples elsewhere bring theirs only now.
+            self._looked_for |= dict.fromkeys(lost)
         return bool(lost)
 
     def _has_lost(self, name: str, pool: StringPool, held: int) -> bool:
         """Whether most texts of a field may be gone, by their number or by what they take."""
         if len(pool) > max(_TEXTS, _SHARE * (len(self) + held)):
             return True
-        return pool.characters > max(_CHARACTERS, _SHARE * self._looked_for.get(name, 0))
+        before = self._looked_for.get(name, 0)
+        if before is None:
+            before = self._looked_for[name] = pool.characters
+        return pool.characters > max(_CHARACTERS, _SHARE * before)
 
     def encoded(self, batch: SampleBatch) -> SampleBatch:
         """``batch`` with its texts in the codes of this stream's pools. Cost: O(columns) where they

@@ -13,6 +13,7 @@ import resource
 import sys
 import time
 
+from ..dispensable import be_dispensable
 from .jobs import Worker
 from .messages import PREFIX, decode_job, encode
 
@@ -21,6 +22,7 @@ def main() -> None:
     """Serve until standard input ends."""
     worker = Worker()
     worker.warm()
+    be_dispensable()
     restrict(int(sys.argv[1]))
     _write(b"ready")
     try:

@@ -257,3 +257,24 @@ def test_texts_that_are_all_kept_are_looked_through_ever_more_seldom(
     # 60 million characters: 4 Mi doubled four times, each time with some runs.
     assert 1 <= looks < 500
     assert len(stream.stream.pools["note"]) == 1_000
+
+
+def test_what_waits_is_not_looked_through_with_each_batch(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Texts that are held back within the lateness are no garbage."""
+    schema = Schema((Field("note", FieldType.STRING),))
+    stream = StreamGenerator("s", schema, lateness=300, retention=Retention(1))
+    looks = 0
+    forget = StreamGenerator.forget_texts
+
+    def counted(self: StreamGenerator) -> None:
+        nonlocal looks
+        before = self.stream.pools.get("note")
+        forget(self)
+        looks += self.stream.pools.get("note") is not before
+
+    monkeypatch.setattr(StreamGenerator, "forget_texts", counted)
+    for i in range(2_000):
+        rows = [(i, i, {"note": f"{i:08d}" + "x" * 30_000})]
+        stream.offer(batch_from_rows(schema, rows))
+    # 300 of them are 9 million characters: each look comes after as many new ones.
+    assert 3 <= looks <= 12

@@ -78,6 +78,8 @@ def test_what_a_worker_may_not(worker: Worker) -> None:
     environment = Path(f"/proc/{worker.pid}/environ").read_bytes().split(b"\0")
     names = {entry.partition(b"=")[0].decode() for entry in environment if entry}
     assert names <= {"PYTHONPATH", "PYTHONHASHSEED", "PYTHONDONTWRITEBYTECODE", "LC_ALL"}
+    # Without memory the kernel ends a worker, and not the service.
+    assert Path(f"/proc/{worker.pid}/oom_score_adj").read_text() == "1000\n"
     assert worker.call(job("ASK {}"), 1000)
     usage = Path(f"/proc/{worker.pid}/limits").read_text()
     assert "Max cpu time              unlimited" not in usage

@@ -115,9 +115,9 @@ def test_after_giving_back_it_looks_anew() -> None:
 
 def test_each_route_that_makes_something_is_known() -> None:
     needing = {route for route, scope in NEEDED.items() if scope is Scope.ADMIN}
-    bodies = {"POST /ontologies"}
-    """These may be long, and are asked when they are there."""
-    assert needing - {route for route in needing if route.startswith("DELETE ")} == GROWS | bodies
+    # What may be long is asked when it is there; a stream may be told to keep less.
+    others = {"POST /ontologies", "PUT /streams/{name}"}
+    assert needing - {route for route in needing if route.startswith("DELETE ")} == GROWS | others
 
 
 @pytest.mark.parametrize(
@@ -241,8 +241,10 @@ def test_a_live_body_ends_with_what_was_taken(service: tuple[str, Service]) -> N
 
 
 @pytest.mark.skipif(not CAN, reason="there is no limit but on Linux")
-def test_a_service_that_is_filled_has_a_way_back(engine: Engine, clock: Clock) -> None:
-    """Nothing is made up here: the process grows, and shrinks when the stream is removed."""
+@pytest.mark.parametrize("way", ["remove", "keep less"])
+def test_a_service_that_is_filled_has_a_way_back(engine: Engine, clock: Clock, way: str) -> None:
+    """Nothing is made up here: the process grows, and shrinks when its stream is removed, or is to
+    keep less."""
     limit = resident() + 96 * MEBIBYTE
     settings = Settings(port=0, tick=0.02, memory_limit=limit)
     with (
@@ -261,10 +263,14 @@ def test_a_service_that_is_filled_has_a_way_back(engine: Engine, clock: Clock) -
             assert answer.status_code == 202
         assert number > 10
         assert resident() < limit + 64 * MEBIBYTE
-        with pytest.raises(ServiceError) as caught:
-            client.put_stream("t", FIELDS)
-        assert caught.value.title == "memory is short"
-        client.remove_stream("s")
-        until(lambda: http.get("/readyz").status_code == 200)
         client.put_stream("t", FIELDS)
+        with pytest.raises(ServiceError) as caught:
+            client.publish("t", [{"valid": 1, "id": "u", "speed": 1.0}])
+        assert caught.value.title == "memory is short"
+        if way == "remove":
+            client.remove_stream("s")
+        else:
+            client.put_stream("s", {"text": "string"}, retention={"samples": 10})
+            assert client.stream("s")["kept"] == 10
+        until(lambda: http.get("/readyz").status_code == 200)
         assert client.publish("t", [{"valid": 1, "id": "u", "speed": 1.0}]) == 1
