@@ -48,6 +48,10 @@ class Service:
         pools = self.engine.accepting("s").stream.pools
         self.engine.publish("s", Incoming(batch_from_rows(SCHEMA, rows, pools), False), 0)
 
+    def keep(self, retention: Retention) -> None:
+        """Other history than before, from now on."""
+        self.engine.declare(StreamDeclaration("s", SCHEMA.fields, 0, retention))
+
     @property
     def kept(self) -> int:
         return self.engine.stream("s").first_number
@@ -121,11 +125,15 @@ steps = st.lists(
     st.tuples(st.just("publish"), counts, st.sampled_from([0, 5, 40, 40_000]))
     | st.tuples(st.just("read"), st.integers(0, 7), st.integers(1, 5))
     | st.tuples(st.just("cut"), st.integers(0, 7), st.floats(0, 1))
-    | st.tuples(st.just("end"), st.none(), st.none()),
+    | st.tuples(st.just("end"), st.none(), st.none())
+    | st.tuples(st.just("keep"), st.integers(1, 20), st.integers(1, 4_000)),
     max_size=25,
 )
 retentions = st.builds(
-    Retention, st.integers(1, 20) | st.just(1_000), st.none() | st.integers(0, 30)
+    Retention,
+    st.integers(1, 20) | st.just(1_000),
+    st.none() | st.integers(0, 30),
+    st.none() | st.integers(1, 4_000),
 )
 
 
@@ -151,6 +159,8 @@ def test_every_later_sample_once_and_in_order_or_a_gap(
                 readers[which % clients].cut(how)
             case "end":
                 service.engine.end("s")
+            case "keep":
+                service.keep(Retention(which, None, int(how)))
     service.engine.end("s")
     for reader in readers:
         reader.cut(0.0)
