@@ -98,18 +98,23 @@ class _Life:
         self._last = 0
 
     def beginning(self) -> list[c.Command]:
-        pick = self._random
-        kept = Retention(pick.choice((5, 100_000)), pick.choice((None, 20 * SECOND)))
-        idle = pick.choice((None, 2 * SECOND))
+        idle = self._random.choice((None, 2 * SECOND))
         return [
             c.LoadOntology(SORTS, f"{IRI}objects"),
-            c.DeclareStream(StreamDeclaration("s", FIELDS, 2 * SECOND, kept)),
+            self._declare(),
             c.DeclareStream(StreamDeclaration("t", FIELDS, 0, idle=idle)),
             c.Annotate(ANNOTATIONS[0]),
             c.Annotate(ANNOTATIONS[2]),
             c.RegisterTemplate(FAST),
             c.RegisterTemplate(TURN),
         ]
+
+    def _declare(self) -> c.Command:
+        """Also while it is in use: then it keeps more or less from now on."""
+        pick = self._random
+        age = pick.choice((None, 20 * SECOND))
+        kept = Retention(pick.choice((5, 100_000)), age, pick.choice((None, None, 900)))
+        return c.DeclareStream(StreamDeclaration("s", FIELDS, 2 * SECOND, kept))
 
     def ending(self) -> list[c.Command]:
         return [self._batch("s"), self._batch("t"), c.Tick(self._now + 20 * SECOND)]
@@ -139,6 +144,7 @@ class _Life:
             lambda: c.RemoveKpl(pick.choice(("slow", "ordered")), pick.random() < 0.5),
             lambda: c.Annotate(pick.choice(ANNOTATIONS)),
             lambda: c.OpenStream(pick.choice(("s_late", "t_late", "slow_violations"))),
+            self._declare,
             lambda: c.SetQuality("s", pick.choice((0.2, 0.9))),
             lambda: c.EndStream(pick.choice("st")),
             lambda: c.RegisterTemplate(FAST, replace=pick.random() < 0.5),
