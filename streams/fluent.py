@@ -95,9 +95,11 @@ class FluentStream:
 
     History is a list of runs. Neighbouring runs of like size are put together as the stream grows,
     so a history of n samples is O(log n) runs however it was cut, some hundreds at most, and a
-    sample is copied O(log n) times. A run of more than an eighth of the retention is never made.
+    sample is copied O(log n) times. A run of more than an eighth of the retention is never made;
+    one that came so is cut as soon as half of it is gone.
 
-    Cost: `append` O(columns) amortized a batch; `last_avail`, `prev` and `since` O(log n + answer);
+    Cost: `append` O(columns) amortized a batch, and O(runs) where the history is as many bytes as
+    may be; `last_avail`, `prev` and `since` O(log n + answer);
     `most_recent_at` O(runs + rows of the runs whose valid times straddle the one asked for);
     the others O(runs + answer). Memory: `Retention`, and at most one run more.
     """
@@ -114,7 +116,6 @@ class FluentStream:
         # Its own: which pool a field has changes, and others change theirs at other times.
         self.pools = dict(pools or {})
         self._runs: list[_Run] = []
-        self._longest = max(_FAN, self._retention.samples // 8)
         self._last_sums: tuple[int, int, NDArray[np.int64]] | None = None
         self._looked_for: dict[str, int | None] = {}
         """Characters of the texts of a field when those that are gone were looked for; None: they
@@ -131,16 +132,12 @@ class FluentStream:
     @retention.setter
     def retention(self, retention: Retention) -> None:
         self._retention = retention
-        self._longest = max(_FAN, retention.samples // 8)
         self._looked_for.clear()
         if not self._runs:
             return
         self._drop(self._next - 1)
-        oldest = self._runs[0]
-        if gone := self._first - oldest.first:
-            # Nobody knows when the rest of this run will go.
-            kept = oldest.batch.take(np.arange(gone, len(oldest.batch)))
-            self._runs[0] = _run(self._first, kept)._replace(place=oldest.place)
+        # Nobody knows when the rest of this run will go.
+        self._cut()
 
     def __len__(self) -> int:
         """How many samples are kept."""
@@ -344,12 +341,18 @@ class FluentStream:
         """The last ``count`` kept samples (all, if fewer are kept)."""
         return self._part(self._next - count, self._next)
 
-    def between(self, start: int | None, end: int | None) -> SampleBatch:
-        """The kept samples with available time in the closed interval; None is unbounded."""
-        return self._part(
-            self._first if start is None else self._number(start, "left"),
-            self._next if end is None else self._number(end, "right"),
-        )
+    def between(
+        self, start: int | None, end: int | None, *, most: int | None = None, newest: bool = False
+    ) -> SampleBatch:
+        """The kept samples with available time in the closed interval; None is unbounded. At
+        ``most`` so many: the oldest of them, or the ``newest``."""
+        first = self._first if start is None else self._number(start, "left")
+        after = self._next if end is None else self._number(end, "right")
+        if most is not None and newest:
+            first = max(first, after - most)
+        elif most is not None:
+            after = min(after, first + most)
+        return self._part(first, after)
 
     def _number(self, time: int, side: Literal["left", "right"]) -> int:
         """The number of the first sample available after ``time`` (``left``: at it or after)."""
@@ -380,33 +383,65 @@ class FluentStream:
 
         Sizes fall from the oldest run to the newest, and fewer than ``_FAN`` runs in a row are of
         one class: what is smaller than what follows goes into it, and a full row becomes one run
-        of the next class. Nothing that `_longest` forbids is put together; then the neighbours
-        hold so much that they are few, too.
+        of the next class. Where that would be too much for one run (`_joining`) as many go into it
+        as may, and a row begins anew with it: so many together hold so much that they are few, too.
         """
         runs = self._runs
-        while runs:
-            last = runs[-1]
-            if last.size > run.size or (last.size == run.size and last.place + 1 < _FAN):
+        runs.append(run)
+        is_full = False
+        while len(runs) > 1 and not is_full:
+            before, last = runs[-2:]
+            if before.size > last.size or (before.size == last.size and before.place + 1 < _FAN):
                 break
-            most = run.size if last.size == run.size else run.size - 1
-            start, rows = len(runs), len(run.batch)
-            while start and runs[start - 1].size <= most and rows <= self._longest:
-                start -= 1
-                rows += len(runs[start].batch)
+            most = last.size if before.size == last.size else last.size - 1
+            start, is_full = self._joining(most)
+            parts = runs[start:]
+            if len(parts) > 1:
+                weights = [part.weight for part in parts]
+                weight = None if None in weights else sum(filter(None, weights))
+                joined = _run(parts[0].first, concatenate([part.batch for part in parts]))
+                runs[start:] = [joined._replace(weight=weight)]
+        if len(runs) > 1 and runs[-2].size == runs[-1].size and not is_full:
+            runs[-1] = runs[-1]._replace(place=runs[-2].place + 1)
+
+    def _joining(self, most: int) -> tuple[int, bool]:
+        """From which run on, of a class of at most ``most``, all go into one with the last; and
+        whether more of them would be too much for one."""
+        runs = self._runs
+        start = len(runs) - 1
+        rows = len(runs[start].batch)
+        while start and runs[start - 1].size <= most:
+            rows += len(runs[start - 1].batch)
             if rows > self._longest:
                 break
-            parts = [*runs[start:], run]
-            weight = None
-            if (limit := self._retention.bytes) is not None and not self._fits(rows, limit // 8):
-                weight = sum(_weight(part) for part in parts)
-                if weight > limit // 8:
-                    break
-            run = _run(parts[0].first, concatenate([part.batch for part in parts]))
-            run = run._replace(weight=weight)
-            del runs[start:]
-        if runs and runs[-1].size == run.size:
-            run = run._replace(place=runs[-1].place + 1)
-        runs.append(run)
+            start -= 1
+        heaviest = self._heaviest
+        if heaviest is not None and not self._fits(rows, heaviest):
+            weight = self._weigh(len(runs) - 1)
+            for i in reversed(range(start, len(runs) - 1)):
+                weight += self._weigh(i)
+                if weight > heaviest:
+                    return i + 1, True
+        return start, rows > self._longest
+
+    @property
+    def _longest(self) -> int:
+        """No run of more samples is made here."""
+        return max(_FAN, self._retention.samples // 8)
+
+    @property
+    def _heaviest(self) -> int | None:
+        """Nor one of more bytes."""
+        most = self._retention.bytes
+        return None if most is None else most // 8
+
+    def _weigh(self, place: int) -> int:
+        """Bytes of all samples of a run. Cost: O(rows), once for each run."""
+        run = self._runs[place]
+        if run.weight is None:
+            run = self._runs[place] = run._replace(weight=int(run.batch.sizes().sum()))
+        assert run.weight is not None
+        return run.weight
 
     def _fits(self, count: int, limit: int) -> bool:
         """Whether so many samples surely have no more than so many bytes: as many as if each of
@@ -421,12 +456,9 @@ class FluentStream:
         """The least number from which on the samples have no more than so many bytes. Cost:
         O(runs), and O(rows) once for each run."""
         for i in reversed(range(len(self._runs))):
-            run = self._runs[i]
-            weight = run.weight
-            if weight is None:
-                weight = _weight(run)
-                self._runs[i] = run._replace(weight=weight)
+            weight = self._weigh(i)
             if weight > limit:
+                run = self._runs[i]
                 fitting = int(self._sums(run).searchsorted(limit, "right"))
                 return run.first + len(run.batch) - fitting
             limit -= weight
@@ -455,6 +487,23 @@ class FluentStream:
             gone += 1
         if gone:
             del self._runs[:gone]
+        oldest = self._runs[0]
+        if 2 * (first - oldest.first) >= len(oldest.batch) and self._is_oldest_large():
+            self._cut()
+
+    def _is_oldest_large(self) -> bool:
+        """Whether the oldest run is larger than those that are made here: it came so."""
+        rows, heaviest = len(self._runs[0].batch), self._heaviest
+        if rows > self._longest or heaviest is None:
+            return rows > self._longest
+        return not self._fits(rows, heaviest) and self._weigh(0) > heaviest
+
+    def _cut(self) -> None:
+        """Leave of the oldest run what is kept."""
+        oldest = self._runs[0]
+        if gone := self._first - oldest.first:
+            kept = oldest.batch.take(np.arange(gone, len(oldest.batch)))
+            self._runs[0] = _run(self._first, kept)._replace(place=oldest.place)
 
 
 def _run(first: int, batch: SampleBatch) -> _Run:
@@ -473,11 +522,6 @@ def _run(first: int, batch: SampleBatch) -> _Run:
         int(batch.valid.max()),
         (count.bit_length() - 1) // (_FAN.bit_length() - 1),
     )
-
-
-def _weight(run: _Run) -> int:
-    """Bytes of all samples of a run."""
-    return int(run.batch.sizes().sum()) if run.weight is None else run.weight
 
 
 def join_availtimes(*streams: FluentStream) -> Times:

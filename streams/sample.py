@@ -218,9 +218,17 @@ class SampleBatch:
         columns = {name: column.take(rows) for name, column in self.columns.items()}
         return SampleBatch(self.available[rows], self.valid[rows], columns)
 
+    @property
+    def nbytes(self) -> int:
+        """Bytes of its arrays: its texts are elsewhere, once for all batches that have them."""
+        found = self.available.nbytes + self.valid.nbytes
+        for column in self.columns.values():
+            found += column.values.nbytes + (0 if column.null is None else column.null.nbytes)
+        return found
+
     def sizes(self) -> NDArray[np.int64]:
         """Bytes that each sample is reckoned with in the history of a stream, shape ``(n,)``: 16
-        for its times, 8 for a number, 1 for a boolean, of a text what `size_of` says, and 64 for
+        for its times, 8 for a number, 1 for a boolean, of a text what `size_of` says, and 128 for
         one that is not there. Cost: O(n) for each field of texts."""
         columns = self.columns.values()
         found = np.full(len(self), TIMES_SIZE + sum(column.type.size for column in columns))

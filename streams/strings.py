@@ -15,14 +15,14 @@ _FEW: Final = 16
 """So many strings are put in their place with each that is encoded alone."""
 _MANY: Final = 8192
 """And with those that are encoded together; these are some milliseconds of work."""
-OVERHEAD: Final = 64
-"""Bytes that a text is reckoned with beside its characters: it is an object, and in a table."""
+OVERHEAD: Final = 128
+"""Bytes that a text is reckoned with beside its characters: it is an object, and in tables."""
 _WIDE: Final = 4
 """Bytes of a character where not all of a text are ASCII, at most."""
 
 
 def size_of(text: str) -> int:
-    """Bytes that a text is reckoned with: 64 and its characters, four times as many where they are
+    """Bytes that a text is reckoned with: 128 and its characters, four times as many where they are
     not all ASCII."""
     return OVERHEAD + (len(text) if text.isascii() else _WIDE * len(text))
 

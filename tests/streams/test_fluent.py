@@ -2,9 +2,17 @@
 
 import pytest
 
+from dyknow.streams import fluent
 from dyknow.streams.fluent import FluentStream, Retention, join_availtimes
 from dyknow.streams.generator import StreamGenerator
-from dyknow.streams.sample import Field, FieldType, SampleError, Schema, batch_from_rows
+from dyknow.streams.sample import (
+    Field,
+    FieldType,
+    SampleError,
+    Schema,
+    batch_from_rows,
+    concatenate,
+)
 from dyknow.streams.strings import StringPool
 
 SCHEMA = Schema((Field("v", FieldType.STRING),))
@@ -130,6 +138,11 @@ def test_between_takes_parts_of_batches():
     assert [a for a, _, _ in samples(made.between(3, 7))] == [3, 4, 6, 7]
     assert [a for a, _, _ in samples(made.between(5, 6))] == [6]
     assert samples(made.between(5, 5)) == samples(made.between(9, None)) == []
+    for start, end in ((None, None), (3, 7), (None, 6), (4, None), (9, None)):
+        every = samples(made.between(start, end))
+        for most in (1, 2, 3, 100):
+            assert samples(made.between(start, end, most=most)) == every[:most]
+            assert samples(made.between(start, end, most=most, newest=True)) == every[-most:]
 
 
 NUMBERS = Schema((Field("n", FieldType.INTEGER),))
@@ -150,6 +163,55 @@ def test_histories_of_many_batches_are_few_runs(sizes):
         assert len(segments) <= 2 * 31 + 9 * 32
         assert max(len(part.batch) for part in segments) <= max(1250, *sizes)
     assert made.all().columns["n"].values.tolist() == list(range(at - len(made), at))
+
+
+LIGHT, HEAVY = 1, 9_000
+OF_TWO_KINDS = {
+    "heavy, then light": [HEAVY] * 32 + [LIGHT] * 8_000,
+    "in turns": [HEAVY, LIGHT] * 2_000,
+    "now and then": ([HEAVY] + [LIGHT] * 30) * 150,
+    "in rows": ([HEAVY] * 33 + [LIGHT] * 200) * 20,
+    "ever heavier": [1 + i % 3_000 for i in range(8_000)],
+    "each an eighth": [120_000, *[LIGHT] * 40] * 60,
+    "all heavy": [HEAVY] * 2_000,
+}
+
+
+@pytest.mark.parametrize("weights", OF_TWO_KINDS.values(), ids=OF_TWO_KINDS)
+@pytest.mark.parametrize("size", [1, 7])
+def test_histories_of_a_number_of_bytes_are_few_runs(monkeypatch, weights, size):
+    """However heavy samples are beside others, and each is put together with others seldom."""
+    copied = []
+
+    def counted(batches):
+        copied.append(sum(map(len, batches)))
+        return concatenate(batches)
+
+    monkeypatch.setattr(fluent, "concatenate", counted)
+    kept = Retention(bytes=1_000_000)
+    made, at = FluentStream(SCHEMA, kept, {"v": StringPool()}), 0
+    texts = []
+    for weight in weights:
+        texts += ["x" * weight] * size
+        rows = [(i, i, {"v": "x" * weight}) for i in range(at, at + size)]
+        made.append(batch_from_rows(SCHEMA, rows, made.pools))
+        at += size
+        assert len(made._runs) <= 2 * 31 + 9 * 32
+    assert sum(copied) <= 6 * at
+    monkeypatch.undo()
+    assert made.all().columns["v"].tolist() == texts[at - len(made) :]
+
+
+def test_of_a_large_batch_that_came_long_ago_what_is_kept_is_there():
+    """Not all of it, as long as one of its samples is kept."""
+    made = FluentStream(SCHEMA, Retention(bytes=100_000), {"v": StringPool()})
+    rows = [(i, i, {"v": f"{i:0500}"}) for i in range(2_000)]
+    made.append(batch_from_rows(SCHEMA, rows, made.pools))
+    assert len(made) == 2_000
+    for time in range(2_000, 2_020):
+        made.append(batch_from_rows(SCHEMA, [(time, time, {"v": "x"})], made.pools))
+    assert len(made) < 200
+    assert sum(len(run.batch) for run in made._runs) < 2 * len(made)
 
 
 def test_a_large_batch_is_not_copied():
