@@ -25,6 +25,8 @@ _OF_DICTIONARY = 1
 _VALUE = 4
 """Bytes that a value is reckoned with at least: a truth value is a bit in a message, a text of a
 dictionary may be a byte, but here they are columns as others are."""
+_FARTHEST = 2**62
+"""No message begins or ends beyond this, whatever it says: no memory has so many bytes."""
 _EARLY_COMPRESSION = b"ARROW:experimental_compression"
 """Before Arrow 1.0 it stood among the remarks of a message."""
 
@@ -114,8 +116,10 @@ def message_at(data: bytes | bytearray, at: int = 0) -> Message | None:
         kind, body = int(table.number(_HEADER_TYPE, "<B")), table.number(_BODY_LENGTH, "<q")
     except struct.error:
         raise WireError(None, "no Arrow IPC stream: a message without its table") from None
-    if kind not in (SCHEMA, DICTIONARY, RECORDS) or body < 0:
+    if kind not in (SCHEMA, DICTIONARY, RECORDS):
         raise WireError(None, f"no Arrow IPC stream: a message of kind {kind}")
+    if not 0 <= body <= _FARTHEST:
+        raise WireError(None, f"no Arrow IPC stream: a message with a body of {body} bytes")
     return Message(prefix + length + body, kind, prefix + length)
 
 
@@ -137,6 +141,8 @@ def size_of(data: bytes | bytearray, at: int = 0) -> Size:
         total = 0
         for place in range(count):
             start, length = struct.unpack_from("<qq", table.data, first + 16 * place)
+            if not 0 <= start <= _FARTHEST:
+                raise struct.error("a buffer that begins nowhere")
             if is_compressed and length:
                 (declared,) = struct.unpack_from("<q", data, body + start)
                 length = length - 8 if declared == -1 else declared  # -1: as it is

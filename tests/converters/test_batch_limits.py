@@ -2,6 +2,7 @@
 
 import io
 import json
+import struct
 from dataclasses import replace
 
 import pyarrow as pa
@@ -195,6 +196,26 @@ def test_a_stream_that_is_none_is_no_failure():
                 decode_arrow(body, SCHEMA_OF_TEXTS, {}, LIMITS)
             except WireError:
                 continue
+
+
+@pytest.mark.parametrize("number", [2**63 - 1, 2**62 + 1, 2**62, 2**33, 1, 0, -1, -8, -(2**63)])
+@pytest.mark.parametrize("compression", [None, "lz4", "zstd"])
+def test_a_number_that_is_damaged_is_no_failure(compression, number):
+    """Wherever it stands: sizes of messages, places and sizes of buffers, counts of rows."""
+    texts = pa.array([0] * 20, pa.int8())
+    whole = stream(table(pa.DictionaryArray.from_arrays(texts, ["x"])), compression=compression)
+    refused = 0
+    for at in range(0, len(whole) - 8, 4):
+        body = whole[:at] + struct.pack("<q", number) + whole[at + 8 :]
+        for decode in (
+            lambda body: decode_arrow(body, SCHEMA_OF_TEXTS, {}, LIMITS),
+            lambda body: list(ArrowMessages(LIMITS).take(body)),
+        ):
+            try:
+                decode(body)
+            except WireError:
+                refused += 1
+    assert refused > 20
 
 
 def test_the_file_format_is_no_stream():
