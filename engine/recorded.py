@@ -169,9 +169,11 @@ class RecordedEngine:
             name = self.engine.queries.name_for(command.text)
             if is_reserved(name):
                 command = msgspec.structs.replace(command, name=name)
+        # What cannot be written is not begun.
+        text = written(command)
         self._within = True
         try:
-            with self.log.entry(written(command)) as entry:
+            with self.log.entry(text) as entry:
                 # What sources say is not known before: the tape asks for room as they say it.
                 begun = len(entry.payload) + READINGS
                 self._runner.tape.record(lambda size: entry.has_room(begun + size))

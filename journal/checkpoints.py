@@ -7,7 +7,6 @@ there are stands in ``kept.json``, so that one that is gone is missed.
 
 from __future__ import annotations
 
-import errno
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -19,13 +18,12 @@ import msgspec
 
 from .directory import write_whole
 from .disk import DISK, Disk
-from .errors import JournalBroken, JournalDamaged, JournalFull, UnknownFormat
+from .errors import JournalBroken, JournalDamaged, JournalFull, UnknownFormat, is_full
 
 FORMAT: Final = 1
 KEPT: Final = 2
 NAME: Final = ".checkpoint"
 LIST: Final = "kept.json"
-_FULL: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 class Head(msgspec.Struct, frozen=True):
@@ -134,7 +132,7 @@ class Checkpoints:
             if part.exists():
                 self._disk.remove(part)
             what = f"a checkpoint cannot be written: {error}"
-            if error.errno in _FULL:
+            if is_full(error):
                 raise JournalFull(what, "make room on the disk of the data directory") from error
             raise JournalBroken(what, "see the logs of the disk") from error
 

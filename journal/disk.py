@@ -53,7 +53,7 @@ class Disk:
     def make_folder(self, path: Path) -> None:
         """See to it that the folder is there, on the disk, too; and those that it is in."""
         missing = [each for each in (path, *path.parents) if not each.is_dir()]
-        path.mkdir(parents=True, exist_ok=True)
+        path.mkdir(mode=0o700, parents=True, exist_ok=True)
         for each in reversed(missing):
             self.sync_folder(each.parent)
 

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import errno
+from typing import Final
+
+_FULL: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+
 
 class JournalError(Exception):
     """``hint`` says what to do next."""
@@ -33,3 +38,8 @@ class DirectoryInUse(JournalError):
 
 class UnknownFormat(JournalError):
     """The directory was written by a later version, or is none of ours."""
+
+
+def is_full(error: OSError) -> bool:
+    """Whether there is no room: on the disk, for this user, or in a file."""
+    return error.errno in _FULL

@@ -6,7 +6,6 @@ returned; many that do so together share one commit. What fails leaves no entry.
 
 from __future__ import annotations
 
-import errno
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -15,7 +14,7 @@ from enum import StrEnum
 from pathlib import Path
 
 from .disk import DISK, Disk
-from .errors import JournalBroken, JournalDamaged, JournalError, JournalFull
+from .errors import JournalBroken, JournalDamaged, JournalError, JournalFull, is_full
 from .examination import HINT, Examination, examine
 from .high_water import HighWater, Mark
 from .segment import HEAD, Segment, path_of, size_of, walk
@@ -23,7 +22,6 @@ from .segment import HEAD, Segment, path_of, size_of, walk
 SEGMENT = 64 << 20
 """A file takes so many bytes, and the record that passes them."""
 _RESTART = "restart the service when the disk is sound"
-_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 class Durability(StrEnum):
@@ -329,7 +327,7 @@ class Log:
 
 
 def _refusal(error: OSError) -> JournalFull | JournalBroken:
-    if error.errno in _FULL:
+    if is_full(error):
         return _full()
     return JournalBroken(f"the disk of the data directory fails: {error}", "see its logs")
 

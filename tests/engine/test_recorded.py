@@ -56,6 +56,7 @@ from dyknow.engine.views import StreamDeclaration
 from dyknow.journal.errors import JournalFull
 from dyknow.journal.log import Durability
 from dyknow.ontology.ontology import Ontology
+from dyknow.streams.fluent import Retention
 from dyknow.streams.sample import Field, FieldType
 from dyknow.streams.time import SECOND
 
@@ -956,3 +957,29 @@ def test_a_stream_whose_fields_are_others_now_says_what_is_not_taken_over(tmp_pa
     assert kept == [{"id": "uav1", "w": None}] * len(kept)
     assert len(kept) > 1
     later.close()
+
+
+def test_a_command_that_cannot_be_written_is_not_begun(tmp_path):
+    def declare(size):
+        fields = (Field("v", FieldType.FLOAT),)
+        return DeclareStream(StreamDeclaration("s", fields, retention=Retention(bytes=size)))
+
+    first = RecordedEngine(tmp_path, now=0)
+    with pytest.raises(OverflowError):
+        first.do(declare(2**70))
+    assert first.failure is None
+    assert "s" not in [view.name for view in first.engine.streams()]
+    first.do(declare(2**62))
+    first.close()
+    again = RecordedEngine(tmp_path, now=0)
+    assert again.engine.stream("s").retention == Retention(bytes=2**62)
+    again.close()
+
+
+def test_the_data_directory_is_for_its_owner_only(tmp_path):
+    data = tmp_path / "new" / "data"
+    first = RecordedEngine(data, now=0)
+    first.do(DeclareStream(StreamDeclaration("s", (Field("v", FieldType.FLOAT),))))
+    first.checkpoint().put()
+    first.close()
+    assert [path.name for path in [data, *data.rglob("*")] if path.stat().st_mode & 0o077] == []
