@@ -71,8 +71,12 @@ class Turns(Protocol):
     def is_over(self) -> bool:
         """Whether the time is over."""
 
-    def begin(self, close_next: Callable[[], bool]) -> Task:
-        """Close windows until there are no more."""
+    def begin(self, close_next: Callable[[], bool], telling: float = 0.0) -> Task:
+        """Close windows until there are no more. What each of them gives is told afterwards, which
+        takes ``telling`` seconds of the same time."""
+
+    def timed(self, what: Callable[[], None]) -> float:
+        """Do ``what``; gives the seconds that it took."""
 
 
 class Behind:

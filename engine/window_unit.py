@@ -54,6 +54,8 @@ class WindowUnit(ComputationalUnit):
         self._is_behind = False
         self._spent = 0.0
         """Seconds that its windows took since it fell behind."""
+        self._telling = 0.0
+        """Seconds that the results of a window took to be told, the last time."""
         self._told = 0
         """Of so many windows the results are told."""
         self._has_to_end = False
@@ -248,7 +250,7 @@ class WindowUnit(ComputationalUnit):
     def _go_on(self, turns: Turns, done: list[Went], *, begins: bool) -> None:
         task, is_done = self._task, True
         if task is None and begins and self.evaluator.is_due:
-            task = turns.begin(self.evaluator.close_next)
+            task = turns.begin(self.evaluator.close_next, self._telling)
         if task is not None and (not begins or self._spent > turns.most):
             task.end()
         before = 0.0 if task is None else task.spent
@@ -261,8 +263,11 @@ class WindowUnit(ComputationalUnit):
             # Those before one that fails have closed nevertheless.
             self._task = None if is_done else task
             self._spent += 0.0 if task is None else task.spent - before
-            done += self._went()
-            self.emit(self.evaluator.taken())
+            went = self._went()
+            done += went
+            took = turns.timed(lambda: self.emit(self.evaluator.taken()))
+            if count := sum(each.windows for each in went):
+                self._telling = took / count
         self.judge()
         # What waits for it may be one window now, and one with each message that was put by.
         if is_done and self._spent > turns.most and (self.evaluator.is_due or self._put_by):

@@ -30,9 +30,15 @@ class Pausing(Fibers):
         self.most = most
         self._seconds = seconds
 
-    def begin(self, close_next: Callable[[], bool]) -> _Task:
+    def begin(self, close_next: Callable[[], bool], telling: float = 0.0) -> _Task:
         """See `Turns`."""
-        return _Task(self, close_next)
+        return _Task(self, close_next, telling)
+
+    def timed(self, what: Callable[[], None]) -> float:
+        """See `Turns`."""
+        begun = time.thread_time()
+        what()
+        return time.thread_time() - begun
 
     def check(self, spent: float) -> None:
         """Raises `Stopped` where a window has taken too long."""
@@ -46,10 +52,11 @@ class _Task(Fiber):
     """See `engine.behind.Task`. With ``to_end`` it goes on until the present window has closed, and
     begins no other."""
 
-    def __init__(self, pausing: Pausing, close_next: Callable[[], bool]) -> None:
+    def __init__(self, pausing: Pausing, close_next: Callable[[], bool], telling: float) -> None:
         super().__init__(pausing, self._close)
         self._pausing = pausing
         self._close_next = close_next
+        self._telling = telling
         self._is_last = False
         self._begun = self._began = 0.0
         """Processor time of the thread when the first and the present window began."""
@@ -65,14 +72,18 @@ class _Task(Fiber):
     # -- in its own thread -------------------------------------------------------------------
 
     def _close(self) -> None:
-        """Close windows until there are no more, or the time is over."""
+        """Close windows until there are no more, or what is left of the time is needed to tell what
+        they gave."""
         self._begun = time.thread_time()
+        to_tell = 0.0
         try:
             while True:
                 self._began = time.thread_time()
                 found = self._close_next()
                 self._count()
-                if not found or self._to_end or self._is_last or self._pausing.is_over:
+                to_tell += self._telling
+                is_over = self._pausing.left <= to_tell
+                if not found or self._to_end or self._is_last or is_over:
                     break
         finally:
             self._count()

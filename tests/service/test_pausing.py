@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import httpx
 import pytest
@@ -134,6 +135,40 @@ def test_to_the_end_of_the_window_that_is_half_done() -> None:
     threading.Timer(0.05, may.set).start()
     assert task.go_on(to_end=True)
     assert closed == [1]
+
+
+def test_what_is_left_is_enough_to_tell_what_windows_gave() -> None:
+    pausing, closed = patient(), []
+    pausing.allow(20)
+    task = pausing.begin(windows(steps=1, work=lambda: closed.append(1), count=1000), telling=1.0)
+    assert task.go_on()
+    assert 10 <= len(closed) <= 20
+
+
+def test_a_unit_knows_how_long_its_windows_took_to_be_told() -> None:
+    class Clocked(Pausing):
+        """Telling takes three seconds, whatever is told."""
+
+        def begin(self, close_next: Callable[[], bool], telling: float = 0.0) -> Any:
+            tellings.append(telling)
+            return super().begin(close_next, telling)
+
+        def timed(self, what: Callable[[], None]) -> float:
+            super().timed(what)
+            return 3.0
+
+    tellings: list[float] = []
+    pausing = Clocked(5, 60)
+    engine = engine_with(QUERIES[0], pausing)
+    for second in (1, 2, 5, 9):
+        Publish("s", "ndjson", batch(second, 2), second * SECOND).apply(engine)
+        pausing.allow(1000)
+        while engine.behind:
+            engine.go_on()
+    counts = [3.0 / telling for telling in tellings if telling]
+    assert tellings[0] == 0.0
+    assert counts
+    assert counts == [round(count) for count in counts]
 
 
 def test_a_window_that_takes_too_long_is_stopped() -> None:

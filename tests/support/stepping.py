@@ -24,8 +24,12 @@ class Steps:
         # Nobody tells of parts that are taken.
         return self._left <= 0 or self._random.random() < 0.1
 
-    def begin(self, close_next: Callable[[], bool]) -> _Steps:
+    def begin(self, close_next: Callable[[], bool], telling: float = 0.0) -> _Steps:
         return _Steps(self, close_next)
+
+    def timed(self, what: Callable[[], None]) -> float:
+        what()
+        return 0.0
 
     def pauses(self) -> bool:
         """Whether the window that is begun is half done when the turn ends."""
