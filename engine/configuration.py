@@ -45,7 +45,7 @@ SELECT_INSTANCE = "selectInstance"
 """The transformation that selects a query's results from those of the queries that share one."""
 AnyUnit = TypeVar("AnyUnit", bound=ComputationalUnit)
 RETENTION = Retention(bytes=256 << 20)
-"""What a stream keeps of which nobody has said how much."""
+"""What a stream keeps of which nobody has said how much: units and annotations made it."""
 _NAMED = 20
 """So many streams are listed when an unknown one is asked for."""
 RESERVED = "dyknow_reserved"

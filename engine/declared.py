@@ -29,6 +29,7 @@ from .changes import Change, ChangeKind
 from .configuration import (
     C_SPARQL,
     MERGE,
+    RETENTION,
     SELECT_INSTANCE,
     SELECT_OBJECT,
     SYNCHRONIZE,
@@ -147,7 +148,7 @@ class DeclaredStreams:
         existing = self._configuration.streams.get(annotation.stream)
         inferred = self._inferred(annotation)
         if existing is None:
-            self._add(StreamDeclaration(annotation.stream, inferred))
+            self._add(StreamDeclaration(annotation.stream, inferred, retention=RETENTION))
         elif existing.is_open:
             texts = [field.name for field in inferred if field.type is FieldType.STRING]
             existing.adopt(Schema(inferred), {name: StringPool() for name in texts})

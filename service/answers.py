@@ -26,6 +26,10 @@ PIECE_BYTES = 64 * 1024
 STREAMED = 1024 * 1024
 """What an answer is reckoned with that does not say how long it is: its pieces are encoded when the
 one before is taken (service/history)."""
+HELD = "dyknow.answer.held"
+"""In the scope of a request: bytes that such an answer needs besides until its end."""
+PART = 8
+"""All long answers together take at most such a part of the memory that the service may have."""
 EACH = 0.75
 """The part of all places, and of all bytes, that one client may have: nobody alone takes all."""
 WATCHED = "/metrics"
@@ -52,7 +56,8 @@ class Taken:
 
 
 class LongAnswers:
-    """Those under way: at most ``most``, of ``total`` bytes that their clients have not taken.
+    """Those under way: at most ``most``, of ``total`` bytes that their clients have not taken, or
+    that are held for them.
 
     ``refused`` counts those for whom there was no place, by the limit.
     """
@@ -105,7 +110,7 @@ class Answers:
         async def cut(message: Message) -> None:
             nonlocal is_long, counted
             if message["type"] == "http.response.start":
-                size = _size(message)
+                size = _size(message, scope.get(HELD, 0))
                 is_long = size > PIECE_BYTES
                 # What has changed something is answered: who hears 503 would do it again.
                 if is_long and (scope["method"] == "GET" or scope["path"] == "/sparql"):
@@ -138,14 +143,15 @@ class _Refused(Exception):
         self.problem = problem
 
 
-def _size(start: Message) -> int:
-    """Bytes of the answer that begins so; 0 for an event stream, which never ends."""
+def _size(start: Message, held: int) -> int:
+    """Bytes of the answer that begins so, or that are ``held`` for it; 0 for an event stream, which
+    never ends."""
     headers = dict(start["headers"])
     length = headers.get(b"content-length")
     if length is not None:
         return int(length)
     kind = headers.get(b"content-type", b"")
-    return 0 if kind.startswith(EVENT_STREAM.encode()) else STREAMED
+    return 0 if kind.startswith(EVENT_STREAM.encode()) else STREAMED + held
 
 
 async def _in_pieces(message: Message, send: Send) -> None:

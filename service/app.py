@@ -14,7 +14,7 @@ from ..journal.errors import JournalError
 from ..streams.time import Clock
 from . import problems
 from .access import Access, Gate, client_key
-from .answers import Answers, LongAnswers
+from .answers import PART, Answers, LongAnswers
 from .body import BodyLimit, UnderWay
 from .context import Service
 from .decoding import Decoding
@@ -124,7 +124,7 @@ def create_app(
     else:
         feeds = Feeds(engine, settings.sse_cache, clients)
     bodies = UnderWay()
-    answers = LongAnswers(settings.answers, settings.answers_limit)
+    answers = LongAnswers(settings.answers, memory.within(settings.answers_limit, PART))
     isolation = Isolation(settings, engine.ontology, windows)
     service = Service(
         engine,

@@ -20,11 +20,12 @@ def checked_length(headers: Iterable[tuple[bytes, bytes]]) -> int | None:
     """How many bytes the body has by its head; None where that is not said.
 
     Raises a 415 `Problem` for a body that is compressed, or in another charset, and a 400 one for
-    two Content-Types. A request without a body may say what it likes.
+    two Content-Types, or Idempotency-Keys. A request without a body may say what it likes.
     """
     length: int | None = None
     chunked = False
     kinds: list[bytes] = []
+    keys = 0
     codings: list[bytes] = []
     for name, value in headers:
         if name == b"content-length":
@@ -34,6 +35,8 @@ def checked_length(headers: Iterable[tuple[bytes, bytes]]) -> int | None:
             codings.extend(_beside_chunked(value))
         elif name == b"content-type":
             kinds.append(value)
+        elif name == b"idempotency-key":
+            keys += 1
         elif name == b"content-encoding":
             codings.append(value)
     if length or chunked:
@@ -44,6 +47,13 @@ def checked_length(headers: Iterable[tuple[bytes, bytes]]) -> int | None:
                 400,
                 "bad Content-Type header",
                 f"a body has one Content-Type, not {len(kinds)}",
+                hint="send the header once",
+            )
+        if keys > 1:
+            raise Problem(
+                400,
+                "bad Idempotency-Key header",
+                "there are several Idempotency-Key headers",
                 hint="send the header once",
             )
         if kinds and b"charset" in kinds[0].lower():

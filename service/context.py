@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, Any
 
 from fastapi import Depends, Request
@@ -27,6 +28,8 @@ from .warming import Warming
 
 LATE = 5.0
 """Seconds without a tick after which the service is not ready: something holds its loop up."""
+BEGUN = 8
+"""So many histories are begun at a time."""
 
 
 @dataclass(slots=True)
@@ -58,6 +61,8 @@ class Service:
     """How the process looks for garbage; None: as Python does."""
     client_key: ClientKey = address_of
     """Whose event streams are counted together (`Settings.sse_clients_each`)."""
+    histories: asyncio.Semaphore = field(default_factory=lambda: asyncio.Semaphore(BEGUN))
+    """Had while a history is looked up and its first pieces are encoded."""
 
     def reasons(self) -> list[str]:
         """Why the service is not ready: nothing if it is."""

@@ -15,11 +15,13 @@ import numpy as np
 from fastapi import Response
 from fastapi.responses import StreamingResponse
 from numpy.typing import NDArray
+from starlette.types import Receive, Scope, Send
 
 from ..converters.arrow import ArrowWriter
 from ..converters.csv_table import encode_csv
 from ..converters.ndjson import encode_ndjson
 from ..streams.sample import Column, SampleBatch
+from .answers import HELD
 from .negotiation import ARROW, CSV, NDJSON, NTRIPLES
 
 PIECE_BYTES = 256 * 1024
@@ -48,17 +50,30 @@ async def history_answer(kind: str, batch: SampleBatch, triples: Triples) -> Res
         # Batches do not change.
         return await anyio.to_thread.run_sync(next, written, None)
 
-    first, second = await take(), await take()
-    if second is None:
-        return Response(first, media_type=kind)
+    begun = [await take(), await take()]
+    if begun[1] is None:
+        return Response(begun[0], media_type=kind)
 
     async def body() -> AsyncIterator[bytes]:
-        for piece in (first, second):
-            yield piece or b""
+        while begun:
+            # What is sent is let go: the next one may be asked for much later.
+            yield begun.pop(0) or b""
         while (piece := await take()) is not None:
             yield piece
 
-    return StreamingResponse(body(), media_type=kind)
+    return HistoryResponse(body(), batch.nbytes, kind)
+
+
+class HistoryResponse(StreamingResponse):
+    """One that comes in pieces. ``held`` bytes of samples stay until the last one is taken."""
+
+    def __init__(self, pieces: AsyncIterator[bytes], held: int, kind: str) -> None:
+        super().__init__(pieces, media_type=kind)
+        self._held = held
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        scope[HELD] = self._held
+        await super().__call__(scope, receive, send)
 
 
 def pieces(batch: SampleBatch) -> Iterator[SampleBatch]:

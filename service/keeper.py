@@ -331,10 +331,11 @@ class Keeper:
         for process in set(unkept) - self._unkept:
             await self.quiet()
             self.do(TellUnkept(process.process, process.reason))
-            self._unkept.add(process)
             log().warning(
                 "the state of a process would not survive a restart", process=str(process)
             )
+        # No more than there are processes: a reason may be another one each time.
+        self._unkept = set(unkept)
 
     async def _put(self, unwritten: Unwritten) -> tuple[Unkept, ...]:
         """Put a checkpoint on the disk and keep it, or leave nothing of it."""

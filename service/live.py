@@ -236,11 +236,12 @@ class LiveTables(LiveSamples):
         """Publish tables of the same columns together; where one is bad, one by one up to it."""
         table = joined(tables)
         generator = self._target()
+        # What is decoded stays with the stream's texts: not of what cannot be kept.
+        self._keeper.check_room(table.nbytes)
         try:
             incoming = samples_of_table(
                 table, generator.schema, generator.stream.pools, self._limits
             )
-            self._keeper.check_room(table.nbytes)
             body = bytes_of_table(table) if self._keeper.is_recording else b""
             self._publish(incoming, "arrow", body, 1)
         except WireError as error:

@@ -14,9 +14,11 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
+from .logs import log
 from .problems import Problem
 from .scopes import ADMIN
 from .settings import MEBIBYTE, Settings
@@ -26,18 +28,22 @@ CAN: Final = sys.platform == "linux"
 GROWS: Final = frozenset(route for route in ADMIN if not route.startswith("DELETE ")) - {
     # It may say that a stream is to keep less; one without samples takes next to nothing.
     "PUT /streams/{name}",
+    # It may only remove units; whether it does stands in its text.
+    "POST /specifications",
     # Its bodies may be long.
     "POST /ontologies",
 }
 """Routes after which there is more than before, whose bodies are short."""
-_SMALL: Final = 512 * MEBIBYTE
+_LEAST: Final = 512 * MEBIBYTE
+"""Nothing is set to less by itself: a service takes 0.4 GiB that has nothing in it, where it has
+compiled its loops itself (0.25 where not), and would refuse the first sample."""
 _LOOK: Final = 0.02
 """Seconds for which a look at the size of the process holds."""
 _NEAR: Final = 0.9
 """From this part of the limit on, what is free in the heap is given back."""
 _SHARE: Final = 0.01
 """Of the time, that giving back may take."""
-_LEAST: Final = 1.0
+_APART: Final = 1.0
 """Seconds between two times, at least."""
 _PATIENCE: Final = "5"
 """Seconds after which to try again."""
@@ -58,26 +64,55 @@ class Memory:
         give_back: Callable[[], object] | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.limit = limit if CAN or used is not None else 0
-        self.refused = 0
-        """How often something was."""
         self._used = used or resident
         self._give_back = give_back or _trim
         self._clock = clock
         self._seen = 0
         self._looked = self._due = float("-inf")
+        self.limit = limit if limit and self._can() else 0
+        self.refused = 0
+        """How often something was."""
 
     @classmethod
     def of(cls, settings: Settings) -> Memory:
         """As the settings say, or else as large as the machine allows (`limit_of`)."""
-        limit = settings.memory_limit
-        return cls(limit_of(there_is()) if limit is None else limit)
+        machine, given = there_is(), settings.memory_limit
+        memory = cls(limit_of(machine) if given is None else given)
+        if 0 < memory.limit < _LEAST or 0 < machine < 2 * _LEAST:
+            log().warning(
+                "there is little memory for a service",
+                limit=memory.limit,
+                machine=machine,
+                hint="it takes 0.4 GiB without streams after its first start, its workers theirs",
+            )
+        if memory.limit:
+            # Arrow's own heap keeps what is free for half a minute in each thread, and gives
+            # nothing back when told to. It is asked once, when Arrow is loaded.
+            os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")
+        return memory
+
+    def _can(self) -> bool:
+        """Whether anybody tells how large the process is."""
+        if self._used is resident and not CAN:
+            return False
+        try:
+            self._used()
+        except OSError as error:  # a jail without /proc, say
+            log().warning("there is no limit to the memory of the service", reason=str(error))
+            return False
+        return True
+
+    def within(self, size: int, part: int) -> int:
+        """``size`` bytes, or the ``part``-th part of the limit where that is less."""
+        return min(size, self.limit // part) if self.limit else size
 
     @property
     def used(self) -> int:
         """Bytes that the process takes; 0 without a limit, when nobody looks."""
         if self.limit and (now := self._clock()) - self._looked >= _LOOK:
-            self._seen, self._looked = self._used(), now
+            with suppress(OSError):  # no file can be opened just now: as large as it was
+                self._seen = self._used()
+            self._looked = now
         return self._seen
 
     @property
@@ -112,7 +147,7 @@ class Memory:
         begun = self._clock()
         self._give_back()
         ended = self._clock()
-        self._due = ended + max(_LEAST, (ended - begun) / _SHARE)
+        self._due = ended + max(_APART, (ended - begun) / _SHARE)
         self._looked = float("-inf")
 
     def reasons(self) -> list[str]:
@@ -130,9 +165,9 @@ def limit_of(machine: int) -> int:
     """What the service takes for its limit on a machine, or in a container, with so many bytes.
 
     Half of it: a copy of the process writes checkpoints, and takes as much again in the worst case;
-    workers have theirs. Where that is little, more: a service with nothing in it takes 0.25 GiB.
+    workers have theirs. Never less than a service needs that has next to nothing in it.
     """
-    return max(machine // 2, min(machine * 3 // 4, _SMALL))
+    return max(machine // 2, _LEAST) if machine else 0
 
 
 def resident() -> int:

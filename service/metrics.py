@@ -64,6 +64,8 @@ class Metrics:
         self._streams = StreamMetrics(engine, streams)
         self._journal = JournalState(keeper)
         self._registry = registry = CollectorRegistry()
+        self._is_told = False
+        """Whether the log says that the disk does not answer."""
         ProcessCollector(registry=registry)
         registry.register(_Service(engine, feeds, bodies, answers, memory))
         registry.register(self._journal)
@@ -134,10 +136,14 @@ class Metrics:
         """All metrics in the text format of Prometheus."""
         try:
             self._journal.use = await self._keeper.disk_use()
+            self._is_told = False
         except (OSError, TimeoutError) as error:
             # What is not known is not told; everything else is.
             self._journal.use = None
-            log().warning("the disk does not say how full it is", reason=str(error))
+            if not self._is_told:  # once until it does: many may ask, again and again
+                reason = str(error) or "it did not answer in time"
+                log().warning("the disk does not say how full it is", reason=reason)
+            self._is_told = True
         return generate_latest(self._registry) + await self._streams.text(self._clock())
 
 

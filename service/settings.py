@@ -90,9 +90,9 @@ class Settings(BaseSettings):
     """The same, of ontologies."""
     tick: float = Field(default=0.1, gt=0)
     """How often the engine is told the time."""
-    retention_samples: int = Field(default=100_000, gt=0)
+    retention_samples: int = Field(default=100_000, gt=0, le=100_000_000)
     """How many samples of history a stream keeps when its declaration does not say."""
-    retention_bytes: int = Field(default=256 * MEBIBYTE, gt=0)
+    retention_bytes: int = Field(default=256 * MEBIBYTE, gt=0, lt=2**63)
     """And how many bytes, when it says neither this nor how many samples."""
     history_limit: int = Field(default=10_000, gt=0)
     """How many samples one history answer holds when the request does not say."""

@@ -18,7 +18,7 @@ from ... import __version__
 from ...engine.engine import Engine
 from ...engine.loading import load_processes
 from ...engine.recorded import RecordedEngine
-from ...journal.errors import JournalError
+from ...journal.errors import JournalError, is_full
 from ...journal.log import Durability
 from ...ontology.errors import OntologyError
 from ..app import create_app
@@ -188,7 +188,10 @@ def _engine(
     except (JournalError, OntologyError) as error:
         raise fail(error.message, error.hint) from error
     except OSError as error:
-        raise fail(f"{settings.data} cannot be used: {error}") from error
+        hint = "--data says which directory is used; the service reads and writes in it"
+        if is_full(error):
+            hint = "make room on the disk, and start again"
+        raise fail(f"{settings.data} cannot be used: {error}", hint) from error
     recovery = engine.recovery
     for note in recovery.notes:
         if settings.log_json:

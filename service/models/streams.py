@@ -71,7 +71,7 @@ class FieldIn(FieldModel):
 class RetentionModel(Body):
     """How much history is kept: the newest samples, at most so many, of at most such an age, of at
     most so many bytes; and the newest batch. A sample has 16 bytes for its times, 8 for a number, 1
-    for a boolean, for a text 64 and its characters, four times as many where not all are ASCII."""
+    for a boolean, for a text 128 and its characters, four times as many where not all are ASCII."""
 
     samples: int | None = Field(default=None, gt=0, le=100_000_000)
     age: Duration | None = None

@@ -56,8 +56,12 @@ async def read_samples(
     stream = service.engine.generator(name).stream
     given = {"from": start, "to": end, "at": at, "known": known}
     times = {key: time_of(text, key) for key, text in given.items()}
-    batch = _select(stream, times, limit or service.settings.history_limit)
-    return await history_answer(kind, batch, partial(_triples, service, name))
+    most = limit or service.settings.history_limit
+    # Nobody has a place for it yet (service/answers): few at a time, so that many who ask at once
+    # take no more than there are places for.
+    async with service.histories:
+        batch = _select(stream, times, most)
+        return await history_answer(kind, batch, partial(_triples, service, name))
 
 
 def _triples(service: Service, name: str, batch: SampleBatch) -> list[str]:
@@ -75,9 +79,4 @@ def _select(stream: FluentStream, times: Mapping[str, int | None], limit: int) -
         return stream.most_recent_at(at, TIME_MAX if known is None else known)
     if known is not None:
         raise Problem(400, "wrong arguments", "`known` goes with `at`")
-    if start is None and times["to"] is None:
-        return stream.newest(limit)
-    batch = stream.between(start, times["to"])
-    if start is None:
-        return batch.take(slice(max(0, len(batch) - limit), None))
-    return batch.take(slice(0, limit))
+    return stream.between(start, times["to"], most=limit, newest=start is None)

@@ -51,6 +51,8 @@ async def apply(request: Request, service: Context) -> SpecificationModel:
     specification = await while_connected(
         request, lambda: service.isolation.specifications.read(body)
     )
+    if specification.insertions:
+        service.memory.check()
     view = await service.do(ApplySpecification(body), specification)
     service.feeds.review()
     return SpecificationModel.of(view)

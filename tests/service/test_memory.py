@@ -9,15 +9,18 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import httpx
+import pyarrow as pa
 import pytest
 from waiting import until
 
+from dyknow.converters.arrow import bytes_of_table
 from dyknow.engine.engine import Engine
 from dyknow.engine.recorded import RecordedEngine
 from dyknow.service.app import create_app
 from dyknow.service.client import Client, ServiceError
 from dyknow.service.context import Service
 from dyknow.service.memory import CAN, GROWS, Memory, limit_of, resident, there_is
+from dyknow.service.negotiation import ARROW
 from dyknow.service.problems import Problem
 from dyknow.service.scopes import NEEDED
 from dyknow.service.server import running
@@ -28,6 +31,7 @@ from dyknow.streams.time import Clock
 GIBIBYTE = 1024 * MEBIBYTE
 FIELDS = {"id": "string", "speed": "float"}
 NDJSON = {"Content-Type": "application/x-ndjson"}
+ARROWS = {"Content-Type": ARROW}
 
 
 class Machine:
@@ -113,10 +117,70 @@ def test_after_giving_back_it_looks_anew() -> None:
     assert not memory.is_short
 
 
+def test_long_answers_take_no_more_than_a_part() -> None:
+    machine = Machine()
+    assert machine.memory(800).within(200, 8) == 100
+    assert machine.memory(8000).within(200, 8) == 200
+    assert machine.memory(0).within(200, 8) == 200
+
+
+def test_where_nobody_tells_how_large_the_process_is_there_is_no_limit() -> None:
+    """A jail without /proc."""
+
+    def used() -> int:
+        raise FileNotFoundError("/proc/self/statm")
+
+    memory = Memory(1000, used)
+    memory.check()
+    memory.review()
+    assert (memory.limit, memory.used, memory.reasons()) == (0, 0, [])
+
+
+def test_where_nobody_tells_just_now_it_is_as_large_as_it_was() -> None:
+    """All file descriptors are in use, say."""
+    machine = Machine()
+    told = machine.used
+
+    def used() -> int:
+        if machine.size < 0:
+            raise OSError("too many open files")
+        return told()
+
+    memory = Memory(1000, used, machine.give_back, lambda: machine.now)
+    machine.size = 1000
+    assert memory.is_short
+    machine.size, machine.now = -1, machine.now + 1
+    assert memory.is_short
+    machine.size, machine.now = 10, machine.now + 1
+    assert not memory.is_short
+
+
+@pytest.mark.parametrize(
+    ("limit", "machine", "said"),
+    [
+        (None, 512 * MEBIBYTE, True),
+        (None, 1 * GIBIBYTE, False),
+        (192 * MEBIBYTE, 16 * GIBIBYTE, True),
+        (0, 16 * GIBIBYTE, False),
+        (512 * MEBIBYTE, 16 * GIBIBYTE, False),
+    ],
+)
+def test_it_is_said_where_there_is_little(
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+    limit: int | None,
+    machine: int,
+    said: bool,
+) -> None:
+    monkeypatch.setattr("dyknow.service.memory.there_is", lambda: machine)
+    Memory.of(Settings(memory_limit=limit))
+    assert ("there is little memory for a service" in caplog.text) is said
+
+
 def test_each_route_that_makes_something_is_known() -> None:
     needing = {route for route, scope in NEEDED.items() if scope is Scope.ADMIN}
     # What may be long is asked when it is there; a stream may be told to keep less.
-    others = {"POST /ontologies", "PUT /streams/{name}"}
+    others = {"POST /ontologies", "POST /specifications", "PUT /streams/{name}"}
     assert needing - {route for route in needing if route.startswith("DELETE ")} == GROWS | others
 
 
@@ -124,8 +188,8 @@ def test_each_route_that_makes_something_is_known() -> None:
     ("machine", "limit"),
     [
         (0, 0),
-        (256 * MEBIBYTE, 192 * MEBIBYTE),
-        (512 * MEBIBYTE, 384 * MEBIBYTE),
+        # An empty service takes no less, whatever there is.
+        (256 * MEBIBYTE, 512 * MEBIBYTE),
         (1 * GIBIBYTE, 512 * MEBIBYTE),
         (16 * GIBIBYTE, 8 * GIBIBYTE),
     ],
@@ -220,6 +284,57 @@ def test_reading_and_removing_go_on(service: tuple[str, Service]) -> None:
         inside.memory.limit = 0
         client.put_stream("s", FIELDS)
         assert http.get("/readyz").status_code == 200
+
+
+def test_units_are_removed_and_not_inserted(service: tuple[str, Service]) -> None:
+    url, inside = service
+
+    def specification(insertions: str = "", removals: str = "") -> str:
+        return (
+            '<specification xmlns="http://www.dyknow.eu/ontology#Specification">'
+            f"<insertions>{insertions}</insertions><removals>{removals}</removals></specification>"
+        )
+
+    def policy(name: str) -> str:
+        return (
+            f'<cu name="{name}" type="policy"><parameter name="policy" value="sample every 1s"/>'
+            '<stream name="s"/></cu>'
+        )
+
+    with (
+        Client(url, timeout=20) as client,
+        httpx.Client(base_url=url, trust_env=False, headers={"Content-Type": "text/xml"}) as http,
+    ):
+        client.put_stream("s", FIELDS)
+        assert http.post("/specifications", content=specification(policy("slow"))).is_success
+        _shorten(inside)
+        answer = http.post("/specifications", content=specification(policy("other")))
+        assert (answer.status_code, answer.json()["title"]) == (503, "memory is short")
+        removal = specification(removals='<cu name="slow"/>')
+        assert http.post("/specifications", content=removal).is_success
+        assert http.delete("/streams/s").status_code == 204
+
+
+def _lines(rows: list[dict[str, object]]) -> bytes:
+    return "\n".join(map(json.dumps, rows)).encode()
+
+
+@pytest.mark.parametrize("path", ["samples", "samples/live"])
+@pytest.mark.parametrize("kind", [NDJSON, ARROWS], ids=["ndjson", "arrow"])
+def test_nothing_is_left_of_what_is_refused(
+    service: tuple[str, Service], path: str, kind: dict[str, str]
+) -> None:
+    url, inside = service
+    with Client(url, timeout=20) as client:
+        client.put_stream("s", FIELDS)
+        client.publish("s", [{"valid": 1, "id": "u", "speed": 1.0}])
+        texts = inside.engine.accepting("s").stream.pools["id"]
+        _shorten(inside)
+        rows: list[dict[str, object]] = [{"valid": 2, "id": "another", "speed": 1.0}]
+        body = _lines(rows) if kind is NDJSON else bytes_of_table(pa.Table.from_pylist(rows))
+        answer = httpx.post(f"{url}/streams/s/{path}", content=body, headers=kind)
+        assert (answer.status_code, answer.json()["title"]) == (503, "memory is short")
+        assert list(texts.strings()) == ["u"]
 
 
 def test_a_live_body_ends_with_what_was_taken(service: tuple[str, Service]) -> None:

@@ -21,7 +21,7 @@ from dyknow.engine.engine import Engine
 from dyknow.service.app import TICK, create_app
 from dyknow.service.client import Client
 from dyknow.service.context import LATE, Service
-from dyknow.service.keeper import CHECKPOINT, ENGINE, JOURNAL, SOURCES
+from dyknow.service.keeper import CHECKPOINT, ENGINE, JOURNAL, SOURCES, Keeper
 from dyknow.service.logs import LOG_NAME, configure, log
 from dyknow.service.server import running
 from dyknow.service.settings import Settings
@@ -288,3 +288,23 @@ def test_a_client_that_leaves_within_its_body_is_no_failure(
         assert time.monotonic() < limit
         http.get("/healthz")
     assert told(records, "request failed") == []
+
+
+def test_a_disk_that_does_not_answer_is_told_once(
+    service_url: tuple[Service, httpx.Client],
+    records: pytest.LogCaptureFixture,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    _, http = service_url
+
+    async def silent(keeper: Keeper) -> None:
+        raise TimeoutError
+
+    for _ in range(2):
+        with monkeypatch.context() as patched:
+            patched.setattr(Keeper, "disk_use", silent)
+            for _ in range(3):
+                assert http.get("/metrics").status_code == 200
+        assert http.get("/metrics").status_code == 200
+    found = told(records, "the disk does not say how full it is")
+    assert [each["reason"] for each in found] == ["it did not answer in time"] * 2

@@ -99,11 +99,15 @@ def test_how_much_is_kept(http: httpx.Client, client: Client) -> None:
     for i in range(4):
         client.publish("s7", [{"valid": i, "v": 1.0, "text": "x" * 100}])
     assert http.get("/streams/s7").json()["kept"] == 4
-    assert kept(bytes=400)["bytes"] == 400
+    assert kept(bytes=600)["bytes"] == 600
     found = http.get("/streams/s7").json()
     assert (found["kept"], found["first"], found["last"]) == (2, 3, 4)
     assert kept() == usual
     assert http.get("/streams/s7").json()["kept"] == 2
+    # And that of streams that annotations make.
+    text = "stream s8 contains speed(UAV) = v for every UAV = id"
+    assert http.post("/annotations", content=text, headers=TEXT).status_code == 201
+    assert http.get("/streams/s8").json()["retention"] == usual
     fields = {"v": "float", "text": "string"}
     for wrong in (0, -1, 2**63, 1.5, "many"):
         answer = http.put("/streams/s7", json={"fields": fields, "retention": {"bytes": wrong}})
@@ -183,6 +187,16 @@ def test_idempotency_key_has_one_effect(http: httpx.Client) -> None:
         answer = publish(http, [row(1), row(9)], **{"Idempotency-Key": "k"})
         assert answer.json() == {"accepted": 2}
     assert http.get("/streams/s5").json()["counters"]["accepted"] == 2
+
+
+def test_which_of_several_idempotency_keys_counts_is_not_guessed(http: httpx.Client) -> None:
+    declare(http)
+    headers = [("Content-Type", "application/x-ndjson")]
+    headers += [("Idempotency-Key", key) for key in ("k", "l")]
+    answer = http.post("/streams/s5/samples", content=json.dumps(row(1)), headers=headers)
+    assert answer.status_code == 400
+    assert answer.json()["detail"] == "there are several Idempotency-Key headers"
+    assert http.get("/streams/s5").json()["counters"]["accepted"] == 0
 
 
 def test_template_life(http: httpx.Client) -> None:

@@ -21,6 +21,7 @@ from dyknow.engine.engine import Engine
 from dyknow.service.answers import EACH, PIECE_BYTES, STREAMED, Answers, LongAnswers
 from dyknow.service.app import create_app
 from dyknow.service.client import Client
+from dyknow.service.negotiation import ARROW
 from dyknow.service.observe import Observe
 from dyknow.service.problems import Problem
 from dyknow.service.server import running
@@ -130,6 +131,23 @@ def test_event_streams_have_a_patience_of_their_own(
                 assert not is_reset(events)
                 assert metric(http, "dyknow_event_stream_blocked") == 1
             assert slow_readers(http) == 1
+
+
+@pytest.mark.parametrize("kind", ["application/x-ndjson", ARROW, "text/csv"])
+def test_a_history_is_reckoned_with_what_is_held_for_it(
+    url: str, client: Client, kind: str
+) -> None:
+    fields = {f"v{i}": "float" for i in range(20)}
+    client.put_stream("wide", fields)
+    for first in range(0, 20_000, 5_000):
+        given = range(first, first + 5_000)
+        client.publish("wide", [{"valid": i, **dict.fromkeys(fields, 1.5)} for i in given])
+    with (
+        httpx.Client(base_url=url, trust_env=False, timeout=LONG) as http,
+        connect(url, "/streams/wide/samples?limit=15000", receive=2048, accept=kind),
+    ):
+        held = 15_000 * (16 + 20 * 8)
+        until(lambda: metric(http, "dyknow_long_answers_bytes") == STREAMED + held)
 
 
 def test_an_answer_without_a_place_is_refused_and_others_are_answered(

@@ -13,7 +13,9 @@ MESSAGE = re.compile(rb"(?:id: ([^\n]+)\n)?event: (\w+)\ndata: ([^\n]*)\n\n")
 PATIENCE = 30.0
 
 
-def connect(url: str, path: str, after: str = "", receive: int | None = None) -> socket.socket:
+def connect(
+    url: str, path: str, after: str = "", receive: int | None = None, accept: str = "*/*"
+) -> socket.socket:
     """A connection that has asked for ``path``; with ``receive`` bytes of room for the answer."""
     host, _, port = url.removeprefix("http://").rpartition(":")
     connection = socket.socket()
@@ -21,8 +23,8 @@ def connect(url: str, path: str, after: str = "", receive: int | None = None) ->
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, receive)
     connection.settimeout(PATIENCE)
     connection.connect((host, int(port)))
-    resume = f"Last-Event-ID: {after}\r\n" if after else ""
-    connection.sendall(f"GET {path} HTTP/1.1\r\nHost: {host}:{port}\r\n{resume}\r\n".encode())
+    wanted = f"Accept: {accept}\r\n" + (f"Last-Event-ID: {after}\r\n" if after else "")
+    connection.sendall(f"GET {path} HTTP/1.1\r\nHost: {host}:{port}\r\n{wanted}\r\n".encode())
     return connection
 
 
