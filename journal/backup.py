@@ -11,22 +11,21 @@ import os
 import shutil
 import tarfile
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import BinaryIO, Final
 
 import msgspec
 
-from .checkpoints import NAME as CHECKPOINT
-from .directory import REPAIRED, RESTORING, format_bytes, format_of, locked, write_whole
+from .checkpoints import checkpoint_path, positions_in
+from .directory import REPAIRED, RESTORING, format_bytes, format_of, holder_of, locked, write_whole
 from .disk import DISK
 from .errors import JournalDamaged, JournalError, UnknownFormat
-from .examination import examine, files_of
+from .examination import Examination, examine, files_of, judged, scans_of
 from .high_water import NAME as MARK
-from .high_water import Mark
+from .high_water import Mark, read_mark
 from .inspection import inspect
-from .segment import HEAD, header_of, path_of, walk
 
 FORMAT: Final = 1
 _MANIFEST: Final = "backup.json"
@@ -104,33 +103,47 @@ def restore(source: Path, path: Path, program: str) -> Manifest:
 
 def _copy(path: Path, part: Path) -> Manifest:
     for tries in range(_TRIES):
+        is_last, holder = tries == _TRIES - 1, holder_of(path)
         with ExitStack() as stack:
+            # Before the files (`judged`).
+            reading = read_mark(path / "journal")
             try:
-                checkpoints = [
-                    (each.name, stack.enter_context(each.open("rb")))
-                    for each in sorted((path / "checkpoints").glob(f"*{CHECKPOINT}"))
-                ]
+                folder = path / "checkpoints"
+                checkpoints = {
+                    position: stack.enter_context(checkpoint_path(folder, position).open("rb"))
+                    for position in positions_in(folder)
+                }
                 # Afterwards: the log goes on from the checkpoints that are held open.
-                log = [
-                    (int(each.stem), stack.enter_context(each.open("rb")))
+                log = {
+                    each: stack.enter_context(each.open("rb"))
                     for each in files_of(path / "journal")
-                ]
+                }
             except FileNotFoundError:
                 continue  # forgotten after it was listed
-            newest = int(checkpoints[-1][0].removesuffix(CHECKPOINT)) if checkpoints else 0
-            if tries < _TRIES - 1 and log and log[0][0] > newest + 1:
+            newest = max(checkpoints, default=0)
+            begins = [int(each.stem) for each in log]
+            if not is_last and begins and begins[0] > newest + 1:
                 continue
-            return _write(part, newest, checkpoints, log)
+            first = max((each for each in begins if each <= newest + 1), default=newest + 1)
+            needed = {each: file for each, file in log.items() if int(each.stem) >= first}
+            found = judged(reading.since(first), scans_of(list(needed), needed))
+            if found.damage is None:
+                return _write(part, newest, checkpoints.get(newest), found, needed)
+            # What is being written may look so.
+            if holder is None or is_last:
+                raise _unsound(found.damage)
     raise JournalError(f"{path} changes too quickly", "try again")
 
 
 def _write(
     part: Path,
     newest: int,
-    checkpoints: Sequence[tuple[str, BinaryIO]],
-    log: Sequence[tuple[int, BinaryIO]],
+    checkpoint: BinaryIO | None,
+    found: Examination,
+    log: Mapping[Path, BinaryIO],
 ) -> Manifest:
-    """Write the copy into the folder ``part``."""
+    """Write the copy into the folder ``part``: the checkpoint of record ``newest``, and what was
+    ``found`` good of the files of the ``log``."""
     part.mkdir(mode=0o700, parents=True)
     (part / "journal").mkdir()
     (part / "checkpoints").mkdir()
@@ -142,26 +155,17 @@ def _write(
 
     put("format.json", format_bytes())
     program = None
-    for name, file in checkpoints[-1:]:
-        put(f"checkpoints/{name}", data := file.read())
-        head = data.partition(b"\n")[0]
-        program = _program(head)
-    begins = [first for first, _ in log if first <= newest + 1]
-    first = begins[-1] if begins else newest + 1
-    position = first - 1
-    for begin, file in log:
-        if begin < first:
-            continue
-        data = file.read()
-        good = bytearray(header_of(begin))
-        for found in walk(data, begin):
-            good += data[found.begin - HEAD : found.begin + found.length]
-            position = found.position
-        if begin <= position:
-            put(f"journal/{path_of(part, begin).name}", bytes(good))
-    mark = Mark(first, position, position).encoded()
+    if checkpoint is not None:
+        data = checkpoint.read()
+        put(f"checkpoints/{checkpoint_path(part, newest).name}", data)
+        program = _program(data.partition(b"\n")[0])
+    for each in found.scans[: found.whole]:
+        if each.count:
+            log[each.path].seek(0)
+            put(f"journal/{each.path.name}", log[each.path].read(each.end))
+    mark = Mark(found.first, found.position, found.position).encoded()
     put(f"journal/{MARK}", 3 * mark)
-    manifest = Manifest(FORMAT, first, position, newest or None, program, files)
+    manifest = Manifest(FORMAT, found.first, found.position, newest or None, program, files)
     write_whole(DISK, part / _MANIFEST, msgspec.json.encode(manifest))
     return manifest
 
@@ -176,10 +180,13 @@ def _program(head: bytes) -> str | None:
 def _verify(path: Path, manifest: Manifest, program: str) -> None:
     found = inspect(path, program)
     if found.damage or examine(path / "journal").position != manifest.position:
-        reason = "; ".join(found.damage) or "records are missing"
-        raise JournalDamaged(
-            f"what was copied is not sound: {reason}", "dyknow check shows what is damaged"
-        )
+        raise _unsound("; ".join(found.damage) or "records are missing")
+
+
+def _unsound(reason: str) -> JournalDamaged:
+    return JournalDamaged(
+        f"what was copied is not sound: {reason}", "dyknow check shows what is damaged"
+    )
 
 
 def _pack(part: Path, target: Path) -> None:

@@ -9,13 +9,17 @@ the log's end: that is told, too.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
+from typing import BinaryIO, Final
 
 from .high_water import Mark, Reading, read_mark
 from .segment import Damage, Scan, scan
 
 HINT = "dyknow check shows it; dyknow repair keeps what is good, or restore a backup"
+_NONE: Final[Mapping[Path, BinaryIO]] = MappingProxyType({})
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,12 +60,29 @@ def files_of(folder: Path) -> list[Path]:
     return sorted(path for path in folder.glob("*.log") if path.stem.isdigit())
 
 
+def scans_of(files: Sequence[Path], contents: Mapping[Path, BinaryIO] = _NONE) -> tuple[Scan, ...]:
+    """What the ``files`` of a log hold, in their order; ``contents``: those that are open.
+
+    The last one is read first. A log writes to a file when all is written that goes into those
+    before it, so whoever writes meanwhile, none of them lacks what a later one goes on from.
+    Raises `UnknownFormat` and ``OSError``. Cost: reads all.
+    """
+    found = [
+        scan(path, contents[path].read() if path in contents else None) for path in reversed(files)
+    ]
+    return tuple(reversed(found))
+
+
 def examine(folder: Path) -> Examination:
     """Look at the log in ``folder``. Raises `UnknownFormat` and ``OSError``. Cost: reads all."""
     # First: whoever writes meanwhile, the files say more than a mark of before.
     reading = read_mark(folder)
+    return judged(reading, scans_of(files_of(folder)))
+
+
+def judged(reading: Reading, scans: tuple[Scan, ...]) -> Examination:
+    """What is to be believed of a log with these files, of which the mark was read before."""
     mark = reading.mark
-    scans = tuple(scan(path) for path in files_of(folder))
     known = mark or Mark()
     whole, torn, overlap = 0, None, None
     first = known.first

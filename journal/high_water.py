@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -56,6 +56,11 @@ class Reading:
     fault: str | None = None
     is_whole: bool = True
     is_latest: bool = True
+
+    def since(self, first: int) -> Reading:
+        """The same, of the log from record ``first`` on, where nobody asks for those before."""
+        mark = self.mark or Mark()
+        return replace(self, mark=replace(mark, first=max(mark.first, first)))
 
 
 def read_mark(folder: Path) -> Reading:

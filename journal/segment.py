@@ -117,9 +117,10 @@ class Scan:
         return not self.end and self.damage is not None and not self.damage.count
 
 
-def scan(path: Path) -> Scan:
-    """Read a file as far as it is good. Raises `UnknownFormat` and ``OSError``. Cost: O(bytes)."""
-    data = path.read_bytes()
+def scan(path: Path, data: bytes | None = None) -> Scan:
+    """Look how far a file is good; ``data``: what it holds, where that is known. Raises
+    `UnknownFormat` and ``OSError``. Cost: O(bytes)."""
+    data = path.read_bytes() if data is None else data
     first = int(path.stem)
     count, end, synced = 0, 0, 0
     if _has_header(path, data, first):

@@ -18,10 +18,10 @@ from ...engine.loading import load_processes
 from ...engine.processes import PROCESSES
 from ...journal.directory import format_of, lacks_format, locked
 from ...journal.errors import JournalError
-from ...journal.examination import files_of
+from ...journal.examination import files_of, scans_of
 from ...journal.inspection import Inspection, inspect
 from ...journal.repair import repair as repair_directory
-from ...journal.segment import scan, walk
+from ...journal.segment import walk
 from ..settings import Settings
 from .output import Json, err, fail, out, show_json, show_table
 from .remembered import found_processes, writer_of
@@ -106,19 +106,17 @@ def _records(directory: Path, after: int) -> Iterator[tuple[int, bytes]]:
     """Those that are good, from one to the next; fails at what is not."""
     position = None
     files = files_of(directory / "journal")
-    for i, path in enumerate(files):
-        if i + 1 < len(files) and int(files[i + 1].stem) <= after + 1:
-            continue
-        data = path.read_bytes()
-        for found in walk(data, int(path.stem)):
+    begin = sum(int(path.stem) <= after + 1 for path in files[1:])
+    for each in scans_of(files[begin:]):
+        data = each.path.read_bytes()[: each.end]
+        for found in walk(data, each.first):
             if position not in (None, found.position - 1):
                 raise fail(f"after record {position} comes {found.position}", "see dyknow check")
             position = found.position
             if position > after:
                 yield position, data[found.begin : found.begin + found.length]
-        damage = scan(path).damage
-        if damage is not None:
-            err().print(f"no record: {damage}", markup=False)
+        if each.damage is not None:
+            err().print(f"no record: {each.damage}", markup=False)
 
 
 def _plain(command: dict[str, Any], full: bool) -> dict[str, Any]:

@@ -21,7 +21,7 @@ from dyknow.journal.checkpoints import Checkpoints
 from dyknow.journal.disk import Disk
 from dyknow.journal.inspection import inspect
 from dyknow.journal.repair import repair
-from dyknow.journal.segment import scan
+from dyknow.journal.segment import scan, walk
 from dyknow.rdf.namespaces import DYKNOW
 from dyknow.service.app import create_app
 from dyknow.service.server import running
@@ -85,6 +85,10 @@ def file_with(data, position):
         for path in sorted((data / "journal").glob("*.log"))
         if scan(path).first <= position <= scan(path).last
     )
+
+
+def records_of(path):
+    return walk(path.read_bytes(), int(path.stem))
 
 
 def opened(data):
@@ -303,11 +307,27 @@ def test_a_restore_that_was_not_finished_is_not_started(data, tmp_path):
     assert not checked(data, status=1)["sound"]
 
 
-def test_a_damaged_directory_is_not_backed_up(data, tmp_path):
-    path = file_with(data, 18)
-    flip(path, scan(path).end - 3)
+@pytest.mark.parametrize("position", [18, 21, 22])
+def test_a_damaged_directory_is_not_backed_up(data, tmp_path, position):
+    """Also where the rest alone would look like a log that ends sooner."""
+    path = file_with(data, position)
+    flip(path, next(e.begin for e in records_of(path) if e.position == position))
     assert "not sound" in run("backup", data, tmp_path / "copy", status=1).stderr
     assert not list(tmp_path.glob("copy*"))
+
+
+def test_a_directory_whose_last_records_are_gone_is_not_backed_up(data, tmp_path):
+    file_with(data, 22).unlink()
+    assert "not sound" in run("backup", data, tmp_path / "copy", status=1).stderr
+
+
+def test_what_is_damaged_before_the_newest_checkpoint_is_not_in_a_backup(data, tmp_path):
+    """Nor needed: it is backed up as a directory that has forgotten it."""
+    path = file_with(data, 8)
+    flip(path, next(e.begin for e in records_of(path) if e.position == 8))
+    run("backup", data, tmp_path / "copy")
+    run("restore", tmp_path / "copy", tmp_path / "again")
+    assert checked(tmp_path / "again")["sound"]
 
 
 def test_a_backup_of_a_service_that_takes_samples_and_forgets_is_whole(tmp_path):
