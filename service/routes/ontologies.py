@@ -10,6 +10,8 @@ from fastapi import APIRouter, Query, Request
 from pyoxigraph import NamedNode
 
 from ...engine.commands import LoadOntology
+from ...ontology.errors import OntologyError
+from ...ontology.graphs import STREAM_SPACE_ONTOLOGY
 from ...ontology.ontology import PreparedOntology
 from ...ontology.reading import TextFormat
 from ...ontology.reasoning import Reasoning
@@ -41,6 +43,7 @@ BODY: dict[str, Any] = {
 _ONTOLOGY = NamedNode(OWL + "Ontology")
 # A name of nothing: what a text calls <> has no IRI of its own.
 _NO_BASE = NamedNode("urn:dyknow:no-base:")
+_ANOTHER = "the stream space is described in its terms; say more of them under another name"
 _NAME_IT = "say what it is called: ?name=<IRI>, or --name IRI"
 
 
@@ -74,6 +77,9 @@ async def load_ontology(
 
     def prepare() -> tuple[str, PreparedOntology]:
         known = _own_name(text, format, documents) if name is None else name
+        if known == STREAM_SPACE_ONTOLOGY.value:
+            # Not by the engine: logs of earlier versions may have it.
+            raise OntologyError(f"the name {known} is the system's own", hint=_ANOTHER)
         service.gate.quotas.check_ontology(known)
         return known, ontology.prepare(text, name=known, format=format, reasoning=documents)
 

@@ -95,6 +95,25 @@ def test_what_is_refused(http: httpx.Client) -> None:
     assert "context" in far.json()["hint"]
 
 
+@pytest.mark.parametrize(
+    ("text", "query"),
+    [
+        (TURTLE, {"name": "http://www.dyknow.eu/ontology"}),
+        ("<http://www.dyknow.eu/ontology> a <http://www.w3.org/2002/07/owl#Ontology> .", {}),
+    ],
+)
+def test_the_terms_of_the_stream_space_are_not_replaced(
+    http: httpx.Client, text: str, query: dict[str, str]
+) -> None:
+    answer = post(http, text, **query)
+    assert answer.status_code == 400
+    assert "another name" in answer.json()["hint"]
+    question = (
+        "ASK { <http://www.dyknow.eu/ontology#Stream> a <http://www.w3.org/2002/07/owl#Class> }"
+    )
+    assert http.get("/sparql", params={"query": question}).json()["boolean"]
+
+
 def test_commands(dyknow: Any, tmp_path: Path) -> None:
     path = tmp_path / "harbour.ttl"
     path.write_text(TURTLE)
