@@ -173,7 +173,12 @@ def positions_in(folder: Path) -> list[int]:
 
 def write_list(folder: Path, disk: Disk, positions: list[int]) -> None:
     """From now on checkpoints of these positions are in ``folder``. Raises ``OSError``."""
-    write_whole(disk, folder / LIST, msgspec.json.encode(positions) + b"\n")
+    write_whole(disk, folder / LIST, list_bytes(positions))
+
+
+def list_bytes(positions: list[int]) -> bytes:
+    """What kept.json says."""
+    return msgspec.json.encode(positions) + b"\n"
 
 
 def gone_from(folder: Path) -> list[str]:
@@ -208,6 +213,14 @@ def parts_of(checkpoint: Checkpoint) -> tuple[bytes, bytes, bytes]:
 
 def read_checkpoint(path: Path) -> Checkpoint:
     """The checkpoint in a file. Raises `JournalDamaged`, `UnknownFormat` and ``OSError``."""
+    found = checkpoint_in(path)
+    if int(path.stem) != found.position:
+        raise JournalDamaged(f"{path.name} is of position {found.position}")
+    return found
+
+
+def checkpoint_in(path: Path) -> Checkpoint:
+    """The same, of whichever position, under whichever name."""
     line, _, body = path.read_bytes().partition(b"\n")
     try:
         head = msgspec.json.decode(line, type=Head)
@@ -220,8 +233,6 @@ def read_checkpoint(path: Path) -> Checkpoint:
             f"{path.name} has format {head.format}, this program reads {FORMAT}",
             "use the version of DyKnow that wrote it, or a later one",
         )
-    if int(path.stem) != head.position:
-        raise JournalDamaged(f"{path.name} is of position {head.position}")
     return Checkpoint(head.position, head.program, body[: head.portable], body[head.portable :])
 
 

@@ -42,6 +42,10 @@ class Mark:
         rest = _REST.pack(self.first, self.synced, self.durable)
         return _HEAD.pack(_MAGIC, zlib.crc32(rest)) + rest
 
+    def whole(self) -> bytes:
+        """All copies: what the file is at rest."""
+        return 3 * self.encoded()
+
 
 @dataclass(frozen=True, slots=True)
 class Reading:

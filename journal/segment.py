@@ -143,11 +143,12 @@ def walk(data: bytes, first: int) -> Iterator[Found]:
         place, position = found.begin + found.length, position + 1
 
 
-def found_in(data: bytes, start: int, position: int) -> Iterator[Found]:
+def found_in(data: bytes, start: int, position: int, most: int | None = None) -> Iterator[Found]:
     """Good records anywhere from byte ``start`` on, of ``position`` or later ones, in order of
-    place. Cost: O(bytes)."""
+    place; up to position ``most``, without which as many as there is room for. Cost: O(bytes)."""
     least = max(1, position)
-    most = position + (len(data) - start) // _RECORD.size
+    if most is None:
+        most = position + (len(data) - start) // _RECORD.size
     passed = start
     for begin in range(start + _POSITION, len(data) - 7, _LOOK):
         count = min(_LOOK, len(data) - 7 - begin)

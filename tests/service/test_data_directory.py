@@ -200,7 +200,7 @@ def test_a_damaged_checkpoint_is_set_aside_and_nothing_is_lost(data):
     assert published(recorded) == list(range(1, 21))
     recorded.close(checkpoint=False)
     done = json.loads(run("repair", data, "--json").stdout)
-    assert done["aside"] == [f"{newest}.damaged"]
+    assert done["aside"] == [f"{newest}.damaged", f"{newest.parent}/kept.json.damaged"]
     assert done["lost"] is None
     assert checked(data)["sound"]
 
