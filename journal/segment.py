@@ -144,8 +144,9 @@ def walk(data: bytes, first: int) -> Iterator[Found]:
 
 
 def found_in(data: bytes, start: int, position: int, most: int | None = None) -> Iterator[Found]:
-    """Good records anywhere from byte ``start`` on, of ``position`` or later ones, in order of
-    place; up to position ``most``, without which as many as there is room for. Cost: O(bytes)."""
+    """Good records anywhere from byte ``start`` on, in order of place: of ``position`` or later
+    ones up to ``most``, without which as many as there is room for. Cost: O(bytes), and where what
+    is damaged is full of numbers like these, what their checksums take."""
     least = max(1, position)
     if most is None:
         most = position + (len(data) - start) // _RECORD.size
@@ -200,7 +201,10 @@ def _damage(path: Path, data: bytes, place: int, position: int) -> Damage | None
     rest = len(data[place:].rstrip(b"\0"))
     if not rest and place:
         return None
-    return Damage(path, place, rest, position - 1, tuple(found_in(data, place, position)))
+    # Earlier ones are none that follow, but what is in them need not be looked at.
+    most = position + len(data) // _RECORD.size
+    behind = tuple(each for each in found_in(data, place, 1, most) if each.position >= position)
+    return Damage(path, place, rest, position - 1, behind)
 
 
 class Waiting(NamedTuple):
