@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import shutil
 import tarfile
+import tempfile
 import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
@@ -19,16 +20,24 @@ from typing import BinaryIO, Final
 import msgspec
 
 from .checkpoints import checkpoint_path, positions_in
-from .directory import REPAIRED, RESTORING, format_bytes, format_of, holder_of, locked, write_whole
+from .directory import (
+    MANIFEST,
+    REPAIRED,
+    RESTORING,
+    format_bytes,
+    format_of,
+    holder_of,
+    locked,
+    write_whole,
+)
 from .disk import DISK
 from .errors import JournalDamaged, JournalError, UnknownFormat
-from .examination import Examination, examine, files_of, judged, scans_of
+from .examination import Examination, judged, open_log, scans_of
 from .high_water import NAME as MARK
-from .high_water import Mark, read_mark
-from .inspection import inspect
+from .high_water import Mark
+from .inspection import UNFINISHED, inspect
 
 FORMAT: Final = 1
-_MANIFEST: Final = "backup.json"
 _TRIES: Final = 10
 
 
@@ -46,31 +55,49 @@ class Manifest(msgspec.Struct, frozen=True):
 def back_up(path: Path, target: Path, program: str) -> Manifest:
     """Copy the data directory ``path`` to ``target``, and see that the copy is sound.
 
-    Raises `JournalError` where there is something already, or ``path`` is damaged; ``OSError``.
-    Nothing is left of one that fails.
+    Raises `JournalError` where there is something already, ``path`` is damaged, or what was
+    acknowledged is missing in it; ``OSError``. Nothing is left of one that fails; of one that is
+    killed a ``.part`` of its own is.
     """
-    if target.exists():
-        raise JournalError(f"{target} is there already", "name another target, or move it away")
+    if os.path.lexists(target):
+        raise _taken(target)
+    if target.absolute().is_relative_to(path.absolute()):
+        raise JournalError(
+            f"{target} is in the data directory itself", "name a target outside of it"
+        )
     if format_of(path) is None:
         raise JournalError(
             f"{path} has no format.json: it is no data directory, or of an earlier version",
             "start dyknow serve on it once, or copy the folder while no service has it open",
         )
-    part = target.with_name(f"{target.name}.part")
-    shutil.rmtree(part, ignore_errors=True)
+    if (path / RESTORING).exists():
+        raise JournalError(f"a restore into {path} was not finished", "empty it and restore again")
+    folder = target.absolute().parent
+    missing = [each for each in (folder, *folder.parents) if not each.exists()]
+    DISK.make_folder(folder)
+    # Others may copy to the same place, or have something there that is called so.
+    part = Path(tempfile.mkdtemp(".part", f"{target.name}.", folder))
     try:
-        manifest = _copy(path, part)
-        _verify(part, manifest, program)
+        copy = part / "copy"
+        manifest = _copy(path, copy)
+        _verify(copy, manifest, program)
         if target.suffix == ".tar":
-            _pack(part, target)
-            shutil.rmtree(part)
-        else:
-            part.rename(target)
-        DISK.sync_folder(target.absolute().parent)
+            copy = _pack(copy, part / "copy.tar")
+        if os.path.lexists(target):
+            raise _taken(target)
+        copy.rename(target)
+        DISK.sync_folder(folder)
     except BaseException:
         shutil.rmtree(part, ignore_errors=True)
+        for each in missing:
+            each.rmdir()
         raise
+    shutil.rmtree(part, ignore_errors=True)
     return manifest
+
+
+def _taken(target: Path) -> JournalError:
+    return JournalError(f"{target} is there already", "name another target, or move it away")
 
 
 def restore(source: Path, path: Path, program: str) -> Manifest:
@@ -79,6 +106,8 @@ def restore(source: Path, path: Path, program: str) -> Manifest:
 
     Raises `JournalError` where ``path`` holds something or the backup is not as it was written.
     """
+    if path.exists() and not path.is_dir():
+        raise JournalError(f"{path} is no directory", "name another one, or move it away")
     if path.exists() and any(path.iterdir()):
         raise JournalError(f"{path} is not empty", "name another directory, or move it away")
     manifest = _manifest(source)
@@ -93,9 +122,9 @@ def restore(source: Path, path: Path, program: str) -> Manifest:
             write_whole(disk, path / name, data)
         told = f"restored from a backup of record {manifest.position}; what followed is not in it"
         write_whole(disk, path / REPAIRED, f"{told}\n".encode())
+        _verify(path, manifest, program)
         disk.remove(path / RESTORING)
         disk.sync_folder(path)
-        _verify(path, manifest, program)
     finally:
         os.close(lock)
     return manifest
@@ -105,8 +134,6 @@ def _copy(path: Path, part: Path) -> Manifest:
     for tries in range(_TRIES):
         is_last, holder = tries == _TRIES - 1, holder_of(path)
         with ExitStack() as stack:
-            # Before the files (`judged`).
-            reading = read_mark(path / "journal")
             try:
                 folder = path / "checkpoints"
                 checkpoints = {
@@ -114,10 +141,7 @@ def _copy(path: Path, part: Path) -> Manifest:
                     for position in positions_in(folder)
                 }
                 # Afterwards: the log goes on from the checkpoints that are held open.
-                log = {
-                    each: stack.enter_context(each.open("rb"))
-                    for each in files_of(path / "journal")
-                }
+                reading, log = open_log(path / "journal", stack)
             except FileNotFoundError:
                 continue  # forgotten after it was listed
             newest = max(checkpoints, default=0)
@@ -126,12 +150,14 @@ def _copy(path: Path, part: Path) -> Manifest:
                 continue
             first = max((each for each in begins if each <= newest + 1), default=newest + 1)
             needed = {each: file for each, file in log.items() if int(each.stem) >= first}
-            found = judged(reading.since(first), scans_of(list(needed), needed))
-            if found.damage is None:
+            in_use = holder is not None
+            found = judged(reading.since(first), scans_of(list(needed), needed), in_use=in_use)
+            fault = found.damage or found.doubt
+            if fault is None:
                 return _write(part, newest, checkpoints.get(newest), found, needed)
             # What is being written may look so.
             if holder is None or is_last:
-                raise _unsound(found.damage)
+                raise _unsound(fault)
     raise JournalError(f"{path} changes too quickly", "try again")
 
 
@@ -166,21 +192,28 @@ def _write(
     mark = Mark(found.first, found.position, found.position).encoded()
     put(f"journal/{MARK}", 3 * mark)
     manifest = Manifest(FORMAT, found.first, found.position, newest or None, program, files)
-    write_whole(DISK, part / _MANIFEST, msgspec.json.encode(manifest))
+    write_whole(DISK, part / MANIFEST, msgspec.json.encode(manifest))
     return manifest
 
 
 def _program(head: bytes) -> str | None:
     try:
         return str(msgspec.json.decode(head)["program"])
-    except (msgspec.DecodeError, KeyError):
+    except (msgspec.DecodeError, UnicodeDecodeError, KeyError):
         return None
 
 
 def _verify(path: Path, manifest: Manifest, program: str) -> None:
     found = inspect(path, program)
-    if found.damage or examine(path / "journal").position != manifest.position:
-        raise _unsound("; ".join(found.damage) or "records are missing")
+    # It is not finished before it is verified.
+    damage = [each for each in found.damage if each != UNFINISHED]
+    if damage:
+        raise _unsound("; ".join(damage))
+    if (found.log.first, found.log.position) != (manifest.first, manifest.position):
+        raise _unsound(
+            f"it has records {found.log.first} to {found.log.position} instead of "
+            f"{manifest.first} to {manifest.position}"
+        )
 
 
 def _unsound(reason: str) -> JournalDamaged:
@@ -189,32 +222,28 @@ def _unsound(reason: str) -> JournalDamaged:
     )
 
 
-def _pack(part: Path, target: Path) -> None:
-    packed = target.with_name(f"{target.name}.part.tar")
-    try:
-        # As the files that are in it: for their owner alone.
-        with os.fdopen(os.open(packed, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
-            with tarfile.open(fileobj=file, mode="w") as tar:
-                for each in sorted(part.rglob("*")):
-                    if each.is_file():
-                        tar.add(each, str(each.relative_to(part)))
-            file.flush()
-            os.fsync(file.fileno())
-        _check(packed, _manifest(packed))
-        packed.rename(target)
-    finally:
-        packed.unlink(missing_ok=True)
+def _pack(copy: Path, packed: Path) -> Path:
+    # As the files that are in it: for their owner alone.
+    with os.fdopen(os.open(packed, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
+        with tarfile.open(fileobj=file, mode="w") as tar:
+            for each in sorted(copy.rglob("*")):
+                if each.is_file():
+                    tar.add(each, str(each.relative_to(copy)))
+        file.flush()
+        os.fsync(file.fileno())
+    _check(packed, _manifest(packed))
+    return packed
 
 
 def _manifest(source: Path) -> Manifest:
     try:
-        manifest = msgspec.json.decode(_read(source, _MANIFEST), type=Manifest)
+        manifest = msgspec.json.decode(_read(source, MANIFEST), type=Manifest)
     except (KeyError, FileNotFoundError, NotADirectoryError, tarfile.TarError) as error:
         raise JournalError(
-            f"{source} is no backup: it has no {_MANIFEST}", "dyknow backup makes one"
+            f"{source} is no backup: it has no {MANIFEST}", "dyknow backup makes one"
         ) from error
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise JournalDamaged(f"{_MANIFEST} of {source} is damaged: {error}") from error
+        raise JournalDamaged(f"{MANIFEST} of {source} is damaged: {error}") from error
     if manifest.format != FORMAT:
         raise UnknownFormat(
             f"the backup has format {manifest.format}, this program reads {FORMAT}",

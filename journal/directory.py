@@ -6,6 +6,7 @@
     DIR/checkpoints/       states at positions of the log
     DIR/restoring          a restore has begun and not ended
     DIR/repaired           what is lost, or may be, until a start has begun new ids
+    DIR/backup.json        it is no data directory, but a backup of one
     DIR/ontology/          format 1: an Oxigraph store, read once; kept as ontology.format1
 
 docs/data-directory.md says what each version of DyKnow does with each format.
@@ -15,6 +16,7 @@ from __future__ import annotations
 
 import fcntl
 import os
+import time
 from pathlib import Path
 from types import TracebackType
 from typing import Final, Self
@@ -22,11 +24,14 @@ from typing import Final, Self
 import msgspec
 
 from .disk import DISK, Disk
-from .errors import DirectoryInUse, JournalDamaged, UnknownFormat
+from .errors import DirectoryInUse, JournalDamaged, JournalError, UnknownFormat
 
 FORMAT: Final = 2
 REPAIRED: Final = "repaired"
 RESTORING: Final = "restoring"
+MANIFEST: Final = "backup.json"
+_PATIENCE: Final = 0.2
+"""Seconds for which a lock is tried again: who looks at a directory has it for a moment."""
 
 
 class _Format(msgspec.Struct):
@@ -35,7 +40,7 @@ class _Format(msgspec.Struct):
 
 class DataDirectory:
     """An open data directory, made if it is not there. Raises `DirectoryInUse`, `UnknownFormat`,
-    `JournalDamaged` and ``OSError``."""
+    `JournalDamaged`, `JournalError` for a backup, and ``OSError``."""
 
     def __init__(self, path: Path, disk: Disk = DISK) -> None:
         self.path = path
@@ -102,6 +107,12 @@ class DataDirectory:
         if (self.path / RESTORING).exists():
             raise JournalDamaged(
                 f"a restore into {self.path} was not finished", "empty it and restore again"
+            )
+        if (self.path / MANIFEST).exists():
+            # The service that it was made of gives the ids that follow.
+            raise JournalError(
+                f"{self.path} is a backup, no data directory",
+                "dyknow restore makes a directory of it, in which ids of events begin anew",
             )
         if lacks_format(self.path):
             raise JournalDamaged(
@@ -170,15 +181,21 @@ def locked(path: Path) -> int:
     """The lock of a data directory, as an open file: close it to let another process have it.
     Raises `DirectoryInUse` and ``OSError``."""
     file = os.open(path / "lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError as error:
-        holder = os.pread(file, 32, 0).decode(errors="replace").strip()
-        os.close(file)
-        raise DirectoryInUse(
-            f"{path} is in use by process {holder or 'unknown'}",
-            "stop it first, or name another directory",
-        ) from error
+    until = time.monotonic() + _PATIENCE
+    while True:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            if time.monotonic() < until:
+                time.sleep(_PATIENCE / 20)
+                continue
+            holder = os.pread(file, 32, 0).decode(errors="replace").strip()
+            os.close(file)
+            raise DirectoryInUse(
+                f"{path} is in use by process {holder or 'unknown'}",
+                "stop it first, or name another directory",
+            ) from error
+        break
     try:
         # Written over, never made shorter: on a full disk there might be no room for it again.
         os.pwrite(file, f"{os.getpid():<20}\n".encode(), 0)

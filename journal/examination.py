@@ -2,15 +2,16 @@
 
 After a loss of power of what was written and not synced any part may be there: the last write is
 unfinished, and is cut off. What was synced is there, or the disk or somebody has damaged it: that
-is told, and nothing is done. Which of both it is tell the records behind the place (`Scan.synced`)
-and the high-water mark. Where that cannot tell all, nobody knows whether something is missing at
-the log's end: that is told, too.
+is told, and nothing is done. Which of both it is tell the records behind the place (their
+``synced``) and the high-water mark. Where that cannot tell all, nobody knows whether something is
+missing at the log's end: that is told, too.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import BinaryIO, Final
@@ -60,6 +61,15 @@ def files_of(folder: Path) -> list[Path]:
     return sorted(path for path in folder.glob("*.log") if path.stem.isdigit())
 
 
+def open_log(folder: Path, stack: ExitStack) -> tuple[Reading, dict[Path, BinaryIO]]:
+    """The mark of the log in ``folder``, and its files in order, held open until the ``stack`` is
+    left: what is forgotten meanwhile can be read nevertheless. Raises ``OSError``,
+    ``FileNotFoundError`` where one was forgotten after it was listed."""
+    # First: whoever writes meanwhile, the files say more than a mark of before.
+    reading = read_mark(folder)
+    return reading, {each: stack.enter_context(each.open("rb")) for each in files_of(folder)}
+
+
 def scans_of(files: Sequence[Path], contents: Mapping[Path, BinaryIO] = _NONE) -> tuple[Scan, ...]:
     """What the ``files`` of a log hold, in their order; ``contents``: those that are open.
 
@@ -73,17 +83,21 @@ def scans_of(files: Sequence[Path], contents: Mapping[Path, BinaryIO] = _NONE) -
     return tuple(reversed(found))
 
 
-def examine(folder: Path) -> Examination:
-    """Look at the log in ``folder``. Raises `UnknownFormat` and ``OSError``. Cost: reads all."""
-    # First: whoever writes meanwhile, the files say more than a mark of before.
-    reading = read_mark(folder)
-    return judged(reading, scans_of(files_of(folder)))
+def examine(folder: Path, *, in_use: bool = False) -> Examination:
+    """Look at the log in ``folder``; ``in_use``: a process may write to it (`judged`). Raises
+    `UnknownFormat` and ``OSError``. Cost: reads all."""
+    reading = read_mark(folder)  # first, as in `open_log`
+    return judged(reading, scans_of(files_of(folder)), in_use=in_use)
 
 
-def judged(reading: Reading, scans: tuple[Scan, ...]) -> Examination:
-    """What is to be believed of a log with these files, of which the mark was read before."""
+def judged(reading: Reading, scans: tuple[Scan, ...], *, in_use: bool = False) -> Examination:
+    """What is to be believed of a log with these files, of which the mark was read before. Where a
+    process may have written ``in_use``, what follows all that was acknowledged is not looked at:
+    it may be half of a write."""
     mark = reading.mark
     known = mark or Mark()
+    if in_use:
+        scans = _without_writes(scans, known.durable)
     whole, torn, overlap = 0, None, None
     first = known.first
     if scans:
@@ -103,13 +117,30 @@ def judged(reading: Reading, scans: tuple[Scan, ...]) -> Examination:
             break
         whole += 1
         position = each.last
-    synced = max([known.synced, *(each.synced for each in scans)])
+    synced = max([known.synced, *(_synced(each) for each in scans)])
     damage = overlap
     if position < synced:
         what = "records are missing" if torn is None else f"damaged: {torn}"
         damage = f"{what}; records up to {synced} were kept, and are good up to {position}"
-    elif damage is None and scans and not reading.is_whole:
+    elif damage is None and not reading.is_whole and (scans or in_use):
         # It was on the disk before them (`Log`), so no loss of power has taken it.
         damage = reading.fault
     lost = max(0, known.durable - position)
     return Examination(scans, reading, whole, first, position, torn, damage, lost)
+
+
+def _synced(scan: Scan) -> int:
+    """The greatest that any of its good records tells."""
+    behind = () if scan.damage is None else scan.damage.behind
+    return max([scan.synced, *(each.synced for each in behind)])
+
+
+def _without_writes(scans: tuple[Scan, ...], acknowledged: int) -> tuple[Scan, ...]:
+    """The same without what may be written just now: files that have no record yet, and the end of
+    the last one that has."""
+    while scans and scans[-1].last >= acknowledged:
+        *before, last = scans
+        if last.count:
+            return (*before, replace(last, damage=None))
+        scans = tuple(before)
+    return scans

@@ -3,17 +3,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import TypeAlias
+from typing import BinaryIO, Final, TypeAlias
 
 from .checkpoints import LIST, checkpoint_path, gone_from, positions_in, read_checkpoint
 from .checkpoints import NAME as CHECKPOINT
-from .directory import FORMAT, REPAIRED, RESTORING, format_of, holder_of, lacks_format
+from .directory import FORMAT, MANIFEST, REPAIRED, RESTORING, format_of, holder_of, lacks_format
 from .errors import JournalDamaged
-from .examination import Examination, examine
+from .examination import Examination, examine, judged, open_log, scans_of
 from .high_water import NAME as MARK
 from .segment import walk
 
@@ -29,13 +31,16 @@ _KNOWN = (
         f"{RESTORING}*",
         "ontology",
         "ontology.format1",
-        "backup.json",
+        MANIFEST,
     ),
     (f"{'[0-9]' * 20}.log*", f"{MARK}*", f"{'[0-9]' * 20}{CHECKPOINT}*", f"{LIST}*", "*.part"),
 )
 """Patterns of what may be in a data directory, and in its two folders."""
-_TRIES = 5
+UNFINISHED: Final = "a restore was not finished"
+_TRIES: Final = 5
 """So often what looks damaged is looked at again where a process writes meanwhile."""
+_PAUSE: Final = 0.02
+"""Seconds before it is: a log that is being begun has its mark by then."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,21 +100,46 @@ def inspect(path: Path, program: str, begun_by: BegunBy | None = None) -> Inspec
             # Forgotten by the process that has it, after it was listed.
             if holder is None or tries == _TRIES - 1:
                 raise
-            continue
-        if found.is_sound or holder is None:
-            break
+        else:
+            if found.is_sound or holder is None:
+                break
+        time.sleep(_PAUSE)
     return found
+
+
+@contextmanager
+def log_of(path: Path) -> Iterator[tuple[Examination, Mapping[Path, BinaryIO]]]:
+    """The log of the data directory ``path``, that may be in use, and its files, held open. Raises
+    `UnknownFormat` and ``OSError``. Cost: reads all of it."""
+    for tries in range(_TRIES):
+        holder = holder_of(path)
+        is_last = holder is None or tries == _TRIES - 1
+        with ExitStack() as stack:
+            try:
+                reading, files = open_log(path / "journal", stack)
+            except FileNotFoundError:
+                if is_last:
+                    raise
+            else:
+                found = judged(reading, scans_of(list(files), files), in_use=holder is not None)
+                if is_last or not (found.damage or found.doubt):
+                    yield found, files
+                    return
+        time.sleep(_PAUSE)
 
 
 def _look(
     path: Path, format: int, program: str, holder: str | None, begun_by: BegunBy | None
 ) -> Inspection:
-    log = examine(path / "journal")
+    log = examine(path / "journal", in_use=holder is not None)
     gone = gone_from(path / "checkpoints")
     found = tuple(_checkpoint(path / "checkpoints", p) for p in positions_in(path / "checkpoints"))
     damage = [] if log.damage is None else [log.damage]
-    if (path / RESTORING).exists():
-        damage.append("a restore was not finished")
+    is_unfinished = (path / RESTORING).exists()
+    if is_unfinished:
+        damage.append(UNFINISHED)
+    if log.lost and log.damage is None and log.doubt is not None:
+        damage.append(log.doubt)
     damage += [each.damage for each in found if each.damage is not None] + gone
     fault = log.reading.fault
     if log.scans and fault is not None and fault != log.damage:
@@ -121,6 +151,10 @@ def _look(
     if lacks_format(path):
         damage.insert(0, "format.json is missing or damaged")
         start = "refuses to start: see dyknow repair"
+    elif is_unfinished:
+        start = "refuses to start: empty the directory and restore again"
+    elif (path / MANIFEST).exists():
+        start = "refuses to start: it is a backup, of which dyknow restore makes a directory"
     elif log.damage is None and refusal is None:
         begun = _begun(log, begun_by) if not sound else None
         start = _start(path, format, log, sound, program, begun or program)
@@ -182,7 +216,8 @@ def _start(
     told += f", does {count} commands again"
     named = path / REPAIRED
     if named.exists():
-        return f"{told}; ids of events begin anew: {named.read_text().strip()}"
+        reason = named.read_text(errors="replace").strip()
+        return f"{told}; ids of events begin anew: {reason}"
     if log.doubt is not None:
         return f"{told}; ids of events begin anew: {log.doubt}"
     if sound and sound[0].program != program:

@@ -96,7 +96,7 @@ class Damage:
 @dataclass(frozen=True, slots=True)
 class Scan:
     """What a file holds: ``count`` good records from position ``first`` on, up to byte ``end``; 0,
-    if the header is not good either. ``synced`` is the greatest that any of its records tells."""
+    if the header is not good either. ``synced`` is the greatest that any of these records tells."""
 
     path: Path
     first: int
@@ -130,8 +130,6 @@ def scan(path: Path, data: bytes | None = None) -> Scan:
             end = record.begin + record.length
             synced = record.synced
     damage = _damage(path, data, end, first + count)
-    if damage is not None:
-        synced = max([synced, *(each.synced for each in damage.behind)])
     return Scan(path, first, count, end, len(data), synced, damage)
 
 

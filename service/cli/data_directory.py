@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import base64
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import islice
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, BinaryIO
 
 import msgspec
 import typer
@@ -18,15 +18,15 @@ from ...engine.loading import load_processes
 from ...engine.processes import PROCESSES
 from ...journal.directory import format_of, lacks_format, locked
 from ...journal.errors import JournalError
-from ...journal.examination import files_of, scans_of
-from ...journal.inspection import Inspection, inspect
+from ...journal.inspection import Inspection, inspect, log_of
 from ...journal.repair import repair as repair_directory
-from ...journal.segment import walk
+from ...journal.segment import Scan, walk
 from ..settings import Settings
 from .output import Json, err, fail, out, show_json, show_table
 from .remembered import found_processes, writer_of
 
 Directory = Annotated[Path, typer.Argument(help="A data directory.", metavar="DIR")]
+_TRIES = 5
 _BRIEF = 60
 """Characters of a text or body that are shown."""
 
@@ -45,8 +45,7 @@ def check(
     """
     modules = processes or Settings().processes
     errors = [each.error for each in load_processes(modules) if each.error is not None]
-    found = _inspected(directory, needs_modules=bool(modules))
-    needed = found_processes(found, modules_are_known=bool(modules))
+    found, needed = _checked(directory, modules_are_known=bool(modules))
     if json:
         show_json({**_told(found), "processes": needed, "not_loaded": errors})
     else:
@@ -97,26 +96,34 @@ def log(
     """Print the commands of a data directory's log, a line of JSON each, up to what is damaged."""
     if not (directory / "journal").is_dir():
         raise fail(f"{directory} has no log")
-    for position, data in islice(_records(directory, after), count):
-        command = msgspec.msgpack.decode(data)
-        show_json({"position": position, "bytes": len(data), **_plain(command, full)})
+    with log_of(directory) as (found, files):
+        for position, data in islice(_records(found.scans, files, after), count):
+            command = msgspec.msgpack.decode(data)
+            show_json({"position": position, "bytes": len(data), **_plain(command, full)})
+    fault = found.damage or found.doubt
+    if fault is not None:
+        raise fail(fault, "see dyknow check")
+    if found.torn is not None:
+        err().print(f"an unfinished write, that a start cuts off: {found.torn}", markup=False)
 
 
-def _records(directory: Path, after: int) -> Iterator[tuple[int, bytes]]:
-    """Those that are good, from one to the next; fails at what is not."""
+def _records(
+    scans: Sequence[Scan], files: Mapping[Path, BinaryIO], after: int
+) -> Iterator[tuple[int, bytes]]:
+    """Those that are good, from one to the next, beginning with the first that there is."""
     position = None
-    files = files_of(directory / "journal")
-    begin = sum(int(path.stem) <= after + 1 for path in files[1:])
-    for each in scans_of(files[begin:]):
-        data = each.path.read_bytes()[: each.end]
-        for found in walk(data, each.first):
-            if position not in (None, found.position - 1):
-                raise fail(f"after record {position} comes {found.position}", "see dyknow check")
-            position = found.position
-            if position > after:
-                yield position, data[found.begin : found.begin + found.length]
+    for each in scans:
+        if position not in (None, each.last - each.count):
+            return
+        position = each.last
+        if each.last > after:
+            files[each.path].seek(0)
+            data = files[each.path].read(each.end)
+            for record in walk(data, each.first):
+                if record.position > after:
+                    yield record.position, data[record.begin : record.begin + record.length]
         if each.damage is not None:
-            err().print(f"no record: {each.damage}", markup=False)
+            return
 
 
 def _plain(command: dict[str, Any], full: bool) -> dict[str, Any]:
@@ -136,6 +143,18 @@ def _value(value: Any, full: bool) -> Any:
     if isinstance(value, list):
         return [_value(each, full) for each in value]
     return value
+
+
+def _checked(directory: Path, *, modules_are_known: bool) -> tuple[Inspection, list[str]]:
+    for _ in range(_TRIES):
+        found = _inspected(directory, needs_modules=modules_are_known)
+        try:
+            return found, found_processes(found, modules_are_known=modules_are_known)
+        except FileNotFoundError:
+            # Forgotten by the process that has it, after it was inspected.
+            if found.holder is None:
+                raise
+    raise fail(f"{directory} changes too quickly", "try again")
 
 
 def _inspected(directory: Path, *, needs_modules: bool = False) -> Inspection:

@@ -1,5 +1,6 @@
 """A log that is looked at, or copied, while it is written to."""
 
+import os
 import tempfile
 import threading
 from concurrent.futures import ThreadPoolExecutor
@@ -10,7 +11,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from dyknow.journal import backup, examination, segment
-from dyknow.journal.directory import format_bytes
+from dyknow.journal.directory import format_bytes, locked
 from dyknow.journal.disk import Disk
 from dyknow.journal.examination import examine
 from dyknow.journal.log import Durability, Log
@@ -51,11 +52,13 @@ class Part:
 
 
 class Watched(Disk):
-    """``look`` is called before anything is done, and knows how many files were made."""
+    """``look`` is called before anything is done, and knows how many files were made. With
+    ``halves`` the end of what is written can be seen before its beginning."""
 
-    def __init__(self):
+    def __init__(self, *, halves):
         self.look = lambda: None
         self.made = 0
+        self.halves = halves
 
     def open(self, path, *, new=False):
         self.look()
@@ -68,6 +71,11 @@ class Watched(Disk):
 
     def write(self, file, data, start):
         self.look()
+        if self.halves:
+            middle = len(data) // 2
+            super().write(file, data[middle:], start + middle)
+            self.look()
+            data = data[:middle]
         super().write(file, data, start)
 
     def sync(self, file):
@@ -75,13 +83,13 @@ class Watched(Disk):
         super().sync(file)
 
 
-def found_meanwhile(path, steps, files, gaps, size, durability, read):
+def found_meanwhile(path, steps, files, gaps, size, durability, read, *, halves=False):
     """What ``read`` gives of the log in ``path``, and up to where records were acknowledged before.
 
     It begins when so many ``files`` are there. Before it, and between two files that it reads, the
     writer calls the disk as often as ``gaps`` say.
     """
-    disk = Watched()
+    disk = Watched(halves=halves)
     log = Log(path / "journal", segment=size, disk=disk, durability=durability)
     (path / "format.json").write_bytes(format_bytes())
     plain, acknowledged = segment.scan, []
@@ -145,18 +153,42 @@ def test_what_is_being_written_is_no_damage(steps, files, gaps, size, durability
 
 
 @given(*GIVEN)
-@example(*PENDING_IN_TWO)
+@settings(deadline=None, max_examples=150)
+def test_half_of_a_write_is_no_damage_where_somebody_writes(steps, files, gaps, size, durability):
+    with tempfile.TemporaryDirectory() as name, patch.object(segment, "_ROOM", 300):
+        found, acknowledged = found_meanwhile(
+            Path(name),
+            steps,
+            files,
+            gaps,
+            size,
+            durability,
+            lambda path: examine(path / "journal", in_use=True),
+            halves=True,
+        )
+    assert found.damage is found.torn is None
+    assert not any(each.damage for each in found.scans)
+    assert found.position >= acknowledged
+
+
+@given(*GIVEN, st.booleans())
+@example(*PENDING_IN_TWO, False)
 @settings(deadline=None, max_examples=100)
 def test_a_copy_that_is_made_meanwhile_has_all_that_was_acknowledged(
-    steps, files, gaps, size, durability
+    steps, files, gaps, size, durability, halves
 ):
     def copied(path):
-        manifest = backup.back_up(path, path / "copy", "a test")
-        return manifest, examine(path / "copy" / "journal")
+        manifest = backup.back_up(path, path.with_name("copy"), "a test")
+        return manifest, examine(path.with_name("copy") / "journal")
 
     with tempfile.TemporaryDirectory() as name, patch.object(segment, "_ROOM", 300):
+        path = Path(name) / "data"
+        path.mkdir()
+        lock = locked(path) if halves else None
         (manifest, copy), acknowledged = found_meanwhile(
-            Path(name), steps, files, gaps, size, durability, copied
+            path, steps, files, gaps, size, durability, copied, halves=halves
         )
+        if lock is not None:
+            os.close(lock)
     assert copy.damage is None
     assert manifest.position == copy.position >= acknowledged
