@@ -150,16 +150,16 @@ def _look(
         damage.insert(0, refusal)
     if lacks_format(path):
         damage.insert(0, "format.json is missing or damaged")
-        start = "refuses to start: see dyknow repair"
+        start = "refuses: see dyknow repair"
     elif is_unfinished:
-        start = "refuses to start: empty the directory and restore again"
+        start = "refuses: empty the directory and restore again"
     elif (path / MANIFEST).exists():
-        start = "refuses to start: it is a backup, of which dyknow restore makes a directory"
+        start = "refuses: it is a backup, of which dyknow restore makes a directory"
     elif log.damage is None and refusal is None:
         begun = _begun(log, begun_by) if not sound else None
         start = _start(path, format, log, sound, program, begun or program)
     else:
-        start = "refuses to start: see dyknow repair, or restore a backup"
+        start = "refuses: see dyknow repair, or restore a backup"
     return Inspection(path, format, holder, log, found, tuple(damage), _strays(path), start)
 
 

@@ -2,10 +2,11 @@
 
 import fcntl
 import os
+import threading
 
 import pytest
 
-from dyknow.journal.directory import DataDirectory
+from dyknow.journal.directory import DataDirectory, locked
 from dyknow.journal.errors import DirectoryInUse, JournalDamaged, UnknownFormat
 
 
@@ -53,3 +54,12 @@ def test_the_store_of_format_1_is_found_and_kept_under_another_name(tmp_path):
         directory.forget_old_store()
         assert directory.old_store is None
     assert (tmp_path / "ontology.format1").is_dir()
+
+
+def test_who_looks_at_a_directory_does_not_keep_others_from_it(tmp_path):
+    """It has the lock for a moment."""
+    os.close(locked(tmp_path))
+    looking = os.open(tmp_path / "lock", os.O_RDONLY)
+    fcntl.flock(looking, fcntl.LOCK_SH)
+    threading.Timer(0.05, os.close, [looking]).start()
+    os.close(locked(tmp_path))

@@ -17,13 +17,18 @@ from dyknow.engine.checkpoint import program
 from dyknow.engine.commands import DeclareStream, Publish, RegisterTemplate, Tick
 from dyknow.engine.recorded import RecordedEngine
 from dyknow.engine.views import StreamDeclaration
+from dyknow.journal import examination
 from dyknow.journal.checkpoints import Checkpoints
 from dyknow.journal.errors import JournalDamaged
+from dyknow.journal.disk import Disk
+from dyknow.journal.examination import files_of
 from dyknow.journal.inspection import inspect
+from dyknow.journal.log import Durability
 from dyknow.journal.repair import repair
 from dyknow.journal.segment import header_of, scan, walk
 from dyknow.rdf.namespaces import DYKNOW
 from dyknow.service.app import create_app
+from dyknow.service.cli import data_directory as cli
 from dyknow.service.server import running
 from dyknow.service.settings import Settings
 from dyknow.streams.fluent import Retention
@@ -92,8 +97,11 @@ def file_with(data, position):
     )
 
 
-def records_of(path):
-    return walk(path.read_bytes(), int(path.stem))
+def spoil(data, position):
+    """Flip a bit of this record."""
+    path = file_with(data, position)
+    records = walk(path.read_bytes(), int(path.stem))
+    flip(path, next(each.begin for each in records if each.position == position))
 
 
 def opened(data):
@@ -393,14 +401,16 @@ def test_a_damaged_backup_and_what_is_none_are_refused(data, tmp_path):
 def test_a_restore_that_was_not_finished_is_not_started(data, tmp_path):
     (data / "restoring").write_text("from copy\n")
     assert "not finished" in run("serve", "--data", data, "--port", "0", status=1).stderr
-    assert not checked(data, status=1)["sound"]
+    found = checked(data, status=1)
+    assert not found["sound"]
+    assert found["start"].startswith("refuses")
+    assert "not finished" in run("backup", data, data.with_name("copy"), status=1).stderr
 
 
 @pytest.mark.parametrize("position", [18, 21, 22])
 def test_a_damaged_directory_is_not_backed_up(data, tmp_path, position):
     """Also where the rest alone would look like a log that ends sooner."""
-    path = file_with(data, position)
-    flip(path, next(e.begin for e in records_of(path) if e.position == position))
+    spoil(data, position)
     assert "not sound" in run("backup", data, tmp_path / "copy", status=1).stderr
     assert not list(tmp_path.glob("copy*"))
 
@@ -410,10 +420,93 @@ def test_a_directory_whose_last_records_are_gone_is_not_backed_up(data, tmp_path
     assert "not sound" in run("backup", data, tmp_path / "copy", status=1).stderr
 
 
+@pytest.mark.parametrize("in_use", [False, True])
+def test_what_was_acknowledged_and_written_only_is_missed_where_it_is_gone(tmp_path, in_use):
+    data = tmp_path / "data"
+    recorded = RecordedEngine(data, now=0, segment=400, durability=Durability.WRITE)
+    recorded.do(DeclareStream(SPEEDS))
+    for n in range(1, 21):
+        recorded.do(speed(n))
+        recorded.log.commit()
+    if not in_use:
+        data = shutil.copytree(data, tmp_path / "killed")
+    file_with(data, 20).write_bytes(header_of(scan(file_with(data, 20)).first))
+    assert "are lost" in "".join(checked(data, status=1)["damage"])
+    assert "not sound" in run("backup", data, tmp_path / "copy", status=1).stderr
+    assert run("log", data, status=1).stdout
+    recorded.close(checkpoint=False)
+
+
+def test_a_log_that_is_gone_is_missed(data, tmp_path):
+    shutil.rmtree(data / "journal")
+    assert "not sound" in run("backup", data, tmp_path / "copy", status=1).stderr
+    there = tmp_path / "running"
+    recorded = RecordedEngine(there, now=0)
+    recorded.do(Tick(5))
+    recorded.log.commit()
+    shutil.rmtree(there / "journal")
+    assert checked(there, status=1)["damage"]
+    assert "not sound" in run("backup", there, tmp_path / "copy", status=1).stderr
+    (there / "journal").mkdir()
+    recorded.close(checkpoint=False)
+
+
+def test_a_backup_is_not_started_itself(data, tmp_path):
+    """It would give the ids that the service gives that it was made of."""
+    run("backup", data, tmp_path / "copy")
+    assert "dyknow restore" in checked(tmp_path / "copy")["start"]
+    before = (tmp_path / "copy" / "backup.json").read_bytes()
+    told = run("serve", "--data", tmp_path / "copy", "--port", "0", status=1).stderr
+    assert "is a backup" in told
+    assert "dyknow restore" in told
+    assert (tmp_path / "copy" / "backup.json").read_bytes() == before
+    run("restore", tmp_path / "copy", tmp_path / "again")
+
+
+def test_a_backup_leaves_what_is_there_as_it_is(data, tmp_path):
+    (tmp_path / "copy.part").mkdir()
+    (tmp_path / "copy.part" / "mine").write_text("mine")
+    run("backup", data, tmp_path / "copy")
+    run("backup", data, tmp_path / "copy.tar")
+    assert (tmp_path / "copy.part" / "mine").read_text() == "mine"
+    assert {each.name for each in tmp_path.iterdir()} == {"data", "copy", "copy.part", "copy.tar"}
+    (tmp_path / "nowhere").symlink_to(tmp_path / "not there")
+    assert "is there already" in run("backup", data, tmp_path / "nowhere", status=1).stderr
+    assert "in the data directory" in run("backup", data, data / "copy", status=1).stderr
+    flip(file_with(data, 22), 60)
+    run("backup", data, tmp_path / "a" / "b" / "copy", status=1)
+    assert not (tmp_path / "a").exists()
+
+
+def test_a_backup_whose_manifest_tells_of_others_is_not_restored(data, tmp_path):
+    run("backup", data, tmp_path / "copy")
+    manifest = tmp_path / "copy" / "backup.json"
+    for name in ("first", "position"):
+        known = json.loads(manifest.read_bytes())
+        changed = tmp_path / name
+        shutil.copytree(tmp_path / "copy", changed)
+        (changed / "backup.json").write_text(json.dumps({**known, name: known[name] + 1}))
+        told = run("restore", changed, tmp_path / f"again {name}", status=1).stderr
+        assert "instead of" in told
+        told = run("serve", "--data", tmp_path / f"again {name}", "--port", "0", status=1).stderr
+        assert "not finished" in told
+    (tmp_path / "file").write_text("a file")
+    assert "no directory" in run("restore", tmp_path / "copy", tmp_path / "file", status=1).stderr
+
+
+def test_bytes_that_are_no_text_are_damage_or_shown_as_they_are(data, tmp_path):
+    newest = max((data / "checkpoints").glob("*.checkpoint"))
+    content = newest.read_bytes()
+    newest.write_bytes(content[:14] + b"\xff" + content[15:])
+    assert "not sound" in run("backup", data, tmp_path / "copy", status=1).stderr
+    newest.write_bytes(content)
+    (data / "repaired").write_bytes(b"\xff lost\n")
+    assert "lost" in checked(data)["start"]
+
+
 def test_what_is_damaged_before_the_newest_checkpoint_is_not_in_a_backup(data, tmp_path):
     """Nor needed: it is backed up as a directory that has forgotten it."""
-    path = file_with(data, 8)
-    flip(path, next(e.begin for e in records_of(path) if e.position == 8))
+    spoil(data, 8)
     run("backup", data, tmp_path / "copy")
     run("restore", tmp_path / "copy", tmp_path / "again")
     assert checked(tmp_path / "again")["sound"]
@@ -464,6 +557,50 @@ def test_of_a_damaged_log_what_is_good_is_printed(data):
     result = run("log", data, status=1)
     assert len(result.stdout.splitlines()) == 17
     assert "18" in result.stderr or path.name in result.stderr
+
+
+def test_a_log_with_a_gap_is_printed_up_to_it(data):
+    spoil(data, 7)
+    for after, printed in ((0, range(1, 7)), (8, ())):
+        result = run("log", data, "--after", str(after), status=1)
+        positions = [json.loads(line)["position"] for line in result.stdout.splitlines()]
+        assert positions == list(printed)
+        assert "dyknow check" in result.stderr
+
+
+@pytest.mark.parametrize("gone", [1, 22])
+def test_a_log_that_lacks_its_beginning_or_end_is_told(data, gone):
+    file_with(data, gone).unlink()
+    result = run("log", data, status=1)
+    assert result.stdout
+    assert "records up to 22 were kept" in result.stderr
+
+
+def test_files_that_are_forgotten_while_they_are_looked_at_are_no_fault(data, monkeypatch):
+    """A service forgets them after they are listed."""
+    recorded = opened(data)
+    there = files_of(data / "journal")
+    for module, command in ((examination, "log"), (examination, "check"), (cli, "check")):
+        calls = []
+
+        def listed(folder, calls=calls):
+            calls.append(folder)
+            return [*there, folder / "00000000000000000099.log"] if len(calls) < 3 else there
+
+        def told(*arguments, calls=calls, **options):
+            calls.append(arguments)
+            if len(calls) < 3:
+                raise FileNotFoundError("a file of the log")
+            return []
+
+        with monkeypatch.context() as patched:
+            if module is examination:
+                patched.setattr(examination, "files_of", listed)
+            else:
+                patched.setattr(cli, "found_processes", told)
+            run(command, data)
+        assert len(calls) == 3
+    recorded.close(checkpoint=False)
 
 
 def test_long_texts_are_abbreviated(tmp_path):
