@@ -13,7 +13,7 @@ import tarfile
 import tempfile
 import zlib
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import BinaryIO, Final
 
@@ -89,8 +89,9 @@ def back_up(path: Path, target: Path, program: str) -> Manifest:
         DISK.sync_folder(folder)
     except BaseException:
         shutil.rmtree(part, ignore_errors=True)
-        for each in missing:
-            each.rmdir()
+        with suppress(OSError):  # somebody else has put something there
+            for each in missing:
+                each.rmdir()
         raise
     shutil.rmtree(part, ignore_errors=True)
     return manifest
