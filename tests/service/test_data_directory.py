@@ -20,7 +20,6 @@ from dyknow.engine.views import StreamDeclaration
 from dyknow.journal import examination
 from dyknow.journal.checkpoints import Checkpoints
 from dyknow.journal.errors import JournalDamaged
-from dyknow.journal.disk import Disk
 from dyknow.journal.examination import files_of
 from dyknow.journal.inspection import inspect
 from dyknow.journal.log import Durability
@@ -319,8 +318,7 @@ def test_what_is_written_anew_stays_as_it_was(data, name, content):
 def test_what_an_earlier_repair_has_told_is_told_yet(data):
     """No start has heard of it."""
     for position in (20, 18):
-        path = file_with(data, position)
-        flip(path, next(each.begin for each in records_of(path) if each.position == position))
+        spoil(data, position)
         run("repair", data)
     recorded = opened(data)
     assert any("20 to 22 lost; records 18 to 19" in each for each in recorded.recovery.notes)
