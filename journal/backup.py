@@ -205,7 +205,7 @@ def _program(head: bytes) -> str | None:
 
 
 def _verify(path: Path, manifest: Manifest, program: str) -> None:
-    found = inspect(path, program)
+    found = inspect(path, program, is_held=True)
     # It is not finished before it is verified.
     damage = [each for each in found.damage if each != UNFINISHED]
     if damage:

@@ -76,9 +76,12 @@ class Inspection:
         return not self.damage
 
 
-def inspect(path: Path, program: str, begun_by: BegunBy | None = None) -> Inspection:
+def inspect(
+    path: Path, program: str, begun_by: BegunBy | None = None, *, is_held: bool = False
+) -> Inspection:
     """Look at the data directory ``path``, that may be in use, for a start by ``program``.
-    ``begun_by`` tells which program has begun the log that has this first record.
+    ``begun_by`` tells which program has begun the log that has this first record. With ``is_held``
+    the caller has its lock: nobody writes meanwhile.
 
     Raises `JournalDamaged` where there is none, or its format cannot be read, `UnknownFormat`,
     ``OSError``. Cost: reads all of it.
@@ -93,7 +96,7 @@ def inspect(path: Path, program: str, begun_by: BegunBy | None = None) -> Inspec
             raise JournalDamaged(f"{path} is no data directory", "it has no format.json")
         format = 1
     for tries in range(_TRIES):
-        holder = holder_of(path)
+        holder = None if is_held else holder_of(path)
         try:
             found = _look(path, format, program, holder, begun_by)
         except FileNotFoundError:

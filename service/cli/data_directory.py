@@ -65,7 +65,7 @@ def repair(directory: Directory, json: Json = False) -> None:
     except JournalError as error:
         raise fail(error.message, error.hint) from error
     try:
-        found = _inspected(directory)
+        found = _inspected(directory, is_held=True)
         if found.is_sound:
             raise fail(f"{directory} is sound: there is nothing to repair", status=0)
         done = repair_directory(found)
@@ -157,14 +157,16 @@ def _checked(directory: Path, *, modules_are_known: bool) -> tuple[Inspection, l
     raise fail(f"{directory} changes too quickly", "try again")
 
 
-def _inspected(directory: Path, *, needs_modules: bool = False) -> Inspection:
+def _inspected(
+    directory: Path, *, needs_modules: bool = False, is_held: bool = False
+) -> Inspection:
     own = program(PROCESSES)
     try:
-        found = inspect(directory, own, _begun_by)
+        found = inspect(directory, own, _begun_by, is_held=is_held)
         writer = writer_of(found)
         if not needs_modules and writer is not None and writer.startswith(f"{program()}, "):
             # By this program, with user-written processes that a start is going to have, too.
-            found = inspect(directory, writer, _begun_by)
+            found = inspect(directory, writer, _begun_by, is_held=is_held)
     except JournalError as error:
         raise fail(error.message, error.hint) from error
     return found
