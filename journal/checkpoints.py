@@ -19,6 +19,7 @@ import msgspec
 from .directory import write_whole
 from .disk import DISK, Disk
 from .errors import JournalBroken, JournalDamaged, JournalFull, UnknownFormat, is_full
+from .segment import NUMBER
 
 FORMAT: Final = 1
 KEPT: Final = 2
@@ -167,7 +168,7 @@ def checkpoint_path(folder: Path, position: int) -> Path:
 
 def positions_in(folder: Path) -> list[int]:
     """Of which positions there are checkpoints in ``folder``, newest first."""
-    found = (int(path.stem) for path in folder.glob(f"*{NAME}") if path.stem.isdigit())
+    found = (int(path.stem) for path in folder.glob(f"{NUMBER}{NAME}"))
     return sorted(found, reverse=True)
 
 

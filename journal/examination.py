@@ -17,7 +17,7 @@ from types import MappingProxyType
 from typing import BinaryIO, Final
 
 from .high_water import Mark, Reading, read_mark
-from .segment import Damage, Scan, scan
+from .segment import NUMBER, Damage, Scan, scan
 
 HINT = "dyknow check shows it; dyknow repair keeps what is good, or restore a backup"
 _NONE: Final[Mapping[Path, BinaryIO]] = MappingProxyType({})
@@ -58,7 +58,7 @@ class Examination:
 
 def files_of(folder: Path) -> list[Path]:
     """The files of the log in ``folder``, in order."""
-    return sorted(path for path in folder.glob("*.log") if path.stem.isdigit())
+    return sorted(folder.glob(f"{NUMBER}.log"))
 
 
 def open_log(folder: Path, stack: ExitStack) -> tuple[Reading, dict[Path, BinaryIO]]:

@@ -17,7 +17,7 @@ from .directory import FORMAT, MANIFEST, REPAIRED, RESTORING, format_of, holder_
 from .errors import JournalDamaged
 from .examination import Examination, examine, judged, open_log, scans_of
 from .high_water import NAME as MARK
-from .segment import walk
+from .segment import NUMBER, walk
 
 BegunBy: TypeAlias = Callable[[bytes], str | None]
 
@@ -33,7 +33,7 @@ _KNOWN = (
         "ontology.format1",
         MANIFEST,
     ),
-    (f"{'[0-9]' * 20}.log*", f"{MARK}*", f"{'[0-9]' * 20}{CHECKPOINT}*", f"{LIST}*", "*.part"),
+    (f"{NUMBER}.log*", f"{MARK}*", f"{NUMBER}{CHECKPOINT}*", f"{LIST}*", "*.part"),
 )
 """Patterns of what may be in a data directory, and in its two folders."""
 UNFINISHED: Final = "a restore was not finished"

@@ -7,10 +7,10 @@ the next start: their numbers must not be given again under the same ids.
 
 It may be stopped at any moment, and goes on when it is called again, since there are three steps:
 
-1. What is kept and does not stand where it should is written into new files of the log, behind all
-   others (`_STAGED`), that the next call reads, too.
-2. All files that are changed are set aside. From here on format.json says no format, so that
-   nothing starts before the end, and how far the log went, which nothing else tells any more.
+1. format.json says no format from here on, if it said one, so that nothing starts before the end;
+   and how far the log went, which nothing else will tell. What is kept and does not stand where it
+   should is written into new files, behind all others (`_STAGED`), that the next call reads, too.
+2. All files that are changed are set aside, format.json where it was damaged.
 3. The new files get their names, then mark, list of checkpoints and format.json are written.
 """
 
@@ -26,13 +26,13 @@ from typing import Final
 import msgspec
 
 from .checkpoints import KEPT, LIST, checkpoint_in, checkpoint_path, list_bytes
-from .directory import REPAIRED, RESTORING, format_bytes, lacks_format, write_whole
+from .directory import MANIFEST, REPAIRED, RESTORING, format_bytes, lacks_format, write_whole
 from .disk import DISK, Disk
 from .errors import JournalDamaged
 from .high_water import NAME as MARK
 from .high_water import Mark
 from .inspection import Inspection
-from .segment import HEAD, Found, Scan, found_in, header_of, path_of, walk
+from .segment import HEAD, NUMBER, Found, Scan, found_in, header_of, path_of, walk
 
 _STAGED: Final = 10**19
 """New files are called as if they began here, where no log comes to, until others have gone."""
@@ -61,6 +61,11 @@ def repair(found: Inspection, disk: Disk = DISK) -> Repair:
             f"a restore into {path} was not finished: not all of the backup may be there",
             "remove the directory and restore again (dyknow restore)",
         )
+    if (path / MANIFEST).exists():
+        raise JournalDamaged(
+            f"{path} is a backup, no data directory: dyknow restore would take it no more",
+            "use another backup, or repair a copy of the folder without backup.json",
+        )
     misplaced = _misplaced(found)
     sound = {each.position for each in found.checkpoints if each.damage is None} | set(misplaced)
     good = _good(found, sound)
@@ -69,6 +74,9 @@ def repair(found: Inspection, disk: Disk = DISK) -> Repair:
     reached = begun or _reached(found, good, last)
     whole = _whole(found.log.scans, first, last)
     # Step 1.
+    says_none = msgspec.json.encode(reached) + b"\n"
+    if not lacks_format(path):
+        write_whole(disk, path / "format.json", says_none)
     disk.make_folder(journal)
     disk.make_folder(checkpoints)
     moves = {
@@ -80,10 +88,13 @@ def repair(found: Inspection, disk: Disk = DISK) -> Repair:
         moves[staged] = checkpoint_path(checkpoints, position)
     # Step 2.
     aside = []
-    if begun is None:
-        if lacks_format(path) and (path / "format.json").exists():
+    if _begun(path) is None:
+        if (path / "format.json").exists():
             aside.append(_set_aside(disk, path / "format.json"))
-        write_whole(disk, path / "format.json", msgspec.json.encode(reached) + b"\n")
+        write_whole(disk, path / "format.json", says_none)
+    # A process that was killed, or who copied them, may have left them to the operating system.
+    for each in (*whole, *(checkpoint_path(checkpoints, n) for n in sound - set(misplaced))):
+        _sync(disk, each)
     new = {
         journal / MARK: Mark(first, last, last).whole(),
         checkpoints / LIST: list_bytes(sorted(sound, reverse=True)[:KEPT]),
@@ -261,7 +272,7 @@ def _stage(disk: Disk, name: Callable[[Path, int], Path], folder: Path, content:
     """A file of ``content`` that is not where it belongs yet: one that an earlier call has written,
     or a new one."""
     suffix = name(folder, _STAGED).suffix
-    there = sorted(each for each in folder.glob(f"*{suffix}") if each.stem.isdigit())
+    there = sorted(folder.glob(f"{NUMBER}{suffix}"))
     staged = [each for each in there if int(each.stem) >= _STAGED]
     for each in staged:
         if each.stat().st_size == len(content) and each.read_bytes() == content:
@@ -269,6 +280,14 @@ def _stage(disk: Disk, name: Callable[[Path, int], Path], folder: Path, content:
     path = name(folder, 1 + int(staged[-1].stem) if staged else _STAGED)
     write_whole(disk, path, content)
     return path
+
+
+def _sync(disk: Disk, path: Path) -> None:
+    file = disk.open(path)
+    try:
+        disk.sync(file)
+    finally:
+        disk.close(file)
 
 
 def _set_aside(disk: Disk, path: Path) -> Path:

@@ -27,6 +27,8 @@ FORMAT: Final = 1
 _MAGIC: Final = b"DYKNOWLG"
 _HEADER: Final = struct.Struct("<8sIIQ")
 _RECORD: Final = struct.Struct("<IIQQ")
+NUMBER: Final = 20 * "[0-9]"
+"""A pattern of positions in names of files."""
 HEAD: Final = _RECORD.size
 """Bytes of a record before its payload."""
 _CHECKED: Final = struct.Struct("<IQQ")

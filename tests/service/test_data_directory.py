@@ -19,6 +19,7 @@ from dyknow.engine.recorded import RecordedEngine
 from dyknow.engine.views import StreamDeclaration
 from dyknow.journal import examination
 from dyknow.journal.checkpoints import Checkpoints
+from dyknow.journal.disk import Disk
 from dyknow.journal.errors import JournalDamaged
 from dyknow.journal.examination import files_of
 from dyknow.journal.inspection import inspect
@@ -313,6 +314,72 @@ def test_what_is_written_anew_stays_as_it_was(data, name, content):
     assert (data / f"{name}.damaged").read_bytes() == content
     assert checked(data)["sound"]
     assert done["position"] == 22
+
+
+def test_a_damaged_backup_is_not_repaired_and_stays_as_it_is(data, tmp_path):
+    run("backup", data, tmp_path / "copy")
+    spoil(tmp_path / "copy", 22)
+    before = {path: path.read_bytes() for path in tmp_path.joinpath("copy").rglob("*.*")}
+    assert "is a backup" in run("repair", tmp_path / "copy", status=1).stderr
+    after = {path: path.read_bytes() for path in tmp_path.joinpath("copy").rglob("*.*")}
+    assert after == before
+
+
+def test_what_is_called_otherwise_is_not_looked_at(data):
+    """As check tells of it."""
+    newest = max((data / "checkpoints").glob("*.checkpoint"))
+    names = ["checkpoints/14.checkpoint", "journal/4.log", "journal/\u00b2.log"]
+    for name in names:
+        shutil.copy(newest, data / name)
+    found = checked(data)
+    assert [each["position"] for each in found["checkpoints"]] == [14, 7]
+    assert sorted(found["strays"]) == sorted(names)
+    opened(data).close()
+
+
+def test_what_stays_is_on_the_disk_before_the_mark_tells_of_it(data):
+    """As a start sees to it: a process that was killed may have left it to the system."""
+    synced, done = set(), []
+
+    class Watched(Disk):
+        def sync(self, file):
+            synced.add(os.readlink(f"/proc/self/fd/{file}"))
+            super().sync(file)
+
+        def rename(self, path, target):
+            done.append((target.name, frozenset(synced)))
+            super().rename(path, target)
+
+    (data / "checkpoints" / "kept.json").write_text("[")
+    (data / "journal" / "high-water-mark").unlink()
+    repair(inspect(data, program(), is_held=True), Watched())
+    (before,) = (known for name, known in done if name == "high-water-mark")
+    files = [*(data / "journal").glob("*.log"), *(data / "checkpoints").glob("*.checkpoint")]
+    assert {str(each) for each in files} <= before
+
+
+def test_after_a_repair_that_was_stopped_early_nothing_starts(data):
+    """Where a start would have passed over what is damaged, too."""
+    first, second = sorted((data / "checkpoints").glob("*.checkpoint"))
+    contents = first.read_bytes(), second.read_bytes()
+    second.write_bytes(contents[0])
+    first.write_bytes(contents[1])
+
+    class Stopping(Disk):
+        """It dies when the first file is to get its place."""
+
+        def rename(self, path, target):
+            if target.name[0] == "0":
+                raise Killed
+            super().rename(path, target)
+
+    with pytest.raises(Killed):
+        repair(inspect(data, program(), is_held=True), Stopping())
+    assert list((data / "checkpoints").glob("1*.checkpoint"))
+    with pytest.raises(JournalDamaged):
+        opened(data)
+    run("repair", data)
+    opened(data).close()
 
 
 def test_what_an_earlier_repair_has_told_is_told_yet(data):
