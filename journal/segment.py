@@ -146,11 +146,15 @@ def walk(data: bytes, first: int) -> Iterator[Found]:
 def found_in(data: bytes, start: int, position: int, most: int | None = None) -> Iterator[Found]:
     """Good records anywhere from byte ``start`` on, in order of place: of ``position`` or later
     ones up to ``most``, without which as many as there is room for. Cost: O(bytes), and where what
-    is damaged is full of numbers like these, what their checksums take."""
+    is damaged is full of numbers like these, what their checksums take.
+
+    Not inside of a damaged record of which it is known where it ends: what a client has sent might
+    look like one.
+    """
     least = max(1, position)
     if most is None:
         most = position + (len(data) - start) // _RECORD.size
-    passed = start
+    passed = _behind_damaged(data, start)
     for begin in range(start + _POSITION, len(data) - 7, _LOOK):
         count = min(_LOOK, len(data) - 7 - begin)
         # Eight bytes from every place on, as they overlap.
@@ -160,7 +164,22 @@ def found_in(data: bytes, start: int, position: int, most: int | None = None) ->
             found = _at(data, place) if place >= passed else None
             if found is not None:
                 yield found
-                passed = found.begin + found.length
+                passed = _behind_damaged(data, found.begin + found.length)
+
+
+def _behind_damaged(data: bytes, place: int) -> int:
+    """Where the damaged record ends that begins at ``place``, if what its head says of that is
+    sure: the next record begins there, or nothing follows. Else ``place``."""
+    begin = place + _RECORD.size
+    if begin > len(data):
+        return place
+    length, _, position, _ = _RECORD.unpack_from(data, place)
+    end = begin + length
+    if not length or end > len(data) or _at(data, place) is not None:
+        return place
+    follows = _at(data, end)
+    is_sure = follows.position == position + 1 if follows else end == len(data.rstrip(b"\0"))
+    return end if is_sure else place
 
 
 def _at(data: bytes, place: int) -> Found | None:

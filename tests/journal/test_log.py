@@ -12,7 +12,7 @@ from simulated_disk import Killed, SimulatedDisk
 from dyknow.journal.errors import JournalBroken, JournalDamaged, JournalFull, UnknownFormat
 from dyknow.journal.high_water import NAME, Mark, read_mark
 from dyknow.journal.log import Durability, Log
-from dyknow.journal.segment import framed, header_of, path_of, scan
+from dyknow.journal.segment import framed, header_of, path_of, scan, walk
 
 
 def filled(path, count=5, **more):
@@ -336,3 +336,29 @@ def test_after_a_kill_all_is_on_the_disk_before_anybody_is_told(tmp_path):
     third = Log(tmp_path)
     assert third.position == 3
     third.close()
+
+
+@pytest.mark.parametrize("count", [1, 3])
+@pytest.mark.parametrize("place", [4, 30])
+def test_what_a_client_has_sent_is_no_record_where_the_one_with_it_is_damaged(
+    tmp_path, count, place
+):
+    """Its bytes may be those of a record, with any position, and whatever it says was synced."""
+    folder = tmp_path / "journal"
+    log = Log(folder)
+    log.append(b"first")
+    for i in range(count):
+        log.append(
+            b"sent: " + framed(2 + i, b"planted", 100) + framed(3 + i, b"another", 100) + b"."
+        )
+    log.commit()
+    log.close()
+    (path,) = folder.glob("*.log")
+    damaged = bytearray(path.read_bytes())
+    start = next(walk(bytes(damaged), 1))
+    damaged[start.begin + start.length + place] ^= 1
+    path.write_bytes(damaged)
+    damage = scan(path).damage
+    assert damage is not None
+    assert [each.position for each in damage.behind] == list(range(3, 2 + count))
+    assert all(each.synced < 100 for each in damage.behind)
