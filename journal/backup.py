@@ -24,6 +24,7 @@ from .directory import (
     MANIFEST,
     REPAIRED,
     RESTORING,
+    check_restored,
     format_bytes,
     format_of,
     holder_of,
@@ -70,8 +71,7 @@ def back_up(path: Path, target: Path, program: str) -> Manifest:
             f"{path} has no format.json: it is no data directory, or of an earlier version",
             "start dyknow serve on it once, or copy the folder while no service has it open",
         )
-    if (path / RESTORING).exists():
-        raise JournalError(f"a restore into {path} was not finished", "empty it and restore again")
+    check_restored(path)
     folder = target.absolute().parent
     missing = [each for each in (folder, *folder.parents) if not each.exists()]
     DISK.make_folder(folder)
@@ -190,8 +190,7 @@ def _write(
         if each.count:
             log[each.path].seek(0)
             put(f"journal/{each.path.name}", log[each.path].read(each.end))
-    mark = Mark(found.first, found.position, found.position).encoded()
-    put(f"journal/{MARK}", 3 * mark)
+    put(f"journal/{MARK}", Mark(found.first, found.position, found.position).whole())
     manifest = Manifest(FORMAT, found.first, found.position, newest or None, program, files)
     write_whole(DISK, part / MANIFEST, msgspec.json.encode(manifest))
     return manifest

@@ -104,10 +104,7 @@ class DataDirectory:
     def _adopt(self) -> Path | None:
         """Check the format, or say it in a new directory; gives the store of format 1, if that is
         all there is."""
-        if (self.path / RESTORING).exists():
-            raise JournalDamaged(
-                f"a restore into {self.path} was not finished", "empty it and restore again"
-            )
+        check_restored(self.path)
         if (self.path / MANIFEST).exists():
             # The service that it was made of gives the ids that follow.
             raise JournalError(
@@ -123,6 +120,15 @@ class DataDirectory:
             write_whole(self._disk, self.path / "format.json", format_bytes())
         old = self.path / "ontology"
         return old if old.is_dir() else None
+
+
+def check_restored(path: Path) -> None:
+    """Raises `JournalDamaged` where a restore into the data directory ``path`` has not ended: not
+    all of the backup may be there."""
+    if (path / RESTORING).exists():
+        raise JournalDamaged(
+            f"a restore into {path} was not finished", "empty it and restore again"
+        )
 
 
 def format_bytes() -> bytes:

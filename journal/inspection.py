@@ -37,7 +37,7 @@ _KNOWN = (
 )
 """Patterns of what may be in a data directory, and in its two folders."""
 UNFINISHED: Final = "a restore was not finished"
-_TRIES: Final = 5
+TRIES: Final = 5
 """So often what looks damaged is looked at again where a process writes meanwhile."""
 _PAUSE: Final = 0.02
 """Seconds before it is: a log that is being begun has its mark by then."""
@@ -95,13 +95,13 @@ def inspect(
         if not (path / "ontology").is_dir():
             raise JournalDamaged(f"{path} is no data directory", "it has no format.json")
         format = 1
-    for tries in range(_TRIES):
+    for tries in range(TRIES):
         holder = None if is_held else holder_of(path)
         try:
             found = _look(path, format, program, holder, begun_by)
         except FileNotFoundError:
             # Forgotten by the process that has it, after it was listed.
-            if holder is None or tries == _TRIES - 1:
+            if holder is None or tries == TRIES - 1:
                 raise
         else:
             if found.is_sound or holder is None:
@@ -114,9 +114,9 @@ def inspect(
 def log_of(path: Path) -> Iterator[tuple[Examination, Mapping[Path, BinaryIO]]]:
     """The log of the data directory ``path``, that may be in use, and its files, held open. Raises
     `UnknownFormat` and ``OSError``. Cost: reads all of it."""
-    for tries in range(_TRIES):
+    for tries in range(TRIES):
         holder = holder_of(path)
-        is_last = holder is None or tries == _TRIES - 1
+        is_last = holder is None or tries == TRIES - 1
         with ExitStack() as stack:
             try:
                 reading, files = open_log(path / "journal", stack)

@@ -26,7 +26,7 @@ from typing import Final
 import msgspec
 
 from .checkpoints import KEPT, LIST, checkpoint_in, checkpoint_path, list_bytes
-from .directory import MANIFEST, REPAIRED, RESTORING, format_bytes, lacks_format, write_whole
+from .directory import MANIFEST, REPAIRED, check_restored, format_bytes, lacks_format, write_whole
 from .disk import DISK, Disk
 from .errors import JournalDamaged
 from .high_water import NAME as MARK
@@ -56,11 +56,7 @@ def repair(found: Inspection, disk: Disk = DISK) -> Repair:
     to be written anew twice.
     """
     path, journal, checkpoints = found.path, found.path / "journal", found.path / "checkpoints"
-    if (path / RESTORING).exists():
-        raise JournalDamaged(
-            f"a restore into {path} was not finished: not all of the backup may be there",
-            "remove the directory and restore again (dyknow restore)",
-        )
+    check_restored(path)
     if (path / MANIFEST).exists():
         raise JournalDamaged(
             f"{path} is a backup, no data directory: dyknow restore would take it no more",
@@ -70,12 +66,12 @@ def repair(found: Inspection, disk: Disk = DISK) -> Repair:
     sound = {each.position for each in found.checkpoints if each.damage is None} | set(misplaced)
     good = _good(found, sound)
     first, last = _run(good, sound)
-    begun = _begun(path)
+    begun, says_format = _begun(path), not lacks_format(path)
     reached = begun or _reached(found, good, last)
     whole = _whole(found.log.scans, first, last)
     # Step 1.
     says_none = msgspec.json.encode(reached) + b"\n"
-    if not lacks_format(path):
+    if says_format:
         write_whole(disk, path / "format.json", says_none)
     disk.make_folder(journal)
     disk.make_folder(checkpoints)
@@ -88,7 +84,7 @@ def repair(found: Inspection, disk: Disk = DISK) -> Repair:
         moves[staged] = checkpoint_path(checkpoints, position)
     # Step 2.
     aside = []
-    if _begun(path) is None:
+    if begun is None and not says_format:
         if (path / "format.json").exists():
             aside.append(_set_aside(disk, path / "format.json"))
         write_whole(disk, path / "format.json", says_none)
@@ -185,7 +181,7 @@ def _good(found: Inspection, sound: set[int]) -> dict[int, _Place]:
     most = max([0, *sound, *there, *names, 0 if mark is None else mark.durable])
     most += sum(each.stat().st_size for each in unsound) // HEAD
     for path in unsound:
-        for each in found_in(path.read_bytes(), ends.get(path, 0), 1, most):
+        for each in found_in(path.read_bytes(), ends.get(path, 0), most):
             there.setdefault(each.position, _place(path, each))
     return there
 

@@ -143,23 +143,20 @@ def walk(data: bytes, first: int) -> Iterator[Found]:
         place, position = found.begin + found.length, position + 1
 
 
-def found_in(data: bytes, start: int, position: int, most: int | None = None) -> Iterator[Found]:
-    """Good records anywhere from byte ``start`` on, in order of place: of ``position`` or later
-    ones up to ``most``, without which as many as there is room for. Cost: O(bytes), and where what
-    is damaged is full of numbers like these, what their checksums take.
+def found_in(data: bytes, start: int, most: int) -> Iterator[Found]:
+    """Good records anywhere from byte ``start`` on, of positions up to ``most``, in order of place.
+    Cost: O(bytes), and where what is damaged is full of numbers like these, what their checksums
+    take.
 
     Not inside of a damaged record of which it is known where it ends: what a client has sent might
     look like one.
     """
-    least = max(1, position)
-    if most is None:
-        most = position + (len(data) - start) // _RECORD.size
     passed = _behind_damaged(data, start)
     for begin in range(start + _POSITION, len(data) - 7, _LOOK):
         count = min(_LOOK, len(data) - 7 - begin)
         # Eight bytes from every place on, as they overlap.
         numbers = np.ndarray((count,), "<u8", data, begin, (1,))
-        for at in np.flatnonzero((numbers >= least) & (numbers <= most)).tolist():
+        for at in np.flatnonzero((numbers >= 1) & (numbers <= most)).tolist():
             place = begin + at - _POSITION
             found = _at(data, place) if place >= passed else None
             if found is not None:
@@ -222,7 +219,7 @@ def _damage(path: Path, data: bytes, place: int, position: int) -> Damage | None
         return None
     # Earlier ones are none that follow, but what is in them need not be looked at.
     most = position + len(data) // _RECORD.size
-    behind = tuple(each for each in found_in(data, place, 1, most) if each.position >= position)
+    behind = tuple(each for each in found_in(data, place, most) if each.position >= position)
     return Damage(path, place, rest, position - 1, behind)
 
 

@@ -18,7 +18,7 @@ from ...engine.loading import load_processes
 from ...engine.processes import PROCESSES
 from ...journal.directory import format_of, lacks_format, locked
 from ...journal.errors import JournalError
-from ...journal.inspection import Inspection, inspect, log_of
+from ...journal.inspection import TRIES, Inspection, inspect, log_of
 from ...journal.repair import repair as repair_directory
 from ...journal.segment import Scan, walk
 from ..settings import Settings
@@ -26,7 +26,6 @@ from .output import Json, err, fail, out, show_json, show_table
 from .remembered import found_processes, writer_of
 
 Directory = Annotated[Path, typer.Argument(help="A data directory.", metavar="DIR")]
-_TRIES = 5
 _BRIEF = 60
 """Characters of a text or body that are shown."""
 
@@ -146,7 +145,7 @@ def _value(value: Any, full: bool) -> Any:
 
 
 def _checked(directory: Path, *, modules_are_known: bool) -> tuple[Inspection, list[str]]:
-    for _ in range(_TRIES):
+    for _ in range(TRIES):
         found = _inspected(directory, needs_modules=modules_are_known)
         try:
             return found, found_processes(found, modules_are_known=modules_are_known)

@@ -1,16 +1,12 @@
 """What a log keeps: all that was committed, whatever is lost or damaged, or it says so."""
 
 import random
-import shutil
-import tempfile
-from contextlib import contextmanager
-from pathlib import Path
-from unittest.mock import patch
 
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from simulated_disk import Killed, SimulatedDisk
+from small_logs import folder
 
 from dyknow.journal.checkpoints import Checkpoint, Checkpoints
 from dyknow.journal.errors import JournalBroken, JournalDamaged, JournalFull
@@ -18,17 +14,6 @@ from dyknow.journal.log import Durability, Log
 from dyknow.journal.segment import header_of, walk
 
 LIMITS = settings(deadline=None, max_examples=100)
-
-
-@contextmanager
-def folder():
-    """A new one; room is made by a few bytes, else most of what is drawn would be zeros."""
-    path = Path(tempfile.mkdtemp(prefix="dyknow-journal-"))
-    try:
-        with patch("dyknow.journal.segment._ROOM", 300):
-            yield path
-    finally:
-        shutil.rmtree(path)
 
 
 def payload(position, size):

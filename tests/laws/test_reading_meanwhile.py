@@ -1,14 +1,13 @@
 """A log that is looked at, or copied, while it is written to."""
 
 import os
-import tempfile
 import threading
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 from unittest.mock import patch
 
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from small_logs import folder
 
 from dyknow.journal import backup, examination, segment
 from dyknow.journal.directory import format_bytes, locked
@@ -144,9 +143,9 @@ PENDING_IN_TWO = ([9, None, 40, 9, None, 9, None], 2, (2, 5), 100, Durability.FS
 @example(*PENDING_IN_TWO)
 @settings(deadline=None, max_examples=150)
 def test_what_is_being_written_is_no_damage(steps, files, gaps, size, durability):
-    with tempfile.TemporaryDirectory() as name, patch.object(segment, "_ROOM", 300):
+    with folder() as path:
         found, acknowledged = found_meanwhile(
-            Path(name), steps, files, gaps, size, durability, lambda path: examine(path / "journal")
+            path, steps, files, gaps, size, durability, lambda path: examine(path / "journal")
         )
     assert found.damage is None
     assert found.position >= acknowledged
@@ -155,9 +154,9 @@ def test_what_is_being_written_is_no_damage(steps, files, gaps, size, durability
 @given(*GIVEN)
 @settings(deadline=None, max_examples=150)
 def test_half_of_a_write_is_no_damage_where_somebody_writes(steps, files, gaps, size, durability):
-    with tempfile.TemporaryDirectory() as name, patch.object(segment, "_ROOM", 300):
+    with folder() as path:
         found, acknowledged = found_meanwhile(
-            Path(name),
+            path,
             steps,
             files,
             gaps,
@@ -181,8 +180,8 @@ def test_a_copy_that_is_made_meanwhile_has_all_that_was_acknowledged(
         manifest = backup.back_up(path, path.with_name("copy"), "a test")
         return manifest, examine(path.with_name("copy") / "journal")
 
-    with tempfile.TemporaryDirectory() as name, patch.object(segment, "_ROOM", 300):
-        path = Path(name) / "data"
+    with folder() as path:
+        path = path / "data"
         path.mkdir()
         lock = locked(path) if halves else None
         (manifest, copy), acknowledged = found_meanwhile(

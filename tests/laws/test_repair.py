@@ -2,14 +2,11 @@
 records; nothing good is gone, what is lost is told; also where it is stopped and called again."""
 
 import shutil
-import tempfile
-from contextlib import contextmanager
-from pathlib import Path
-from unittest.mock import patch
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from simulated_disk import Killed, SimulatedDisk
+from small_logs import folder
 
 from dyknow.journal.checkpoints import Checkpoint, Checkpoints
 from dyknow.journal.directory import DataDirectory
@@ -36,17 +33,6 @@ def works(draw):
 FILES = st.sampled_from(["log", "log", "log", "log", "checkpoint", "mark", "list", "any"])
 KINDS = st.sampled_from(["flip", "cut", "header", "empty", "delete", "zeros", "swap", "copy"])
 DAMAGE = st.lists(st.tuples(KINDS, FILES, FILES), min_size=1, max_size=4)
-
-
-@contextmanager
-def folder():
-    """A new one; files have no room to speak of, else most of what is drawn would be zeros."""
-    path = Path(tempfile.mkdtemp(prefix="dyknow-repair-"))
-    try:
-        with patch("dyknow.journal.segment._ROOM", 300):
-            yield path
-    finally:
-        shutil.rmtree(path)
 
 
 class Original:
