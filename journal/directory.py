@@ -127,7 +127,8 @@ def check_restored(path: Path) -> None:
     all of the backup may be there."""
     if (path / RESTORING).exists():
         raise JournalDamaged(
-            f"a restore into {path} was not finished", "empty it and restore again"
+            f"a restore into {path} was not finished: not all of the backup may be there",
+            "remove the directory and restore again (dyknow restore)",
         )
 
 

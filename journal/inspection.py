@@ -155,7 +155,7 @@ def _look(
         damage.insert(0, "format.json is missing or damaged")
         start = "refuses: see dyknow repair"
     elif is_unfinished:
-        start = "refuses: empty the directory and restore again"
+        start = "refuses: remove the directory and restore again"
     elif (path / MANIFEST).exists():
         start = "refuses: it is a backup, of which dyknow restore makes a directory"
     elif log.damage is None and refusal is None:
