@@ -21,6 +21,7 @@ from .supervision import (
     Runner,
     Supervisor,
     describe,
+    is_interrupt,
 )
 from .tape import Reading, Turn
 
@@ -136,7 +137,9 @@ class SampledSource:
         before = len(self._answers.reports)
         try:
             row = self._ask(time)
-        except Exception as error:  # noqa: BLE001  recorded, and raised by whoever asked
+        except BaseException as error:  # recorded, and raised by whoever asked
+            if is_interrupt(error):
+                raise
             return Reading(self.name, time, error=describe(error))
         for report in self._answers.reports[before:]:
             return Reading(self.name, time, row, report.quality, report.contains)

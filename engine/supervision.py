@@ -10,6 +10,8 @@ ever, `service/watchdog` has a deadline.
 
 from __future__ import annotations
 
+import signal
+import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -185,7 +187,8 @@ class Supervisor:
         """``step(time, item)`` for each in order; what was made goes to ``deliver``, then what
         went wrong is told. After a stop the rest of the items is left alone.
 
-        What is no `Exception` (KeyboardInterrupt, SystemExit) passes through.
+        Whatever the code raises is an error of the process, SystemExit included; only a person's
+        Ctrl-C passes through (`is_interrupt`).
         """
         came = Came(0)
         if self._stopped is not None or not items:
@@ -202,7 +205,9 @@ class Supervisor:
                     row = 0
                 except RecordedBlock:
                     raise
-                except Exception as error:  # noqa: BLE001  isolated, counted and told by the rule
+                except BaseException as error:  # isolated, counted and told by the rule
+                    if is_interrupt(error):
+                        raise
                     row += 1
                     verdict = self._verdict(row)
                     if verdict is _Verdict.RESTARTED:
@@ -339,6 +344,19 @@ class RecordedBlock(RecordedError, UnitBlocked):
     """It did not come back when it was done first."""
 
 
+def is_interrupt(error: BaseException) -> bool:
+    """Whether ``error`` is a person's Ctrl-C, not something that user-written code raised.
+
+    Python raises it in the main thread, and only while its own handler of SIGINT is installed: the
+    service has another one.
+    """
+    return (
+        isinstance(error, KeyboardInterrupt)
+        and threading.current_thread() is threading.main_thread()
+        and signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    )
+
+
 def describe(error: BaseException) -> str:
     """``ZeroDivisionError: division by zero (units.py:12)``: one line that can be sent anywhere.
 
@@ -348,7 +366,9 @@ def describe(error: BaseException) -> str:
         return str(error)
     try:
         text = str(error)
-    except Exception as second:  # noqa: BLE001  user code again, and there is something to tell
+    except BaseException as second:  # user code again, and there is something to tell
+        if is_interrupt(second):
+            raise
         text = f"(its text cannot be had: {type(second).__name__})"
     kind = type(error).__name__
     whole = f"{kind}: {text}" if text else kind

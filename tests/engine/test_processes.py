@@ -1,6 +1,9 @@
 """User-written computational units (Def. 5.10, 5.34), their registry, and their failures."""
 
+import asyncio
 import re
+import signal
+import threading
 
 import numpy as np
 import pytest
@@ -390,16 +393,44 @@ def test_endless_recursion_is_an_error_of_the_unit():
     assert "RecursionError" in made.counters.last_error
 
 
-@pytest.mark.parametrize("error", [KeyboardInterrupt, SystemExit])
-def test_what_is_no_exception_passes_through(error):
+@pytest.mark.parametrize("error", [SystemExit, GeneratorExit, asyncio.CancelledError])
+def test_what_ends_programs_is_an_error_of_the_unit(error):
     def fail(time, samples, state):
-        raise error
+        if time == 1:
+            raise error
+        return 5, state
 
     pos = stream(v="integer")
-    made = unit(fail, [pos])
-    with pytest.raises(error):
+    made = unit(fail, [pos], on_error="skip")
+    offer(pos, (1, 1, 0), (2, 2, 0))
+    assert made.counters.last_error.startswith(error.__name__)
+    assert made.output.counters.used == 1
+
+
+def test_an_interrupt_is_of_the_unit_where_python_raises_none():
+    """Nowhere but in the main thread, and there only under Python's own handler of SIGINT."""
+
+    def fail(time, samples, state):
+        raise KeyboardInterrupt
+
+    def failed():
+        pos = stream(v="integer")
+        made = unit(fail, [pos], on_error="skip")
         offer(pos, (1, 1, 0))
-    assert made.counters.errors == 0
+        return made.counters.errors
+
+    with pytest.raises(KeyboardInterrupt):
+        failed()
+    found = []
+    thread = threading.Thread(target=lambda: found.append(failed()))
+    thread.start()
+    thread.join()
+    before = signal.signal(signal.SIGINT, lambda *_: None)
+    try:
+        found.append(failed())
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert found == [1, 1]
 
 
 def test_an_error_that_cannot_be_shown_is_told_all_the_same():

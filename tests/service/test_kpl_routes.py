@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
+import sys
+
 import httpx
+import pytest
 from typer.testing import CliRunner
 
+from dyknow.engine.engine import Engine
+from dyknow.engine.processes import Processes
+from dyknow.service.app import create_app
 from dyknow.service.cli import app as commands
 from dyknow.service.client import Client
+from dyknow.service.server import running
+from dyknow.service.settings import Settings
+from dyknow.service.watchdog import Watchdog
 
 TEXT = {"Content-Type": "text/plain"}
 LINES = {"Content-Type": "application/x-ndjson"}
@@ -126,3 +135,33 @@ def test_the_command_line(url: str, client: Client) -> None:
     assert status == 1
     assert run("remove", "pos_car1", "--cascade")[1] == "removed slow, pos[car1], pos_car1\n"
     assert client.kpl() == []
+
+
+@pytest.mark.parametrize("deadline", ["2s", None])
+@pytest.mark.parametrize("way", ["exit", "interrupt"])
+def test_a_unit_that_ends_the_program_fails_and_its_publisher_does_not(
+    settings: Settings, clock, deadline: str | None, way: str
+) -> None:
+    known = Processes()
+
+    @known.computational_unit("out", ["pos"], on_error="stop", deadline=deadline)
+    def Leave(time, samples, state):
+        if way == "interrupt":
+            raise KeyboardInterrupt
+        sys.exit(3)
+
+    watchdog = Watchdog()
+    engine = Engine(epoch="e1", processes=known, runner=watchdog)
+    text = "sort pos = float\nsort out = float\nsource pos place\n"
+    text += "compunit out Leave(pos)\nstrmgen p = place\nstrmgen left = Leave(p)\nstream s = left"
+    with (
+        running(create_app(engine, settings, clock), settings) as url,
+        httpx.Client(base_url=url, trust_env=False, timeout=20) as http,
+    ):
+        answer = http.post("/kpl", content=text, headers=TEXT)
+        assert answer.status_code == 201, answer.text
+        for _ in range(2):
+            publish(http, "place", (280, 200, 1.0))
+        found = http.get("/kpl/left").json()
+        assert found["failure"].startswith("SystemExit: 3" if way == "exit" else "KeyboardInt")
+    watchdog.close()
