@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,13 +10,13 @@ import pyarrow as pa
 import pytest
 
 from dyknow.converters.arrow import bytes_of_table
-from dyknow.engine.commands import DeclareStream, Publish, read, written
+from dyknow.engine.commands import DeclareStream, Publish
 from dyknow.engine.recorded import RecordedEngine
 from dyknow.engine.views import StreamDeclaration
 from dyknow.service.client import Client
 from dyknow.service.negotiation import ARROW, NDJSON
 from dyknow.streams.sample import Field, FieldType
-from dyknow.streams.time import FOREVER, HOUR, MINUTE, SECOND, TIME_MAX, format_time
+from dyknow.streams.time import HOUR, MINUTE, SECOND, TIME_MAX, format_time
 
 LINES = {"Content-Type": NDJSON}
 FIELDS = {"v": "float"}
@@ -156,15 +155,3 @@ def test_what_was_taken_is_not_judged_again(tmp_path: Path) -> None:
         assert again.engine.generator("s").ahead == 0
         assert again.engine.stream("s").counters.used == 1
         again.close(checkpoint=checkpoint)
-
-
-def test_declarations_of_before_have_the_usual_bound() -> None:
-    fields = (Field("v", FieldType.FLOAT),)
-    command = DeclareStream(StreamDeclaration("s", fields, ahead=FOREVER))
-    assert read(written(command)) == command
-    before = written(command).replace(b"\xa5ahead\xcf\x7f" + b"\xff" * 7, b"")
-    assert len(before) < len(written(command))
-    # A map of one member less.
-    at = before.index(b"\xa4name") - 1
-    before = before[:at] + bytes([before[at] - 1]) + before[at + 1 :]
-    assert read(before) == DeclareStream(replace(command.declaration, ahead=HOUR))
