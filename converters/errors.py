@@ -42,5 +42,14 @@ class WireError(ValueError):
         return f"{place}{self.message}" + (f" ({self.hint})" if self.hint else "")
 
 
+class AheadOfClock(WireError):
+    """A sample that is stamped further ahead of the clock than its stream allows, the first of its
+    batch; ``latest`` (ns) is the greatest available time that is allowed now."""
+
+    def __init__(self, line: int, message: str, hint: str, latest: int) -> None:
+        super().__init__(line, message, hint)
+        self.latest = latest
+
+
 class EmptyTable(WireError):
     """A recording without a sample."""

@@ -15,11 +15,13 @@ import hashlib
 from typing import Any, Final, Literal, TypeAlias
 
 import msgspec
+import numpy as np
 
 from ..continuous.options import Bounds, Report, Semantics
 from ..converters.arrow import decode_arrow
 from ..converters.arrow_sizes import declares_more
-from ..converters.errors import ConversionError
+from ..converters.errors import AheadOfClock, ConversionError
+from ..converters.lines import Part
 from ..converters.ndjson import decode_ndjson
 from ..converters.wire import BatchLimits, Incoming
 from ..languages.errors import LanguageError
@@ -31,7 +33,7 @@ from ..ontology.reading import TextFormat
 from ..streams.pauses import STRAIGHT, Pauses
 from ..streams.sample import Schema
 from ..streams.strings import StringPool
-from ..streams.time import SECOND
+from ..streams.time import SECOND, TIME_MAX, format_duration, format_time
 from .behind import Went
 from .describing import DescribedStream, DescribedTransformation
 from .engine import Engine
@@ -121,6 +123,30 @@ class Publish(Command, frozen=True, tag="publish"):
     ) -> Incoming:
         decode = decode_ndjson if self.kind == "ndjson" else decode_arrow
         return decode(self.body, schema, pools, limits, pauses)
+
+    def check_ahead(self, engine: Engine, incoming: Incoming) -> None:
+        """Raise `AheadOfClock` where a sample is stamped further ahead of the clock, ``now``, than
+        its stream allows (SPEC §5, "Time of windows").
+
+        Contract: called once for what comes from outside, before it is done, and never for what is
+        done again.
+        """
+        generator = engine.accepting(self.stream)
+        if incoming.stamped or engine.intake.is_used(self.stream, self.key):
+            return
+        latest = min(self.now + generator.ahead, TIME_MAX)
+        available = incoming.batch.available
+        if int(available.max()) <= latest:
+            return
+        row = int(np.argmax(available > latest))
+        time = int(available[row])
+        raise AheadOfClock(
+            row + 1 if self.kind == "arrow" else Part(self.body, 1).number(row),
+            f"'available' is {format_time(time)}, {format_duration(time - self.now)} ahead of the "
+            f"clock; stream {self.stream!r} takes {format_duration(generator.ahead)} at most",
+            'correct the time; declare the stream of a simulation with "ahead": "oo"',
+            latest,
+        )
 
     def apply_decoded(self, engine: Engine, incoming: Incoming) -> int:
         """`apply`, for who has decoded it already."""

@@ -19,6 +19,7 @@ from ..streams.fluent import Retention
 from ..streams.generator import StreamGenerator
 from ..streams.sample import FieldType, Schema
 from ..streams.strings import StringPool
+from ..streams.time import HOUR
 from .behind import Behind
 from .busy import BusyTime
 from .changes import Change, ChangeKind
@@ -188,6 +189,7 @@ class Configuration:
         *,
         lateness: int = 0,
         idle: int | None = None,
+        ahead: int = HOUR,
         retention: Retention | None = None,
         namespace: str = DYKNOW,
         pools: dict[str, StringPool] | None = None,
@@ -206,6 +208,7 @@ class Configuration:
             schema,
             lateness=lateness,
             idle=idle,
+            ahead=ahead,
             retention=retention or RETENTION,
             pools=pools,
             first=self._removed.pop(name, 0) + 1,

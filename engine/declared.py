@@ -24,6 +24,7 @@ from ..streams.fluent import Retention
 from ..streams.generator import StreamGenerator
 from ..streams.sample import TIME_FIELDS, Field, FieldType, Schema
 from ..streams.strings import StringPool
+from ..streams.time import HOUR
 from .application import BUILT_IN
 from .changes import Change, ChangeKind
 from .configuration import (
@@ -71,7 +72,8 @@ class DeclaredStreams:
         The same declaration again changes nothing. Raises `Conflict` when a stream that has
         samples or subscribers would change, `Refused` for a name that is not the user's to give,
         `BadArguments` for a namespace that is no IRI and for an ``idle`` of nothing. How long a
-        stream may be silent, and how much it keeps, can be changed while it is in use.
+        stream may be silent, how far ahead it may be stamped, and how much it keeps, can be changed
+        while it is in use.
         """
         self.check_stream_name(declaration.name)
         schema = Schema(declaration.fields)
@@ -100,8 +102,12 @@ class DeclaredStreams:
         if existing is not None and self._declaration(existing) == declaration:
             return existing
         if existing is not None and self._declaration(existing) == replace(
-            declaration, idle=existing.idle, retention=existing.stream.retention
+            declaration,
+            idle=existing.idle,
+            ahead=existing.ahead,
+            retention=existing.stream.retention,
         ):
+            existing.ahead = declaration.ahead
             if existing.idle != declaration.idle:
                 existing.idle = declaration.idle
                 existing.wake()  # whether it is idle now is judged anew
@@ -212,6 +218,7 @@ class DeclaredStreams:
             retention=declaration.retention,
             namespace=declaration.namespace,
             idle=declaration.idle,
+            ahead=declaration.ahead,
         )
 
     def check_stream_name(self, name: str) -> None:
@@ -265,6 +272,7 @@ class DeclaredStreams:
             generator.stream.retention,
             self._configuration.namespaces[generator.name],
             generator.idle,
+            generator.ahead,
         )
 
     def check_annotation(self, annotation: StreamAnnotation) -> None:
@@ -345,6 +353,7 @@ def _declaration_json(declaration: StreamDeclaration) -> str:
             "retention": [kept.samples, kept.age, *([] if kept.bytes is None else [kept.bytes])],
             "namespace": declaration.namespace,
             "idle": declaration.idle,
+            "ahead": declaration.ahead,
         }
     )
 
@@ -352,7 +361,8 @@ def _declaration_json(declaration: StreamDeclaration) -> str:
 def _declaration_of(name: str, text: str) -> StreamDeclaration:
     stored: Mapping[str, object] = json.loads(text)
     fields, retention = stored["fields"], stored["retention"]
-    idle = stored.get("idle")  # not in what was kept before there was any
+    # What was kept before there were these has none of them.
+    idle, ahead = stored.get("idle"), stored.get("ahead", HOUR)
     assert isinstance(fields, list)
     assert isinstance(retention, list)
     return StreamDeclaration(
@@ -362,4 +372,5 @@ def _declaration_of(name: str, text: str) -> StreamDeclaration:
         Retention(*retention),
         str(stored["namespace"]),
         None if idle is None else int(str(idle)),
+        int(str(ahead)),
     )

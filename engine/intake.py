@@ -41,6 +41,17 @@ class Intake:
             )
         return generator
 
+    def is_used(self, name: str, key: str | None) -> bool:
+        """Whether ``key`` was used for this stream before: it has no second effect then."""
+        return key is not None and (self.accepting(name).name, key) in self._keys
+
+    def refuse_ahead(self, name: str) -> None:
+        """Count a batch for stream ``name`` that `Publish.check_ahead` has refused, and forget its
+        texts."""
+        generator = self.accepting(name)
+        generator.counters.ahead += 1
+        generator.forget_texts()
+
     def publish(
         self, name: str, incoming: Incoming, now: int, idempotency_key: str | None, digest: bytes
     ) -> int:

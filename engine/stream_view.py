@@ -35,6 +35,7 @@ def stream_view(
         namespace=namespace,
         lateness=generator.lateness,
         idle=generator.idle,
+        ahead=generator.ahead,
         is_idle=generator.is_idle,
         retention=stream.retention,
         stamped=generator.stamped,

@@ -10,6 +10,7 @@ from ..rdf.namespaces import DYKNOW
 from ..streams.fluent import Retention
 from ..streams.generator import Counters
 from ..streams.sample import Field
+from ..streams.time import HOUR
 
 
 class Since(StrEnum):
@@ -37,8 +38,9 @@ class Totals:
 @dataclass(frozen=True, slots=True)
 class StreamDeclaration:
     """What a stream is to be: its fields, how late samples may be (ns), how much is kept, the
-    namespace of the objects that its id fields name, and after how long (ns) without samples nobody
-    waits for it (None: everybody always does)."""
+    namespace of the objects that its id fields name, after how long (ns) without samples nobody
+    waits for it (None: everybody always does), and how far ahead (ns) of the clock a sample may be
+    stamped (`FOREVER`: any)."""
 
     name: str
     fields: tuple[Field, ...]
@@ -46,6 +48,7 @@ class StreamDeclaration:
     retention: Retention = field(default_factory=Retention)
     namespace: str = DYKNOW
     idle: int | None = None
+    ahead: int = HOUR
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +62,7 @@ class StreamView:
     namespace: str
     lateness: int
     idle: int | None
+    ahead: int
     is_idle: bool
     retention: Retention
     stamped: bool | None

@@ -49,14 +49,18 @@ class Client(Connection):
         *,
         lateness: str | int = 0,
         idle: str | int | None = None,
+        ahead: str | int | None = None,
         retention: Mapping[str, Any] | None = None,
         namespace: str | None = None,
     ) -> dict[str, Any]:
         """Declare a stream: field names and types, how late samples may be, after how long without
-        any nobody waits for it, what is kept."""
+        any nobody waits for it, how far ahead of the clock they may be (``"oo"``: any), what is
+        kept."""
         body: dict[str, Any] = {"fields": fields, "lateness": lateness}
         if idle is not None:
             body["idle"] = idle
+        if ahead is not None:
+            body["ahead"] = ahead
         if retention is not None:
             body["retention"] = retention
         if namespace is not None:

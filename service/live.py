@@ -104,14 +104,16 @@ class LiveSamples(ABC):
         if self._stamped not in (None, incoming.stamped):
             raise mixed_times(line)
         batch = Publish(self._name, kind, body, self._clock())
+        batch.check_ahead(self._engine, incoming)
         self.accepted += self._keeper.do(batch, incoming)
         self._keeper.hasten()
         self._stamped = incoming.stamped
 
     def _placed(self, error: WireError) -> WireError:
         """An error in what comes next, as one of the body."""
-        line = None if error.line is None else self._before + error.line
-        return WireError(line, error.message, error.hint)
+        if error.line is not None:
+            error.line += self._before
+        return error
 
 
 class LiveLines(LiveSamples):
@@ -174,7 +176,8 @@ class LiveLines(LiveSamples):
             # One before it may be bad in a way that is looked for later: then that one is told.
             if before := b"".join(rows[: (error.line or 1) - 1]):
                 self._take_part(before)
-            raise self._placed(WireError(1, error.message, error.hint)) from None
+            error.line = 1
+            raise self._placed(error) from None
         self._before += lines.count(b"\n")
 
     def _decode_and_publish(self, lines: bytes) -> None:

@@ -19,7 +19,7 @@ from starlette.exceptions import HTTPException as StarletteHTTPException
 from starlette.routing import Match
 
 from ..converters.arrow import ArrowMissing
-from ..converters.errors import ConversionError, WireError
+from ..converters.errors import AheadOfClock, ConversionError, WireError
 from ..engine import errors as engine_errors
 from ..engine.errors import DyknowError, NoPlan
 from ..journal.errors import JournalError, JournalFull
@@ -27,6 +27,7 @@ from ..languages.errors import LanguageError
 from ..ontology.errors import OntologyError, QueryRefused
 from ..ontology.units import UnitError
 from ..streams.sample import SampleError
+from ..streams.time import format_time
 from .hints import hint_for
 from .logs import log
 
@@ -38,6 +39,8 @@ LONGEST = 4000
 MOST_TOLD = 100
 """Of so many values that do not fit is told where they are: an answer is not to be longer than what
 was asked."""
+AHEAD: Final = "ahead of the clock"
+"""The title of what is said of a sample that is: who publishes may leave it out (``latest``)."""
 _NAMES = "urn:dyknow:problem:"
 _REQUESTS = "urn:dyknow:request:"
 
@@ -55,6 +58,7 @@ class ProblemModel(BaseModel):
     column: int | None = None
     excerpt: str | None = Field(None, description="the source line with a caret under the place")
     field: str | None = Field(None, description="the field of a sample that is to blame")
+    latest: str | None = Field(None, description="the latest time that the stream takes at present")
     accepted: int | None = Field(
         None, description="how many of the live samples before the error were taken"
     )
@@ -159,6 +163,17 @@ def problem_of(error: Exception) -> Problem:
                 "not available",
                 "this service was installed without Arrow",
                 hint="install dyknow[arrow], or use application/x-ndjson",
+            )
+        case AheadOfClock():
+            latest = format_time(error.latest)
+            return Problem(
+                400,
+                AHEAD,
+                error.message,
+                hint=error.hint,
+                line=error.line,
+                field="available",
+                latest=latest,
             )
         case WireError():
             return Problem(400, "bad samples", error.message, hint=error.hint, line=error.line)

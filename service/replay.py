@@ -16,7 +16,8 @@ from ..converters.recording import Recording
 from ..converters.recordings import in_order
 from ..converters.wire import Incoming
 from ..streams.sample import SampleBatch
-from ..streams.time import MILLISECOND, SECOND
+from ..streams.saturating import earlier, later
+from ..streams.time import MILLISECOND, SECOND, TIME_MAX
 
 ROWS = 5_000
 """A part has at most so many samples: a few hundred kB on the wire."""
@@ -48,11 +49,15 @@ class Span:
         return self.last - self.first + PAUSE
 
 
-def span(recording: Iterable[Incoming]) -> Span | None:
-    """When the recording begins and ends; None if it is empty. Reads it once."""
+def span(recording: Iterable[Incoming], latest: int = TIME_MAX) -> Span | None:
+    """When the recording begins and ends, but for samples stamped after ``latest``; None if there
+    are no others. Reads it once."""
     first = last = None
     for incoming in recording:
         times = incoming.batch.available
+        times = times[times <= latest]
+        if not len(times):
+            continue
         low, high = int(times.min()), int(times.max())
         first = low if first is None else min(first, low)
         last = high if last is None else max(last, high)
@@ -99,10 +104,12 @@ def play_all(
 
 
 def moved(batch: SampleBatch, shift: int) -> SampleBatch:
-    """The same samples ``shift`` ns later."""
+    """The same samples ``shift`` ns later, as far as time goes."""
     if shift == 0:
         return batch
-    return SampleBatch(batch.available + shift, batch.valid + shift, batch.columns)
+    move = later if shift > 0 else earlier
+    available, valid = (move(times, abs(shift)) for times in (batch.available, batch.valid))
+    return SampleBatch(available, valid, batch.columns)
 
 
 def _cuts(

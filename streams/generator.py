@@ -20,7 +20,7 @@ import numpy as np
 from .fluent import FluentStream, Retention
 from .sample import Field, SampleBatch, SampleError, Schema, Times, concatenate, empty_batch
 from .strings import StringPool
-from .time import TIME_MAX, TIME_MIN
+from .time import HOUR, TIME_MAX, TIME_MIN
 
 
 class Receiver(Protocol):
@@ -59,7 +59,11 @@ class Listener(Protocol):
 
 @dataclass(slots=True)
 class Counters:
-    """Where accepted samples went. Law: accepted = used + late + duplicate + expired + pending."""
+    """Where accepted samples went. Law: accepted = used + late + duplicate + expired + pending.
+
+    ``ahead`` counts batches that were refused because of `StreamGenerator.ahead`: none of their
+    samples is among the accepted ones.
+    """
 
     accepted: int = 0
     used: int = 0
@@ -67,6 +71,7 @@ class Counters:
     duplicate: int = 0
     expired: int = 0
     pending: int = 0
+    ahead: int = 0
 
 
 class StreamGenerator:
@@ -75,6 +80,8 @@ class StreamGenerator:
     ``lateness`` (ns): how far behind the greatest available time a sample may still arrive.
     Samples stamped on arrival are never late. ``idle`` (ns): after how long without samples the
     stream is not waited for, by the clock of whoever calls `fall_idle`; None: it always is.
+    ``ahead`` (ns): how far ahead of the clock a sample may be stamped that comes from outside;
+    the service judges it (`engine/intake`), the generator takes what it is offered.
 
     Law (tests/laws): the stream, its counters and its watermark do not depend on how the offered
     samples were cut into batches; they equal the sample-by-sample definition.
@@ -90,6 +97,7 @@ class StreamGenerator:
         *,
         lateness: int = 0,
         idle: int | None = None,
+        ahead: int = HOUR,
         retention: Retention | None = None,
         pools: dict[str, StringPool] | None = None,
         first: int = 1,
@@ -98,6 +106,7 @@ class StreamGenerator:
         self.stream = FluentStream(schema, retention, pools, first)
         self.lateness = lateness
         self.idle = idle
+        self.ahead = ahead
         self.counters = Counters()
         self.stamped: bool | None = None
         """Whether the samples are stamped on arrival; None before the first one."""

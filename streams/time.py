@@ -23,6 +23,8 @@ DAY = 24 * HOUR
 
 TIME_MIN = -(2**63)
 TIME_MAX = 2**63 - 1
+FOREVER = TIME_MAX
+"""A duration without end: `oo`."""
 
 _UNITS = {
     "ns": NANOSECOND,

@@ -24,11 +24,12 @@ from rich.progress import (
 from ...converters.recording import Recording, open_recording
 from ...converters.recordings import Recordings, has_many_streams, open_recordings
 from ...languages.ssl import parse_ssl
-from ...streams.sample import FieldType
-from ...streams.time import SECOND, format_time, read_time
+from ...streams.sample import FieldType, SampleBatch
+from ...streams.time import FOREVER, SECOND, TIME_MAX, format_time, parse_duration, read_time
 from ..client import Client, ServiceError
+from ..problems import AHEAD
 from ..replay import PAUSE, Span, play_all, span
-from .output import DEFAULT_URL, Json, Url, connect, err, show_json, show_text
+from .output import DEFAULT_URL, Json, Url, connect, err, show_json, show_text, show_values
 from .streams import text_or_file
 
 _FATES = ("accepted", "used", "late", "duplicate", "expired", "pending")
@@ -51,6 +52,13 @@ def _begin(text: str | None) -> int | None:
         return None if text is None else time.time_ns()
     try:
         return read_time(text)
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from error
+
+
+def _bound(text: str) -> int:
+    try:
+        return FOREVER if text == "oo" else parse_duration(text)
     except ValueError as error:
         raise typer.BadParameter(str(error)) from error
 
@@ -91,6 +99,13 @@ def replay(
         str | None,
         typer.Option(help="After how long without samples nobody waits for a stream, such as 10s."),
     ] = None,
+    ahead: Annotated[
+        str,
+        typer.Option(
+            help="How far ahead of the clock a sample may be stamped, such as 1h; oo: any. Of a "
+            "recording that --rebase plays faster than recorded: as far as it gets, and so much."
+        ),
+    ] = "1h",
     time_column: Annotated[
         str | None, typer.Option(help="The column of valid times; else by its name.")
     ] = None,
@@ -104,7 +119,7 @@ def replay(
     as_json: Json = False,
 ) -> None:
     """Play a recording into its streams: declares them, publishes, says when it has ended."""
-    factor, begin = _speed(speed), _begin(rebase)
+    factor, begin, bound = _speed(speed), _begin(rebase), _bound(ahead)
     with connect(url) as client:
         # All that can be wrong with tables and text is found before anything is made.
         meaning = None if ssl is None else text_or_file(ssl)
@@ -112,20 +127,29 @@ def replay(
             parse_ssl(meaning)
         opened = _open(client, file, stream or [], time_column, time_unit, utc)
         tracks = opened.tracks
-        extents = {name: span(track.recording) for name, track in tracks.items()}
+        latest = min(time.time_ns() + bound, TIME_MAX)
+        extents = {name: span(track.recording, latest) for name, track in tracks.items()}
         known = [extent for extent in extents.values() if extent is not None]
         if not known:
-            show_text("the recording is empty")
-            return
+            far = any(track.recording.rows for track in tracks.values())
+            show_text(
+                "every sample is ahead of the clock: --ahead oo takes them"
+                if far
+                else "the recording is empty"
+            )
+            raise typer.Exit(1 if far else 0)
         extent = Span(min(e.first for e in known), max(e.last for e in known))
         shift = 0 if begin is None else begin - extent.first
+        if begin is not None and factor != 1:
+            # By itself it gets as far ahead as it is long, each round anew.
+            bound = FOREVER if loop else min(bound + extent.last - extent.first, FOREVER)
         recordings = {name: track.recording for name, track in tracks.items()}
-        player = _Player(client, recordings, extent, factor, shift)
+        player = _Player(client, recordings, extent, factor, shift, latest)
         begun = time.monotonic()
         before = {name: dict.fromkeys(_FATES, 0) for name in tracks}
         try:
             for name, track in tracks.items():
-                _declare(client, name, track, lateness, idle)
+                _declare(client, name, track, lateness, idle, bound)
             if meaning is not None:
                 client.annotate(meaning)
             before = {name: client.stream(name)["counters"] for name in tracks}
@@ -146,6 +170,7 @@ def replay(
         for name in tracks:
             after = client.stream(name)["counters"]
             counts = {fate: after[fate] - before[name][fate] for fate in _FATES}
+            counts["ahead"] = player.left_out.get(name, 0)
             its = extents[name] or extent
             _summary(name, counts, its, seconds, rebase is not None, as_json, opened.dropouts)
     if not as_json:
@@ -227,12 +252,14 @@ def _chosen(wanted: list[str], found: Recordings) -> dict[str, str]:
     return names
 
 
-def _declare(client: Client, name: str, track: _Track, lateness: str, idle: str | None) -> None:
+def _declare(
+    client: Client, name: str, track: _Track, lateness: str, idle: str | None, ahead: int
+) -> None:
     """Make the stream's fields the recording's, unless they are."""
     schema = track.recording.schema
     if track.there is None or set(track.there) != set(schema.names):
         fields = [{"name": f.name, "type": f.type.value} for f in schema.fields]
-        client.put_stream(name, fields, lateness=lateness, idle=idle)
+        client.put_stream(name, fields, lateness=lateness, idle=idle, ahead=ahead)
 
 
 @dataclass(slots=True)
@@ -244,6 +271,11 @@ class _Player:
     extent: Span
     speed: float | None
     shift: int
+    latest: int
+    """No recorded time is later (ns), but for rows that are left out where the stream's bound says
+    so: nothing waits until they are due."""
+    left_out: dict[str, int] = field(default_factory=dict)
+    """Samples of each stream that were left out, as they were ahead of the clock."""
     sent: dict[str, int] = field(default_factory=dict)
     """Samples of each stream that were accepted so far."""
 
@@ -279,13 +311,36 @@ class _Player:
         parts = play_all(self.recordings, self.extent.first, speed=self.speed, shift=shift)
         for name, part in parts:
             wait = part.due / SECOND - (time.monotonic() - begun)
-            if wait > 0:
+            if wait > 0 and int(part.batch.available.min()) - shift <= self.latest:
                 time.sleep(wait)
-            accepted = self.client.publish(name, part.batch)
+            accepted = self._publish(name, part.batch)
             self.sent[name] = self.sent.get(name, 0) + accepted
             sent[name] += accepted
             elapsed = max(1e-9, time.monotonic() - begun)
             progress.update(tasks[name], advance=len(part.batch), rate=sent[name] / elapsed)
+
+    def _publish(self, name: str, batch: SampleBatch) -> int:
+        """Publish a part without the samples that are ahead of the clock, which are told; gives how
+        many were accepted."""
+        try:
+            return self.client.publish(name, batch)
+        except ServiceError as error:
+            if error.title != AHEAD:
+                raise
+            is_ahead = batch.available > read_time(str(error.problem["latest"]))
+            refused = error
+        left_out = batch.take(is_ahead)
+        self.left_out[name] = self.left_out.get(name, 0) + len(left_out)
+        _, _, values = next(left_out.rows())
+        more = f" and {len(left_out) - 1:,} more" if len(left_out) > 1 else ""
+        err().print(
+            f"{name}: left out {show_values(values)}{more}: {refused.args[0]}\n"
+            "      --ahead oo takes such rows, where replay declares the stream",
+            markup=False,
+            highlight=False,
+        )
+        kept = batch.take(~is_ahead)
+        return self.client.publish(name, kept) if len(kept) else 0
 
 
 def _tell(opened: _Opened) -> None:
@@ -316,7 +371,9 @@ def _summary(
         f"{stream}: {counts['accepted']:,} samples accepted in {seconds:.1f} s ({rate:,.0f}/s), "
         f"recorded {format_time(extent.first)} to {format_time(extent.last)}"
     )
-    rest = (f"{fate} {counts[fate]:,}" for fate in _FATES[1:] if counts[fate] or fate == "used")
+    rest = [f"{fate} {counts[fate]:,}" for fate in _FATES[1:] if counts[fate] or fate == "used"]
+    if counts["ahead"]:
+        rest.append(f"left out {counts['ahead']:,}, ahead of the clock")
     show_text("  " + ", ".join(rest))
     if counts["accepted"] and counts["late"] + counts["duplicate"] == counts["accepted"]:
         # The usual cause: a stream's available times only grow, and these were there before.

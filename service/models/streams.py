@@ -11,7 +11,7 @@ from ...engine import views
 from ...rdf.namespaces import DYKNOW
 from ...streams import fluent, sample
 from ...streams.sample import IN_FIELD_NAMES, LONGEST_NAME, TIME_FIELDS, check_field_name
-from ...streams.time import format_duration
+from ...streams.time import FOREVER, HOUR, format_duration
 from .parts import Body, Duration, iso, signed
 
 _TYPES = {
@@ -34,6 +34,10 @@ def _fields(value: object) -> object:
     if isinstance(value, dict):
         return [{"name": name, "type": kind} for name, kind in value.items()]
     return value
+
+
+def _oo(value: object) -> object:
+    return FOREVER if value == "oo" else value
 
 
 def _field_name(name: str) -> str:
@@ -104,6 +108,12 @@ class StreamIn(Body):
         "streams do not wait for this one any more, until it speaks again; null: they always wait",
         examples=["10s"],
     )
+    ahead: Annotated[Duration, BeforeValidator(_oo)] = Field(
+        HOUR,
+        description="how far ahead of the service's clock a sample may be stamped: a batch with "
+        "one that is further is refused; oo: any",
+        examples=["1h", "oo"],
+    )
     retention: Annotated[RetentionModel, BeforeValidator(_retention)] = RetentionModel()
     namespace: str = Field(
         DYKNOW, min_length=1, description="where the objects of id fields have their names"
@@ -116,12 +126,15 @@ class StreamIn(Body):
         asked = self.retention
         most = usual.bytes if asked.bytes is None and asked.samples is None else asked.bytes
         kept = fluent.Retention(asked.samples or usual.samples, asked.age, most)
-        return views.StreamDeclaration(name, fields, self.lateness, kept, self.namespace, self.idle)
+        return views.StreamDeclaration(
+            name, fields, self.lateness, kept, self.namespace, self.idle, self.ahead
+        )
 
 
 class CountersModel(BaseModel):
     """Where the samples went: accepted = used + late + duplicate + expired + pending. Who wants the
-    late ones reads the stream `NAME_late`."""
+    late ones reads the stream `NAME_late`. `ahead` counts batches that were refused: their samples
+    are in none of the others."""
 
     accepted: int
     used: int
@@ -129,6 +142,7 @@ class CountersModel(BaseModel):
     duplicate: int
     expired: int
     pending: int
+    ahead: int
 
 
 class StreamModel(BaseModel):
@@ -138,6 +152,7 @@ class StreamModel(BaseModel):
     fields: list[FieldModel]
     namespace: str
     lateness: str
+    ahead: str = Field(description="how far ahead of the clock a sample may be stamped; oo: any")
     idle: str | None = Field(description="after how long without samples it is idle; null: never")
     is_idle: bool = Field(description="it has brought nothing for so long: nobody waits for it")
     retention: dict[str, int | str | None]
@@ -167,6 +182,7 @@ class StreamModel(BaseModel):
             fields=[FieldModel(name=f.name, type=f.type.value) for f in view.fields],
             namespace=view.namespace,
             lateness=format_duration(view.lateness),
+            ahead="oo" if view.ahead == FOREVER else format_duration(view.ahead),
             idle=None if view.idle is None else format_duration(view.idle),
             is_idle=view.is_idle,
             retention={
@@ -183,6 +199,7 @@ class StreamModel(BaseModel):
                 duplicate=view.counters.duplicate,
                 expired=view.counters.expired,
                 pending=view.counters.pending,
+                ahead=view.counters.ahead,
             ),
             kept=view.samples_kept,
             first=view.first_number,

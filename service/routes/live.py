@@ -7,6 +7,7 @@ from typing import Annotated
 from fastapi import APIRouter, Header, Request, Response
 from starlette.requests import ClientDisconnect
 
+from ...converters.errors import AheadOfClock
 from ..context import Context, Service
 from ..live import LiveLines, LiveSamples, LiveTables
 from ..logs import log
@@ -54,6 +55,8 @@ async def publish_live(
         log().info("live samples broken off", stream=name, accepted=live.accepted)
         return Response(status_code=400)  # nobody reads it
     except Exception as error:
+        if isinstance(error, AheadOfClock):
+            service.engine.intake.refuse_ahead(name)
         # What the answer says of it holds.
         await service.keeper.settled()
         raise _refusal(error, live) from error

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Header, Request, Response
 from msgspec.structs import replace
 
+from ...converters.errors import AheadOfClock
 from ...engine.commands import Publish
 from ..context import Context
 from ..models import AcceptedModel
@@ -62,7 +63,10 @@ async def publish_samples(
 ) -> AcceptedModel:
     """Publish a batch: taken whole, or refused whole with the line and the cause.
 
-    Samples without `available` are stamped on arrival. 409: the `Idempotency-Key` was used for
+    Samples without `available` are stamped on arrival; one that is further ahead of the clock than
+    the stream's `ahead` is a 400 (`latest` is the latest time that is taken).
+
+    409: the `Idempotency-Key` was used for
     another body.
     """
     service.engine.accepting(name)  # an unknown stream is told before the body is read
@@ -77,4 +81,9 @@ async def publish_samples(
     incoming = await service.decoding.decode(batch)
     # It may have taken its time, and commands are done in the order of theirs.
     batch = replace(batch, now=service.clock())
+    try:
+        batch.check_ahead(service.engine, incoming)
+    except AheadOfClock:
+        service.engine.intake.refuse_ahead(name)
+        raise
     return AcceptedModel(accepted=await service.do(batch, incoming))

@@ -30,11 +30,14 @@ from dyknow.journal.segment import walk
 from dyknow.streams.fluent import Retention
 from dyknow.streams.generator import Counters
 from dyknow.streams.sample import Field, FieldType
+from dyknow.streams.time import FOREVER, HOUR
 
 CASES = Path(__file__).parents[1] / "cases" / "journal"
 COMMANDS = CASES / "commands.jsonl"
 CHECKPOINT = CASES / "00000000000000000003.checkpoint"
 PORT = DescribedPort("dyknow:speed", "spd", "km/h", (DescribedArgument("UAV", "a", "id"),))
+LATER = {"ahead": HOUR}
+"""What members that came later say where nothing is written."""
 EXAMPLES = [
     c.Begin("3f2a91c0", 1_633_633_973_000_000_000, "dyknow 0.1.0, Python 3.11.7, 0123456789abcdef"),
     c.Tick(1_633_633_973_100_000_000),
@@ -59,6 +62,7 @@ EXAMPLES = [
             30_000_000_000,
         )
     ),
+    c.DeclareStream(StreamDeclaration("s6", (Field("v", FieldType.FLOAT),), ahead=FOREVER)),
     c.GoOn((Went("dyknow_cu1", 3), Went("dyknow_cu2", 1, "it took 5 s"))),
     c.GoOn((Went("dyknow_cu1", 0, parts=3),)),
     c.RemoveStream("s5"),
@@ -173,13 +177,14 @@ def _plain(value):
 
 
 def _without_later(told, was):
-    """``told`` without the members of objects that ``was`` lacks and that say nothing."""
+    """``told`` without the members of objects that ``was`` lacks and that say nothing, or what is
+    usual."""
     if not isinstance(told, dict) or not isinstance(was, dict):
         return told
     return {
         key: _without_later(each, was.get(key))
         for key, each in told.items()
-        if key in was or each is not None
+        if key in was or each not in (None, LATER.get(key))
     }
 
 

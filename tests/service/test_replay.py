@@ -22,7 +22,7 @@ from dyknow.service.cli.demo import demo_files
 from dyknow.service.client import Client
 from dyknow.service.replay import PAUSE, ROWS, Part, Span, play, play_all, span
 from dyknow.streams.sample import Field, FieldType, SampleBatch, Schema, batch_from_rows
-from dyknow.streams.time import MILLISECOND, SECOND
+from dyknow.streams.time import MILLISECOND, SECOND, format_time
 
 SCHEMA = Schema((Field("n", FieldType.INTEGER),))
 
@@ -198,7 +198,8 @@ def test_a_flight_log_is_published_topic_by_topic(
     pytest.importorskip("pyulog", reason="pyulog is not installed: pip install dyknow[px4]")
     path = tmp_path / "flight.ulg"
     path.write_bytes(TWO_TOPICS)
-    told = command(str(path), "--speed", "10").stdout
+    # The service's clock stands in 2021.
+    told = command(str(path), "--speed", "10", "--ahead", "oo").stdout
     assert "attitude: 3 samples accepted" in told
     assert "dropouts: 2, 0.042 s were not logged" in told
     assert "note: attitude.big" in told
@@ -209,3 +210,49 @@ def test_a_flight_log_is_published_topic_by_topic(
     assert "no satellite receiver" in command(str(path), "--utc", status=1).stderr
     path.write_bytes(TWO_TOPICS[:-2])
     assert "cut off" in command(str(path), status=1).stderr
+
+
+def table(path: Path, *times: str) -> Path:
+    rows = (f"{time},{time},{n}\n" for n, time in enumerate(times))
+    path.write_text("valid,available,n\n" + "".join(rows))
+    return path
+
+
+HONEST = ("2021-10-07T10:00:00Z", "2021-10-07T10:00:01Z")
+WILD = "2262-04-11T23:47:16Z"
+
+
+@pytest.mark.parametrize("more", [("--speed", "max"), ("--speed", "50")])
+@pytest.mark.parametrize("rebase", [(), ("--rebase", "2021-10-07T11:00:00Z")])
+def test_a_row_ahead_of_the_clock_is_named_and_left_out(
+    command: Any, client: Client, tmp_path: Path, more: tuple[str, ...], rebase: tuple[str, ...]
+) -> None:
+    """Nothing waits until it is due, either."""
+    path = table(tmp_path / "t.csv", HONEST[0], WILD, HONEST[1])
+    found = command(str(path), "--stream", "s", "--json", *more, *rebase)
+    (told,) = map(json.loads, found.stdout.splitlines())
+    assert (told["accepted"], told["used"], told["late"], told["ahead"]) == (2, 2, 0, 1)
+    assert "s: left out n=1: 'available' is 2262-04-11" in found.stderr
+    assert client.stream("s")["counters"]["ahead"] == 1
+    people = command(str(path), "--stream", "t", *more, *rebase).stdout
+    assert "left out 1, ahead of the clock" in people
+
+
+def test_a_recording_of_the_future(command: Any, client: Client, tmp_path: Path) -> None:
+    path = table(tmp_path / "t.csv", WILD)
+    refused = command(str(path), "--stream", "s", "--speed", "max", status=1)
+    assert "--ahead oo takes them" in refused.output
+    told = command(str(path), "--stream", "s", "--speed", "max", "--ahead", "oo", "--json").stdout
+    assert (json.loads(told)["used"], json.loads(told)["ahead"]) == (1, 0)
+    assert client.stream("s")["ahead"] == "oo"
+
+
+def test_a_rebased_recording_may_get_as_far_ahead_as_it_is_long(
+    command: Any, client: Client, clock: Any, tmp_path: Path
+) -> None:
+    path = table(tmp_path / "t.csv", HONEST[0], "2021-10-07T15:00:00Z", WILD)
+    begin = format_time(clock.now)
+    words = (str(path), "--stream", "s", "--speed", "max", "--rebase", begin, "--json")
+    told = json.loads(command(*words).stdout)
+    assert (told["used"], told["ahead"]) == (2, 1)
+    assert client.stream("s")["ahead"] == "6h"

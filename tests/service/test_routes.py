@@ -64,7 +64,7 @@ def test_declare_a_stream(http: httpx.Client) -> None:
     assert found["lateness"] == "5s"
     assert found["fields"][1] == {"name": "spd", "type": "float"}
     assert found["counters"] == dict.fromkeys(
-        ("accepted", "used", "late", "duplicate", "expired", "pending"), 0
+        ("accepted", "used", "late", "duplicate", "expired", "pending", "ahead"), 0
     )
     again = declare(http)
     assert again.status_code == 200
