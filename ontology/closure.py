@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import importlib.metadata
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import lru_cache
 from typing import TypeAlias
 
@@ -18,13 +18,14 @@ import owlrl
 import rdflib
 from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
-from ..rdf.namespaces import OWL, RDF, RDFS, XSD
+from ..rdf.namespaces import OWL, RDFS, XSD
 from .errors import OntologyError
+from .separation import Separation, is_standard
 
-_FORM = "1"
+_FORM = "2"
 """Changes when this module keeps other triples than before, so that kept closures are redone."""
 
-_STANDARD = (RDF, RDFS, OWL, XSD)
+_TOP = NamedNode(OWL + "Thing")
 _REFLEXIVE = frozenset(
     {
         OWL + "sameAs",
@@ -53,10 +54,19 @@ def closure_of(asserted: frozenset[Triple]) -> frozenset[Triple]:
     triples and more, such as for long lists and chains of ``owl:sameAs``: who takes ontologies of
     strangers runs it where it can be stopped.
     """
+    separation = Separation(asserted)
+    closed = separation.closed(by_owlrl(separation.rest))
+    if closed is None:
+        closed = by_owlrl(asserted)
+    return frozenset(
+        triple for triple in closed if triple not in asserted and not _is_noise(triple)
+    )
+
+
+def by_owlrl(asserted: Iterable[Triple]) -> set[Triple]:
+    """``asserted`` and what owlrl adds, without the noise."""
     graph = rdflib.Graph()
-    known = set()
     for triple in asserted:
-        known.add(triple)
         graph.add(to_rdflib(triple))
     # The semantics is run without owlrl's wrapper, which would replace rdflib's datatype tables
     # for the whole process.
@@ -64,14 +74,12 @@ def closure_of(asserted: frozenset[Triple]) -> frozenset[Triple]:
     semantics.closure()
     if semantics.error_messages:
         raise OntologyError(f"the ontologies contradict themselves: {semantics.error_messages[0]}")
-    added = []
-    for subject, predicate, object in graph:
-        if _is_noise(subject, predicate, object):
-            continue
-        triple = from_rdflib(subject, predicate, object)
-        if triple not in known:
-            added.append(triple)
-    return frozenset(added)
+    return {
+        triple
+        for found in graph
+        if not isinstance(found[0], rdflib.Literal) and isinstance(found[1], rdflib.URIRef)
+        if not _is_noise(triple := from_rdflib(*found))
+    }
 
 
 def closure_key(hashes: Mapping[str, str]) -> str:
@@ -130,14 +138,13 @@ def _node(term: object) -> NamedNode | BlankNode | Literal:
             raise OntologyError(f"no RDF 1.1 term: {term!r}")
 
 
-def _is_noise(subject: object, predicate: object, object: object) -> bool:
-    if isinstance(subject, rdflib.Literal) or not isinstance(predicate, rdflib.URIRef):
+def _is_noise(triple: Triple) -> bool:
+    subject, object = triple.subject, triple.object
+    if subject == object and triple.predicate.value in _REFLEXIVE:
         return True
-    if subject == object and str(predicate) in _REFLEXIVE:
-        return True
-    if isinstance(subject, rdflib.URIRef) and str(subject).startswith(_STANDARD):
-        is_top = str(subject) == OWL + "Thing" and str(predicate) in _REFLEXIVE
-        return not is_top or str(object).startswith(_STANDARD)
+    if is_standard(subject):
+        is_top = subject == _TOP and triple.predicate.value in _REFLEXIVE
+        return not is_top or is_standard(object)
     return False
 
 

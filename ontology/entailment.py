@@ -10,66 +10,67 @@ each one keeps it right under removal.
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Final, TypeAlias
 
 from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
 from ..rdf.namespaces import OWL, RDF_TYPE, RDFS
+from .hierarchy import OF_CLASSES, OF_PROPERTIES, Hierarchy, Node, edges
 
-_NONE: frozenset[NamedNode] = frozenset()
+DOMAIN: Final = NamedNode(RDFS + "domain")
+RANGE: Final = NamedNode(RDFS + "range")
+INVERSE: Final = NamedNode(OWL + "inverseOf")
+SYMMETRIC: Final = NamedNode(OWL + "SymmetricProperty")
+_SCHEMA: Final = frozenset({*OF_CLASSES, *OF_PROPERTIES, DOMAIN, RANGE, INVERSE, RDF_TYPE})
 
 
 @dataclass(frozen=True, slots=True)
-class _Consequences:
+class Consequences:
     """Of ``s p o``: predicates from s to o, predicates from o to s, classes of s and of o."""
 
     along: frozenset[NamedNode]
     back: frozenset[NamedNode]
-    subject: frozenset[NamedNode]
-    object: frozenset[NamedNode]
+    subject: frozenset[Node]
+    object: frozenset[Node]
 
 
-Kinds: TypeAlias = tuple[NamedNode | BlankNode, frozenset[NamedNode]]
+Kinds: TypeAlias = tuple[Node, frozenset[Node]]
 """A node and the classes that it is of."""
 
 
 class Rules:
-    """The schema of a closed ontology as rules on single triples.
+    """The schema of an ontology as rules on single triples.
 
-    ``schema`` must be closed: `subClassOf` and `subPropertyOf` transitively, with the equivalences
-    as mutual inclusion. Cost of `entail`: a dict look-up and the triples that it makes.
+    ``schema`` need not be closed. Cost of `entail`: a dict look-up and the triples that it makes.
     """
 
     def __init__(self, schema: Iterable[Triple]) -> None:
-        self._superclasses: dict[NamedNode, set[NamedNode]] = defaultdict(set)
-        self._superproperties: dict[NamedNode, set[NamedNode]] = defaultdict(set)
-        self._inverses: dict[NamedNode, set[NamedNode]] = defaultdict(set)
-        self._domains: dict[NamedNode, set[NamedNode]] = defaultdict(set)
-        self._ranges: dict[NamedNode, set[NamedNode]] = defaultdict(set)
-        self._known: dict[NamedNode, _Consequences] = {}
-        self._proper: dict[NamedNode, frozenset[NamedNode]] = {}
-        for triple in schema:
+        told = [triple for triple in schema if triple.predicate in _SCHEMA]
+        self._classes = Hierarchy(edges(told, OF_CLASSES))
+        self._properties = Hierarchy(edges(told, OF_PROPERTIES))
+        self._inverses: dict[Node, set[Node]] = defaultdict(set)
+        self._domains: dict[Node, set[Node]] = defaultdict(set)
+        self._ranges: dict[Node, set[Node]] = defaultdict(set)
+        self._known: dict[NamedNode, Consequences] = {}
+        self._proper: dict[Node, frozenset[Node]] = {}
+        for triple in told:
             self._learn(triple)
 
     def _learn(self, triple: Triple) -> None:
         subject, object = triple.subject, triple.object
-        if not isinstance(subject, NamedNode) or not isinstance(object, NamedNode):
+        if isinstance(subject, Triple) or isinstance(object, Literal | Triple):
             return
-        predicate = triple.predicate.value
-        if predicate == RDFS + "subClassOf":
-            self._superclasses[subject].add(object)
-        elif predicate == RDFS + "subPropertyOf":
-            self._superproperties[subject].add(object)
-        elif predicate == OWL + "inverseOf":
+        predicate = triple.predicate
+        if predicate == INVERSE:
             self._inverses[subject].add(object)
             self._inverses[object].add(subject)
-        elif predicate == RDFS + "domain":
+        elif predicate == DOMAIN:
             self._domains[subject].add(object)
-        elif predicate == RDFS + "range":
+        elif predicate == RANGE:
             self._ranges[subject].add(object)
-        elif predicate == RDF_TYPE.value and object.value == OWL + "SymmetricProperty":
+        elif predicate == RDF_TYPE and object == SYMMETRIC:
             self._inverses[subject].add(subject)
 
     def entail(self, triple: Triple) -> set[Triple]:
@@ -84,9 +85,9 @@ class Rules:
         say the same of a node. Of a type triple the classes may be its own."""
         subject, object = triple.subject, triple.object
         assert not isinstance(subject, Triple)  # read_triples and mirror take RDF 1.1 only
-        if triple.predicate == RDF_TYPE and isinstance(object, NamedNode):
-            return set(), ((subject, self._above(object)),)
-        rules = self._consequences(triple.predicate)
+        if triple.predicate == RDF_TYPE and isinstance(object, NamedNode | BlankNode):
+            return set(), ((subject, self.above(object)),)
+        rules = self.consequences(triple.predicate)
         derived = {Triple(subject, p, object) for p in rules.along if p != triple.predicate}
         # A literal is no subject in RDF, so nothing is said of it.
         if isinstance(object, Literal | Triple):
@@ -95,42 +96,46 @@ class Rules:
         derived.discard(triple)
         return derived, ((subject, rules.subject), (object, rules.object))
 
-    def _above(self, kind: NamedNode) -> frozenset[NamedNode]:
+    def above(self, kind: Node) -> frozenset[Node]:
+        """The classes that contain ``kind``, without itself."""
         found = self._proper.get(kind)
         if found is None:
-            found = self._proper[kind] = frozenset(self._superclasses.get(kind, _NONE)) - {kind}
+            found = self._proper[kind] = self._classes.above(kind) - {kind}
         return found
 
-    def _consequences(self, predicate: NamedNode) -> _Consequences:
+    def consequences(self, predicate: NamedNode) -> Consequences:
+        """What follows from a triple of ``predicate``."""
         found = self._known.get(predicate)
         if found is None:
             found = self._known[predicate] = self._derive(predicate)
         return found
 
-    def _derive(self, predicate: NamedNode) -> _Consequences:
+    def _derive(self, predicate: NamedNode) -> Consequences:
         # A reached property holds along the triple (False) or back (True).
-        reached = {(predicate, False)}
-        todo = [(predicate, False)]
+        reached: set[tuple[Node, bool]] = {(predicate, False)}
+        todo: list[tuple[Node, bool]] = [(predicate, False)]
         while todo:
             property, turned = todo.pop()
-            steps = {(p, turned) for p in self._superproperties.get(property, _NONE)}
-            steps |= {(p, not turned) for p in self._inverses.get(property, _NONE)}
+            steps = {(p, turned) for p in self._properties.above(property)}
+            steps |= {(p, not turned) for p in self._inverses.get(property, ())}
             todo.extend(steps - reached)
             reached |= steps
         along = frozenset(p for p, turned in reached if not turned)
         back = frozenset(p for p, turned in reached if turned)
-        return _Consequences(
-            along,
-            back,
-            self._classes(along, self._domains) | self._classes(back, self._ranges),
-            self._classes(along, self._ranges) | self._classes(back, self._domains),
+        return Consequences(
+            _named(along),
+            _named(back),
+            self._kinds(along, self._domains) | self._kinds(back, self._ranges),
+            self._kinds(along, self._ranges) | self._kinds(back, self._domains),
         )
 
-    def _classes(
-        self, properties: Iterable[NamedNode], ends: dict[NamedNode, set[NamedNode]]
-    ) -> frozenset[NamedNode]:
-        direct = {c for p in properties for c in ends.get(p, _NONE)}
-        return frozenset(direct.union(*(self._superclasses.get(c, _NONE) for c in direct)))
+    def _kinds(self, properties: Iterable[Node], ends: Mapping[Node, set[Node]]) -> frozenset[Node]:
+        direct = {c for p in properties for c in ends.get(p, ())}
+        return frozenset(direct.union(*(self._classes.above(c) for c in direct)))
+
+
+def _named(properties: Iterable[Node]) -> frozenset[NamedNode]:
+    return frozenset(p for p in properties if isinstance(p, NamedNode))
 
 
 @dataclass(frozen=True, slots=True)
