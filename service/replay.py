@@ -22,6 +22,9 @@ ROWS = 5_000
 """A part has at most so many samples: a few hundred kB on the wire."""
 FLUSH = 100 * MILLISECOND
 """At a pace, samples of one tenth of a second of waiting go out together."""
+PAUSE = 31 * SECOND
+"""Between two rounds of a recording: longer than the default ``max_gap`` of coordinatesToSpeed.
+Objects jump from where the recording ends to where it begins; no speed spans the jump."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,8 +44,8 @@ class Span:
 
     @property
     def period(self) -> int:
-        """After this time the recording may begin again, a second after its last sample."""
-        return self.last - self.first + SECOND
+        """After this time the recording may begin again, a `PAUSE` after its last sample."""
+        return self.last - self.first + PAUSE
 
 
 def span(recording: Iterable[Incoming]) -> Span | None:

@@ -27,9 +27,10 @@ from rich.text import Text
 
 from ...converters.recording import Recording, open_recording
 from ...engine.engine import Engine
+from ...streams.time import read_time
 from ..app import create_app
 from ..client import Client
-from ..replay import play, span
+from ..replay import PAUSE, play, span
 from ..server import running
 from ..settings import Settings
 from ..tokens import Tokens
@@ -114,9 +115,12 @@ def flights(url: str, stopping: Callable[[], bool], token: str = "") -> None:
             client.register_template(template)
         extent = span(recording)
         assert extent is not None
-        shift = time.time_ns() - extent.first
+        begin, now = time.monotonic_ns(), time.time_ns()
+        last = client.stream(STREAM)["last_available"]
+        # After a restart the aircraft jump as well, from where they were.
+        start = now if last is None else max(now, read_time(last) + PAUSE)
+        shift, begin = start - extent.first, begin + start - now
         while not stopping():
-            begin = time.monotonic_ns()
             for part in play(recording, extent.first, speed=1.0, shift=shift):
                 while not stopping() and (left := begin + part.due - time.monotonic_ns()) > 0:
                     time.sleep(min(0.5, left / 1e9))
@@ -124,6 +128,7 @@ def flights(url: str, stopping: Callable[[], bool], token: str = "") -> None:
                     return
                 client.publish(STREAM, part.batch)
             shift += extent.period
+            begin += extent.period
 
 
 def _put(client: Client, recording: Recording) -> None:

@@ -27,7 +27,7 @@ from ...languages.ssl import parse_ssl
 from ...streams.sample import FieldType
 from ...streams.time import SECOND, format_time, read_time
 from ..client import Client, ServiceError
-from ..replay import Span, play_all, span
+from ..replay import PAUSE, Span, play_all, span
 from .output import DEFAULT_URL, Json, Url, connect, err, show_json, show_text
 from .streams import text_or_file
 
@@ -78,7 +78,9 @@ def replay(
     rebase: Annotated[
         str | None, typer.Option(help="Let the recording begin now, or at a time.", metavar="now")
     ] = None,
-    loop: Annotated[bool, typer.Option(help="Begin again at the end, until stopped.")] = False,
+    loop: Annotated[
+        bool, typer.Option(help="Begin again half a minute after the end, until stopped.")
+    ] = False,
     ssl: Annotated[
         str | None, typer.Option(help="What the streams are about: SSL text or its file.")
     ] = None,
@@ -269,7 +271,7 @@ class _Player:
                 if not loop:
                     return
                 if self.speed is not None:
-                    time.sleep(1 / self.speed)
+                    time.sleep(PAUSE / SECOND / self.speed)
 
     def _once(self, shift: int, progress: Progress, tasks: Mapping[str, TaskID]) -> None:
         begun = time.monotonic()

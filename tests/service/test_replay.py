@@ -14,10 +14,13 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 from ulog_bytes import TWO_TOPICS
 
+from dyknow.converters.recording import open_recording
 from dyknow.converters.wire import Incoming
+from dyknow.engine.geodesy import SpeedFromCoordinates
 from dyknow.service.cli import app
+from dyknow.service.cli.demo import demo_files
 from dyknow.service.client import Client
-from dyknow.service.replay import ROWS, Part, Span, play, play_all, span
+from dyknow.service.replay import PAUSE, ROWS, Part, Span, play, play_all, span
 from dyknow.streams.sample import Field, FieldType, SampleBatch, Schema, batch_from_rows
 from dyknow.streams.time import MILLISECOND, SECOND
 
@@ -39,7 +42,36 @@ def numbers(parts: list[Part]) -> list[int]:
 def test_span() -> None:
     assert span([]) is None
     assert span(recording([30, 10, 20])) == Span(10, 30)
-    assert Span(10, 30).period == 20 + SECOND
+    assert Span(10, 30).period == 20 + PAUSE
+
+
+def test_no_speed_spans_the_loop_of_a_recording() -> None:
+    """The aircraft fly from where the recording ends to where it begins, at 44,332 km/h."""
+    with demo_files() as (path, _, _):
+        flown = open_recording(path)
+        extent = span(flown)
+        assert extent is not None
+        speed, rounds = SpeedFromCoordinates(), []
+        for turn in range(2):
+            parts = play(flown, extent.first, shift=turn * extent.period)
+            rounds.append([speeds_of(speed, part.batch) for part in parts])
+    first, second = (np.concatenate(each) for each in rounds)
+    assert len(first) > 5_000
+    # An aircraft at its stand is at one place in both rounds: that it has not moved is no jump.
+    assert np.array_equal(first[first > 0], second[second > 0])
+
+
+def speeds_of(speed: SpeedFromCoordinates, batch: SampleBatch) -> np.ndarray[Any, Any]:
+    position = [batch.columns[name] for name in ("latitude", "longitude")]
+    rows = np.logical_and(*(column.present for column in position))
+    latitude, longitude = (column.values[rows] for column in position)
+    speeds, present = speed(
+        batch.columns["icao24"].values[rows].astype(np.int64),
+        batch.valid[rows],
+        latitude,
+        longitude,
+    )
+    return speeds[present]
 
 
 def test_at_full_speed_all_is_due_at_once() -> None:
