@@ -23,12 +23,14 @@ from rich.progress import (
 
 from ...converters.recording import Recording, open_recording
 from ...converters.recordings import Recordings, has_many_streams, open_recordings
+from ...converters.time_order import TimeOrder, in_time_order
 from ...languages.ssl import parse_ssl
 from ...streams.sample import FieldType
 from ...streams.time import SECOND, format_time, read_time
 from ..client import Client, ServiceError
 from ..replay import PAUSE, Span, play_all, span
 from .output import DEFAULT_URL, Json, Url, connect, err, show_json, show_text
+from .reading import Sort, show_order
 from .streams import text_or_file
 
 _FATES = ("accepted", "used", "late", "duplicate", "expired", "pending")
@@ -100,6 +102,7 @@ def replay(
     utc: Annotated[
         bool, typer.Option("--utc", help="Move a PX4 log from time since boot to UTC by its GPS.")
     ] = False,
+    sort: Sort = None,
     url: Url = DEFAULT_URL,
     as_json: Json = False,
 ) -> None:
@@ -111,7 +114,9 @@ def replay(
         if meaning is not None:
             parse_ssl(meaning)
         opened = _open(client, file, stream or [], time_column, time_unit, utc)
-        tracks = opened.tracks
+        tracks = {name: track.in_time_order(sort) for name, track in opened.tracks.items()}
+        for name, track in tracks.items():
+            show_order(name, track.order)
         extents = {name: span(track.recording) for name, track in tracks.items()}
         known = [extent for extent in extents.values() if extent is not None]
         if not known:
@@ -147,7 +152,10 @@ def replay(
             after = client.stream(name)["counters"]
             counts = {fate: after[fate] - before[name][fate] for fate in _FATES}
             its = extents[name] or extent
-            _summary(name, counts, its, seconds, rebase is not None, as_json, opened.dropouts)
+            order = tracks[name].order
+            _summary(
+                name, counts, its, seconds, rebase is not None, as_json, opened.dropouts, order
+            )
     if not as_json:
         _tell(opened)
 
@@ -158,6 +166,12 @@ class _Track:
 
     recording: Recording
     there: Mapping[str, FieldType] | None
+    order: TimeOrder | None = None
+
+    def in_time_order(self, sort: bool | None) -> _Track:
+        """The same with its rows sorted as ``sort`` says."""
+        order = in_time_order(self.recording, sort)
+        return _Track(order.recording, self.there, order)
 
 
 @dataclass(frozen=True, slots=True)
@@ -306,9 +320,12 @@ def _summary(
     rebased: bool,
     as_json: bool,
     dropouts: int | None,
+    order: TimeOrder | None,
 ) -> None:
     if as_json:
         told = {"stream": stream, **counts, "seconds": round(seconds, 3)}
+        if order is not None and order.out_of_order:
+            told |= {"out_of_order": order.out_of_order, "sorted": order.is_sorted}
         show_json(told if dropouts is None else {**told, "dropouts": dropouts})
         return
     rate = counts["accepted"] / max(seconds, 1e-9)
