@@ -48,12 +48,13 @@ class Recording:
     schema: Schema
     rows: int
     pools: dict[str, StringPool]
-    _read: Callable[[], Iterator[SampleBatch]] = field(repr=False)
+    read: Callable[[], Iterator[SampleBatch]] = field(repr=False)
+    """The rows with the times that stand in the table; the valid time where there is one only."""
     _has_available: bool = False
 
     def __iter__(self) -> Iterator[Incoming]:
         last = TIME_MIN
-        for batch in self._read():
+        for batch in self.read():
             if not self._has_available:
                 batch = batch.with_available(increasing(batch.valid, last))
             if len(batch):

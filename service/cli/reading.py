@@ -1,4 +1,4 @@
-"""Options of the commands that read a continuous query: how, where its text leaves that open."""
+"""Options of the commands that read continuous queries and recordings."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ from typing import Annotated
 
 import typer
 
+from ...converters.time_order import TimeOrder
 from ...streams.time import read_time
+from .output import err
 
 
 class SemanticsWord(StrEnum):
@@ -45,6 +47,21 @@ Report = Annotated[
     ReportWord,
     typer.Option(help="Windows that give a result: with content, with other than before, all."),
 ]
+
+Sort = Annotated[
+    bool | None,
+    typer.Option(
+        "--sort/--no-sort",
+        help="Sort tables of samples by time, whatever their size, or leave them; else those of up "
+        "to ten million rows are sorted.",
+    ),
+]
+
+
+def show_order(name: str, order: TimeOrder | None) -> None:
+    """Report rows that are out of order."""
+    if order is not None and order.note is not None:
+        err().print(f"{name}: {order.note}", markup=False, highlight=False)
 
 
 def origin_of(text: str) -> int:

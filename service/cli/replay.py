@@ -23,6 +23,7 @@ from rich.progress import (
 
 from ...converters.recording import Recording, open_recording
 from ...converters.recordings import Recordings, has_many_streams, open_recordings
+from ...converters.time_order import TimeOrder, in_time_order
 from ...languages.ssl import parse_ssl
 from ...streams.sample import FieldType, SampleBatch
 from ...streams.time import FOREVER, SECOND, TIME_MAX, format_time, parse_duration, read_time
@@ -30,6 +31,7 @@ from ..client import Client, ServiceError
 from ..problems import AHEAD
 from ..replay import PAUSE, Span, play_all, span
 from .output import DEFAULT_URL, Json, Url, connect, err, show_json, show_text, show_values
+from .reading import Sort, show_order
 from .streams import text_or_file
 
 _FATES = ("accepted", "used", "late", "duplicate", "expired", "pending")
@@ -115,6 +117,7 @@ def replay(
     utc: Annotated[
         bool, typer.Option("--utc", help="Move a PX4 log from time since boot to UTC by its GPS.")
     ] = False,
+    sort: Sort = None,
     url: Url = DEFAULT_URL,
     as_json: Json = False,
 ) -> None:
@@ -126,7 +129,9 @@ def replay(
         if meaning is not None:
             parse_ssl(meaning)
         opened = _open(client, file, stream or [], time_column, time_unit, utc)
-        tracks = opened.tracks
+        tracks = {name: track.in_time_order(sort) for name, track in opened.tracks.items()}
+        for name, track in tracks.items():
+            show_order(name, track.order)
         latest = min(time.time_ns() + bound, TIME_MAX)
         extents = {name: span(track.recording, latest) for name, track in tracks.items()}
         known = [extent for extent in extents.values() if extent is not None]
@@ -172,7 +177,10 @@ def replay(
             counts = {fate: after[fate] - before[name][fate] for fate in _FATES}
             counts["ahead"] = player.left_out.get(name, 0)
             its = extents[name] or extent
-            _summary(name, counts, its, seconds, rebase is not None, as_json, opened.dropouts)
+            order = tracks[name].order
+            _summary(
+                name, counts, its, seconds, rebase is not None, as_json, opened.dropouts, order
+            )
     if not as_json:
         _tell(opened)
 
@@ -183,6 +191,12 @@ class _Track:
 
     recording: Recording
     there: Mapping[str, FieldType] | None
+    order: TimeOrder | None = None
+
+    def in_time_order(self, sort: bool | None) -> _Track:
+        """The same with its rows sorted as ``sort`` says."""
+        order = in_time_order(self.recording, sort)
+        return _Track(order.recording, self.there, order)
 
 
 @dataclass(frozen=True, slots=True)
@@ -361,9 +375,12 @@ def _summary(
     rebased: bool,
     as_json: bool,
     dropouts: int | None,
+    order: TimeOrder | None,
 ) -> None:
     if as_json:
         told = {"stream": stream, **counts, "seconds": round(seconds, 3)}
+        if order is not None and order.out_of_order:
+            told |= {"out_of_order": order.out_of_order, "sorted": order.is_sorted}
         show_json(told if dropouts is None else {**told, "dropouts": dropouts})
         return
     rate = counts["accepted"] / max(seconds, 1e-9)

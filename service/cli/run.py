@@ -12,6 +12,7 @@ from pyoxigraph import Literal, NamedNode
 
 from ...continuous.evaluate import Explained, TimedTerm, Window, evaluate
 from ...converters.recording import open_recording
+from ...converters.time_order import in_time_order
 from ...converters.to_triples import SampleConverter
 from ...languages.errors import LanguageError
 from ...languages.ssl import check_ssl, parse_ssl
@@ -29,7 +30,17 @@ from ..negotiation import ONTOLOGY_FORMATS, TURTLE
 from ..triples_file import TripleWriter, holds_graphs, read_timed_graphs, read_timed_triples
 from .ontologies import MEDIA_TYPES
 from .output import Json, err, fail, show_json, show_table, show_text
-from .reading import Bounds, BoundsWord, Origin, Report, ReportWord, Semantics, origin_of
+from .reading import (
+    Bounds,
+    BoundsWord,
+    Origin,
+    Report,
+    ReportWord,
+    Semantics,
+    Sort,
+    origin_of,
+    show_order,
+)
 from .streams import read_text, text_or_file
 
 
@@ -74,6 +85,7 @@ def run(
             dir_okay=False,
         ),
     ] = None,
+    sort: Sort = None,
     explain: Annotated[
         bool, typer.Option("--explain", help="Tell afterwards how it was computed, and its cost.")
     ] = False,
@@ -93,7 +105,7 @@ def run(
         _check_late(behind, files, ssl)
     inputs: dict[str, Any]
     if ssl is not None:
-        inputs = _samples(files, text_or_file(ssl), paths)
+        inputs = _samples(files, text_or_file(ssl), paths, sort)
     else:
         inputs = _triples(files, in_order=behind is not None)
     told = _Late(None if late is None else TripleWriter(late))
@@ -229,7 +241,9 @@ def _triples(files: Mapping[str, Path], *, in_order: bool) -> dict[str, Any]:
     return found
 
 
-def _samples(files: Mapping[str, Path], ssl: str, static: Sequence[Path]) -> dict[str, Any]:
+def _samples(
+    files: Mapping[str, Path], ssl: str, static: Sequence[Path], sort: bool | None
+) -> dict[str, Any]:
     """Tables of samples as timed triples, by the annotation of the stream's name."""
     ontology = Ontology.open()
     for path in static:
@@ -242,7 +256,9 @@ def _samples(files: Mapping[str, Path], ssl: str, static: Sequence[Path]) -> dic
     found: dict[str, Any] = {}
     for iri, path in files.items():
         annotation = _annotation(iri, annotations)
-        recording = open_recording(path)
+        order = in_time_order(open_recording(path), sort)
+        show_order(path.name, order)
+        recording = order.recording
         converter = SampleConverter(
             annotation,
             recording.schema,

@@ -87,6 +87,44 @@ def test_replay_for_people_declares_annotates_and_ends(
     assert "used 40" in rebased.stdout
 
 
+@pytest.fixture
+def unsorted(table: Path, tmp_path: Path) -> Path:
+    """The same table object by object, as databases export them."""
+    head, *rows = table.read_text().splitlines()
+    path = tmp_path / "unsorted.csv"
+    path.write_text("\n".join([head, *sorted(rows, key=lambda row: row.split(",")[1])]) + "\n")
+    return path
+
+
+def test_replay_sorts_a_table_and_says_so(dyknow: Any, unsorted: Path, client: Client) -> None:
+    command = ("replay", str(unsorted), "--speed", "max")
+    played = dyknow(*command, "--stream", "s5")
+    assert "s5: sorted: 19 of 40 rows were out of order" in played.stderr
+    assert "out of order" not in played.stdout
+    values = [row["id"] for row in client.history("s5", start=0, limit=4)]
+    assert values == ["uav1", "uav2"] * 2
+    left = dyknow(*command, "--stream", "left", "--no-sort")
+    assert "left: not sorted: 19 of 40 rows were out of order" in left.stderr
+    assert "--sort" in left.stderr
+    (told,) = lines(dyknow(*command, "--stream", "told", "--json"))
+    assert (told["out_of_order"], told["sorted"]) == (19, True)
+
+
+def test_run_gives_the_same_windows_of_an_unsorted_table(
+    unsorted: Path, table: Path, query: str
+) -> None:
+    def run(file: Path, *options: str) -> Result:
+        arguments = ["run", query, "--stream", f"{STREAM}={file}", "--ssl", SSL, "--json", *options]
+        return CliRunner().invoke(app, arguments)
+
+    assert lines(run(unsorted)) == lines(run(table))
+    assert "sorted: 19 of 40 rows were out of order" in run(unsorted).stderr
+    assert run(table).stderr == ""
+    collapsed = run(unsorted, "--no-sort")
+    assert "not sorted: 19 of 40" in collapsed.stderr
+    assert lines(collapsed) != lines(run(table))
+
+
 def test_replay_at_a_pace(dyknow: Any, table: Path) -> None:
     played = dyknow("replay", str(table), "--stream", "s5", "--speed", "200", "--json")
     assert lines(played)[0]["used"] == 40
