@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import httpx
 import typer
@@ -83,8 +83,12 @@ def replay(
         str | None, typer.Option(help="What the streams are about: SSL text or its file.")
     ] = None,
     lateness: Annotated[
-        str, typer.Option(help="How far behind the newest a sample may be, such as 5s.")
-    ] = "0s",
+        str | None,
+        typer.Option(
+            help="How far behind the newest a sample may be, such as 5s; else as the stream has "
+            "it, or 0s."
+        ),
+    ] = None,
     idle: Annotated[
         str | None,
         typer.Option(help="After how long without samples nobody waits for a stream, such as 10s."),
@@ -152,10 +156,10 @@ def replay(
 
 @dataclass(frozen=True, slots=True)
 class _Track:
-    """A recording that is published to a stream; ``there``: the fields that it has already."""
+    """A recording that is published to a stream; ``there``: the stream as it is already."""
 
     recording: Recording
-    there: Mapping[str, FieldType] | None
+    there: Mapping[str, Any] | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,14 +172,20 @@ class _Opened:
     notes: tuple[str, ...] = ()
 
 
-def _fields(client: Client, stream: str) -> dict[str, FieldType] | None:
-    """The fields that the stream has already; None if there is no such stream."""
+def _existing(client: Client, stream: str) -> dict[str, Any] | None:
+    """The stream as the service has it; None if there is no such stream."""
     try:
-        return {f["name"]: FieldType(f["type"]) for f in client.stream(stream)["fields"]}
+        return client.stream(stream)
     except ServiceError as error:
         if error.status != 404:
             raise
         return None
+
+
+def _types(there: Mapping[str, Any] | None, names: Sequence[str]) -> dict[str, FieldType]:
+    """The types that a stream has already for fields of these ``names``."""
+    fields = () if there is None else there["fields"]
+    return {f["name"]: FieldType(f["type"]) for f in fields if f["name"] in names}
 
 
 def _open(
@@ -191,23 +201,22 @@ def _open(
     if not is_log and not has_many_streams(file):
         if len(wanted) != 1:
             raise typer.BadParameter("a table is played into one stream: --stream NAME")
-        there = _fields(client, wanted[0])
+        there = _existing(client, wanted[0])
         recording = open_recording(file, time_column, time_unit)
-        types = {n: kind for n, kind in (there or {}).items() if n in recording.schema.names}
+        types = _types(there, recording.schema.names)
         if types:
             recording = open_recording(file, time_column, time_unit, types)
         return _Opened({wanted[0]: _Track(recording, there)})
     found = open_recordings([file], time_column, time_unit, utc=utc)
     names = _chosen(wanted, found)
-    fields = {name: _fields(client, name) for name in names.values()}
+    there = {name: _existing(client, name) for name in names.values()}
     if not is_log:
         kinds = {
-            topic: {n: k for n, k in (fields[name] or {}).items() if n in found[topic].schema.names}
-            for topic, name in names.items()
+            topic: _types(there[name], found[topic].schema.names) for topic, name in names.items()
         }
         if any(kinds.values()):
             found = open_recordings([file], time_column, time_unit, kinds)
-    tracks = {name: _Track(found[topic], fields[name]) for topic, name in names.items()}
+    tracks = {name: _Track(found[topic], there[name]) for topic, name in names.items()}
     return _Opened(tracks, found.dropouts if is_log else None, found.lost, found.notes)
 
 
@@ -225,12 +234,28 @@ def _chosen(wanted: list[str], found: Recordings) -> dict[str, str]:
     return names
 
 
-def _declare(client: Client, name: str, track: _Track, lateness: str, idle: str | None) -> None:
-    """Make the stream's fields the recording's, unless they are."""
-    schema = track.recording.schema
-    if track.there is None or set(track.there) != set(schema.names):
-        fields = [{"name": f.name, "type": f.type.value} for f in schema.fields]
-        client.put_stream(name, fields, lateness=lateness, idle=idle)
+def _declare(
+    client: Client, name: str, track: _Track, lateness: str | None, idle: str | None
+) -> None:
+    """Declare the stream with the recording's fields, and what the options say; all else stays as
+    a stream that is there has it."""
+    fields = [{"name": f.name, "type": f.type.value} for f in track.recording.schema.fields]
+    there = track.there
+    if there is None:
+        client.put_stream(name, fields, lateness=lateness or 0, idle=idle)
+        return
+    if {f["name"] for f in there["fields"]} == {f["name"] for f in fields}:
+        fields = there["fields"]
+        if lateness is None and idle is None:
+            return
+    client.put_stream(
+        name,
+        fields,
+        lateness=there["lateness"] if lateness is None else lateness,
+        idle=there["idle"] if idle is None else idle,
+        retention=there["retention"],
+        namespace=there["namespace"],
+    )
 
 
 @dataclass(slots=True)
