@@ -331,9 +331,12 @@ class Configuration:
 
     def reads_what_is_there(self, unit: ComputationalUnit) -> bool:
         """Whether its inputs are the streams of their names still, behind policies too, and behind
-        a query that it shares."""
+        a query that it shares; and a unit that copies its input has all of its fields."""
+        copies = unit.transformation in (POLICY, SELECT_OBJECT)
         for source in unit.inputs:
             if self.streams.get(source.name) is not source:
+                return False
+            if copies and source.is_narrow_for(unit):
                 return False
             producer = self.units.get(source.name)
             is_part = unit.transformation == SELECT_INSTANCE

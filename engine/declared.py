@@ -8,7 +8,6 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
 
 from pyoxigraph import NamedNode
 
@@ -67,13 +66,13 @@ class DeclaredStreams:
         self._annotations: dict[str, StreamAnnotation] = {}
 
     def declare(self, declaration: StreamDeclaration) -> StreamGenerator:
-        """Make a stream, or change one that nobody has used yet.
+        """Make a stream, or change one; its annotation stays.
 
-        The same declaration again changes nothing. Raises `Conflict` when a stream that has
-        samples or subscribers would change, `Refused` for a name that is not the user's to give,
-        `BadArguments` for a namespace that is no IRI and for an ``idle`` of nothing. How long a
-        stream may be silent, how far ahead it may be stamped, and how much it keeps, can be changed
-        while it is in use.
+        The same declaration again changes nothing. While a stream is in use, it can get further
+        fields, and another lateness, idle time, bound ahead and retention. Raises `Conflict` when
+        anything else of a stream with samples or subscribers would change, `Refused` for a name
+        that is not the user's to give, `BadArguments` for a namespace that is no IRI and for an
+        ``idle`` of 0.
         """
         self.check_stream_name(declaration.name)
         schema = Schema(declaration.fields)
@@ -99,33 +98,52 @@ class DeclaredStreams:
         ):
             raise Refused(f"stream {declaration.name!r} is made by the system")
         existing = self._configuration.streams.get(declaration.name)
-        if existing is not None and self._declaration(existing) == declaration:
+        if existing is None:
+            existing = self._add(declaration)
+        elif self._declaration(existing) == declaration:
             return existing
-        if existing is not None and self._declaration(existing) == replace(
-            declaration,
-            idle=existing.idle,
-            ahead=existing.ahead,
-            retention=existing.stream.retention,
-        ):
-            existing.ahead = declaration.ahead
-            if existing.idle != declaration.idle:
-                existing.idle = declaration.idle
-                existing.wake()  # whether it is idle now is judged anew
-            for each in (existing, existing.late_stream):
-                if each is not None and each.stream.retention != declaration.retention:
-                    each.stream.retention = declaration.retention
-                    each.forget_texts()
-            self._ontology.set_stream(declaration.name, _declaration_json(declaration))
-            return existing
-        if existing is not None:
-            self._refuse_if_in_use(existing)
-            annotation = self.annotation_of(declaration.name)
-            if annotation is not None:
-                self._check_fields(annotation, schema)
-            self._configuration.remove_stream(declaration.name)
-        generator = self._add(declaration)
+        elif self._extends(existing, declaration):
+            self._extend(existing, declaration)
+        else:
+            existing = self._replace(existing, declaration)
         self._ontology.set_stream(declaration.name, _declaration_json(declaration))
-        return generator
+        return existing
+
+    def _extends(self, existing: StreamGenerator, declaration: StreamDeclaration) -> bool:
+        """Whether the stream can become what the declaration says while it is in use."""
+        return (
+            not existing.is_open
+            and self._configuration.namespaces[existing.name] == declaration.namespace
+            and set(existing.schema.fields) <= set(declaration.fields)
+        )
+
+    def _extend(self, existing: StreamGenerator, declaration: StreamDeclaration) -> None:
+        """Give the stream what `_extends` allows."""
+        schema = Schema(declaration.fields)
+        if existing.schema != schema:
+            existing.widen(schema)
+        existing.lateness, existing.ahead = declaration.lateness, declaration.ahead
+        if existing.idle != declaration.idle:
+            existing.idle = declaration.idle
+            existing.wake()  # whether it is idle now is judged anew
+        for each in (existing, existing.late_stream):
+            if each is not None and each.stream.retention != declaration.retention:
+                each.stream.retention = declaration.retention
+                each.forget_texts()
+
+    def _replace(
+        self, existing: StreamGenerator, declaration: StreamDeclaration
+    ) -> StreamGenerator:
+        """A stream without samples and subscribers is made anew; its annotation stays."""
+        self._refuse_if_in_use(existing, declaration)
+        annotation = self.annotation_of(declaration.name)
+        if annotation is not None:
+            self._check_fields(annotation, Schema(declaration.fields))
+        self._configuration.remove_stream(declaration.name)
+        made = self._add(declaration)
+        if annotation is not None:
+            self._tell_annotation(annotation)
+        return made
 
     def remove(self, name: str) -> None:
         """Forget a stream, its annotation and what is kept of both; raises `Conflict` while a unit
@@ -159,6 +177,9 @@ class DeclaredStreams:
             texts = [field.name for field in inferred if field.type is FieldType.STRING]
             existing.adopt(Schema(inferred), {name: StringPool() for name in texts})
         self._ontology.set_annotation(annotation.stream, kept or annotation.source)
+        self._tell_annotation(annotation)
+
+    def _tell_annotation(self, annotation: StreamAnnotation) -> None:
         self._changed(
             Change(
                 ChangeKind.STREAM_ANNOTATED,
@@ -253,16 +274,42 @@ class DeclaredStreams:
         )
         return next(said, None) is not None
 
-    def _refuse_if_in_use(self, generator: StreamGenerator) -> None:
+    def _refuse_if_in_use(self, generator: StreamGenerator, declaration: StreamDeclaration) -> None:
         late = self._configuration.late.belonging_to(generator.name)
         served = [generator, *(self._configuration.streams[name] for name in late)]
         subscribers = sum(each.subscribers for each in served)
-        if generator.counters.accepted or subscribers:
-            raise Conflict(
-                f"stream {generator.name!r} is declared otherwise and in use "
-                f"({generator.counters.accepted} samples, {subscribers} subscribers)",
-                "declare it as before, or choose another name",
-            )
+        if not generator.counters.accepted and not subscribers:
+            return
+        found, hint = self._contradiction(generator, declaration)
+        raise Conflict(
+            f"stream {generator.name!r} is in use ({generator.counters.accepted} samples, "
+            f"{subscribers} subscribers), and {found}",
+            hint,
+        )
+
+    def _contradiction(
+        self, generator: StreamGenerator, declaration: StreamDeclaration
+    ) -> tuple[str, str]:
+        """Why a declaration cannot be that of a stream in use, and what to do."""
+        said = Schema(declaration.fields)
+        for field in generator.schema.fields:
+            other = said.get(field.name)
+            if other is None:
+                return (
+                    f"the declaration lacks its field {field.name!r}",
+                    "declare all of its fields (a sample may have null in any of them) and new "
+                    "ones as you like, or choose another stream name",
+                )
+            if other.type is not field.type:
+                return (
+                    f"its field {field.name!r} is {field.type}, not {other.type}",
+                    f"declare {field.name!r} as {field.type}, or choose another stream name",
+                )
+        namespace = self._configuration.namespaces[generator.name]
+        return (
+            f"the objects of its id fields are in the namespace {namespace}",
+            "declare that namespace, or choose another stream name",
+        )
 
     def _declaration(self, generator: StreamGenerator) -> StreamDeclaration:
         return StreamDeclaration(

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .pauses import Pauses
-from .sample import TIMES_SIZE, SampleBatch, Times, concatenate, empty_batch
+from .sample import TIMES_SIZE, FieldType, SampleBatch, Times, concatenate, empty_batch, widened
 from .sample import Schema as Schema
 from .strings import StringPool
 
@@ -174,6 +174,20 @@ class FluentStream:
         was appended yet."""
         self._first = self._next = first
         self.append(batch)
+
+    def widen(self, schema: Schema) -> None:
+        """Give the stream the fields of ``schema``; samples kept so far have no_value in new ones.
+
+        Contract: ``schema`` has every field of the stream. Cost: O(kept samples x new fields).
+        """
+        for field in schema.fields:
+            if field.type is FieldType.STRING:
+                self.pools.setdefault(field.name, StringPool())
+        self.schema = schema
+        self._last_sums = None
+        for i, run in enumerate(self._runs):
+            batch = widened(run.batch, schema, self.pools)
+            self._runs[i] = run._replace(batch=batch, weight=None)
 
     def forget_texts(self, held: int = 0) -> bool:
         """Give text fields new pools, without the texts that no kept sample has, where most are of

@@ -18,7 +18,16 @@ from typing import Protocol
 import numpy as np
 
 from .fluent import FluentStream, Retention
-from .sample import Field, SampleBatch, SampleError, Schema, Times, concatenate, empty_batch
+from .sample import (
+    Field,
+    SampleBatch,
+    SampleError,
+    Schema,
+    Times,
+    concatenate,
+    empty_batch,
+    widened,
+)
 from .strings import StringPool
 from .time import HOUR, TIME_MAX, TIME_MIN
 
@@ -126,6 +135,8 @@ class StreamGenerator:
         self.on_followed: Callable[[bool], None] | None = None
         """Told before the first subscription (True), and when the last has ended (False)."""
         self._receivers: list[Receiver] = []
+        self._known_fields: dict[Receiver, tuple[str, ...]] = {}
+        """The fields of receivers that subscribed before the stream got further ones."""
         self._listeners: list[Listener] = []
 
     def __getstate__(self) -> dict[str, object]:
@@ -154,6 +165,24 @@ class StreamGenerator:
             raise SampleError(
                 f"stream {self.name!r} has the fields {_fields(self.schema)}, not {_fields(schema)}"
             )
+
+    def widen(self, schema: Schema) -> None:
+        """Add fields to a stream in use. Kept and pending samples have no_value in them; receivers
+        that subscribed earlier go on with the fields that they know.
+
+        Contract: ``schema`` has every field of the stream, which is not open.
+        """
+        for receiver in self._receivers:
+            self._known_fields.setdefault(receiver, self.schema.names)
+        self.stream.widen(schema)
+        if self._pending is not None:
+            self._pending = widened(self._pending, schema, self.stream.pools)
+        if self.late_stream is not None:
+            self.late_stream.widen(schema)
+
+    def is_narrow_for(self, receiver: Receiver) -> bool:
+        """Whether the stream has fields that ``receiver``, which came earlier, does not get."""
+        return receiver in self._known_fields
 
     @property
     def subscribers(self) -> int:
@@ -187,6 +216,7 @@ class StreamGenerator:
     def unsubscribe(self, receiver: Receiver) -> None:
         """Serve ``receiver`` no longer."""
         self._receivers.remove(receiver)
+        self._known_fields.pop(receiver, None)
         if self.on_followed is not None and not self._receivers:
             self.on_followed(False)
 
@@ -422,7 +452,8 @@ class StreamGenerator:
             else max(self._greatest, int(batch.available[-1]))
         )
         for receiver in tuple(self._receivers):
-            receiver.receive(self, batch)
+            names = self._known_fields.get(receiver)
+            receiver.receive(self, batch if names is None else batch.select(names))
         for listener in tuple(self._listeners):
             listener.receive(self, batch)
         self.forget_texts()

@@ -238,6 +238,11 @@ class SampleBatch:
                 found += texts if column.null is None else np.where(column.null, 0, texts)
         return found
 
+    def select(self, names: Sequence[str]) -> SampleBatch:
+        """The same samples with these fields only, in this order."""
+        columns = {name: self.columns[name] for name in names}
+        return SampleBatch(self.available, self.valid, columns)
+
     def with_available(self, available: Times) -> SampleBatch:
         """The same samples with other available times."""
         return SampleBatch(available, self.valid, self.columns)
@@ -259,6 +264,22 @@ class SampleBatch:
 def empty_batch(schema: Schema, pools: Mapping[str, StringPool] | None = None) -> SampleBatch:
     """No samples, with the columns of ``schema``."""
     return batch_from_rows(schema, [], pools)
+
+
+def widened(
+    batch: SampleBatch, schema: Schema, pools: Mapping[str, StringPool] | None = None
+) -> SampleBatch:
+    """``batch`` with the columns of ``schema``, in its order; a column that the batch lacks has
+    no_value throughout. ``pools`` has the pools of new text fields. Cost: O(new fields x rows)."""
+    columns: dict[str, Column] = {}
+    for field in schema.fields:
+        column = batch.columns.get(field.name)
+        if column is None:
+            values = np.zeros(len(batch), field.type.dtype)
+            pool = (pools or {}).get(field.name)
+            column = Column(field.type, values, np.ones(len(batch), np.bool_), pool)
+        columns[field.name] = column
+    return SampleBatch(batch.available, batch.valid, columns)
 
 
 def batch_from_rows(

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import httpx
 import typer
@@ -26,7 +26,7 @@ from ...converters.recordings import Recordings, has_many_streams, open_recordin
 from ...converters.time_order import TimeOrder, in_time_order
 from ...languages.ssl import parse_ssl
 from ...streams.sample import FieldType, SampleBatch
-from ...streams.time import FOREVER, SECOND, TIME_MAX, format_time, parse_duration, read_time
+from ...streams.time import FOREVER, HOUR, SECOND, TIME_MAX, format_time, parse_duration, read_time
 from ..client import Client, ServiceError
 from ..problems import AHEAD
 from ..replay import PAUSE, Span, play_all, span
@@ -58,7 +58,9 @@ def _begin(text: str | None) -> int | None:
         raise typer.BadParameter(str(error)) from error
 
 
-def _bound(text: str) -> int:
+def _bound(text: str | None) -> int | None:
+    if text is None:
+        return None
     try:
         return FOREVER if text == "oo" else parse_duration(text)
     except ValueError as error:
@@ -95,19 +97,24 @@ def replay(
         str | None, typer.Option(help="What the streams are about: SSL text or its file.")
     ] = None,
     lateness: Annotated[
-        str, typer.Option(help="How far behind the newest a sample may be, such as 5s.")
-    ] = "0s",
+        str | None,
+        typer.Option(
+            help="How far behind the newest a sample may be, such as 5s; else as the stream has "
+            "it, or 0s."
+        ),
+    ] = None,
     idle: Annotated[
         str | None,
         typer.Option(help="After how long without samples nobody waits for a stream, such as 10s."),
     ] = None,
     ahead: Annotated[
-        str,
+        str | None,
         typer.Option(
-            help="How far ahead of the clock a sample may be stamped, such as 1h; oo: any. Of a "
-            "recording that --rebase plays faster than recorded: as far as it gets, and so much."
+            help="How far ahead of the clock a sample may be stamped, such as 1h; oo: any; else as "
+            "the stream has it, or 1h. Of a recording that --rebase plays faster than recorded: as "
+            "far as it gets, and so much."
         ),
-    ] = "1h",
+    ] = None,
     time_column: Annotated[
         str | None, typer.Option(help="The column of valid times; else by its name.")
     ] = None,
@@ -132,7 +139,7 @@ def replay(
         tracks = {name: track.in_time_order(sort) for name, track in opened.tracks.items()}
         for name, track in tracks.items():
             show_order(name, track.order)
-        latest = min(time.time_ns() + bound, TIME_MAX)
+        latest = min(time.time_ns() + _ahead(bound, tracks.values()), TIME_MAX)
         extents = {name: span(track.recording, latest) for name, track in tracks.items()}
         known = [extent for extent in extents.values() if extent is not None]
         if not known:
@@ -147,7 +154,8 @@ def replay(
         shift = 0 if begin is None else begin - extent.first
         if begin is not None and factor != 1:
             # By itself it gets as far ahead as it is long, each round anew.
-            bound = FOREVER if loop else min(bound + extent.last - extent.first, FOREVER)
+            length = FOREVER if loop else extent.last - extent.first
+            bound = min(_ahead(bound, tracks.values()) + length, FOREVER)
         recordings = {name: track.recording for name, track in tracks.items()}
         player = _Player(client, recordings, extent, factor, shift, latest)
         begun = time.monotonic()
@@ -187,16 +195,24 @@ def replay(
 
 @dataclass(frozen=True, slots=True)
 class _Track:
-    """A recording that is published to a stream; ``there``: the fields that it has already."""
+    """A recording that is published to a stream; ``there``: the stream as it is already."""
 
     recording: Recording
-    there: Mapping[str, FieldType] | None
+    there: Mapping[str, Any] | None
     order: TimeOrder | None = None
 
     def in_time_order(self, sort: bool | None) -> _Track:
         """The same with its rows sorted as ``sort`` says."""
         order = in_time_order(self.recording, sort)
         return _Track(order.recording, self.there, order)
+
+
+def _ahead(bound: int | None, tracks: Iterable[_Track]) -> int:
+    """How far ahead of the clock (ns) rows are taken, at most: as asked for, or as streams say."""
+    if bound is not None:
+        return bound
+    said = [_bound(track.there["ahead"]) for track in tracks if track.there is not None]
+    return max((each for each in said if each is not None), default=HOUR)
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,14 +225,20 @@ class _Opened:
     notes: tuple[str, ...] = ()
 
 
-def _fields(client: Client, stream: str) -> dict[str, FieldType] | None:
-    """The fields that the stream has already; None if there is no such stream."""
+def _existing(client: Client, stream: str) -> dict[str, Any] | None:
+    """The stream as the service has it; None if there is no such stream."""
     try:
-        return {f["name"]: FieldType(f["type"]) for f in client.stream(stream)["fields"]}
+        return client.stream(stream)
     except ServiceError as error:
         if error.status != 404:
             raise
         return None
+
+
+def _types(there: Mapping[str, Any] | None, names: Sequence[str]) -> dict[str, FieldType]:
+    """The types that a stream has already for fields of these ``names``."""
+    fields = () if there is None else there["fields"]
+    return {f["name"]: FieldType(f["type"]) for f in fields if f["name"] in names}
 
 
 def _open(
@@ -232,23 +254,22 @@ def _open(
     if not is_log and not has_many_streams(file):
         if len(wanted) != 1:
             raise typer.BadParameter("a table is played into one stream: --stream NAME")
-        there = _fields(client, wanted[0])
+        there = _existing(client, wanted[0])
         recording = open_recording(file, time_column, time_unit)
-        types = {n: kind for n, kind in (there or {}).items() if n in recording.schema.names}
+        types = _types(there, recording.schema.names)
         if types:
             recording = open_recording(file, time_column, time_unit, types)
         return _Opened({wanted[0]: _Track(recording, there)})
     found = open_recordings([file], time_column, time_unit, utc=utc)
     names = _chosen(wanted, found)
-    fields = {name: _fields(client, name) for name in names.values()}
+    there = {name: _existing(client, name) for name in names.values()}
     if not is_log:
         kinds = {
-            topic: {n: k for n, k in (fields[name] or {}).items() if n in found[topic].schema.names}
-            for topic, name in names.items()
+            topic: _types(there[name], found[topic].schema.names) for topic, name in names.items()
         }
         if any(kinds.values()):
             found = open_recordings([file], time_column, time_unit, kinds)
-    tracks = {name: _Track(found[topic], fields[name]) for topic, name in names.items()}
+    tracks = {name: _Track(found[topic], there[name]) for topic, name in names.items()}
     return _Opened(tracks, found.dropouts if is_log else None, found.lost, found.notes)
 
 
@@ -267,13 +288,34 @@ def _chosen(wanted: list[str], found: Recordings) -> dict[str, str]:
 
 
 def _declare(
-    client: Client, name: str, track: _Track, lateness: str, idle: str | None, ahead: int
+    client: Client,
+    name: str,
+    track: _Track,
+    lateness: str | None,
+    idle: str | None,
+    ahead: int | None,
 ) -> None:
-    """Make the stream's fields the recording's, unless they are."""
-    schema = track.recording.schema
-    if track.there is None or set(track.there) != set(schema.names):
-        fields = [{"name": f.name, "type": f.type.value} for f in schema.fields]
-        client.put_stream(name, fields, lateness=lateness, idle=idle, ahead=ahead)
+    """Declare the stream with the recording's fields, and what the options say; all else stays as
+    a stream that is there has it."""
+    fields = [{"name": f.name, "type": f.type.value} for f in track.recording.schema.fields]
+    there = track.there
+    if there is None:
+        bound = HOUR if ahead is None else ahead
+        client.put_stream(name, fields, lateness=lateness or 0, idle=idle, ahead=bound)
+        return
+    if {f["name"] for f in there["fields"]} == {f["name"] for f in fields}:
+        fields = there["fields"]
+        if lateness is None and idle is None and ahead is None:
+            return
+    client.put_stream(
+        name,
+        fields,
+        lateness=there["lateness"] if lateness is None else lateness,
+        idle=there["idle"] if idle is None else idle,
+        ahead=there["ahead"] if ahead is None else ahead,
+        retention=there["retention"],
+        namespace=there["namespace"],
+    )
 
 
 @dataclass(slots=True)

@@ -62,10 +62,12 @@ async def read_stream(name: str, service: Context) -> StreamModel:
 async def declare_stream(
     name: NewName, declaration: StreamIn, response: Response, service: Context
 ) -> StreamModel:
-    """Declare a stream. Saying the same again changes nothing.
+    """Declare a stream. Saying the same again changes nothing; an annotation stays.
 
-    Other fields are taken while the stream has no samples and no subscribers, else 409; another
-    `idle` or `retention` at any time: what is not to be kept any more goes at once.
+    At any time a stream may get further fields, and another `lateness`, `idle` and `retention`:
+    what is not to be kept any more goes at once. Samples kept so far have no value in a new field,
+    and units that run go on with the fields that they know. A field of another type or less, or
+    another namespace, is taken while the stream has no samples and no subscribers, else 409.
     """
     known = _known(service, name)
     settings = service.settings

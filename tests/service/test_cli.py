@@ -68,6 +68,27 @@ def test_from_a_table_to_events(dyknow: Any, table: Path, template: str, client:
     assert "HighSpeedEvent" in dyknow("events").stdout
 
 
+def test_annotate_ask_then_play(dyknow: Any, template: str, client: Client, tmp_path: Path) -> None:
+    """The table has a column more than the annotation speaks of; samples may be 5 s late."""
+    path = tmp_path / "more.csv"
+    rows = [f"{1_633_633_973_000 + i * 500},uav2,150.0,{i}" for i in range(20)]
+    path.write_text("\n".join(["timestamp,id,spd,alt", *rows]) + "\n")
+    dyknow("template", "add", template)
+    dyknow("annotate", SSL)
+    dyknow("events", REQUEST, "--no-follow", "--keep")
+    play = ("replay", str(path), "--stream", "s5", "--speed", "max", "--json")
+    assert lines(dyknow(*play, "--lateness", "5s"))[0]["used"] == 20
+    found = dyknow("events", REQUEST, "--json", "--keep", "--since", "start")
+    assert [line["event"] for line in lines(found)].count("sample") == 15
+    stream = client.stream("s5")
+    assert stream["annotation"] == SSL
+    assert stream["lateness"] == "5s"
+    # Once more in a table of fewer columns: what it lacks is named.
+    path.write_text("timestamp,id\n1,uav2\n")
+    refused = dyknow(*play, status=1)
+    assert "lacks its field 'spd'" in refused.stderr
+
+
 def test_replay_for_people_declares_annotates_and_ends(
     dyknow: Any, table: Path, client: Client
 ) -> None:
