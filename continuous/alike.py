@@ -17,6 +17,7 @@ from ..streams.time import SECOND
 from .background import Background
 from .budget import UNLIMITED, Budget
 from .cohorts import Place, Together
+from .entailment import Asked
 from .estimates import estimate
 from .expressions import Const, Var
 from .flows import NOTHING_KNOWN, Flow
@@ -177,6 +178,7 @@ class AlikeEvaluator(SharedWindows):
         budget: Budget = UNLIMITED,
     ) -> None:
         super().__init__(query, dictionary, background, inputs, form.options, budget)
+        self._windows.entailment.asked = Asked.by(form.joint(pattern).plan)
         self.pattern = pattern
         self._queries: dict[int, ContinuousQuery] = {}
         self._next = 0

@@ -7,10 +7,10 @@ from pathlib import Path
 
 from pyoxigraph import BlankNode, NamedNode, Quad, Store, Triple
 
+from ..ontology.entailment import SCHEMA, SYMMETRIC, Rules
+from ..ontology.units import Conversion
 from ..rdf.dictionary import Term
-from ..rdf.namespaces import RDF_TYPE, RDFS
-
-_SUB_CLASS = NamedNode(RDFS + "subClassOf")
+from ..rdf.namespaces import RDF_TYPE
 
 
 class Background:
@@ -18,8 +18,10 @@ class Background:
 
     ``default`` are the graphs that make up the default graph, by IRI; None: all there are.
     ``store`` may be a function, where another store takes its place with another version.
-    ``version`` changes whenever the store does: what is derived from the store (scans, sorts) is
-    kept per version. Cost: a scan is one index look-up of Oxigraph and a Python object a triple.
+    ``version`` changes whenever the store does: what is derived from the store (scans) is kept per
+    version. ``rules`` gives what the schema says of single triples; None: the schema is that of the
+    default graph. ``conversion``: how numbers of one feature become numbers of another.
+    Cost: a scan is one index look-up of Oxigraph and a Python object a triple.
     """
 
     def __init__(
@@ -27,13 +29,17 @@ class Background:
         store: Store | Callable[[], Store] | None = None,
         version: Callable[[], int] | None = None,
         default: Collection[str] | None = None,
+        rules: Callable[[], Rules] | None = None,
+        conversion: Callable[[str, str], Conversion | None] | None = None,
     ) -> None:
         known = Store() if store is None else store
         self._store = known if callable(known) else lambda: known
         self._version = version or (lambda: 0)
         self._default = None if default is None else tuple(map(NamedNode, default))
-        self._sorts_version: int | None = None
-        self._sorts: dict[str, frozenset[str]] = {}
+        self._rules = rules
+        self._own_rules: tuple[int, Rules] | None = None
+        """Made of this version of the store."""
+        self.conversion = conversion or _unchanged
 
     @classmethod
     def from_files(
@@ -105,21 +111,26 @@ class Background:
             for name in self._default:
                 yield from self.store.quads_for_pattern(subject, predicate, object, name)
 
-    def supersorts(self, sort: str) -> frozenset[str]:
-        """``sort`` and everything it is a sub-sort of, by rdfs:subClassOf."""
+    @property
+    def rules(self) -> Rules:
+        """What the schema says of single triples: another object when the schema may have
+        changed."""
+        if self._rules is not None:
+            return self._rules()
         version = self.version
-        if version != self._sorts_version:
-            self._sorts_version, self._sorts = version, {}
-        found = self._sorts.get(sort)
-        if found is None:
-            reached, waiting = {sort}, [sort]
-            while waiting:
-                for _, above in self.scan(NamedNode(waiting.pop()), _SUB_CLASS, None):
-                    if isinstance(above, NamedNode) and above.value not in reached:
-                        reached.add(above.value)
-                        waiting.append(above.value)
-            found = self._sorts[sort] = frozenset(reached)
-        return found
+        if self._own_rules is None or self._own_rules[0] != version:
+            self._own_rules = version, Rules(quad.triple for quad in self._schema())
+        return self._own_rules[1]
+
+    def _schema(self) -> Iterator[Quad]:
+        for predicate in SCHEMA:
+            symmetric = SYMMETRIC if predicate == RDF_TYPE else None
+            yield from self._quads(None, predicate, symmetric, "")
+
+    def supersorts(self, sort: str) -> frozenset[str]:
+        """``sort`` and everything it is a sub-sort of."""
+        above = self.rules.above(NamedNode(sort))
+        return frozenset({sort, *(kind.value for kind in above if isinstance(kind, NamedNode))})
 
     def copy(
         self, predicates: Collection[NamedNode] | None, classes: Collection[NamedNode] | None
@@ -141,6 +152,10 @@ class Background:
             for predicate, object in wanted
             for quad in self._quads(None, predicate, object, "")
         ]
+
+
+def _unchanged(_source: str, _target: str) -> None:
+    """No unit is known."""
 
 
 def _base(path: str | Path) -> str:

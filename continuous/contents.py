@@ -13,6 +13,7 @@ from ..rdf.dictionary import TermDictionary
 from ..rdf.timed import TripleRows
 from ..streams.time import TIME_MAX
 from .counting_intake import CountingIntake
+from .entailment import StreamEntailment
 from .intake import Intake
 from .kernels import ascending
 from .panes import Panes
@@ -38,8 +39,11 @@ class Contents:
     Law: as theirs.
     """
 
-    def __init__(self, schedule: Schedule, dictionary: TermDictionary) -> None:
+    def __init__(
+        self, schedule: Schedule, dictionary: TermDictionary, entailment: StreamEntailment
+    ) -> None:
         self.schedule = schedule
+        self._entailment = entailment
         self.intakes = {one.input: Intake(dictionary) for one in schedule.windows}
         self._counting: dict[int, CountingIntake] = {}
         self._numbers: dict[int, int] = {}
@@ -66,15 +70,18 @@ class Contents:
         self._patterns = patterns
         self.keeps = not alone
 
-    def push(self, input: str, rows: TripleRows, after: int | None) -> int:
-        """Keep the rows of ``input`` with τ > ``after`` (None: all); returns how many were late.
+    def push(
+        self, input: str, rows: TripleRows, after: int | None, *, entailed: bool = False
+    ) -> int:
+        """Keep the rows of ``input`` with τ > ``after`` (None: all); returns how many triples were
+        late. ``entailed``: they follow from others, so that windows do not count them.
 
         Cost: one pass over τ where it ascends, as it mostly does; else a few.
         """
         come, in_order = len(rows), ascending(rows.time)
         if after is not None:
             rows = _behind(rows, after, in_order)
-        late = come - len(rows)
+        late = come - len(rows) if rows.objects else 0
         if not len(rows):
             return late
         times = rows.time
@@ -86,7 +93,8 @@ class Contents:
             if one.input != input:
                 continue
             if one.counted:
-                self._counting[i].push(rows)
+                if rows.objects and not entailed:
+                    self._counting[i].push(rows)
                 continue
             self._panes[i].push(times, least, greatest)
             if self._patterns is not None:
@@ -105,7 +113,7 @@ class Contents:
             for column in table.objects.values():
                 if column.null is not None:
                     return False
-        tables = [table for table in tables if len(table) and table.objects]
+        tables = [table for table in tables if len(table) and _says_something(table)]
         if not tables:
             return True
         times = [table.time for table in tables]
@@ -241,7 +249,8 @@ class Contents:
         for i, one in enumerate(self.schedule.windows):
             tables = found.setdefault(one.graph, [])
             if one.counted:
-                tables.extend(self._counting[i].content(self._numbers[i]))
+                counted = self._counting[i].content(self._numbers[i])
+                tables.extend((*counted, *self._entailment.of(counted)))
             else:
                 tables.extend(self.intakes[one.input].between(*one.bounds(end)))
         return found
@@ -276,6 +285,10 @@ class Contents:
                     self.intakes[input].drop(min(low, high) if raw else high, high)
                 else:
                     self.intakes[input].settle(high)
+
+
+def _says_something(table: TripleRows) -> bool:
+    return bool(table.objects) or table.sort is not None
 
 
 def _behind(rows: TripleRows, after: int, in_order: bool) -> TripleRows:

@@ -12,6 +12,7 @@ from ..languages.csparql.ast import ContinuousQuery
 from ..rdf.dictionary import TermDictionary
 from .background import Background
 from .budget import UNLIMITED, Budget
+from .entailment import Asked
 from .flows import Flow
 from .options import Options
 from .profile import Profile
@@ -52,6 +53,8 @@ class ContinuousEvaluator(WindowedEvaluator[WindowResult]):
         self.query = query
         self.inputs, self.schedule = self._windows.inputs, self._windows.schedule
         self._solver = Solver(query, self._windows, self._static, alone=True)
+        if self._solver.translated is not None:
+            self._windows.entailment.asked = Asked.by(self._solver.translated.plan)
 
     @property
     def profile(self) -> Profile | None:

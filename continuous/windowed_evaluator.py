@@ -9,6 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from functools import partial
 from typing import Generic, TypeVar
 
 from ..languages.csparql.ast import ContinuousQuery
@@ -25,9 +26,13 @@ from .budget import (
     Stopped,
 )
 from .columns import TermValues
+from .entailment import Asked, StreamEntailment
 from .options import Options
+from .solving import Reading
 from .sources import StaticSide
+from .unsupported import Unsupported
 from .windowing import Windowing
+from .windows import schedule
 
 Result = TypeVar("Result")
 
@@ -55,7 +60,9 @@ class WindowedEvaluator(ABC, Generic[Result]):
         """Why the next window has no result, where that is known before."""
         self.options = options or Options()
         self._results: list[Result] = []
-        self._windows = Windowing(query, terms, inputs, self.options)
+        asks = partial(_asked, query, tuple(inputs), self.options)
+        entailment = StreamEntailment(background, terms, asks)
+        self._windows = Windowing(query, terms, inputs, self.options, entailment)
         self._static = StaticSide(background, terms)
 
     @property
@@ -155,3 +162,11 @@ class WindowedEvaluator(ABC, Generic[Result]):
             with suppress(Quarantined):
                 close()
         return self.taken()
+
+
+def _asked(query: ContinuousQuery, inputs: Sequence[str], options: Options) -> Asked:
+    """What the patterns of a query ask for, its parameters free."""
+    try:
+        return Asked.by(Reading.of(query, schedule(query, inputs, options)).translated({}).plan)
+    except (Unsupported, ValueError):
+        return Asked()

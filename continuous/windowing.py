@@ -17,6 +17,7 @@ from ..streams.sample import Mask
 from ..streams.time import TIME_MAX
 from .columns import TermValues
 from .contents import Contents, Due
+from .entailment import StreamEntailment
 from .options import Options
 from .windows import schedule
 
@@ -39,14 +40,16 @@ class Windowing:
         terms: TermValues,
         inputs: Sequence[str],
         options: Options,
+        entailment: StreamEntailment,
     ) -> None:
         self.options = options
+        self.entailment = entailment
         self.inputs = tuple(inputs)
         self.terms = terms
         self.late = 0
         """Rows that came behind a watermark, or for a window that had closed, and were dropped."""
         self.schedule = schedule(query, self.inputs, options)
-        self.contents = Contents(self.schedule, terms.dictionary)
+        self.contents = Contents(self.schedule, terms.dictionary, entailment)
         self.differs = query.operator is not StreamOperator.RSTREAM
         """Whether results are compared with those before, so that each one has to be known."""
         self._plain = options.report == "non-empty" and not self.differs
@@ -71,12 +74,17 @@ class Windowing:
             raise ValueError("the triples are of another dictionary")
         self._ended.discard(input)
         limit = self.limit(input)
-        if self.contents.push_plain(input, triples.tables, limit):
+        entailed = self.entailment.of(triples.tables)
+        if self.contents.push_plain(input, (*triples.tables, *entailed), limit):
             return
         for table in triples.tables:
             rows = self._relevant(table)
             if rows is not None:
                 self.late += self.contents.push(input, rows, limit)
+        for table in entailed:
+            rows = self._relevant(table)
+            if rows is not None:
+                self.contents.push(input, rows, limit, entailed=True)
 
     def advance(self, input: str, watermark: int, closed: Closed) -> None:
         """Every later row of ``input`` has τ ≥ ``watermark``: some windows may close."""
@@ -132,15 +140,15 @@ class Windowing:
         return min(lows, default=end) - shift, end - shift
 
     def _relevant(self, table: TripleRows) -> TripleRows | None:
-        """The rows that stand for a triple, each object in its canonical spelling (`patterns` see
-        to that themselves)."""
+        """The rows that stand for a triple or say the sort of their subjects, each object in its
+        canonical spelling (`patterns` see to that themselves)."""
         if self.contents.keeps:
             objects = {p: self.terms.canonical(column) for p, column in table.objects.items()}
             if any(objects[p] is not column for p, column in table.objects.items()):
                 table = replace(table, objects=objects)
         nulls = [column.null for column in table.objects.values() if column.null is not None]
         if not table.objects:
-            return None
+            return None if table.sort is None else table
         if len(nulls) < len(table.objects) or not _meet(nulls):
             return table
         return table.take(~np.logical_and.reduce(nulls))

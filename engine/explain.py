@@ -32,6 +32,7 @@ from ..matching.tree import Alternative, Outcome
 from ..matching.valuing import cost_of, quality_of
 from ..matching.want import Want
 from ..ontology.ontology import Ontology
+from ..ontology.units import Conversion, UnitError, conversion
 from ..rdf.dictionary import TermDictionary
 from ..rdf.namespaces import shorten
 from ..streams.time import TIME_MIN, format_duration, format_time
@@ -47,7 +48,7 @@ def closed_ontology(ontology: Ontology, named: Sequence[str] = ()) -> Background
     ``named`` are the ontologies that a query names with FROM NAMED: graphs of their own, too.
     """
     if not named:
-        return Background(ontology.closed_store, lambda: ontology.version)
+        return _background(ontology, ontology.closed_store)
     made: list[tuple[int, Store]] = []
 
     def store() -> Store:
@@ -61,7 +62,23 @@ def closed_ontology(ontology: Ontology, named: Sequence[str] = ()) -> Background
             made[:] = [(ontology.version, both)]
         return made[0][1]
 
-    return Background(store, lambda: ontology.version)
+    return _background(ontology, store)
+
+
+def _background(ontology: Ontology, store: Callable[[], Store]) -> Background:
+    def change(source: str, target: str) -> Conversion | None:
+        known = [ontology.vocabulary.feature(iri) for iri in (source, target)]
+        units = [None if feature is None else feature.unit for feature in known]
+        if units[0] is None or units[1] is None or units[0] == units[1]:
+            return None
+        try:
+            return conversion(units[0], units[1])
+        except UnitError:
+            return None
+
+    return Background(
+        store, lambda: ontology.version, rules=lambda: ontology.rules, conversion=change
+    )
 
 
 def unit_view(unit: ComputationalUnit) -> UnitView:

@@ -12,6 +12,8 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import chain
 from typing import Final, TypeAlias
 
 from pyoxigraph import BlankNode, Literal, NamedNode, Triple
@@ -23,7 +25,8 @@ DOMAIN: Final = NamedNode(RDFS + "domain")
 RANGE: Final = NamedNode(RDFS + "range")
 INVERSE: Final = NamedNode(OWL + "inverseOf")
 SYMMETRIC: Final = NamedNode(OWL + "SymmetricProperty")
-_SCHEMA: Final = frozenset({*OF_CLASSES, *OF_PROPERTIES, DOMAIN, RANGE, INVERSE, RDF_TYPE})
+SCHEMA: Final = frozenset({*OF_CLASSES, *OF_PROPERTIES, DOMAIN, RANGE, INVERSE, RDF_TYPE})
+"""The predicates that rules are made of."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +50,7 @@ class Rules:
     """
 
     def __init__(self, schema: Iterable[Triple]) -> None:
-        told = [triple for triple in schema if triple.predicate in _SCHEMA]
+        told = [triple for triple in schema if triple.predicate in SCHEMA]
         self._classes = Hierarchy(edges(told, OF_CLASSES))
         self._properties = Hierarchy(edges(told, OF_PROPERTIES))
         self._inverses: dict[Node, set[Node]] = defaultdict(set)
@@ -72,6 +75,17 @@ class Rules:
             self._ranges[subject].add(object)
         elif predicate == RDF_TYPE and object == SYMMETRIC:
             self._inverses[subject].add(subject)
+
+    @property
+    def says_nothing(self) -> bool:
+        """Whether nothing follows from any triple."""
+        return not (self._classes or self.properties)
+
+    @cached_property
+    def properties(self) -> frozenset[NamedNode]:
+        """The properties from whose triples something may follow."""
+        told = (self._properties, self._inverses, self._domains, self._ranges)
+        return frozenset(p for p in chain(*told) if isinstance(p, NamedNode))
 
     def entail(self, triple: Triple) -> set[Triple]:
         """All triples that the rules derive from this one, without itself."""
@@ -161,6 +175,11 @@ class Entailments:
         self._kinds: Counter[Kinds] = Counter()
         """How many of the triples held say so of a node."""
         self.update(triples, ())
+
+    @property
+    def rules(self) -> Rules:
+        """What the triples entail is by these."""
+        return self._rules
 
     def holds(self, triple: Triple) -> bool:
         """Whether it is one of `held`. Cost: a look-up."""

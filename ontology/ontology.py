@@ -285,6 +285,12 @@ class Ontology:
         )
         return True
 
+    @property
+    def rules(self) -> Rules:
+        """What the schema of the loaded ontologies says of single triples: another object when an
+        ontology was loaded."""
+        return self._live.rules
+
     def ontologies(self) -> tuple[str, ...]:
         """The IRIs of the loaded ontologies' graphs."""
         return tuple(sorted(self._hashes()))

@@ -33,6 +33,8 @@ Saying: TypeAlias = tuple[NamedNode, NamedNode | BlankNode | Literal | Triple]
 STANDARD: Final = (RDF, RDFS, OWL, XSD)
 _HIERARCHICAL: Final = (*OF_CLASSES, *OF_PROPERTIES)
 _ENDS: Final = (DOMAIN, RANGE)
+_CLASS: Final = NamedNode(OWL + "Class")
+_THING: Final = NamedNode(OWL + "Thing")
 _REMARKS: Final = frozenset(RDFS + name for name in ("label", "comment", "seeAlso", "isDefinedBy"))
 _PLAIN_KINDS: Final = frozenset(
     {
@@ -59,7 +61,7 @@ class Separation:
 
     def __init__(self, asserted: Set[Triple]) -> None:
         self._asserted = asserted
-        self._classes = Hierarchy(edges(asserted, OF_CLASSES))
+        self._classes = Hierarchy([*edges(asserted, OF_CLASSES), *_under_thing(asserted)])
         self._properties = Hierarchy(edges(asserted, OF_PROPERTIES))
         self._remarks = _remarks(asserted)
         self.plain = self._plain()
@@ -153,7 +155,7 @@ class Separation:
     # -- what follows --------------------------------------------------------------------------
 
     def closed(self, entailed: Iterable[Triple]) -> set[Triple] | None:
-        """All that is entailed, where ``entailed`` is what owlrl says of `rest`, noise left out.
+        """All that follows, where ``entailed`` is what owlrl says of `rest`, noise left out.
 
         None: plain nodes are premises of other rules after all, so that owlrl has to see them.
         """
@@ -163,21 +165,24 @@ class Separation:
                 return None
             if triple.object in self._deputies:
                 return None
-            deputy = self._deputies.get(triple.subject)  # type: ignore[arg-type]
-            if deputy is None:
+            nodes = self._deputies.get(triple.subject)  # type: ignore[arg-type]
+            if nodes is None:
                 known.add(triple)
-            elif self._is_harmless(triple):
-                known.update(Triple(n, triple.predicate, triple.object) for n in deputy)
+            elif self._is_harmless(triple, nodes):
+                known.update(Triple(n, triple.predicate, triple.object) for n in nodes)
             else:
                 return None
         return known | self._following(known)
 
-    def _is_harmless(self, triple: Triple) -> bool:
-        """Whether it makes its plain subject no premise of other rules."""
+    def _is_harmless(self, triple: Triple, nodes: Iterable[Node]) -> bool:
+        """Whether it makes no plain node a premise of other rules, where it holds of ``nodes``."""
+        kind = triple.object
         if triple.predicate == RDF_TYPE:
-            kind = triple.object
             return not is_standard(kind) or kind.value in _PLAIN_KINDS  # type: ignore[union-attr]
-        return triple.predicate in _HIERARCHICAL or triple in self._asserted
+        if triple.predicate in _HIERARCHICAL:
+            # Else owlrl has seen less than what is above the nodes.
+            return all(kind in self._classes.above(node) for node in nodes)
+        return triple in self._asserted
 
     def _following(self, known: set[Triple]) -> set[Triple]:
         """What the closure of the hierarchies adds."""
@@ -190,6 +195,15 @@ class Separation:
         for triple in known:
             found |= rules.entail(triple)
         return found
+
+
+def _under_thing(asserted: Set[Triple]) -> list[tuple[Node, Node]]:
+    """What is a class is within owl:Thing (rule scm-cls)."""
+    return [
+        (t.subject, _THING)
+        for t in asserted
+        if t.predicate == RDF_TYPE and t.object == _CLASS and not isinstance(t.subject, Triple)
+    ]
 
 
 def _remarks(asserted: Set[Triple]) -> frozenset[NamedNode]:
