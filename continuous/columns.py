@@ -18,6 +18,7 @@ from ..rdf.dictionary import NO_TERM, Term, TermDictionary, TermTable
 from ..rdf.namespaces import RDF, XSD
 from ..rdf.timed import DATATYPES, Intern, Kind, ObjectColumn, TripleRows, make_literal, split_term
 from ..streams.sample import Mask
+from . import decimals
 from .budget import UNLIMITED, Budget
 
 
@@ -55,7 +56,11 @@ Pairs: TypeAlias = tuple[ObjectColumn, ObjectColumn]
 
 
 class Sort(IntEnum):
-    """What a term of the dictionary is; up to ``BOOLEAN`` these are the numbers of `Kind`."""
+    """What a term of the dictionary is; up to ``BOOLEAN`` these are the numbers of `Kind`.
+
+    ``LONG_INTEGER``, ``LONG_DECIMAL``: numbers that no column holds. ``ILL_TYPED``: a literal of a
+    number's or a boolean's datatype that spells none (`pattern_match.LONGS`: these three).
+    """
 
     OTHER = 0
     INTEGER = 1
@@ -66,20 +71,25 @@ class Sort(IntEnum):
     NODE = 6
     STRING = 7
     TEXT = 8
+    LONG_INTEGER = 9
+    LONG_DECIMAL = 10
+    ILL_TYPED = 11
 
 
 _WHOLE = re.compile(r"[+-]?[0-9]+")
-_NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?|[+-]?INF|NaN")
+_DECIMAL = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)")
+_NUMBER = re.compile(_DECIMAL.pattern + r"(?:[eE][+-]?[0-9]+)?|[+-]?INF|NaN")
 _ANY = NamedNode(XSD + "any")
-_NUMBERS = {XSD + "decimal": Kind.DECIMAL, XSD + "float": Kind.FLOAT, XSD + "double": Kind.DOUBLE}
+_FLOATS = {XSD + "float": Sort.FLOAT, XSD + "double": Sort.DOUBLE}
+LONG = (Sort.LONG_INTEGER, Sort.LONG_DECIMAL)
 
 
 class TermValues(TermTable):
     """What the terms of a dictionary are and are worth, in arrays by id that follow its growth.
 
-    Of each: its `Sort`, its float64 and int64 value (of a string: whether it has any character),
-    and the id of its `canonical` term, which stays as long as it does. Cost: Python once a distinct
-    term, once more when it comes again after it was forgotten.
+    Of each: its `Sort`, its float64 and int64 value, its effective boolean value, and the id of its
+    `canonical` term, which stays as long as it does. Cost: Python once a distinct term, once more
+    when it comes again after it was forgotten.
     """
 
     def __init__(self, dictionary: TermDictionary, budget: Budget = UNLIMITED) -> None:
@@ -89,6 +99,8 @@ class TermValues(TermTable):
         self._sort: NDArray[np.int8] = np.zeros(0, np.int8)
         self._number: NDArray[np.float64] = np.zeros(0, np.float64)
         self._integer: NDArray[np.int64] = np.zeros(0, np.int64)
+        self._true: NDArray[np.bool_] = np.zeros(0, np.bool_)
+        self._long: dict[int, Decimal] = {}
         self._canonical: NDArray[np.int32] = np.zeros(0, np.int32)
         self._tag: NDArray[np.int8] = np.zeros(0, np.int8)
         self._bits: NDArray[np.int64] = np.zeros(0, np.int64)
@@ -144,11 +156,30 @@ class TermValues(TermTable):
         self._follow()
         return self._sort
 
-    def filled(self, ids: NDArray[np.int32]) -> NDArray[np.bool_]:
-        """Which strings are not empty."""
+    def true(self, ids: NDArray[np.int32]) -> NDArray[np.bool_]:
+        """The effective boolean value of terms that have one (SPARQL 1.1 §17.2.2)."""
         self._follow()
-        answer: NDArray[np.bool_] = self._integer[ids] != 0
+        answer: NDArray[np.bool_] = self._true[ids]
         return answer
+
+    def approximate(self, column: ObjectColumn) -> NDArray[np.float64]:
+        """The float64 nearest to each number, in a column of numbers or of `LONG` ones."""
+        if column.kind is not Kind.TERM:
+            return column.values.astype(np.float64, copy=False)
+        self._follow()
+        nearest: NDArray[np.float64] = self._number[column.values]
+        return nearest
+
+    def exact(self, column: ObjectColumn, rows: Iterable[int]) -> list[Decimal]:
+        """The integers or decimals at ``rows`` of a column of them or of `LONG` ones."""
+        self._follow()
+        values = [column.values[row].item() for row in rows]
+        match column.kind:
+            case Kind.INTEGER:
+                return [Decimal(value) for value in values]
+            case Kind.DECIMAL:
+                return [decimals.of_code(value) for value in values]
+        return [self._long[id] for id in values]
 
     def implied(self, marked: NDArray[np.bool_]) -> NDArray[np.int32]:
         """See `dictionary.TermTable`."""
@@ -156,6 +187,7 @@ class TermValues(TermTable):
 
     def forget(self, freed: NDArray[np.bool_]) -> None:
         """See `dictionary.TermTable`."""
+        self._long = {id: value for id, value in self._long.items() if not freed[id]}
         waiting = [*self._waiting, *self.dictionary.reused[self._place :]]
         self._waiting = [id for id in waiting if not freed[id]]
         self._place = 0
@@ -175,6 +207,7 @@ class TermValues(TermTable):
                 self._sort = _enlarged(self._sort, capacity)
                 self._number = _enlarged(self._number, capacity)
                 self._integer = _enlarged(self._integer, capacity)
+                self._true = _enlarged(self._true, capacity)
                 self._canonical = _enlarged(self._canonical, capacity)
                 self._tag = _enlarged(self._tag, capacity)
                 self._bits = _enlarged(self._bits, capacity)
@@ -198,12 +231,21 @@ class TermValues(TermTable):
         self._waiting, self._place = [], len(self.dictionary.reused)
         at = np.array(ids, np.int64)
         self._sort[at], self._number[at], self._integer[at] = Sort.NODE, 0.0, 0
+        self._true[at] = False
         self._canonical[at] = self._bits[at] = at
         self._tag[at] = Kind.TERM
         return [(id, self.dictionary.term(id)) for id in ids]
 
     def _note(self, id: int, literal: Literal) -> None:
-        self._sort[id], self._number[id], self._integer[id] = _worth(literal)
+        worth = _worth(literal)
+        self._sort[id], self._number[id], self._integer[id] = (
+            worth.sort,
+            worth.number,
+            worth.integer,
+        )
+        self._true[id] = worth.true
+        if worth.long is not None:
+            self._long[id] = worth.long
         spelled = canonical(literal)
         intern = self.dictionary.transient_id
         self._canonical[id] = id if spelled == literal else intern(spelled)
@@ -219,54 +261,82 @@ def _enlarged(array: NDArray[Any], capacity: int) -> NDArray[Any]:
     return larger
 
 
-def _worth(term: Term) -> tuple[Sort, float, int]:
+@dataclass(frozen=True, slots=True)
+class _Worth:
+    """What a term is worth: see `TermValues`; ``long``: the value of a `LONG` number."""
+
+    sort: Sort
+    number: float = 0.0
+    integer: int = 0
+    true: bool = False
+    long: Decimal | None = None
+
+
+def _worth(term: Term) -> _Worth:
     if not isinstance(term, Literal):
-        return Sort.NODE, 0.0, 0
+        return _Worth(Sort.NODE)
     datatype, text = term.datatype.value, term.value
     if datatype == XSD + "string":
-        return Sort.STRING, 0.0, int(bool(text))
+        return _Worth(Sort.STRING, true=bool(text))
     if datatype == RDF + "langString":
-        return Sort.TEXT, 0.0, int(bool(text))
-    if datatype == XSD + "boolean" and text in ("true", "false", "1", "0"):
-        return Sort.BOOLEAN, 0.0, int(text in ("true", "1"))
-    if datatype in INTEGERS and _WHOLE.fullmatch(text):
-        whole = int(text)
-        if -(2**63) <= whole < 2**63:
-            return Sort.INTEGER, float(whole), whole
-    elif datatype in _NUMBERS and _NUMBER.fullmatch(text):
-        return Sort(int(_NUMBERS[datatype])), float(text), 0
-    return Sort.OTHER, 0.0, 0
+        return _Worth(Sort.TEXT, true=bool(text))
+    if datatype == XSD + "boolean":
+        if text not in ("true", "false", "1", "0"):
+            return _Worth(Sort.ILL_TYPED)
+        true = text in ("true", "1")
+        return _Worth(Sort.BOOLEAN, integer=int(true), true=true)
+    if datatype in _FLOATS:
+        if not _NUMBER.fullmatch(text):
+            return _Worth(Sort.ILL_TYPED)
+        number = float(text)
+        return _Worth(_FLOATS[datatype], number, true=number == number and number != 0)
+    is_integer = datatype in INTEGERS
+    if not is_integer and datatype != XSD + "decimal":
+        return _Worth(Sort.OTHER)
+    exact = decimals.parsed(text) if (_WHOLE if is_integer else _DECIMAL).fullmatch(text) else None
+    if exact is None:
+        return _Worth(Sort.ILL_TYPED)
+    number, true = float(exact) + 0.0, bool(exact)
+    if is_integer:
+        if -(2**63) <= exact < 2**63:
+            return _Worth(Sort.INTEGER, number, int(exact), true)
+        return _Worth(Sort.LONG_INTEGER, number, 0, true, exact)
+    if np.isfinite(number) and decimals.of_code(number) == exact:
+        return _Worth(Sort.DECIMAL, number, 0, true)
+    return _Worth(Sort.LONG_DECIMAL, number, 0, true, exact)
 
 
 def canonical(term: Term) -> Term:
     """The one spelling of a literal's value, as Oxigraph's store has it: 1e2 and 100, 3.0 and 3.
 
-    The integer types are xsd:integer there. A number is spelled as `make_term` does, if that is
-    exact; a string, an IRI and a literal without a value stay as they are.
+    The integer types are xsd:integer there. A number is spelled as `make_term` does; a string, an
+    IRI and a literal without a value stay as they are.
     """
     if not isinstance(term, Literal) or term.language is not None:
         return term
     datatype = term.datatype.value
     if datatype == XSD + "string":
         return term
-    sort, number, integer = _worth(term)
-    match sort:
+    worth = _worth(term)
+    match worth.sort:
         case Sort.INTEGER:
-            return Literal(str(integer), datatype=DATATYPES[Kind.INTEGER])
+            return Literal(str(worth.integer), datatype=DATATYPES[Kind.INTEGER])
         case Sort.BOOLEAN:
-            return Literal(bool(integer))
-        case Sort.FLOAT | Sort.DOUBLE:
-            return make_number(Kind(int(sort)), number)
-        case Sort.DECIMAL:
-            # A decimal has no -0.
-            made = make_number(Kind.DECIMAL, number + 0.0)
-            return made if Decimal(made.value) == Decimal(term.value) else _stored(term)
+            return Literal(bool(worth.integer))
+        case Sort.FLOAT | Sort.DOUBLE | Sort.DECIMAL:
+            return make_literal(Kind(int(worth.sort)), worth.number)
+        case Sort.LONG_INTEGER | Sort.LONG_DECIMAL:
+            assert worth.long is not None
+            is_integer = worth.sort is Sort.LONG_INTEGER
+            return exact_literal(Kind.INTEGER if is_integer else Kind.DECIMAL, worth.long)
+        case Sort.ILL_TYPED:
+            return term
     return _stored(term)
 
 
-def make_number(kind: Kind, number: float) -> Literal:
-    """A DECIMAL, FLOAT or DOUBLE as a literal."""
-    return make_literal(kind, number)
+def exact_literal(kind: Kind, number: Decimal) -> Literal:
+    """An INTEGER or DECIMAL of any size as a literal in canonical form."""
+    return Literal(decimals.text(number), datatype=DATATYPES[kind])
 
 
 def _stored(literal: Literal) -> Literal:
@@ -299,6 +369,12 @@ def term_column(terms: Sequence[Term | None], intern: Intern) -> ObjectColumn:
         return ObjectColumn(kind, np.array(values, kind.dtype), mask)
     ids = [NO_TERM if term is None else intern(term) for term in terms]
     return ObjectColumn(Kind.TERM, np.array(ids, np.int32), mask)
+
+
+def exact_column(kind: Kind, values: Sequence[Decimal | None], intern: Intern) -> ObjectColumn:
+    """INTEGERs or DECIMALs of any size as a column (None = null): terms where one needs that."""
+    known = [None if value is None else exact_literal(kind, value) for value in values]
+    return term_column(known, intern)
 
 
 def as_terms(column: ObjectColumn, dictionary: TermDictionary) -> ObjectColumn:

@@ -1,34 +1,271 @@
-"""Decimals in float64: what is computed keeps 15 significant digits.
+"""Exact arithmetic of xsd:decimal and xsd:integer in columns (SPARQL 1.1 §17.3, XPath F&O §4).
 
-A decimal of up to 15 digits is the float64 nearest to it, and comes back from it. Sums and products
-of such floats are off in the 17th digit; rounded to 15 they are the decimal again that exact
-arithmetic gives, as long as that has no more digits: 2.2 * 3 is 6.6.
+A float64 in a DECIMAL column is a *code*: it stands for the shortest decimal that parses to it. So
+codes are equal where the decimals are, and have their order. To compute, codes become int64
+*mantissas* of one power of ten. A number of more than 15 digits is computed as a `Decimal` of
+Python; it has no code unless it is the shortest decimal of its float64.
+
+A quotient is exact where it has up to 15 significant digits, or up to 18 after the point. Any other
+is rounded, half to even, to 15 significant digits, or to an integer where that keeps more.
 """
 
 from __future__ import annotations
 
-from typing import Final
+import decimal
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from decimal import Decimal
+from fractions import Fraction
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+LONGEST: Final = 1000
+"""Digits of the longest number that has a value: arithmetic beyond is an error."""
+EXACT: Final = decimal.Context(
+    prec=LONGEST,
+    rounding=decimal.ROUND_HALF_EVEN,
+    traps=[decimal.Inexact, decimal.InvalidOperation, decimal.DivisionByZero],
+)
+SCALES: Final = (0, 3, 6, 9, 12, 15, 18)
+"""The powers of ten that mantissas are counted in; few, as sums keep each apart."""
+DIGITS: Final = 15
+LIMIT: Final = 10**DIGITS
+"""Up to here a mantissa has a code: a decimal of 15 digits is the shortest of its float64."""
+_PLACES: Final = 18
+_SAFE: Final = 2.0**62
+_TENS: Final = 10 ** np.arange(19, dtype=np.int64)
 POWERS: Final = np.array([float(f"1e{exponent}") for exponent in range(-22, 23)])
 """10**-22 … 10**22; from 10**0 on they are exact, so that dividing by one rounds only once."""
-DIGITS: Final = 15
+_SMALL: Final = 4096
+"""10**15 times such a divisor fits int64: one step divides."""
 
 
-def rounded(
-    values: NDArray[np.float64], size: NDArray[np.float64] | None = None
-) -> NDArray[np.float64]:
-    """``values`` with 15 significant digits, or as many places as a number of ``size`` has then (a
-    difference is as exact as the greater operand). What is beyond 1e-8 … 1e21 stays as it is."""
-    size = np.abs(values if size is None else size)
-    # By comparison, not by a logarithm: those of numpy and of compiled code may differ.
-    exponent = np.searchsorted(POWERS, size, "right") - 23
-    digits = DIGITS - 1 - exponent
-    scale = POWERS[np.clip(np.abs(digits), 0, 22) + 22]
+@dataclass(frozen=True, slots=True, eq=False)
+class Mantissas:
+    """Decimals as ``values``, int64 of shape ``(n,)``, times ``10**-scale``."""
+
+    values: NDArray[np.int64]
+    scale: int
+
+
+def mantissas(codes: NDArray[np.float64]) -> Mantissas | None:
+    """The mantissas of a column of codes at the least of `SCALES`; None where there is none.
+
+    Cost: some numpy passes over the column for the right scale, over eight rows for the others.
+    """
+    for scale in SCALES:
+        if not _at_scale(codes[:8], scale)[1].all():
+            continue
+        found, fits = _at_scale(codes, scale)
+        if fits.all():
+            return Mantissas(found.astype(np.int64), scale)
+    return None
+
+
+def mantissas_of(integers: NDArray[np.int64]) -> Mantissas | None:
+    """Integers as mantissas; None where one has more than 15 digits."""
+    if len(integers) and not -LIMIT <= integers.min() <= integers.max() <= LIMIT:
+        return None
+    return Mantissas(integers, 0)
+
+
+def fitting(codes: NDArray[np.float64], scale: int) -> tuple[NDArray[np.bool_], Mantissas]:
+    """Which codes have a mantissa at ``scale``, and these mantissas (0 for the others)."""
+    found, fits = _at_scale(codes, scale)
+    return fits, Mantissas(np.where(fits, found, 0.0).astype(np.int64), scale)
+
+
+def _at_scale(codes: Any, scale: int) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    power = 10.0**scale
     with np.errstate(all="ignore"):
-        finer = np.rint(values * scale) / scale
-        coarser = np.rint(values / scale) * scale
-    known = (size > 0) & (exponent >= -8) & (exponent <= 21)
-    return np.where(known, np.where(digits >= 0, finer, coarser), values)
+        found = np.rint(codes * power)
+        return found, (np.abs(found) <= LIMIT) & (found / power == codes)
+
+
+def coded(found: Mantissas) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """The codes of mantissas, and which of them are known (the others have over 15 digits)."""
+    values = found.values
+    known = (values >= -LIMIT) & (values <= LIMIT)
+    return values / 10.0**found.scale, known & (found.scale <= 22)
+
+
+def combined(name: str, a: Mantissas, b: Mantissas) -> tuple[Any, NDArray[np.bool_]] | None:
+    """The codes of ``a name b``, and which of them are known; None: none is.
+
+    ``/``: no divisor is 0.
+    """
+    if name == "*":
+        small = np.abs(a.values.astype(np.float64) * b.values) <= LIMIT
+        codes, known = coded(Mantissas(a.values * b.values, a.scale + b.scale))
+        return codes, known & small
+    if name == "/":
+        dividend = _shifted(a, max(0, b.scale - a.scale))
+        divisor = _shifted(b, max(0, a.scale - b.scale))
+        return None if dividend is None or divisor is None else quotients(dividend, 0, divisor)
+    left, right = _shifted(a, max(0, b.scale - a.scale)), _shifted(b, max(0, a.scale - b.scale))
+    if left is None or right is None:
+        return None
+    total = left + right if name == "+" else left - right
+    return coded(Mantissas(total, max(a.scale, b.scale)))
+
+
+def _shifted(found: Mantissas, by: int) -> NDArray[np.int64] | None:
+    """The values times ``10**by``, if they stay far within int64."""
+    if not by:
+        return found.values
+    greatest = np.abs(found.values).max(initial=0)
+    return None if by > 18 or float(greatest) * 10.0**by >= _SAFE / 2 else found.values * 10**by
+
+
+def quotients(
+    dividend: NDArray[np.int64], scale: int, divisor: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """The codes of ``dividend * 10**-scale / divisor``, and which are known. No divisor is 0."""
+    above, below = np.abs(dividend), np.abs(divisor)
+    approximate = above / below / 10.0**scale
+    exponent = np.searchsorted(POWERS, approximate, "right") - 23
+    places = np.where(above == 0, scale, DIGITS - 1 - exponent)
+    known = (places >= scale) & (places <= 22) & (above >= 0) & (below > 0)
+    left = np.where(known, places - scale, 0)
+    if below.max(initial=1) <= _SMALL:
+        numerator = above * _TENS[np.minimum(left, 18)]
+        known &= left <= 18
+        digits = np.rint(numerator / below).astype(np.int64)
+        rest = numerator - digits * below
+    else:
+        known &= (left == 0) | (below.max() < _SAFE / 10)
+        digits, rest = _long_division(above, below, left)
+    twice = 2 * rest
+    more = (twice > below) | ((twice == below) & (digits & 1 == 1))
+    less = (twice < -below) | ((twice == -below) & (digits & 1 == 1))
+    digits = digits + more - less
+    inexact = known & (rest != 0)
+    if inexact.any():
+        # It may end behind the 15th digit: then it is exact, and has no code.
+        known &= ~(inexact & _ends(above, below))
+    codes = digits / POWERS[np.clip(places, 0, 22) + 22]
+    return np.where((dividend < 0) != (divisor < 0), 0.0 - codes, codes), known
+
+
+def _long_division(
+    dividend: NDArray[np.int64], divisor: NDArray[np.int64], places: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Quotient and rest of ``dividend * 10**places``: as many digits at a time as there is room."""
+    room = min(18, int(np.log10(_SAFE / float(divisor.max()))))
+    digits, rest = np.divmod(dividend, divisor)
+    while room and places.any():
+        taken = np.minimum(places, room)
+        more, rest = np.divmod(rest * _TENS[taken], divisor)
+        digits = digits * _TENS[taken] + more
+        places = places - taken
+    return digits, rest
+
+
+def _ends(dividend: NDArray[np.int64], divisor: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Whether the decimal expansion of a quotient ends."""
+    small = divisor.max(initial=1) <= _SMALL
+    rest = _OTHER_FACTORS[divisor] if small else _without_twos_and_fives(divisor)
+    return np.asarray(dividend % rest == 0)
+
+
+def _without_twos_and_fives(numbers: NDArray[np.int64]) -> NDArray[np.int64]:
+    for factor in (2, 5):
+        while (even := (numbers % factor == 0) & (numbers > 0)).any():
+            numbers = np.where(even, numbers // factor, numbers)
+    return numbers
+
+
+_OTHER_FACTORS: Final = _without_twos_and_fives(np.arange(_SMALL + 1))
+
+
+# -- one by one, of any size ---------------------------------------------------------------
+
+
+def of_code(code: float) -> Decimal:
+    """The decimal that a code stands for."""
+    return Decimal(repr(code))
+
+
+def text(number: Decimal) -> str:
+    """The canonical text: no exponent, no zero behind the last digit, no -0."""
+    shown = format(number, "f")
+    if "." in shown:
+        shown = shown.rstrip("0").removesuffix(".")
+    return "0" if shown == "-0" else shown
+
+
+def parsed(lexical: str) -> Decimal | None:
+    """The value of a decimal or integer text; None for one of too many digits."""
+    return Decimal(lexical) if len(lexical) <= LONGEST else None
+
+
+def computed(name: str, a: Decimal, b: Decimal) -> Decimal | None:
+    """``a name b``; None where that is an error."""
+    try:
+        return quotient(Fraction(a), Fraction(b)) if name == "/" else _OPERATIONS[name](a, b)
+    except (decimal.DecimalException, ZeroDivisionError):
+        return None
+
+
+_OPERATIONS: Final[dict[str, Callable[[Decimal, Decimal], Decimal]]] = {
+    "+": EXACT.add,
+    "-": EXACT.subtract,
+    "*": EXACT.multiply,
+}
+
+
+def total(numbers: Sequence[tuple[Decimal, int]]) -> Decimal:
+    """The sum of numbers, each so many times; raises `decimal.Inexact` where it is too long."""
+    found = Decimal(0)
+    for number, times in numbers:
+        found = EXACT.add(found, EXACT.multiply(number, Decimal(times)))
+    return found
+
+
+def scaled(value: int, scale: int) -> Decimal:
+    """``value * 10**-scale``."""
+    return EXACT.scaleb(Decimal(value), -scale)
+
+
+def quotient(a: Fraction, b: Fraction) -> Decimal:
+    """``a / b`` by the rule of this module; raises ``ZeroDivisionError``."""
+    found = a / b
+    twos, fives = _power(found.denominator, 2), _power(found.denominator, 5)
+    after = max(twos, fives)
+    whole = len(str(abs(found.numerator) // found.denominator))
+    if 2**twos * 5**fives == found.denominator:
+        digits = found.numerator * 10**after // found.denominator
+        if after <= _PLACES or len(str(abs(digits))) <= DIGITS:
+            return scaled(digits, after)
+    places = DIGITS - whole
+    if abs(found) < 1:
+        places = DIGITS
+        while abs(found) * 10**places < LIMIT // 10:
+            places += 1
+    places = max(0, places)
+    return scaled(round(found * 10**places), places)
+
+
+def _power(number: int, factor: int) -> int:
+    found = 0
+    while number % factor == 0:
+        number //= factor
+        found += 1
+    return found
+
+
+def rounded(name: str, number: Decimal) -> Decimal:
+    """NEGATE, ABS, CEIL, FLOOR or ROUND (a half towards positive infinity)."""
+    match name:
+        case "NEGATE":
+            return EXACT.copy_negate(number)
+        case "ABS":
+            return EXACT.copy_abs(number)
+        case "CEIL":
+            return number.to_integral_value(decimal.ROUND_CEILING)
+        case "FLOOR":
+            return number.to_integral_value(decimal.ROUND_FLOOR)
+    half = Decimal("0.5")
+    return EXACT.add(number, half).to_integral_value(decimal.ROUND_FLOOR)

@@ -12,14 +12,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..rdf.dictionary import TermTable
 from ..rdf.timed import Kind, ObjectColumn
 from ..streams.sample import Mask
-from .columns import Pairs, Sort, TermValues, bits, decoded, make_number
+from .columns import Pairs, Sort, TermValues, bits, decoded
 from .seen import SeenPairs
 
 
-class DistinctRows(TermTable):
+class DistinctRows:
     """The distinct pairs of the window: a `SeenPairs` for each kind of object.
 
     Law: `see` gives each pair when it comes into the window, `leave` when it has left. Cost and
@@ -29,9 +28,7 @@ class DistinctRows(TermTable):
     def __init__(self, terms: TermValues) -> None:
         self._terms = terms
         self._kinds: dict[Kind, SeenPairs] = {}
-        self._spelled: dict[int, bool] = {}
         terms.dictionary.hold(self)
-        terms.dictionary.follow(self)
 
     def held(self) -> Iterator[NDArray[Any]]:
         """See `dictionary.Holder`."""
@@ -40,10 +37,6 @@ class DistinctRows(TermTable):
             yield subjects
             if kind is Kind.TERM:
                 yield keys
-
-    def forget(self, freed: NDArray[np.bool_]) -> None:
-        """See `dictionary.TermTable`."""
-        self._spelled = {id: plain for id, plain in self._spelled.items() if not freed[id]}
 
     def see(self, end: int, pairs: Pairs, skip: Mask | None = None) -> NDArray[np.int64]:
         """Rows of the pane that ends at ``end``, but those in ``skip``: those whose pair is new to
@@ -90,25 +83,10 @@ class DistinctRows(TermTable):
         for sort in np.unique(sorts).tolist():
             rows = there[sorts == sort]
             if Sort.INTEGER <= sort <= Sort.BOOLEAN:
-                ids = column.values[rows]
-                plain = np.array([self._plain(id, Kind(sort)) for id in ids.tolist()], np.bool_)
-                yield Kind.TERM, rows[~plain], ids[~plain].astype(np.int64)
-                typed = self._terms.typed(ObjectColumn(Kind.TERM, ids[plain]), Kind(sort))
-                yield Kind(sort), rows[plain], _bits(typed.values)
+                ids = ObjectColumn(Kind.TERM, column.values[rows])
+                yield Kind(sort), rows, _bits(self._terms.typed(ids, Kind(sort)).values)
             else:
                 yield Kind.TERM, rows, column.values[rows].astype(np.int64)
-
-    def _plain(self, id: int, kind: Kind) -> bool:
-        """Whether the term is the one that its value spells: a decimal may be longer than that."""
-        if kind is not Kind.DECIMAL:
-            return True
-        found = self._spelled.get(id)
-        if found is None:
-            column = ObjectColumn(Kind.TERM, np.array([id], np.int32))
-            number = float(self._terms.typed(column, kind).values[0])
-            found = self._terms.dictionary.term(id) == make_number(kind, number)
-            self._spelled[id] = found
-        return found
 
 
 def _bits(values: NDArray[Any]) -> NDArray[np.int64]:

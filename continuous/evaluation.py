@@ -7,8 +7,9 @@ by name, and comparisons whose data columns cannot judge (dates, ordered strings
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable, Mapping
-from typing import Any, Final, TypeAlias
+from collections.abc import Callable, Mapping, Sequence
+from decimal import Decimal
+from typing import Any, Final, TypeAlias, assert_never
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,12 +19,25 @@ from ..languages.attached import attached
 from ..rdf.dictionary import Term
 from ..rdf.timed import Kind, ObjectColumn, split_term
 from ..streams.sample import Mask
-from .columns import NeedsOxigraph, Sort, TermValues, coalesce, either, scattered
-from .decimals import rounded
+from . import decimals
+from .columns import (
+    LONG,
+    Sort,
+    TermValues,
+    canonical,
+    coalesce,
+    either,
+    exact_column,
+    scattered,
+)
 from .expressions import INFIX, Call, Const, Expression, Var, variables
 from .foreign import ask
 from .timestamps import LATEST
 
+_Part: TypeAlias = tuple[NDArray[np.int64], list[ObjectColumn]]
+_SPLIT: Final = np.array(
+    [Sort.INTEGER <= sort <= Sort.BOOLEAN or sort in LONG for sort in sorted(Sort)], np.bool_
+)
 _Parted: TypeAlias = tuple[Expression, tuple[tuple[str, Call], ...]]
 _ORDER: Final[dict[str, Callable[[Any, Any], Any]]] = {
     "=": operator.eq,
@@ -39,6 +53,12 @@ _ARITHMETIC: Final[dict[str, Callable[[Any, Any], Any]]] = {
     "*": operator.mul,
     "/": operator.truediv,
 }
+_LONG_KINDS: Final[dict[int, Kind]] = {
+    Sort.LONG_INTEGER: Kind.INTEGER,
+    Sort.LONG_DECIMAL: Kind.DECIMAL,
+}
+_EXACT: Final = 2.0**53
+"""Below, integers and decimals that are equal as float64 are equal."""
 NATIVE: Final = INFIX | {
     "!",
     "NEGATE",
@@ -64,17 +84,32 @@ def evaluate(
 ) -> ObjectColumn:
     """The value of ``expression`` for each of ``rows`` rows; null is error or unbound.
 
-    Cost: numpy a node, times the kinds of number that occur in a column; where Oxigraph is asked,
-    Python a distinct combination of values.
+    Law: the value for a row depends on that row alone. Cost: numpy a node, times the kinds of
+    number that occur in a column; where Oxigraph is asked, Python a distinct combination of values.
     """
     native, strange = _parted(expression)
     if strange:
-        answers = {name: ask(call, columns, rows, terms) for name, call in strange}
+        answers = {name: _asked(call, columns, rows, terms) for name, call in strange}
         columns = {**columns, **answers}
-    try:
-        return _native(*_chosen(native, columns, rows, terms), rows, terms)
-    except NeedsOxigraph:
-        return ask(expression, columns, rows, terms)
+    return _native(native, columns, rows, terms)
+
+
+def _asked(
+    call: Call, columns: Mapping[str, ObjectColumn], rows: int, terms: TermValues
+) -> ObjectColumn:
+    """A call that Oxigraph is asked for; what columns know of its arguments is computed first."""
+    found = dict(columns)
+
+    def go(expression: Expression) -> Expression:
+        if not isinstance(expression, Call):
+            return expression
+        if expression.name in NATIVE:
+            name = f"\0a{len(found)}"
+            found[name] = evaluate(expression, columns, rows, terms)
+            return Var(name)
+        return Call(expression.name, tuple(go(argument) for argument in expression.arguments))
+
+    return ask(go(call), found, rows, terms)
 
 
 def foreign_calls(expression: Expression) -> tuple[Call, ...]:
@@ -106,54 +141,49 @@ def _parted_call(expression: Call) -> _Parted:
     return native, tuple((name, call) for call, name in strange.items())
 
 
-def _chosen(
-    expression: Expression, columns: Mapping[str, ObjectColumn], rows: int, terms: TermValues
-) -> tuple[Expression, Mapping[str, ObjectColumn]]:
-    """The expression with a column for each IF and COALESCE in it: what they give may be of several
-    kinds, which `_native` tells apart in columns only."""
-    found = dict(columns)
-
-    def go(expression: Expression) -> Expression:
-        if not isinstance(expression, Call):
-            return expression
-        call = Call(expression.name, tuple(go(argument) for argument in expression.arguments))
-        if call.name not in ("IF", "COALESCE"):
-            return call
-        name = f"\0c{len(found)}"
-        found[name] = _native(call, found, rows, terms)
-        return Var(name)
-
-    return go(expression), found
-
-
 def _native(
     expression: Expression, columns: Mapping[str, ObjectColumn], rows: int, terms: TermValues
 ) -> ObjectColumn:
-    """By columns alone. A TERM column with numbers among its terms is split by what the terms are,
-    so that each part is of one kind."""
-    mixed = []
-    for name in sorted(variables(expression)):
-        column = columns.get(name)
-        if column is not None and column.kind is Kind.TERM:
-            sorts = terms.sorts(column.values)
-            if np.any((sorts >= Sort.INTEGER) & (sorts <= Sort.BOOLEAN)):
-                mixed.append((name, column, sorts))
-    if not mixed:
+    """By columns alone, a part of the rows after the other: in each, a column is of one kind."""
+    if not isinstance(expression, Call):
         return _Rows(columns, rows, terms).value(expression)
-    signature = np.zeros(rows, np.int64)
-    for _, _, sorts in mixed:
-        signature = signature * 16 + sorts
-    places, parts = [], []
-    for code in np.unique(signature).tolist():
+    names = sorted(name for name in variables(expression) if name in columns)
+    parts = parted([columns[name] for name in names], terms)
+    if parts is None:
+        return _Rows(columns, rows, terms).value(expression)
+    values = [
+        _Rows(dict(zip(names, typed, strict=True)), len(at), terms).value(expression)
+        for at, typed in parts
+    ]
+    return scattered([at for at, _ in parts], values, terms.dictionary)
+
+
+def parted(columns: Sequence[ObjectColumn], terms: TermValues) -> list[_Part] | None:
+    """The rows by what the terms of the columns are: places, and there the columns, those of
+    numbers and booleans as such; `LONG` ones stay apart as terms. None where no term is one."""
+    mixed: dict[int, NDArray[np.int8]] = {}
+    for i, column in enumerate(columns):
+        if column.kind is Kind.TERM:
+            sorts = np.where(column.present, terms.sorts(column.values), np.int8(Sort.OTHER))
+            if np.any(_SPLIT[sorts]):
+                mixed[i] = sorts
+    if not mixed:
+        return None
+    signature = np.zeros(len(columns[0]), np.int64)
+    for sorts in mixed.values():
+        # What is no number and no boolean needs no part of its own.
+        both = signature * len(_SPLIT) + np.where(_SPLIT[sorts], sorts, 0)
+        signature = np.unique(both, return_inverse=True)[1].reshape(-1)
+    found = []
+    for code in range(int(signature.max(initial=-1)) + 1):
         at = np.flatnonzero(signature == code)
-        part = {name: column.take(at) for name, column in columns.items()}
-        for name, _, sorts in mixed:
+        part = [column.take(at) for column in columns]
+        for i, sorts in mixed.items():
             sort = int(sorts[at[0]])
             if Sort.INTEGER <= sort <= Sort.BOOLEAN:
-                part[name] = terms.typed(part[name], Kind(sort))
-        places.append(at)
-        parts.append(_Rows(part, len(at), terms).value(expression))
-    return scattered(places, parts, terms.dictionary)
+                part[i] = terms.typed(part[i], Kind(sort))
+        found.append((at, part))
+    return found
 
 
 def holds(
@@ -170,10 +200,8 @@ def truth(column: ObjectColumn, terms: TermValues) -> tuple[Mask, Mask | None]:
         return column.values.astype(np.bool_), column.null
     if column.kind is Kind.TERM:
         sorts = terms.sorts(column.values)
-        if np.any(column.present & (sorts == Sort.OTHER)):
-            raise NeedsOxigraph("the boolean value of a literal of another datatype")
-        text = (sorts == Sort.STRING) | (sorts == Sort.TEXT)
-        return text & terms.filled(column.values), either(column.null, ~text)
+        none = (sorts == Sort.NODE) | (sorts == Sort.OTHER)
+        return terms.true(column.values) & ~none, either(column.null, none)
     yes: Mask = (column.values != 0) & ~np.isnan(column.values)
     return yes, column.null
 
@@ -200,31 +228,39 @@ class _Rows:
             case Call("!", (argument,)):
                 yes, error = truth(self.value(argument), self.terms)
                 return _boolean(~yes, error)
-            case Call(name, (left, right)) if name in _ORDER:
-                return self._compare(name, self.value(left), self.value(right))
-            case Call(name, (left, right)) if name in _ARITHMETIC:
-                return self._arithmetic(name, self.value(left), self.value(right))
             case Call("IF", (condition, yes, no)):
                 return self._either(self.value(condition), self.value(yes), self.value(no))
             case Call("COALESCE", arguments):
                 return self._first([self.value(argument) for argument in arguments])
-            case Call("SAMETERM", (left, right)):
-                return self._same_term(self.value(left), self.value(right))
             case Call(name, arguments) if name == LATEST:
                 return self._latest([self.value(argument) for argument in arguments])
-            case Call(name, (argument,)):
-                return self._function(name, self.value(argument))
+            case Call(name, arguments):
+                return self._applied(name, [self.value(argument) for argument in arguments])
             case _:
-                raise NeedsOxigraph(f"the expression {expression}")
+                assert_never(expression)
+
+    def _applied(self, name: str, columns: list[ObjectColumn]) -> ObjectColumn:
+        """An operator or function of columns; those that were computed may be of several kinds."""
+        parts = parted(columns, self.terms)
+        if parts is None:
+            return self._operation(name, columns)
+        values = [_Rows({}, len(at), self.terms)._operation(name, typed) for at, typed in parts]
+        return scattered([at for at, _ in parts], values, self.terms.dictionary)
+
+    def _operation(self, name: str, columns: list[ObjectColumn]) -> ObjectColumn:
+        match columns:
+            case [left, right] if name in _ORDER:
+                return self._compare(name, left, right)
+            case [left, right] if name in _ARITHMETIC:
+                return self._arithmetic(name, left, right)
+            case [left, right] if name == "SAMETERM":
+                return self._same_term(left, right)
+            case [one]:
+                return self._function(name, one)
+        raise AssertionError(f"{name} of {len(columns)} arguments")
 
     def _constant(self, term: Term) -> ObjectColumn:
-        kind, value = split_term(term, self.terms.dictionary.transient_id)
-        if kind is Kind.TERM:
-            sort = int(self.terms.sorts(np.array([value], np.int32))[0])
-            if Sort.INTEGER <= sort <= Sort.BOOLEAN:
-                one = ObjectColumn(Kind.TERM, np.array([value], np.int32))
-                kind = Kind(sort)
-                value = self.terms.typed(one, kind).values[0]
+        kind, value = split_term(canonical(term), self.terms.dictionary.transient_id)
         return ObjectColumn(kind, np.broadcast_to(np.array(value, kind.dtype), (self.rows,)))
 
     def _unbound(self) -> ObjectColumn:
@@ -257,7 +293,7 @@ class _Rows:
             return _boolean(same | (np.isnan(a.values) & np.isnan(b.values)), null)
         if a.kind is b.kind:
             return _boolean(a.values == b.values, null)
-        # A TERM column here holds no numbers (`_native`): another kind is another term.
+        # A TERM column here holds no numbers (`parted`): another kind is another term.
         return _boolean(np.zeros(self.rows, np.bool_), null)
 
     def _latest(self, columns: list[ObjectColumn]) -> ObjectColumn:
@@ -285,9 +321,20 @@ class _Rows:
         result = np.where(decided, name == "||", result)
         return _boolean(result, (a_error | b_error) & ~decided)
 
+    def _number(self, column: ObjectColumn) -> Kind | None:
+        """Of which kind the numbers of a column are; None: they are none."""
+        if column.kind is not Kind.TERM:
+            return column.kind if column.kind.is_number else None
+        sort = int(self.terms.sorts(column.values[:1])[0]) if len(column) else Sort.OTHER
+        # `parted` has put long numbers apart: one is as all.
+        return _LONG_KINDS.get(sort)
+
     def _compare(self, name: str, a: ObjectColumn, b: ObjectColumn) -> ObjectColumn:
         null = either(a.null, b.null)
-        if (a.kind.is_number and b.kind.is_number) or (a.kind is b.kind is Kind.BOOLEAN):
+        left, right = self._number(a), self._number(b)
+        if left is not None and right is not None:
+            return _boolean(self._ordered(name, a, b, max(left, right)), null)
+        if a.kind is b.kind is Kind.BOOLEAN:
             return _boolean(_ORDER[name](a.values, b.values), null)
         equality = name in ("=", "!=")
         if a.kind is not Kind.TERM and b.kind is not Kind.TERM:
@@ -296,7 +343,7 @@ class _Rows:
         sorts = [self.terms.sorts(c.values) for c in (a, b) if c.kind is Kind.TERM]
         other = np.zeros(self.rows, np.bool_)
         for one in sorts:
-            other |= one == Sort.OTHER
+            other |= (one == Sort.OTHER) | (one == Sort.ILL_TYPED)
         if a.kind is b.kind:
             same = a.values == b.values
             doubtful = other & ~same
@@ -307,62 +354,133 @@ class _Rows:
             same, doubtful = np.zeros(self.rows, np.bool_), other
         if null is not None:
             doubtful = doubtful & ~null
-        if np.any(doubtful):
-            raise NeedsOxigraph("a comparison of strings or literals of other datatypes")
         if not equality:
-            return _boolean(same, np.ones(self.rows, np.bool_))
-        return _boolean(same if name == "=" else ~same, null)
+            known = _boolean(same, np.ones(self.rows, np.bool_))
+        else:
+            known = _boolean(same if name == "=" else ~same, null)
+        return self._or_asked(name, [a, b], known, doubtful)
 
-    def _numbers(self, *columns: ObjectColumn) -> bool:
-        for column in columns:
-            if column.kind is Kind.TERM and np.any(
-                column.present & (self.terms.sorts(column.values) == Sort.OTHER)
-            ):
-                raise NeedsOxigraph("arithmetic on literals of other datatypes")
-        return all(column.kind.is_number for column in columns)
+    def _or_asked(
+        self, name: str, columns: list[ObjectColumn], known: ObjectColumn, doubtful: Mask
+    ) -> ObjectColumn:
+        """What is known, and for the doubtful rows what Oxigraph says of the operator."""
+        if not np.any(doubtful):
+            return known
+        at, rest = np.flatnonzero(doubtful), np.flatnonzero(~doubtful)
+        names = [f"\0v{i}" for i in range(len(columns))]
+        given = {name: column.take(at) for name, column in zip(names, columns, strict=True)}
+        call = Call(name, tuple(map(Var, names)))
+        asked = ask(call, given, len(at), self.terms)
+        return scattered([at, rest], [asked, known.take(rest)], self.terms.dictionary)
+
+    def _ordered(self, name: str, a: ObjectColumn, b: ObjectColumn, kind: Kind) -> Mask:
+        """A comparison of numbers that are promoted to ``kind``."""
+        test = _ORDER[name]
+        if a.kind is b.kind is not Kind.TERM:
+            found: Mask = test(a.values, b.values)
+            return found
+        x, y = self.terms.approximate(a), self.terms.approximate(b)
+        found = test(x, y)
+        if kind in (Kind.FLOAT, Kind.DOUBLE):
+            return found
+        # Exact numbers are in order where their floats are; equal floats may stand for two.
+        doubtful = np.flatnonzero((x == y) & (np.abs(x) >= _EXACT))
+        if len(doubtful):
+            rows = doubtful.tolist()
+            pairs = zip(self.terms.exact(a, rows), self.terms.exact(b, rows), strict=True)
+            found[doubtful] = [test(left, right) for left, right in pairs]
+        return found
 
     def _arithmetic(self, name: str, a: ObjectColumn, b: ObjectColumn) -> ObjectColumn:
-        if not self._numbers(a, b):
-            return self._unbound()
-        null = either(a.null, b.null)
-        kind = max(a.kind, b.kind)
-        with np.errstate(all="ignore"):
-            values = _ARITHMETIC[name](a.values.astype(np.float64), b.values.astype(np.float64))
-            if kind is Kind.INTEGER and name != "/":
-                if np.any(np.abs(values) >= 2.0**62):
-                    raise NeedsOxigraph("an integer beyond 62 bits")
-                return ObjectColumn(kind, _ARITHMETIC[name](a.values, b.values), null)
-        if kind in (Kind.INTEGER, Kind.DECIMAL):
-            kind = Kind.DECIMAL
-            if name == "/" and np.any(b.values == 0):
-                null = either(null, b.values == 0)
-                values = np.where(b.values == 0, 0.0, values)
-            greater = np.maximum(np.abs(a.values), np.abs(b.values)) if name in "+-" else None
-            values = rounded(values, greater)
-        return ObjectColumn(kind, values, null)
+        left, right = self._number(a), self._number(b)
+        if left is None or right is None:
+            return self._or_asked(name, [a, b], self._unbound(), self._is_other(a, b))
+        null, kind = either(a.null, b.null), max(left, right)
+        if kind in (Kind.FLOAT, Kind.DOUBLE):
+            x, y = self.terms.approximate(a), self.terms.approximate(b)
+            with np.errstate(all="ignore"):
+                return ObjectColumn(kind, _ARITHMETIC[name](x, y), null)
+        if name == "/":
+            kind, zero = Kind.DECIMAL, self.terms.approximate(b) == 0
+            if zero.any():
+                null = either(null, zero)
+                b = ObjectColumn(b.kind, np.where(zero, 1, b.values))
+        if kind is Kind.INTEGER and a.kind is b.kind is Kind.INTEGER:
+            with np.errstate(all="ignore"):
+                size = np.abs(_ARITHMETIC[name](a.values.astype(np.float64), b.values))
+            values, known = _ARITHMETIC[name](a.values, b.values), size < 2.0**62
+        else:
+            found = self._combined(name, a, b, null)
+            if found is None:
+                values, known = np.zeros(self.rows, kind.dtype), np.zeros(self.rows, np.bool_)
+            else:
+                values, known = found
+        column = ObjectColumn(kind, values, null)
+        known = known if null is None else known | null
+        if known.all():
+            return column
+        return self._or_exact(column, known, lambda x, y: decimals.computed(name, x, y), [a, b])
+
+    def _combined(
+        self, name: str, a: ObjectColumn, b: ObjectColumn, null: Mask | None
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_]] | None:
+        """The codes of decimals that arithmetic gives, and which are known; None: none is."""
+        sides = []
+        for column in (a, b):
+            values = column.values
+            if column.kind is Kind.TERM:
+                return None
+            if null is not None:
+                values = np.where(null, 1, values)
+            if column.kind is Kind.INTEGER:
+                side = decimals.mantissas_of(values)
+            else:
+                side = decimals.mantissas(values)
+            if side is None:
+                return None
+            sides.append(side)
+        return decimals.combined(name, *sides)
+
+    def _or_exact(
+        self,
+        column: ObjectColumn,
+        known: NDArray[np.bool_],
+        operation: Callable[..., Decimal | None],
+        arguments: Sequence[ObjectColumn],
+    ) -> ObjectColumn:
+        """The column, and for the rows that are not known what ``operation`` gives of decimals."""
+        at, rest = np.flatnonzero(~known), np.flatnonzero(known)
+        rows = at.tolist()
+        sides = [self.terms.exact(argument, rows) for argument in arguments]
+        values = [operation(*numbers) for numbers in zip(*sides, strict=True)]
+        found = exact_column(column.kind, values, self.terms.dictionary.transient_id)
+        return scattered([at, rest], [found, column.take(rest)], self.terms.dictionary)
+
+    def _is_other(self, *columns: ObjectColumn) -> NDArray[np.bool_]:
+        """Where all are there, and one is a literal whose arithmetic Oxigraph may know."""
+        other = np.zeros(self.rows, np.bool_)
+        for column in columns:
+            if column.kind is Kind.TERM:
+                other |= self.terms.sorts(column.values) == Sort.OTHER
+        for column in columns:
+            other &= column.present
+        return other
 
     def _function(self, name: str, a: ObjectColumn) -> ObjectColumn:
         if name in ("ISIRI", "ISBLANK", "ISLITERAL", "ISNUMERIC"):
             return _boolean(self._is(name, a), a.null)
-        if not self._numbers(a):
-            return self._unbound()
-        values = a.values
-        match name:
-            case "NEGATE":
-                values = -values
-            case "ABS":
-                values = np.abs(values)
-            case "CEIL" | "FLOOR" | "ROUND" if a.kind is Kind.INTEGER:
-                pass
-            case "CEIL":
-                values = np.ceil(values)
-            case "FLOOR":
-                values = np.floor(values)
-            case "ROUND":
-                values = np.floor(values + 0.5)
-            case _:
-                raise NeedsOxigraph(f"the function {name}")
-        return ObjectColumn(a.kind, values, a.null)
+        kind = self._number(a)
+        if kind is None:
+            return self._or_asked(name, [a], self._unbound(), self._is_other(a))
+        if a.kind is Kind.TERM or (a.kind is Kind.INTEGER and _is_least(name, a)):
+            nothing = ObjectColumn(kind, np.zeros(self.rows, kind.dtype), a.null)
+            known = ~a.present
+            return self._or_exact(nothing, known, lambda x: decimals.rounded(name, x), [a])
+        if a.kind is Kind.INTEGER and name in ("CEIL", "FLOOR", "ROUND"):
+            return a
+        values = _FUNCTIONS[name](a.values)
+        # A decimal has no -0.
+        return ObjectColumn(a.kind, values + 0.0 if a.kind is Kind.DECIMAL else values, a.null)
 
     def _is(self, name: str, a: ObjectColumn) -> NDArray[np.bool_]:
         if a.kind is not Kind.TERM:
@@ -384,3 +502,25 @@ class _Rows:
 
 def _boolean(values: Any, null: Mask | None) -> ObjectColumn:
     return ObjectColumn(Kind.BOOLEAN, np.asarray(values, np.bool_), null)
+
+
+def _is_least(name: str, a: ObjectColumn) -> bool:
+    """Whether a value has no counterpart of the other sign in 64 bits, and needs one."""
+    return name in ("NEGATE", "ABS") and bool(np.any(a.values == np.iinfo(np.int64).min))
+
+
+def _round(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """ROUND of floats: a half goes towards positive infinity, -0.4 to -0 (XPath F&O §4.4.4)."""
+    with np.errstate(all="ignore"):
+        below = np.floor(values)
+        found = below + (values - below >= 0.5)
+    return np.where(found == 0, np.copysign(found, values), found)
+
+
+_FUNCTIONS: Final[dict[str, Callable[[Any], Any]]] = {
+    "NEGATE": operator.neg,
+    "ABS": np.abs,
+    "CEIL": np.ceil,
+    "FLOOR": np.floor,
+    "ROUND": _round,
+}

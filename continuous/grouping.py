@@ -12,7 +12,7 @@ from pyoxigraph import Literal
 
 from ..rdf.dictionary import NO_TERM
 from ..rdf.timed import Kind, ObjectColumn
-from .columns import Relation, Sort, TermValues, first_rows, key_codes, take_or_null
+from .columns import LONG, Relation, Sort, TermValues, first_rows, key_codes, take_or_null
 from .evaluation import evaluate
 from .expressions import Expression
 from .kernels import Groups
@@ -120,7 +120,8 @@ def _all_numbers(value: ObjectColumn, terms: TermValues) -> bool:
     if value.kind is not Kind.TERM:
         return value.kind.is_number
     sorts = terms.sorts(value.values[value.present])
-    return bool(np.all((sorts >= Sort.INTEGER) & (sorts <= Sort.DOUBLE)))
+    plain = (sorts >= Sort.INTEGER) & (sorts <= Sort.DOUBLE)
+    return bool(np.all(plain | np.isin(sorts, LONG)))
 
 
 def _first_of(rows: Rows, group: Rows, count: int) -> Rows:

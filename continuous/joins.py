@@ -6,7 +6,7 @@ bind of the shared variables, and each two parts are matched on what both bind.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Sequence, Set
 from typing import TypeAlias
 
 import numpy as np
@@ -60,11 +60,12 @@ def left_join(
     return _joined(left, right, at_left, at_right, terms)
 
 
-def minus(left: Relation, right: Relation, terms: TermValues) -> Relation:
-    """The rows of ``left`` that share no binding with a compatible row of ``right``."""
-    if not any(name in right.columns for name in left.columns):
+def minus(left: Relation, right: Relation, terms: TermValues, beside: str = "") -> Relation:
+    """The rows of ``left`` that share no binding with a compatible row of ``right``; that of the
+    variable ``beside`` does not count as shared."""
+    if not any(name in right.columns for name in left.columns if name != beside):
         return left
-    at_left, _ = match_rows(left, right, terms, disjoint=False)
+    at_left, _ = match_rows(left, right, terms, besides=frozenset({beside}))
     keep = np.ones(left.rows, np.bool_)
     keep[at_left] = False
     return left.take(keep)
@@ -81,19 +82,20 @@ def has_match(left: Relation, right: Relation, terms: TermValues) -> NDArray[np.
 
 
 def match_rows(
-    left: Relation, right: Relation, terms: TermValues, *, disjoint: bool = True
+    left: Relation, right: Relation, terms: TermValues, *, besides: Set[str] | None = None
 ) -> tuple[Rows, Rows]:
     """All pairs of compatible rows, by the left one, then by the right one.
 
-    ``disjoint``: rows that bind no variable together count as compatible. Cost: a sort of the right
-    keys for each combination of variables that are bound on the two sides: one where all are.
+    With ``besides``, rows that bind no variable but these together do not count. Cost: a sort of
+    the right keys for each combination of variables that are bound on the two sides: one where all
+    are.
     Raises `BudgetExceeded`.
     """
     shared = [name for name in left.columns if name in right.columns]
     parts = [
         _matched(left, right, bound, at_left, at_right, terms)
         for bound, at_left, at_right in _combinations(left, right, shared)
-        if bound or disjoint
+        if besides is None or not besides >= set(bound)
     ]
     if len(parts) == 1:
         return parts[0]
@@ -130,6 +132,17 @@ def _parted(relation: Relation, names: Sequence[str]) -> Iterator[tuple[int, Row
         masks |= relation.columns[name].present.astype(np.int64) << i
     for mask in np.unique(masks).tolist():
         yield int(mask), np.flatnonzero(masks == mask)
+
+
+def parted_by_bound(
+    relation: Relation, names: Sequence[str]
+) -> Iterator[tuple[Rows, tuple[str, ...]]]:
+    """The rows by which of ``names`` they bind: places, and these names."""
+    if all(relation.columns[name].null is None for name in names):
+        yield np.arange(relation.rows), tuple(names)
+        return
+    for mask, at in _parted(relation, names):
+        yield at, tuple(name for i, name in enumerate(names) if mask >> i & 1)
 
 
 def _matched(

@@ -1,25 +1,31 @@
 """The order of terms (SPARQL 1.1 §15.1), as arrays to sort by.
 
-Unbound, blank nodes, IRIs, literals. Of literals numbers come first, by value, then strings, then
-what has another order of its own (dates, booleans): the specification leaves that open, so it is
-chosen such that the same rows always give the same order.
+Unbound, blank nodes, IRIs, literals. Of literals numbers come first, NaN before the others by
+value, then strings, then what has another order of its own (dates, booleans): the specification
+leaves that open, so it is chosen such that the same rows always give the same order.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from decimal import Decimal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pyoxigraph import BlankNode, Literal, NamedNode, Store
 
 from ..languages.csparql import term_text
+from ..rdf.datatypes import INTEGERS
 from ..rdf.dictionary import Term
+from ..rdf.namespaces import XSD
 from ..rdf.timed import Kind, ObjectColumn
-from .columns import Sort, TermValues
+from .columns import LONG, Sort, TermValues
 
 SortKey = NDArray[np.int64] | NDArray[np.float64]
-_BLANK, _IRI, _NUMBER, _STRING, _OTHER = 1, 2, 3, 4, 5
+_BLANK, _IRI, _NAN, _NUMBER, _STRING, _OTHER = 1, 2, 3, 4, 5, 6
+_EXACT = 2.0**53
+"""From here on float64 does not tell all integers and decimals apart."""
 
 
 def sort_keys(column: ObjectColumn, terms: TermValues) -> list[SortKey]:
@@ -33,15 +39,16 @@ def sort_keys(column: ObjectColumn, terms: TermValues) -> list[SortKey]:
         values = np.where(column.present, column.values, column.kind.dtype.type(0))
         if column.kind is Kind.BOOLEAN:
             return [np.where(column.present, np.int64(_OTHER), np.int64(0)), values.astype(int)]
-        return [rank, values]
+        return [*_without_nan(rank, values)]
     sorts = terms.sorts(column.values)
-    is_number = column.present & (sorts >= Sort.INTEGER) & (sorts <= Sort.DOUBLE)
-    number = np.zeros(len(column), np.float64)
-    for sort in np.unique(sorts[is_number]).tolist():
-        at = np.flatnonzero(is_number & (sorts == sort))
-        part = ObjectColumn(Kind.TERM, column.values[at])
-        number[at] = terms.typed(part, Kind(sort)).values
+    is_number = (sorts >= Sort.INTEGER) & (sorts <= Sort.DOUBLE) | np.isin(sorts, LONG)
+    is_number &= column.present
+    number = np.where(is_number, terms.approximate(column), 0.0)
+    rank, number = _without_nan(rank, number)
     place = np.zeros(len(column), np.int64)
+    great = np.flatnonzero(np.abs(number) >= _EXACT)
+    if len(great):
+        place[great] = _exact_places(column.values[great], terms)
     others = np.flatnonzero(column.present & ~is_number)
     if len(others):
         ids, inverse = np.unique(column.values[others], return_inverse=True)
@@ -50,6 +57,29 @@ def sort_keys(column: ObjectColumn, terms: TermValues) -> list[SortKey]:
         rank[others] = classes[inverse.reshape(-1)]
         place[others] = ranks[inverse.reshape(-1)]
     return [rank, number, place]
+
+
+def _without_nan(rank: NDArray[np.int64], values: NDArray[Any]) -> tuple[Any, Any]:
+    """The ranks and the numbers, NaN ranked apart."""
+    if values.dtype != np.float64 or not (nan := np.isnan(values)).any():
+        return rank, values
+    return np.where(nan, np.int64(_NAN), rank), np.where(nan, 0.0, values)
+
+
+def _exact_places(ids: NDArray[np.int32], terms: TermValues) -> NDArray[np.int64]:
+    """The order of great numbers by their exact values."""
+    distinct, inverse = np.unique(ids, return_inverse=True)
+    literals = [terms.dictionary.term(id) for id in distinct.tolist()]
+    values = [_exact_value(literal) for literal in literals]
+    places = {value: place for place, value in enumerate(sorted(set(values)))}
+    return np.array([places[value] for value in values], np.int64)[inverse.reshape(-1)]
+
+
+def _exact_value(term: Term) -> Decimal:
+    assert isinstance(term, Literal)
+    if term.datatype.value in INTEGERS or term.datatype.value == XSD + "decimal":
+        return Decimal(term.value)
+    return Decimal(float(term.value))
 
 
 def _ranked(found: Sequence[Term]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -7,29 +7,53 @@ the bag (sums of float64 up to rounding), whatever the parts.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from decimal import Decimal
+from fractions import Fraction
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from pyoxigraph import Literal
 
-from ..rdf.timed import DATATYPES, Kind, ObjectColumn
-from .columns import NeedsOxigraph, Sort, TermValues, either, scattered
-from .decimals import rounded
+from ..rdf.dictionary import Term
+from ..rdf.timed import Kind, ObjectColumn
+from . import decimals
+from .columns import (
+    LONG,
+    NeedsOxigraph,
+    Sort,
+    TermValues,
+    either,
+    exact_column,
+    scattered,
+    term_column,
+)
+from .decimals import Mantissas
 from .exact import At
 from .kernels import Groups, RowFold, mirrored
+from .singles import Number, Singles, extreme, summed
 
-KINDS = (Kind.INTEGER, Kind.DECIMAL, Kind.FLOAT, Kind.DOUBLE)
 SAFE = 2**62
-TERMS, ERRORS = 0, 1
-"""Columns of what is no number: other terms, and errors of the argument."""
+TERMS, ERRORS, SINGLES = 0, 1, 2
+"""Columns of what no array of numbers holds: other terms, errors of the argument, `Singles`."""
+_GREAT = 2.0**960
+"""2^60 doubles that are less than this have a finite sum."""
+_CERTAIN = 2.0**53
+"""Below, integers and decimals that are equal as float64 are equal."""
+
+Key: TypeAlias = tuple[Kind, int]
+"""A kind of number and, of decimals, the scale of their mantissas (`decimals.SCALES`); else 0."""
+
+
+def dtype_of(key: Key) -> np.dtype[Any]:
+    """How the values of a `Key` are held: integers and mantissas as int64."""
+    return np.dtype(np.int64 if key[0] <= Kind.DECIMAL else np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Numbers:
-    """The values of one kind by group, all of shape ``(groups,)`` but ``ends``.
+    """The values of one `Key` by group, all of shape ``(groups,)`` but ``ends``.
 
     ``sums``: float64, int64, or Python integers where one does not fit. ``ends``: shape
     ``(groups, 2)``, the least value and the least mirrored one (`extremes`).
@@ -42,13 +66,20 @@ class Numbers:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Part:
-    """Rows of one kind; with None as kind, of no number: ``column`` is `TERMS` or `ERRORS`."""
+    """Rows of one `Key`; with None, of no number: ``column`` is `TERMS` or `ERRORS`.
 
-    kind: Kind | None
+    ``singles``: the values are numbers of Python, each to be kept by itself (`Singles`).
+    """
+
+    key: Key | None
     subjects: NDArray[np.int32]
     values: NDArray[Any]
     skip: NDArray[np.bool_] | None = None
     column: int = TERMS
+
+    @property
+    def single(self) -> bool:
+        return self.column == SINGLES
 
 
 def parts_of(
@@ -64,33 +95,86 @@ def parts_of(
         if failed.any():
             yield Part(None, subjects[failed], column.values[failed], column=ERRORS)
         skip = column.null if skip is None else column.null | skip
-    if column.kind is Kind.TERM:
-        rows = np.arange(len(subjects)) if skip is None else np.flatnonzero(~skip)
-        sorts = terms.sorts(column.values[rows])
-        for sort in np.unique(sorts).tolist():
-            at = rows[sorts == sort]
-            part = ObjectColumn(Kind.TERM, column.values[at])
-            if Sort.INTEGER <= sort <= Sort.DOUBLE:
-                kind = Kind(sort)
-                yield Part(kind, subjects[at], terms.typed(part, kind).values)
-            else:
-                yield Part(None, subjects[at], part.values)
-    elif column.kind is Kind.BOOLEAN:
-        rows = np.arange(len(subjects)) if skip is None else np.flatnonzero(~skip)
+    if column.kind.is_number:
+        yield from _number_parts(column.kind, subjects, column.values, skip)
+        return
+    rows = np.arange(len(subjects)) if skip is None else np.flatnonzero(~skip)
+    if column.kind is Kind.BOOLEAN:
         yield Part(None, subjects[rows], column.values[rows])
+        return
+    sorts = terms.sorts(column.values[rows])
+    for sort in np.unique(sorts).tolist():
+        at = rows[sorts == sort]
+        part = ObjectColumn(Kind.TERM, column.values[at])
+        if Sort.INTEGER <= sort <= Sort.DOUBLE:
+            kind = Kind(sort)
+            yield from _number_parts(kind, subjects[at], terms.typed(part, kind).values, None)
+        elif sort in LONG:
+            kind = Kind.INTEGER if sort == Sort.LONG_INTEGER else Kind.DECIMAL
+            yield _single(kind, subjects[at], terms.exact(part, range(len(at))))
+        else:
+            yield Part(None, subjects[at], part.values)
+
+
+def _number_parts(
+    kind: Kind,
+    subjects: NDArray[np.int32],
+    values: NDArray[Any],
+    skip: NDArray[np.bool_] | None,
+) -> Iterator[Part]:
+    """Rows of one kind; decimals as mantissas of one scale, if they have one."""
+    if kind is Kind.INTEGER:
+        yield Part((kind, 0), subjects, values, skip)
+    elif kind is not Kind.DECIMAL:
+        if not len(values) or -_GREAT < values.min() <= values.max() < _GREAT:
+            yield Part((kind, 0), subjects, values, skip)
+            return
+        great = np.isfinite(values) & (np.abs(values) >= _GREAT)
+        great = great if skip is None else great & ~skip
+        if great.any():
+            yield _single(kind, subjects[great], values[great].tolist())
+            skip = great if skip is None else great | skip
+        yield Part((kind, 0), subjects, values, skip)
     else:
-        yield Part(column.kind, subjects, column.values, skip)
+        if skip is not None:
+            values = np.where(skip, 0.0, values)
+        found = decimals.mantissas(values)
+        if found is not None:
+            yield Part((kind, found.scale), subjects, found.values, skip)
+            return
+        yield from _decimal_parts(subjects, values, skip)
+
+
+def _decimal_parts(
+    subjects: NDArray[np.int32], codes: NDArray[np.float64], skip: NDArray[np.bool_] | None
+) -> Iterator[Part]:
+    """Decimals of several scales, a part each."""
+    rows = np.arange(len(subjects)) if skip is None else np.flatnonzero(~skip)
+    for scale in decimals.SCALES:
+        fits, found = decimals.fitting(codes[rows], scale)
+        if fits.any():
+            yield Part((Kind.DECIMAL, scale), subjects[rows[fits]], found.values[fits])
+            rows = rows[~fits]
+    if len(rows):
+        numbers = [decimals.of_code(code) for code in codes[rows].tolist()]
+        yield _single(Kind.DECIMAL, subjects[rows], numbers)
+
+
+def _single(kind: Kind, subjects: NDArray[np.int32], values: Sequence[Number]) -> Part:
+    kept = np.empty(len(values), object)
+    kept[:] = values
+    return Part((kind, 0), subjects, kept, column=SINGLES)
 
 
 class NumberFold:
-    """Rows of one kind folded by group, integers exactly.
+    """Rows of one `Key` folded by group, integers exactly.
 
     A sum of int64 wraps around at 64 bits. Where it might, the upper halves of the values are
     summed too, which tells how often it did.
     """
 
-    def __init__(self, kind: Kind, extremes: bool) -> None:
-        self._rows = RowFold(kind.dtype, extremes)
+    def __init__(self, key: Key, extremes: bool) -> None:
+        self._rows = RowFold(dtype_of(key), extremes)
         self._high: RowFold | None = None
         self._bound = 0
 
@@ -144,12 +228,13 @@ class NumberFold:
 class Partial:
     """One argument's rows by group.
 
-    ``others``: shape ``(groups, 2)``, how many are `TERMS` and how many `ERRORS`, None: none are.
-    Cost and memory: see `RowFold`.
+    ``others``: shape ``(groups, 3)``, how many are `TERMS`, `ERRORS` and `SINGLES`, None: none are.
+    Cost and memory: see `RowFold` and `Singles`.
     """
 
-    numbers: dict[Kind, Numbers] = field(default_factory=dict)
+    numbers: dict[Key, Numbers] = field(default_factory=dict)
     others: NDArray[np.int64] | None = None
+    singles: Singles = field(default_factory=Singles)
 
     @classmethod
     def of(
@@ -163,24 +248,27 @@ class Partial:
         """All rows of ``column`` for the groups of ``subjects``, which are there."""
         made = cls()
         for part in parts_of(subjects, column, None, terms):
-            if part.kind is None:
+            if part.key is None or part.single:
                 if made.others is None:
-                    made.others = np.zeros((groups.used, 2), np.int64)
-                np.add.at(made.others[:, part.column], groups.groups(part.subjects), 1)
+                    made.others = np.zeros((groups.used, 3), np.int64)
+                at = groups.groups(part.subjects)
+                np.add.at(made.others[:, part.column], at, 1)
+                if part.key is not None:
+                    made.singles.add(at, part.key[0], part.values, 1)
                 continue
-            fold = NumberFold(part.kind, extremes)
+            fold = NumberFold(part.key, extremes)
             fold.add(part.subjects, part.values, part.skip, groups)
             columns, high = fold.take_all(groups.used)
             sums, counts = columns[0], columns[1].astype(np.int64)
             if high is not None:
                 sums = high.astype(object) * 2**32 + sums.astype(object)
-            made.numbers[part.kind] = Numbers(sums, counts, columns[2:].T if extremes else None)
+            made.numbers[part.key] = Numbers(sums, counts, columns[2:].T if extremes else None)
         return made
 
     def merged(self, groups: NDArray[np.int64], rows: NDArray[np.int64], count: int) -> Partial:
         """The partial of ``count`` groups where group ``groups[i]`` takes in our ``rows[i]``."""
-        made = Partial()
-        for kind, mine in self.numbers.items():
+        made = Partial(singles=self.singles.merged(groups, rows))
+        for key, mine in self.numbers.items():
             sums = mine.sums
             if sums.dtype == np.int64 and len(sums) and _greatest(sums) * len(rows) >= SAFE:
                 sums = sums.astype(object)
@@ -189,11 +277,11 @@ class Partial:
             np.add.at(counts, groups, mine.counts[rows])
             ends = None
             if mine.ends is not None:
-                ends = np.full((count, 2), _nothing(kind), mine.ends.dtype)
+                ends = np.full((count, 2), _nothing(mine.ends.dtype), mine.ends.dtype)
                 np.minimum.at(ends, groups, mine.ends[rows])
-            made.numbers[kind] = Numbers(total, counts, ends)
+            made.numbers[key] = Numbers(total, counts, ends)
         if self.others is not None:
-            made.others = np.zeros((count, 2), np.int64)
+            made.others = np.zeros((count, 3), np.int64)
             np.add.at(made.others, groups, self.others[rows])
         return made
 
@@ -201,118 +289,183 @@ class Partial:
         self, function: str, groups: NDArray[np.int64], terms: TermValues, star: bool = False
     ) -> ObjectColumn:
         """The aggregate's value for all ``groups``: null where it is an error or unbound."""
-        counts = {kind: of.counts for kind, of in self.numbers.items()}
-        kinds = [kind for kind in KINDS if kind in counts and counts[kind].any()]
-        numbers = counts[kinds[0]] if kinds else np.zeros(len(groups), np.int64)
-        for kind in kinds[1:]:
-            numbers = numbers + counts[kind]
+        keys = sorted(key for key, of in self.numbers.items() if of.counts.any())
+        numbers = np.zeros(len(groups), np.int64)
+        for key in keys:
+            numbers = numbers + self.numbers[key].counts
         others = self.others
+        if others is not None:
+            numbers = numbers + others[:, SINGLES]
         if function == "COUNT":
             if others is not None:
                 numbers = numbers + others[:, TERMS] + (others[:, ERRORS] if star else 0)
             return ObjectColumn(Kind.INTEGER, numbers)
-        extreme = function in ("MIN", "MAX")
+        is_extreme = function in ("MIN", "MAX")
         wrong: NDArray[np.bool_] | None = None
         if others is not None:
             # One error among the values makes the aggregate an error; so does a term in a sum.
-            if extreme and others[:, TERMS].any():
+            if is_extreme and others[:, TERMS].any():
                 raise NeedsOxigraph(f"{function} over terms that are no numbers")
-            wrong = np.asarray(others.any(axis=1))
-        if extreme and not numbers.all():
+            wrong = np.asarray((others[:, TERMS] > 0) | (others[:, ERRORS] > 0))
+        if is_extreme and not numbers.all():
             wrong = numbers == 0 if wrong is None else wrong | (numbers == 0)
         null = wrong if wrong is not None and wrong.any() else None
-        if not kinds:
-            return ObjectColumn(Kind.INTEGER, np.zeros(len(groups), np.int64), null)
-        if extreme:
-            column = self._extreme(function, kinds, len(groups), counts, terms)
+        single = np.zeros(len(groups), np.bool_)
+        single[list(self.singles.groups)] = True
+        if not keys:
+            column = ObjectColumn(Kind.INTEGER, np.zeros(len(groups), np.int64))
+        elif is_extreme:
+            column, doubtful = self._extreme(function, keys, len(groups), terms)
+            single |= doubtful
         else:
-            column = self._total(function == "AVG", kinds, counts, numbers, terms)
+            column = self._total(function == "AVG", keys, numbers, terms)
+        if single.any():
+            at, rest = np.flatnonzero(single), np.flatnonzero(~single)
+            found = [self._one_by_one(function, keys, group) for group in at.tolist()]
+            few = term_column(found, terms.dictionary.transient_id)
+            column = scattered([at, rest], [few, column.take(rest)], terms.dictionary)
         return ObjectColumn(column.kind, column.values, either(null, column.null))
 
+    def _one_by_one(self, function: str, keys: list[Key], group: int) -> Term | None:
+        """The aggregate's value for one group, of any numbers."""
+        there = [key for key in keys if self.numbers[key].counts[group]]
+        singles = list(self.singles.numbers(group))
+        if function in ("MIN", "MAX"):
+            ends = [(key[0], self._end(key, group, function == "MIN")) for key in there]
+            return extreme(
+                [*ends, *((kind, value) for kind, value, _ in singles)], function == "MIN"
+            )
+        sums = [(key[0], _number(key, self.numbers[key].sums[group]), 1) for key in there]
+        count = sum(times for _, _, times in singles)
+        count += sum(int(self.numbers[key].counts[group]) for key in there)
+        return summed([*sums, *singles], count if function == "AVG" else None)
+
+    def _end(self, key: Key, group: int, least: bool) -> Number:
+        ends = self.numbers[key].ends
+        assert ends is not None
+        return _number(key, ends[group, 0] if least else mirrored(ends[group : group + 1, 1])[0])
+
     def _total(
-        self,
-        average: bool,
-        kinds: list[Kind],
-        counts: dict[Kind, NDArray[np.int64]],
-        numbers: NDArray[np.int64],
-        terms: TermValues,
+        self, average: bool, keys: list[Key], numbers: NDArray[np.int64], terms: TermValues
     ) -> ObjectColumn:
-        sums = {kind: self.numbers[kind].sums for kind in kinds}
-        if len(kinds) == 1:
-            return _sum_column(kinds[0], sums[kinds[0]], numbers, average, terms)
+        if len(keys) == 1:
+            kind, scale = keys[0]
+            sums = self.numbers[keys[0]].sums
+            return _sum_column(kind, sums, scale, numbers, average, terms)
         promoted = np.full(len(numbers), int(Kind.INTEGER))
-        for kind in kinds:
-            promoted = np.where(counts[kind] > 0, int(kind), promoted)
+        for key in keys:
+            promoted = np.where(self.numbers[key].counts > 0, int(key[0]), promoted)
         places, parts = [], []
         for code in np.unique(promoted).tolist():
             at = np.flatnonzero(promoted == code)
+            own = [key for key in keys if key[0] <= code]
+            scale = max((key[1] for key in own), default=0) if code <= Kind.DECIMAL else 0
             values: NDArray[Any] = np.zeros(len(at), np.int64)
-            for kind in kinds:
-                if int(kind) <= code:
-                    part = sums[kind][at]
-                    values = values + (part if code == Kind.INTEGER else part.astype(np.float64))
+            for key in own:
+                part = self.numbers[key].sums[at]
+                if code > Kind.DECIMAL:
+                    values = values + part.astype(np.float64) / 10.0 ** key[1]
+                else:
+                    values = _exact_sum(values, part, scale - key[1])
             places.append(at)
-            parts.append(_sum_column(Kind(code), values, numbers[at], average, terms))
+            parts.append(_sum_column(Kind(code), values, scale, numbers[at], average, terms))
         return scattered(places, parts, terms.dictionary)
 
     def _extreme(
-        self,
-        function: str,
-        kinds: list[Kind],
-        rows: int,
-        counts: dict[Kind, NDArray[np.int64]],
-        terms: TermValues,
-    ) -> ObjectColumn:
+        self, function: str, keys: list[Key], rows: int, terms: TermValues
+    ) -> tuple[ObjectColumn, NDArray[np.bool_]]:
+        """The extremes, and for which groups float64 could not tell two numbers apart."""
         side = 0 if function == "MIN" else 1
         ends = {}
-        for kind in kinds:
-            found = self.numbers[kind].ends
+        for key in keys:
+            found = self.numbers[key].ends
             assert found is not None
-            ends[kind] = mirrored(found[:, 1]) if side else found[:, 0]
-        if len(kinds) == 1:
-            return ObjectColumn(kinds[0], ends[kinds[0]])
+            values = mirrored(found[:, 1]) if side else found[:, 0]
+            ends[key] = values / 10.0 ** key[1] if key[0] is Kind.DECIMAL else values
+        doubtful = np.zeros(rows, np.bool_)
+        if len(keys) == 1:
+            return ObjectColumn(keys[0][0], ends[keys[0]]), doubtful
         worst = np.inf if side == 0 else -np.inf
         best = np.full(rows, worst)
-        chosen = np.zeros(rows, np.int64)
-        for kind in kinds:
-            value = np.where(counts[kind] > 0, ends[kind].astype(np.float64), worst)
+        chosen = np.full(rows, -1)
+        for i, key in enumerate(keys):
+            there = self.numbers[key].counts > 0
+            value = np.where(there, ends[key].astype(np.float64), worst)
+            doubtful |= there & (chosen >= 0) & (value == best) & (np.abs(value) >= _CERTAIN)
             better = (value < best) if side == 0 else (value > best)
-            better |= (chosen == 0) & (counts[kind] > 0)
-            best, chosen = np.where(better, value, best), np.where(better, int(kind), chosen)
+            # A NaN is the extreme, whichever number stands beside it.
+            better |= ((chosen < 0) & there) | np.isnan(value)
+            best, chosen = np.where(better, value, best), np.where(better, i, chosen)
         places, parts = [], []
-        for code in np.unique(chosen).tolist():
-            at = np.flatnonzero(chosen == code)
-            kind = kinds[0] if code == 0 else Kind(code)
-            parts.append(ObjectColumn(kind, ends[kind][at]))
+        for i in np.unique(chosen).tolist():
+            at = np.flatnonzero(chosen == i)
+            key = keys[max(i, 0)]
+            parts.append(ObjectColumn(key[0], ends[key][at]))
             places.append(at)
-        return scattered(places, parts, terms.dictionary)
+        return scattered(places, parts, terms.dictionary), doubtful
+
+
+def _number(key: Key, value: Any) -> Number:
+    """A sum or an extreme of the arrays as a number of Python."""
+    if key[0] <= Kind.DECIMAL:
+        return decimals.scaled(int(value), key[1])
+    return float(value)
+
+
+def _exact_sum(total: NDArray[Any], part: NDArray[Any], places: int) -> NDArray[Any]:
+    """``total + part * 10**places``, in Python integers where int64 might overflow."""
+    if total.dtype == part.dtype == np.int64 and len(part):
+        greatest = max(_greatest(part) * 10**places, _greatest(total))
+        if greatest < SAFE // 2:
+            return np.asarray(total + part * 10**places)
+    return np.asarray(total.astype(object) + part.astype(object) * 10**places)
 
 
 def _sum_column(
     kind: Kind,
     sums: NDArray[Any],
+    scale: int,
     numbers: NDArray[np.int64],
     average: bool,
     terms: TermValues,
 ) -> ObjectColumn:
+    """Sums as they are shown; ``scale``: of exact ones, which are mantissas."""
+    if kind > Kind.DECIMAL:
+        return ObjectColumn(kind, sums / np.maximum(numbers, 1) if average else sums)
+    whole = sums
+    if sums.dtype == object:
+        # Some are beyond 64 bits, few as a rule: those are computed one by one.
+        fits = np.array([-(2**63) <= value < 2**63 for value in sums], np.bool_)
+        whole = np.where(fits, sums, 0).astype(np.int64)
+    else:
+        fits = np.ones(len(sums), np.bool_)
     if average:
         # The average of integers is a decimal (SPARQL 1.1 §18.5.1.4), of nothing the integer 0.
-        values = sums.astype(np.float64) / np.maximum(numbers, 1)
-        if kind in (Kind.INTEGER, Kind.DECIMAL):
-            return ObjectColumn(Kind.DECIMAL, rounded(values))
-        return ObjectColumn(kind, values)
-    if sums.dtype == object:
-        whole = [int(value) for value in sums]
-        if all(-(2**63) <= value < 2**63 for value in whole):
-            return ObjectColumn(kind, np.array(whole, np.int64))
-        datatype = DATATYPES[Kind.INTEGER]
-        literals = (Literal(str(value), datatype=datatype) for value in whole)
-        return ObjectColumn(Kind.TERM, terms.dictionary.transient_ids(literals))
-    return ObjectColumn(kind, rounded(sums) if kind is Kind.DECIMAL else sums)
+        kind = Kind.DECIMAL
+        values, known = decimals.quotients(whole, scale, np.maximum(numbers, 1))
+        known &= fits
+    elif kind is Kind.INTEGER:
+        values, known = whole, fits
+    else:
+        values, known = decimals.coded(Mantissas(whole, scale))
+        known &= fits
+    column = ObjectColumn(kind, values)
+    if known.all():
+        return column
+    at, rest = np.flatnonzero(~known), np.flatnonzero(known)
+    exact: list[Decimal | None] = []
+    for value, count in zip(sums[at].tolist(), numbers[at].tolist(), strict=True):
+        found = Fraction(int(value), 10**scale)
+        if average:
+            exact.append(decimals.quotient(found, Fraction(max(count, 1))))
+        else:
+            exact.append(decimals.scaled(int(value), scale))
+    few = exact_column(kind, exact, terms.dictionary.transient_id)
+    return scattered([at, rest], [few, column.take(rest)], terms.dictionary)
 
 
-def _nothing(kind: Kind) -> Any:
-    return 2**63 - 1 if kind is Kind.INTEGER else np.inf
+def _nothing(dtype: np.dtype[Any]) -> Any:
+    return np.inf if dtype == np.float64 else 2**63 - 1
 
 
 def _greatest(values: NDArray[Any]) -> int:

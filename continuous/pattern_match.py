@@ -46,6 +46,8 @@ CONSTANT, VARIABLE, ADD, SUBTRACT, MULTIPLY, DIVIDE = 0, 1, 2, 3, 4, 5
 EQUAL, UNEQUAL, LESS, LESS_EQUAL, GREATER, GREATER_EQUAL = 6, 7, 8, 9, 10, 11
 AND, OR, NOT, NEGATE = 12, 13, 14, 15
 
+LONGS = 9
+"""`columns.Sort`: from here on no term is told from another by its id alone."""
 OVERSPENT = -2
 """The answer of `match` that has looked at more rows than it may."""
 DOUBTFUL = -1
@@ -405,36 +407,66 @@ def _match(
                         if not (a_number and b_number):
                             return DOUBTFUL, DOUBTFUL
                         tag = max(a_tag, b_tag)
-                        if what == ADD:
-                            value = a + b
-                        elif what == SUBTRACT:
-                            value = a - b
-                        elif what == MULTIPLY:
-                            value = a * b
+                        if what == DIVIDE:
+                            if b == 0.0:
+                                if tag > 2:
+                                    # Infinite, or no number.
+                                    return DOUBTFUL, DOUBTFUL
+                                stack_tags[top] = -1
+                                continue
+                            tag = max(tag, np.int64(2))
+                        if tag != 2:
+                            if what == ADD:
+                                value = a + b
+                            elif what == SUBTRACT:
+                                value = a - b
+                            elif what == MULTIPLY:
+                                value = a * b
+                            else:
+                                value = a / b
                         else:
-                            if tag <= 2:
-                                tag = np.int64(2)
-                                if b == 0.0:
-                                    stack_tags[top] = -1
-                                    continue
-                            elif b == 0.0:
-                                # The quotient of a double by zero: infinite, or no number.
+                            # As `decimals.combined`: mantissas of one scale.
+                            scale = np.int64(0)
+                            while scale <= 15:
+                                x = np.rint(a * POWERS[scale + 22])
+                                y = np.rint(b * POWERS[scale + 22])
+                                if x / POWERS[scale + 22] == a and y / POWERS[scale + 22] == b:
+                                    break
+                                scale += 1
+                            if scale > 15 or abs(x) > 1e15 or abs(y) > 1e15:
                                 return DOUBTFUL, DOUBTFUL
-                            value = a / b
-                        if tag == 2 and value != 0.0:
-                            # As `decimals.rounded`.
-                            size_of = max(abs(a), abs(b)) if what <= SUBTRACT else abs(value)
-                            power = 44
-                            while power >= 0 and POWERS[power] > size_of:
-                                power -= 1
-                            digits = 14 - (power - 22)
-                            if 14 <= power <= 43:
-                                if digits >= 0:
-                                    scale = POWERS[digits + 22]
-                                    value = np.rint(value * scale) / scale
-                                else:
-                                    scale = POWERS[22 - digits]
-                                    value = np.rint(value / scale) * scale
+                            if what == ADD:
+                                value = x + y
+                            elif what == SUBTRACT:
+                                value = x - y
+                            elif what == MULTIPLY:
+                                value = x * y
+                                scale = scale * 2
+                            else:
+                                # As `decimals.quotients`, a digit after the other.
+                                above, below = np.int64(abs(x)), np.int64(abs(y))
+                                digits, rest = above // below, above % below
+                                scale = np.int64(0)
+                                while rest != 0 and digits < 100000000000000 and scale < 22:
+                                    digits = digits * 10 + rest * 10 // below
+                                    rest = rest * 10 % below
+                                    scale += 1
+                                if rest != 0:
+                                    others = below
+                                    while others % 2 == 0:
+                                        others = others // 2
+                                    while others % 5 == 0:
+                                        others = others // 5
+                                    if above % others == 0 or scale == 22:
+                                        return DOUBTFUL, DOUBTFUL
+                                    if 2 * rest > below:
+                                        digits += 1
+                                value = float(digits)
+                                if (x < 0.0) != (y < 0.0):
+                                    value = -value
+                            if abs(value) > 1e15 or scale > 22:
+                                return DOUBTFUL, DOUBTFUL
+                            value = value / POWERS[scale + 22]
                         if tag == 1 and abs(value) > 9007199254740992.0:
                             return DOUBTFUL, DOUBTFUL
                         stack_tags[top] = tag
@@ -457,9 +489,10 @@ def _match(
                     elif what <= UNEQUAL:
                         same = a_tag == b_tag and a_id == b_id
                         if not same:
-                            if a_tag == 0 and term_sorts[a_id] == 0:
+                            # Other literals, and numbers that are too long for a column.
+                            if a_tag == 0 and not 0 < term_sorts[a_id] < LONGS:
                                 return DOUBTFUL, DOUBTFUL
-                            if b_tag == 0 and term_sorts[b_id] == 0:
+                            if b_tag == 0 and not 0 < term_sorts[b_id] < LONGS:
                                 return DOUBTFUL, DOUBTFUL
                         result = same == (what == EQUAL)
                     else:

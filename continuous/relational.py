@@ -29,7 +29,7 @@ from .columns import (
 from .evaluation import evaluate, holds
 from .expressions import Const, Var
 from .grouping import aggregate, ordered
-from .joins import has_match, join_all, left_join, minus
+from .joins import has_match, join_all, left_join, minus, parted_by_bound
 from .logical import (
     Aggregate,
     AnyScan,
@@ -126,7 +126,9 @@ def _execute(plan: Plan, source: Source, terms: TermValues) -> Relation:
         case Union(parts):
             return united([execute(part, source, terms) for part in parts], terms)
         case Minus(child, removed):
-            return minus(execute(child, source, terms), execute(removed, source, terms), terms)
+            return minus(
+                execute(child, source, terms), execute(removed, source, terms), terms, SEED
+            )
         case Exists():
             return _marked(plan, source, terms)
         case Filter(condition, child):
@@ -198,24 +200,37 @@ def _marked(plan: Exists, source: Source, terms: TermValues) -> Relation:
     pattern = plan.pattern
     names = mentioned(pattern) & child.columns.keys()
     if _looks_outside(pattern, names) or _depends(pattern, names):
-        bound = distinct(_projected(child, tuple(sorted(names))), terms)
-        row = ObjectColumn(Kind.INTEGER, np.arange(bound.rows))
-        given = Given(tuple(sorted(names)))
-        seeds = Relation({**bound.columns, _SEED: row}, bound.rows)
-        solved = execute(_seeded(pattern, given), _With(source, given, seeds), terms)
-        hit = np.zeros(bound.rows, np.bool_)
-        if _SEED in solved.columns:
-            hit[solved.columns[_SEED].values] = True
-        elif solved.rows:
-            hit[:] = True
-        found = has_match(child, bound.take(hit), terms)
+        found = _substituted(pattern, child, names, source, terms)
     else:
         found = has_match(child, execute(pattern, source, terms), terms)
     mark = ObjectColumn(Kind.BOOLEAN, found)
     return Relation({**child.columns, plan.variable: mark}, child.rows, child.key)
 
 
-_SEED = "\0seed"
+def _substituted(
+    pattern: Plan, child: Relation, names: Set[str], source: Source, terms: TermValues
+) -> NDArray[np.bool_]:
+    """For which rows of ``child`` the pattern has a solution with the row's terms of ``names`` put
+    in. Rows that leave other variables unbound are solved apart: these stay variables."""
+    found = np.zeros(child.rows, np.bool_)
+    for at, known in parted_by_bound(child, tuple(sorted(names))):
+        part = child.take(at)
+        bound = distinct(_projected(part, known), terms)
+        row = ObjectColumn(Kind.INTEGER, np.arange(bound.rows))
+        given = Given(known)
+        seeds = Relation({**bound.columns, SEED: row}, bound.rows)
+        solved = execute(_seeded(pattern, given), _With(source, given, seeds), terms)
+        hit = np.zeros(bound.rows, np.bool_)
+        if SEED in solved.columns:
+            hit[solved.columns[SEED].values] = True
+        elif solved.rows:
+            hit[:] = True
+        found[at] = has_match(part, bound.take(hit), terms)
+    return found
+
+
+SEED = "\0seed"
+"""The row of terms that a solution was found for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -259,11 +274,14 @@ def _looks_outside(plan: Plan, names: Set[str]) -> bool:
 def _depends(plan: Plan, names: Set[str]) -> bool:
     """Whether substituting ``names`` changes more than which solutions of ``plan`` remain.
 
-    It does in the right side of an OPTIONAL (its left rows get, or miss, a partner by it), and in
-    an EXISTS of which the rows of ``plan`` do not bind them all.
+    It does in the right side of an OPTIONAL (its left rows get, or miss, a partner by it), in that
+    of a MINUS (what is substituted is no variable that two rows share), and in an EXISTS of which
+    the rows of ``plan`` do not bind them all.
     """
     for node in walk(plan):
         if isinstance(node, LeftJoin) and mentioned(node.optional) & names - certain(node.child):
+            return True
+        if isinstance(node, Minus) and mentioned(node.removed) & names:
             return True
         if isinstance(node, Exists) and mentioned(node.pattern) & names - certain(node.child):
             return True
@@ -273,8 +291,10 @@ def _depends(plan: Plan, names: Set[str]) -> bool:
 def _seeded(plan: Plan, given: Given) -> Plan:
     """``plan`` with the given solutions joined in at each leaf."""
     match plan:
-        case Minus():
-            raise NeedsOxigraph("MINUS inside EXISTS that looks outside")
+        case Minus(child, removed):
+            # Only what is still a variable counts as shared.
+            own = tuple(sorted(mentioned(removed) - frozenset(given.variables)))
+            return Minus(_seeded(child, given), Project((*own, SEED), _seeded(removed, given)))
         case Project() | Distinct() | Aggregate() | Slice() | Order() | Closure():
             return Join((given, plan))
         case Scan() | TypeScan() | AnyScan() | Values() | Given():

@@ -19,7 +19,8 @@ from .columns import TermValues
 from .exact import At, FloatTotals, IntegerTotals
 from .extremes import SlidingExtremes
 from .kernels import Groups, grown, mirrored
-from .partials import NumberFold, Numbers, Part, Partial, parts_of
+from .partials import Key, NumberFold, Numbers, Part, Partial, dtype_of, parts_of
+from .singles import Singles
 
 Rows = NDArray[np.int64] | slice
 """Groups; a slice has a stop only."""
@@ -62,7 +63,7 @@ class Touched:
 
 
 class SlidingNumbers:
-    """One argument's values of one kind: sums and counts, and extremes if asked for.
+    """One argument's values of one `Key`: sums and counts, and extremes if asked for.
 
     Law: `numbers` is of the rows in all panes pushed and not evicted, and of those added and not
     taken away; extremes of the rows in panes and of those held. Cost: see `RowFold`; then
@@ -70,13 +71,13 @@ class SlidingNumbers:
     numbers a touched group and pane.
     """
 
-    def __init__(self, kind: Kind, extremes: bool, panes: int) -> None:
-        self._fold = NumberFold(kind, extremes)
+    def __init__(self, key: Key, extremes: bool, panes: int) -> None:
+        self._fold = NumberFold(key, extremes)
         self._panes: deque[_Pane] = deque()
         self._totals: IntegerTotals | FloatTotals = (
-            IntegerTotals() if kind is Kind.INTEGER else FloatTotals()
+            IntegerTotals() if key[0] <= Kind.DECIMAL else FloatTotals()
         )
-        self._sliding = SlidingExtremes(kind.dtype, panes) if extremes else None
+        self._sliding = SlidingExtremes(dtype_of(key), panes) if extremes else None
         self._held: NDArray[Any] | None = None
 
     def counts_of(self, rows: Rows) -> NDArray[np.int64]:
@@ -185,10 +186,11 @@ class SlidingPartial:
 
     def __init__(self, extremes: bool, panes: int, *, distinct: bool) -> None:
         self._wants_extremes, self._panes, self._distinct = extremes, panes, distinct
-        self._kinds: dict[Kind, SlidingNumbers] = {}
-        self._others: NDArray[np.int64] = np.zeros((0, 2), np.int64)
-        self._odd: list[tuple[NDArray[np.int32], int]] = []
-        self._odd_panes: deque[tuple[int, NDArray[np.int32], int]] = deque()
+        self._kinds: dict[Key, SlidingNumbers] = {}
+        self._others: NDArray[np.int64] = np.zeros((0, 3), np.int64)
+        self._singles = Singles()
+        self._odd: list[tuple[NDArray[np.int32], Part]] = []
+        self._odd_panes: deque[tuple[int, NDArray[np.int32], Part]] = deque()
         self._odd_rows = 0
 
     def fold(
@@ -203,10 +205,10 @@ class SlidingPartial:
         if self._distinct and not self._wants_extremes:
             return
         for part in parts_of(subjects, column, skip, terms):
-            if part.kind is not None:
-                self._of(part.kind).fold(part, groups)
+            if part.key is not None and not part.single:
+                self._of(part.key).fold(part, groups)
             elif not self._distinct:
-                self._odd.append((groups.groups(part.subjects), part.column))
+                self._odd.append((groups.groups(part.subjects), part))
 
     def abandon(self, used: int) -> None:
         """Forget the rows of the pane that is being read."""
@@ -218,9 +220,9 @@ class SlidingPartial:
         """The pane has been read."""
         for numbers in self._kinds.values():
             numbers.push(end, used, touched, distinct=self._distinct)
-        for at, column in self._odd:
-            self._odd_panes.append((end, at, column))
-            self._count(at, column, 1, touched)
+        for at, part in self._odd:
+            self._odd_panes.append((end, at, part))
+            self._count(at, part, 1, touched)
         self._odd = []
 
     def evict(self, until: int, touched: Touched) -> None:
@@ -228,8 +230,8 @@ class SlidingPartial:
         for numbers in self._kinds.values():
             numbers.evict(until, touched)
         while self._odd_panes and self._odd_panes[0][0] <= until:
-            _, at, column = self._odd_panes.popleft()
-            self._count(at, column, -1, touched)
+            _, at, part = self._odd_panes.popleft()
+            self._count(at, part, -1, touched)
 
     def add(
         self,
@@ -245,11 +247,11 @@ class SlidingPartial:
             present = slice(None) if part.skip is None else ~part.skip
             at = groups.groups(part.subjects[present])
             touched.reserve(groups.used)
-            if part.kind is None:
-                self._count(at, part.column, sign, touched)
+            if part.key is None or part.single:
+                self._count(at, part, sign, touched)
             else:
                 touched.mark(at)
-                self._of(part.kind).add(at, part.values[present], sign)
+                self._of(part.key).add(at, part.values[present], sign)
 
     def hold(
         self,
@@ -262,10 +264,10 @@ class SlidingPartial:
         for numbers in self._kinds.values():
             numbers.release()
         for part in parts_of(subjects, column, None, terms):
-            if part.kind is not None:
+            if part.key is not None and not part.single:
                 present = slice(None) if part.skip is None else ~part.skip
                 at = groups.groups(part.subjects[present])
-                self._of(part.kind).hold(at, part.values[present])
+                self._of(part.key).hold(at, part.values[present])
 
     def rows(self, rows: Rows) -> NDArray[np.int64]:
         """How many rows each of the groups ``rows`` has, errors too. Not to be changed."""
@@ -279,7 +281,8 @@ class SlidingPartial:
 
     def partial(self, rows: NDArray[np.int64]) -> Partial:
         """The aggregates of the groups ``rows``, as groups 0, 1, 2 …"""
-        made = Partial({kind: numbers.numbers(rows) for kind, numbers in self._kinds.items()})
+        made = Partial({key: numbers.numbers(rows) for key, numbers in self._kinds.items()})
+        made.singles = self._singles.of(rows)
         if self._odd_rows:
             self._reserve(int(rows.max(initial=-1)) + 1)
             made.others = self._others[rows]
@@ -291,18 +294,21 @@ class SlidingPartial:
             numbers.keep(kept, new)
         self._reserve(int(kept.max(initial=-1)) + 1)
         self._others = self._others[kept]
-        self._odd_panes = deque((end, new[at], column) for end, at, column in self._odd_panes)
+        self._singles.keep(new)
+        self._odd_panes = deque((end, new[at], part) for end, at, part in self._odd_panes)
 
-    def _of(self, kind: Kind) -> SlidingNumbers:
-        found = self._kinds.get(kind)
+    def _of(self, key: Key) -> SlidingNumbers:
+        found = self._kinds.get(key)
         if found is None:
-            found = SlidingNumbers(kind, self._wants_extremes, self._panes)
-            self._kinds[kind] = found
+            found = SlidingNumbers(key, self._wants_extremes, self._panes)
+            self._kinds[key] = found
         return found
 
-    def _count(self, at: NDArray[np.int32], column: int, sign: int, touched: Touched) -> None:
+    def _count(self, at: NDArray[np.int32], part: Part, sign: int, touched: Touched) -> None:
         self._reserve(int(at.max(initial=-1)) + 1)
-        np.add.at(self._others[:, column], at, sign)
+        np.add.at(self._others[:, part.column], at, sign)
+        if part.key is not None:
+            self._singles.add(at, part.key[0], part.values, sign)
         self._odd_rows += sign * len(at)
         touched.mark(at)
 

@@ -176,6 +176,9 @@ def _to_floats(field: Field, kind: Kind, conversion: Conversion) -> ToObjects:
             with np.errstate(over="ignore", invalid="ignore"):
                 values = conversion.apply(values)
             _refuse(~np.isfinite(values), column.null, field.name, "overflows in its new unit")
+        if kind is Kind.DECIMAL:
+            # A decimal has no -0.
+            values = values + 0.0
         return ObjectColumn(kind, values, column.null)
 
     return convert

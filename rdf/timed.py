@@ -255,6 +255,8 @@ def _parse(kind: Kind, text: str) -> Any:
         return None
     if kind is Kind.INTEGER and not -(2**63) <= value < 2**63:
         return None
+    if kind is Kind.DECIMAL and not np.isfinite(value):
+        return None
     return value
 
 
@@ -265,7 +267,8 @@ def number_text(kind: Kind, value: float) -> str:
     if np.isinf(value):
         return "INF" if value > 0 else "-INF"
     if kind is Kind.DECIMAL:
-        text = np.format_float_positional(value, trim="-")
+        # A decimal has no -0.
+        text = np.format_float_positional(value + 0.0, trim="-")
         return text.removesuffix(".")
     text = repr(value)
     if "e" in text:

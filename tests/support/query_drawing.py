@@ -307,6 +307,8 @@ def exists(draw: Draw, outer: list[str], depth: int = 1) -> q.Exists:
         inner.append(q.Optional(q.Group(*triples(draw, 1, 1))))
     elif kind == 1:
         inner = [q.Union(q.Group(*inner), q.Group(*triples(draw, 1, 1)))]
+    elif kind == 2:
+        inner.append(q.Minus(q.Group(*triples(draw, 1, 1))))
     if draw(st.booleans()):
         inner.append(comparison(draw, names))
     elif depth and draw(st.integers(0, 3)) == 0:
