@@ -68,7 +68,7 @@ def _simulate(
     all times that may get a state, ``waiting`` those that do. ``keys`` are the valid times of the
     inputs one after the other, those of input i from ``first_key[i]`` on, with the row that came
     last in ``row_at`` (-1: none yet); ``place[i, m]`` is the greatest key of input i that is not
-    after the time. ``delay`` -1 is none. Written: ``waiting``, ``row_at``, ``reach``, ``clock``,
+    after the time. Written: ``waiting``, ``row_at``, ``reach``, ``clock``,
     for each state ``leaves_at``, ``state`` (an index into ``times``), ``complete`` and ``rows``,
     shape ``(m, inputs)``, and for each event ``why`` it was late (0: it was not).
 
@@ -117,13 +117,9 @@ def _simulate(
                     if key < first_key[i] or keys[key] != time or row_at[key] < 0:
                         is_complete = False
                         break
-            due = now
-            if delay >= 0:
-                deadline = TIME_MAX if time > TIME_MAX - delay else time + delay
-                if not is_complete or deadline < due:
-                    due = deadline
-            elif not is_complete:
-                break
+            due = TIME_MAX if time > TIME_MAX - delay else time + delay
+            if is_complete and now < due:
+                due = now
             if has_left and left >= due:
                 if left == TIME_MAX:
                     break
@@ -156,7 +152,7 @@ def _simulate(
         row_at[key] = row_of[event]
         if not has_reached[i] or reach[i] < valid:
             reach[i], has_reached[i] = valid, True
-        if own >= 0 and delay >= 0 and valid <= TIME_MAX - delay and now > valid + delay:
+        if own >= 0 and valid <= TIME_MAX - delay and now > valid + delay:
             why[event] = OVER_DELAY
         elif has_left and valid <= last and (own >= 0 or not exact):
             why[event] = AFTER_STATE

@@ -37,13 +37,15 @@ COMPILED: Final = 512
 
 
 class ChangeStates:
-    """States at every distinct valid time; see `Synchronization` for the rules.
+    """States at every distinct valid time, under a finite delay; see `Synchronization` for the
+    rules. `CompleteStates` are those of ``max delay oo``.
 
     Cost: some microseconds of Python a sample and input; where `COMPILED` samples come at once and
     loops are compiled, O(n log n) numpy and a fraction of a microsecond. Memory: the pending times.
     """
 
     def __init__(self, policy: SynchronizationPolicy, monotone: Sequence[bool]) -> None:
+        assert policy.max_delay is not None
         self._delay, self._duration = policy.max_delay, policy.duration
         self._exact = policy.approximation is Approximation.NONE
         self._monotone = list(monotone)
@@ -59,11 +61,7 @@ class ChangeStates:
     def floor(self) -> int:
         """No state to come is for an earlier time."""
         least = self._waiting[0] if self._waiting else TIME_MAX
-        if self._delay is not None:
-            least = min(least, self._done + 1 - self._delay)
-        else:
-            least = NOTHING_KNOWN
-        return max(self._last, self._duration.first, least)
+        return max(self._last, self._duration.first, min(least, self._done + 1 - self._delay))
 
     @property
     def pending(self) -> int:
@@ -125,7 +123,7 @@ class ChangeStates:
             *(np.array(self._monotone), reach, has_reached),
             np.array([0 if e is None else e for e in excused], np.int64),
             np.array([e is not None for e in excused]),
-            *(until, -1 if self._delay is None else self._delay, self._exact, clock),
+            *(until, self._delay, self._exact, clock),
             *(leaves, state, complete, picked, why),
         )
         self._waiting = layout.times[layout.waiting].tolist()
@@ -206,7 +204,7 @@ class ChangeStates:
             values.insert(place, valid)
             rows.insert(place, row)
         within = self._duration.first <= valid <= self._duration.last
-        if within and self._delay is not None and at > valid + self._delay:
+        if within and at > valid + self._delay:
             return Constraint.DELAY
         if valid <= self._last and (within or not self._exact):
             return Constraint.AVAILABLE
@@ -221,14 +219,9 @@ class ChangeStates:
         gone = 0
         for valid in self._waiting:
             complete = self._is_complete(valid)
+            due = min(valid + self._delay, TIME_MAX)
             if complete:
-                due = self._now
-                if self._delay is not None:
-                    due = min(due, valid + self._delay)
-            elif self._delay is not None:
-                due = min(valid + self._delay, TIME_MAX)
-            else:
-                break
+                due = min(due, self._now)
             leaves = max(due, self._left + 1)
             if leaves > until:
                 break

@@ -8,12 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from .change_states import ChangeStates
+from .complete_states import CompleteStates
 from .grid_states import GridStates, LateRows, Made
 from .inputs import NOTHING_KNOWN, Input, known_of
 from .monotone_states import MonotoneStates
 from .policy import GRID_LIMIT, Constraint, Order, SynchronizationPolicy
 from .sample import Mask, SampleBatch, Times, concatenate
-from .time import TIME_MIN
+from .time import TIME_MAX, TIME_MIN
 from .tuples import TupleBatch
 
 
@@ -57,14 +58,17 @@ class Synchronization:
     The state for t leaves at L_t = max(c_t, L_before + 1), in order of t. c_t is t + max delay, or
     the moment before at which every input not ended has a sample valid at t, or at t or later
     where its valid times do not decrease. An input ends the moment after all it has promised; at
-    the end of the last input nothing is complete that was not. A value is the most recent sample
-    at t among those available at L_t; without approximation only if it is valid at t.
+    the end of the last input nothing is complete that was not. Where states wait for ever
+    (``max delay oo``) and some input is in any order, they leave in order of (c_t, t) instead, and
+    an incomplete one holds back no other. A value is the most recent sample at t among those
+    available at L_t; without approximation only if it is valid at t.
 
     Monotone inputs (``monotone[i]``, or all by the policy's order) lose samples that decrease.
 
     Law: what is given does not depend on how inputs were cut or interleaved, and everything that
-    leaves by `known` has been given. Cost: `GridStates`, `MonotoneStates`, `ChangeStates`; each
-    push that moves `known` copies what is kept. Memory: the samples that a state to come may use.
+    leaves by `known` has been given. Cost: `GridStates`, `MonotoneStates`, `ChangeStates`,
+    `CompleteStates`; each push that moves `known` copies what is kept. Memory: the samples that a
+    state to come may use.
     """
 
     def __init__(
@@ -84,11 +88,13 @@ class Synchronization:
         self._reach = [NOTHING_KNOWN] * len(monotone)
         self._news: list[tuple[int, int] | None] = [None] * len(monotone)
         self._on_late = on_late
-        self._states: GridStates | ChangeStates | MonotoneStates
+        self._states: GridStates | ChangeStates | MonotoneStates | CompleteStates
         if policy.period is not None:
             self._states = GridStates(policy, self._monotone, limit)
         elif all(self._monotone):
             self._states = MonotoneStates(policy, len(monotone))
+        elif policy.max_delay is None:
+            self._states = CompleteStates(policy, self._monotone)
         else:
             self._states = ChangeStates(policy, self._monotone)
         self._done = NOTHING_KNOWN
@@ -218,11 +224,16 @@ class Synchronization:
 
     def _prune(self, tables: Sequence[SampleBatch]) -> None:
         """Keep what a state to come may use: later samples, and the most recent before them."""
+        if isinstance(self._states, CompleteStates):
+            for i, table in enumerate(tables):
+                of_use = table.take(self._states.of_use(table))
+                self._kept[i] = of_use_in_any_order(of_use, NOTHING_KNOWN, TIME_MAX)
+            return
         floor, last = self._states.floor, self._policy.duration.last
         for i, table in enumerate(tables):
             if len(table):
-                of_use = of_use_in_order if self._monotone[i] else of_use_in_any_order
-                self._kept[i] = of_use(table, floor, last)
+                prune = of_use_in_order if self._monotone[i] else of_use_in_any_order
+                self._kept[i] = prune(table, floor, last)
 
     def _state_batch(self, part: Made, tables: Sequence[SampleBatch]) -> TupleBatch:
         available, valid, rows, complete = part

@@ -202,8 +202,9 @@ def test_the_compiled_loop_is_the_definition(loop, data, is_at_the_end):
     far = st.integers(LEAST, LEAST + 9) | st.integers(GREATEST - 9, GREATEST)
     times = far if is_at_the_end else SMALL
     inputs, monotone, policy, twin = data.draw(synchronizations(times, st.just(1)))
-    policy = replace(policy, change=AnyChange(), order=Order.ANY)
-    twin = (monotone, None, *twin[2:])
+    delay = 3 if policy.max_delay is None else policy.max_delay  # without one nothing is simulated
+    policy = replace(policy, change=AnyChange(), order=Order.ANY, max_delay=delay)
+    twin = (monotone, None, delay, *twin[3:])
     if is_at_the_end:  # near one of the two ends
         inputs = [[(a, v) for a, v in stream if (a > 0) == (v > 0)] for stream in inputs]
     check_synchronization(data, inputs, monotone, policy, twin, times)

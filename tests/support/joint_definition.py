@@ -122,6 +122,18 @@ def synchronize(streams, promised, monotone, period, delay, start, end, exact):
                 over = delay is not None and a > fitting[0][1] + delay
                 told.add((a, i, k, "max delay" if over else "available time"))
         return states, told, incomplete
+    if delay is None and not all(monotone):
+        due_at = {v: due(v) for _, _, _, v in arrivals if first <= v <= last}
+        complete = [t for t, c in due_at.items() if c is not None]
+        for t in sorted(complete, key=lambda t: (due_at[t], t)):
+            leaves = leaves_at(t)
+            if leaves is not None:
+                states.append(state(t, leaves))
+        gone = {t: leaves for leaves, t, _ in states}
+        told |= {
+            (a, i, k, "available time") for a, i, k, v in arrivals if v in gone and gone[v] < a
+        }
+        return states, told, len(due_at) - len(states)
     waiting = set()
     for now in [*sorted({a for a, *_ in arrivals}), None]:
         while waiting:
