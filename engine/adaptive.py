@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 from ..languages.ssl.annotation import Content, Role, StreamAnnotation
+from ..languages.ssl.check import variable_name
 from ..matching.plan import (
     Compute,
     Detect,
@@ -32,7 +33,6 @@ from ..streams.generator import StreamGenerator
 from ..streams.policy import Policy
 from ..streams.time import SECOND
 from .configuration import Configuration
-from .describing import field_name
 from .merge_unit import OBJECT, MergeInput, MergeUnit, Whose
 from .stream_units import AdaptationUnit
 from .views import Since
@@ -183,7 +183,7 @@ class AdaptiveSubscription:
 
 def value_field(want: Want) -> str:
     """The field of a subscription's stream that holds the feature."""
-    name = field_name(want.feature)
+    name = variable_name(want.feature)
     return "value" if name == OBJECT else name
 
 

@@ -19,11 +19,12 @@ from ..languages.ssl.annotation import (
     StreamAnnotation,
     TransformationAnnotation,
 )
+from ..languages.ssl.check import variable_name
 from ..matching.plan import ssl_of
 from ..matching.words import port_words
 from ..ontology.units import DIMENSIONLESS, Unit, UnitError, dimension, format_unit, parse_unit
 from ..ontology.vocabulary import SELF, Vocabulary
-from ..rdf.namespaces import local_name, shorten
+from ..rdf.namespaces import shorten
 from ..streams.sample import TIME_FIELDS
 from .errors import BadArguments, UnknownFeature
 from .knowing import did_you_mean, iri_of
@@ -98,7 +99,7 @@ class Describer:
         given = {argument.variable for port in inputs for argument in port.arguments}
         if any(not port.arguments for port in inputs):
             # Such an input speaks of what the output speaks of.
-            given |= {field_name(argument.name) for argument in described.output.arguments}
+            given |= {variable_name(argument.name) for argument in described.output.arguments}
         output = self._output(described.output, given)
         annotation: TransformationAnnotation | SourceAnnotation
         words = ", ".join(map(port_words, inputs)) or "∅"
@@ -174,7 +175,7 @@ class Describer:
         arguments = []
         for argument in described.arguments:
             sort, object = self._named(argument.name)
-            name = field_name(argument.name) if argument.alias is None else argument.alias
+            name = variable_name(argument.name) if argument.alias is None else argument.alias
             arguments.append(Argument(name, sort, object, argument.id if sort else None))
         variables = [argument.variable for argument in arguments]
         if len(variables) > len(set(variables)):
@@ -230,7 +231,7 @@ def check_inputs(number: int) -> None:
 
 
 def _field(described: DescribedPort) -> str:
-    name = described.field or field_name(described.feature)
+    name = described.field or variable_name(described.feature)
     for each in (name, *(argument.id for argument in described.arguments)):
         if each in TIME_FIELDS:
             raise BadArguments(
@@ -238,9 +239,3 @@ def _field(described: DescribedPort) -> str:
                 "give the field another name",
             )
     return name
-
-
-def field_name(iri: str) -> str:
-    """The last part of a name, as a field may be called."""
-    text = local_name(iri.rstrip(">"))
-    return "".join(c if c.isalnum() or c == "_" else "_" for c in text)

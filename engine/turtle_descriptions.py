@@ -7,9 +7,10 @@ from collections.abc import Sequence
 
 from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
+from ..languages.ssl.check import variable_name
 from ..ontology.reasoning import DIRECT, Reasoning
 from ..rdf.namespaces import RDF, STREAM_SPACE, shorten
-from .describing import DescribedArgument, DescribedPort, DescribedTransformation, field_name
+from .describing import DescribedArgument, DescribedPort, DescribedTransformation
 from .errors import BadArguments
 
 _TYPE = RDF + "type"
@@ -52,7 +53,7 @@ class _Graph:
         return self._typed[predicate, object]
 
     def transformation(self, node: NamedNode | BlankNode) -> DescribedTransformation:
-        name = self._text(node, "hasName") or (field_name(node.value) if _is_named(node) else "")
+        name = self._text(node, "hasName") or (variable_name(node.value) if _is_named(node) else "")
         if not name:
             raise BadArguments("a :Transformation has no name", 'give it an IRI, or :hasName "…"')
         annotation = self._one(node, "hasAnnotation", name)
@@ -77,7 +78,7 @@ class _Graph:
         code = self._one(node, "hasImplementation", name)
         implementation = None
         if code is not None:
-            implementation = self._text(code, "hasName") or field_name(code.value)
+            implementation = self._text(code, "hasName") or variable_name(code.value)
         return DescribedTransformation(
             name,
             tuple(inputs),

@@ -12,7 +12,7 @@ from lark.exceptions import UnexpectedCharacters, UnexpectedInput, UnexpectedTok
 from ..streams.sample import LONGEST_NAME
 from .errors import LanguageError, Span
 
-_NAMES: Final = ("NAME", "UNIT_NAME", "PREFIXED", "OBJECT_ID", "STRING")
+_NAMES: Final = ("NAME", "UNIT_NAME", "PREFIXED", "IRI", "TEXT", "OBJECT_ID", "STRING")
 SyntaxHint: TypeAlias = Callable[[str, AbstractSet[str]], str]
 """From what was found (empty at the end of the text) and the terminals that could stand there."""
 

@@ -23,6 +23,9 @@ from numpy.typing import NDArray
 
 NO_UNIT_TEXT: Final = "no_unit"
 DIMENSIONLESS: Final = "dimensionless"
+PERCENT: Final = "percent"
+"""The name of the unit that people write as ``%``."""
+POWERS: Final = "a unit is a product of powers: write `m.s-1` for m/s"
 
 
 class UnitError(ValueError):
@@ -134,6 +137,10 @@ def parse_unit(text: str) -> Unit:
         raise UnitError(f"a unit has at most {MOST_FACTORS} factors")
     for part in re.split(r"[.,]", stripped):
         match = _FACTOR.fullmatch(part)
+        if match is None and part == "%":
+            raise UnitError(f"a unit is a name: write {PERCENT} for %")
+        if match is None and "/" in part:
+            raise UnitError(f"cannot read {text!r}: {POWERS}")
         if match is None:
             raise UnitError(
                 f"cannot read {text!r} as a unit: write factors like km.h-1 "

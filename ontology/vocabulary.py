@@ -47,12 +47,14 @@ class FeatureInfo:
 
     ``range`` and ``domain`` are the narrowest known (a datatype or class IRI), ``unit`` the one
     that plain numbers of it are in (None: none is stated). Sub-features inherit all three.
+    ``arity`` is the number of its arguments where the ontology says it: 1 of a `:UnaryFeature`.
     """
 
     iri: str
     range: str | None
     unit: Unit | None
     domain: str | None
+    arity: int | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -257,6 +259,7 @@ class _Infos:
     def __init__(
         self, index: _Index, superclasses: Mapping[str, set[str]], superfeatures: Links
     ) -> None:
+        self._types = index.named(_TYPE)
         self._superclasses = superclasses
         self._superfeatures = superfeatures
         self._ranges = index.named(RDFS + "range")
@@ -269,6 +272,7 @@ class _Infos:
             self._narrowest(self._ranges.get(feature, set())),
             self._unit(feature),
             self._narrowest(self._domains.get(feature, set())),
+            1 if STREAM_SPACE + "UnaryFeature" in self._types.get(feature, ()) else None,
         )
 
     def _narrowest(self, classes: set[str]) -> str | None:

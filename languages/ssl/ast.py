@@ -1,7 +1,8 @@
 """The AST of SSL, the Stream Semantics Language ([Events14 Listing 1], SPEC §3).
 
-Names are as written; `check` resolves them against the ontology. Spans say where a thing stands
-and are no part of what it is: two declarations that differ in their spans only are equal.
+Names are as written (``speed``, ``dyknow:speed``, ``<IRI>``); `check` resolves them against the
+ontology. Spans say where a thing stands and are no part of what it is: two declarations that differ
+in their spans only are equal.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ __all__ = [
 
 @dataclass(frozen=True, slots=True)
 class Argument:
-    """A sort or object that a feature speaks of: ``UAV``, ``uav1``, ``UAV as arg1``."""
+    """A sort or object that a feature speaks of: ``UAV``, ``dyknow:uav1``, ``UAV as arg1``."""
 
     name: str
     alias: str | None
@@ -54,24 +55,27 @@ class FeatureTerm:
 
 @dataclass(frozen=True, slots=True)
 class Entity:
-    """``UAV = id``: the field ``id`` names the object of this sort, alias or object."""
+    """``UAV = id``: the field ``id`` names the object of this sort, alias or object.
+
+    Under ``every`` it names each object of a sort. Without it the entity is a condition: only
+    samples whose id field names that object carry the features.
+    """
 
     name: str
     field: str
     span: Span = attribute(compare=False)
+    every: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class StreamDeclaration:
-    """``stream NAME contains features [for [every] entities]``.
+    """``stream NAME contains features [for conditions, every entities]``.
 
-    ``every`` governs the whole entity list. Without it the list is a condition: only samples
-    whose id field names that object carry the features. No entities: every sample does.
+    The word `every` governs all entities after it. No entities: every sample carries the features.
     """
 
     name: str
     features: tuple[FeatureTerm, ...]
-    every: bool
     entities: tuple[Entity, ...]
     span: Span = attribute(compare=False)
 

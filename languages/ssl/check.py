@@ -1,8 +1,9 @@
 """SSL declarations against the ontology: names become IRIs, units are compared ([Events14 §IV.A]).
 
 What the papers leave open is settled here. A name that the ontology knows as a sort is a sort;
-any other name is an object, known or new, unless `every` asks for a sort. A name is looked up in
-the stream's object namespace first and then among the domain terms (`dyknow:`).
+any other name is an object, known or new, unless `every` asks for a sort. A plain name is looked
+up in the stream's object namespace first and then among the domain terms (`dyknow:`); a prefixed
+name or an IRI means itself.
 """
 
 from __future__ import annotations
@@ -11,9 +12,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import assert_never
 
+from pyoxigraph import NamedNode
+
 from ...ontology.units import DIMENSIONLESS, Unit, UnitError, dimension, format_unit
 from ...ontology.vocabulary import SELF, Vocabulary
-from ...rdf.namespaces import DYKNOW
+from ...rdf.namespaces import DYKNOW, PREFIXES, local_name
 from ...streams.sample import TIME_FIELDS
 from ..errors import LanguageError, Span
 from . import annotation
@@ -98,6 +101,7 @@ class _Checker:
             feature = self.feature(term.feature, span)
             roles = self.roles(term, stream)
             unit = self.unit(feature, term.feature, term.unit, term.unit_span)
+            self.check_arity(feature, term.feature, len(term.arguments), term.span)
             self.check_field(term.field, term.field_span)
             if (feature, roles) in said:
                 raise self.error(
@@ -117,21 +121,32 @@ class _Checker:
                 "give the field another name",
             )
 
+    def check_arity(self, feature: str, name: str, number: int, span: Span) -> None:
+        info = self.vocabulary.feature(feature)
+        if info is not None and info.arity not in (None, number):
+            raise self.error(
+                f"`{name}` is a feature of one object, and {number or 'none'} "
+                f"{'is' if number == 0 else 'are'} named",
+                span,
+                f"write `{name}(UAV)` with one sort or object",
+            )
+
     def check_entities(self, stream: StreamDeclaration) -> None:
         """Each entity names something in the features, once, and fits with or without `every`."""
         arguments = [argument for term in stream.features for argument in term.arguments]
         seen: dict[str, Entity] = {}
         for entity in stream.entities:
-            if entity.name in seen:
+            self.check_field(entity.field, entity.span)
+            named = [argument for argument in arguments if self.is_named(argument, entity)]
+            key = entity.name if any(a.alias for a in named) else self.term(entity)
+            if key in seen:
                 raise self.error(
                     f"`{entity.name}` is named by two fields, "
-                    f"`{seen[entity.name].field}` and `{entity.field}`",
+                    f"`{seen[key].field}` and `{entity.field}`",
                     entity.span,
                     "one field names it; tell two of a sort apart: `(UAV as a, UAV as b)`",
                 )
-            seen[entity.name] = entity
-            self.check_field(entity.field, entity.span)
-            named = [argument for argument in arguments if _is_named(argument, entity)]
+            seen[key] = entity
             if not named:
                 known = sorted({argument.alias or argument.name for argument in arguments})
                 raise self.error(
@@ -142,13 +157,25 @@ class _Checker:
                     else "the features speak of nothing: leave the for-part out",
                 )
             for argument in named:
-                self.check_entity(stream, entity, argument)
+                self.check_entity(entity, argument)
 
-    def check_entity(self, stream: StreamDeclaration, entity: Entity, argument: Argument) -> None:
-        sort = self.sort(argument.name)
-        if stream.every and sort is None:
+    def is_named(self, argument: Argument, entity: Entity) -> bool:
+        """An alias hides the name it stands for."""
+        if argument.alias is not None:
+            return argument.alias == entity.name
+        return argument.name == entity.name or self.term(argument) == self.term(entity)
+
+    def term(self, named: Argument | Entity) -> str:
+        """What a name stands for: a term that the ontology knows, else a new one."""
+        iris = self.iris(named.name, named.span)
+        known = self.vocabulary
+        return next((iri for iri in iris if known.is_sort(iri) or known.is_object(iri)), iris[0])
+
+    def check_entity(self, entity: Entity, argument: Argument) -> None:
+        sort = self.sort(argument)
+        if entity.every and sort is None:
             known_object = any(
-                self.vocabulary.is_object(space + argument.name) for space in self.spaces()
+                self.vocabulary.is_object(iri) for iri in self.iris(argument.name, argument.span)
             )
             near = self.vocabulary.suggest(argument.name, "sort")
             if known_object or not near:
@@ -159,7 +186,7 @@ class _Checker:
             raise self.error(
                 f"`every` needs a sort, and `{argument.name}` is {what}", entity.span, hint
             )
-        if not stream.every and sort is not None:
+        if not entity.every and sort is not None:
             raise self.error(
                 f"`{argument.name}` is a sort, so one field value cannot be it",
                 entity.span,
@@ -172,7 +199,7 @@ class _Checker:
         by_field: dict[str, Argument] = {}
         for argument in term.arguments:
             name = argument.alias or argument.name
-            sort = self.sort(argument.name)
+            sort = self.sort(argument)
             if name in by_name and (sort is not None or argument.alias is not None):
                 raise self.error(
                     f"`{name}` occurs twice in `{term.feature}`, so it is not clear which is meant",
@@ -180,7 +207,7 @@ class _Checker:
                     f"give each an alias: `({argument.name} as arg1, {argument.name} as arg2)`",
                 )
             by_name[name] = argument
-            entity = next((e for e in stream.entities if _is_named(argument, e)), None)
+            entity = next((e for e in stream.entities if self.is_named(argument, e)), None)
             if entity is not None:
                 if entity.field in by_field and by_field[entity.field].name != name:
                     raise self.error(
@@ -207,15 +234,33 @@ class _Checker:
     def spaces(self) -> tuple[str, ...]:
         return (self.namespace,) if self.namespace == DYKNOW else (self.namespace, DYKNOW)
 
-    def sort(self, name: str) -> str | None:
-        iris = (space + name for space in self.spaces())
+    def iris(self, name: str, span: Span) -> tuple[str, ...]:
+        """What a written name may mean, best first: ``speed``, ``dyknow:speed``, ``<IRI>``."""
+        if name.startswith("<"):
+            try:
+                return (NamedNode(name[1:-1]).value,)
+            except ValueError as error:
+                raise self.error(f"`{name}` is no IRI: {error}", span) from None
+        prefix, colon, local = name.partition(":")
+        if not colon:
+            return tuple(space + name for space in self.spaces())
+        if prefix not in PREFIXES:
+            raise self.error(
+                f"the prefix `{prefix}:` is not known",
+                span,
+                f"write the IRI as <…>, or one of {', '.join(f'{p}:' for p in PREFIXES)}",
+            )
+        return (PREFIXES[prefix] + local,)
+
+    def sort(self, argument: Argument) -> str | None:
+        iris = self.iris(argument.name, argument.span)
         return next((iri for iri in iris if self.vocabulary.is_sort(iri)), None)
 
     def object(self, argument: Argument) -> str:
         """The IRI of an object: one that the ontology knows, else a new one."""
         if argument.name == "self":
             return self.vocabulary.self_object
-        candidates = [space + argument.name for space in self.spaces()]
+        candidates = self.iris(argument.name, argument.span)
         for iri in candidates:
             if self.vocabulary.is_feature(iri) or self.vocabulary.is_event(iri):
                 kind = "a feature" if self.vocabulary.is_feature(iri) else "an event"
@@ -229,7 +274,7 @@ class _Checker:
 
     def feature(self, name: str, span: Span) -> str:
         """The IRI of a feature, or of an event, whose stream carries the event's value."""
-        for iri in (space + name for space in self.spaces()):
+        for iri in self.iris(name, span):
             if self.vocabulary.is_feature(iri) or self.vocabulary.is_event(iri):
                 return iri
         near = self.vocabulary.suggest(name, "feature")
@@ -282,6 +327,8 @@ class _Checker:
         feature = self.feature(port.feature, port.feature_span)
         unit = self.unit(feature, port.feature, port.unit, port.unit_span)
         arguments = tuple(self.argument(argument) for argument in port.arguments or ())
+        if arguments:
+            self.check_arity(feature, port.feature, len(arguments), port.span)
         names = [argument.variable for argument in arguments if argument.sort is not None]
         if len(names) > len(set(names)):
             twice = next(name for name in names if names.count(name) > 1)
@@ -293,11 +340,12 @@ class _Checker:
         return PortAnnotation(port.field, feature, unit, arguments)
 
     def argument(self, argument: Argument) -> annotation.Argument:
-        sort = self.sort(argument.name)
+        variable = argument.alias or variable_name(argument.name)
+        sort = self.sort(argument)
         if sort is not None:
-            return annotation.Argument(argument.alias or argument.name, sort)
+            return annotation.Argument(variable, sort)
         object = SELF if argument.name == "self" else self.object(argument)
-        return annotation.Argument(argument.name, None, object)
+        return annotation.Argument(variable, None, object)
 
     def output(
         self,
@@ -314,7 +362,7 @@ class _Checker:
             given |= {argument.variable for argument in made.arguments}
         for named in entities:
             self.check_field(named.field, named.span)
-        fields = {entity.name: entity for entity in entities}
+        fields = {variable_name(entity.name): entity for entity in entities}
         arguments: list[annotation.Argument] = []
         for argument in made.arguments:
             entity = fields.pop(argument.variable, None)
@@ -353,6 +401,7 @@ class _Checker:
         return replace(made, arguments=tuple(arguments))
 
 
-def _is_named(argument: Argument, entity: Entity) -> bool:
-    """An alias hides the name it stands for."""
-    return (argument.alias or argument.name) == entity.name
+def variable_name(name: str) -> str:
+    """The last part of a written name or an IRI, with letters, digits and `_` only."""
+    text = local_name(name.rstrip(">"))
+    return "".join(c if c.isalnum() or c == "_" else "_" for c in text)

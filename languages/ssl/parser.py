@@ -13,6 +13,7 @@ from typing import Final
 from lark import Lark, Token, Tree
 from lark.exceptions import UnexpectedInput
 
+from ...ontology.units import PERCENT, POWERS
 from ..errors import LanguageError, Span
 from ..remembered import remembered
 from ..syntax import check_names, expected_hint, span_of, syntax_error, tokens, trees
@@ -31,6 +32,9 @@ from .ast import (
 
 _EXPECTED: Final = {
     "NAME": "a name",
+    "PREFIXED": "a name",
+    "IRI": "a name",
+    "TEXT": "a name",
     "UNIT_NAME": "a unit (letters only)",
     "POWER": "a power",
     "EQUAL": "`=`",
@@ -71,6 +75,10 @@ def parse_ssl(source: str) -> tuple[Declaration, ...]:
 def _syntax_hint(found: str, expected: AbstractSet[str]) -> str:
     if found.isalpha() and expected >= {"LSQB", "NO_UNIT"}:
         return f"a unit stands in brackets: write `[{found}]`"
+    if "UNIT_NAME" in expected and found == "%":
+        return f"a unit is a name: write `{PERCENT}`"
+    if found == "/" and "RSQB" in expected:
+        return POWERS
     if expected >= _DECLARATION_WORDS and expected <= {*_DECLARATION_WORDS, "$END"}:
         return "a declaration begins with `stream`, `source` or `compunit`"
     return expected_hint(expected, _EXPECTED)
@@ -83,8 +91,8 @@ def _declaration(tree: Tree[Token], source: str) -> Declaration:
         case "stream_decl":
             features = tuple(_feature(part, source) for part in parts if part.data == "feature")
             for_part = next((part for part in parts if part.data == "for_part"), None)
-            every, entities = (False, ()) if for_part is None else _for_part(for_part, source)
-            return StreamDeclaration(name, features, every, entities, span_of(tree))
+            entities = () if for_part is None else _for_part(for_part)
+            return StreamDeclaration(name, features, entities, span_of(tree))
         case "source_decl":
             output, *rest = parts
             made = _field_feature(output, source)
@@ -100,67 +108,63 @@ def _found(for_part: list[Tree[Token]], source: str) -> tuple[Entity, ...]:
     """The objects that a source or unit names itself, if there is a for-part."""
     if not for_part:
         return ()
-    every, entities = _for_part(for_part[0], source)
-    if not every:
-        raise LanguageError(
-            "a source or unit gives every object of a sort its name, so this needs `every`",
-            source,
-            span_of(for_part[0]),
-            f"write `for every {entities[0].name} = {entities[0].field}`",
-        )
+    entities = _for_part(for_part[0])
+    for entity in entities:
+        if not entity.every:
+            raise LanguageError(
+                "a source or unit gives every object of a sort its name, so this needs `every`",
+                source,
+                span_of(for_part[0]),
+                f"write `for every {entity.name} = {entity.field}`",
+            )
     return entities
 
 
-def _for_part(tree: Tree[Token], source: str) -> tuple[bool, tuple[Entity, ...]]:
-    """`every` governs all that follows it, so it stands before the first entity or nowhere."""
-    nodes = trees(tree)
-    every = len(nodes[0].children) == 3
-    for node in nodes:
-        if len(node.children) == 3 and not every:
-            raise LanguageError(
-                "`every` governs the whole list, so it stands first",
-                source,
-                span_of(node),
-                f"write `for every {nodes[0].children[0]} = …`",
-            )
+def _for_part(tree: Tree[Token]) -> tuple[Entity, ...]:
+    """`every` governs all that follows it; what stands before it is a condition."""
+    every = False
     entities = []
-    for node in nodes:
+    for node in trees(tree):
+        every = every or len(node.children) == 3
         # The word `every` may be the name itself, so tokens are taken by place.
-        *_, name, field = (child for child in node.children if isinstance(child, Token))
-        entities.append(
-            Entity(str(name), str(field), Span(span_of(name).start, span_of(field).end))
-        )
-    return every, tuple(entities)
+        *_, name, field = tokens(node)
+        span = Span(span_of(name).start, span_of(field).end)
+        entities.append(Entity(str(name), _field(field), span, every))
+    return tuple(entities)
 
 
 def _feature(tree: Tree[Token], source: str) -> FeatureTerm:
-    name, field = tokens(tree, "NAME")
+    name, field = tokens(tree)
     arguments_node, *rest = trees(tree)
     arguments = _arguments(arguments_node)
     unit = _unit_list(rest[0], source) if rest else None
     unit_span = span_of(rest[0]) if rest else None
     return FeatureTerm(
-        str(name), arguments, str(field), unit, span_of(tree), span_of(field), unit_span
+        str(name), arguments, _field(field), unit, span_of(tree), span_of(field), unit_span
     )
 
 
 def _arguments(tree: Tree[Token]) -> tuple[Argument, ...]:
     arguments = []
     for node in trees(tree):
-        sort, *alias = tokens(node, "NAME")
+        sort, *alias = tokens(node, "NAME", "PREFIXED", "IRI")
         arguments.append(Argument(str(sort), str(alias[0]) if alias else None, span_of(node)))
     return tuple(arguments)
 
 
 def _field_feature(tree: Tree[Token], source: str) -> FieldFeature:
-    field, feature = tokens(tree, "NAME")
+    field, feature = tokens(tree)
     arguments = next((_arguments(n) for n in trees(tree) if n.data == "arguments"), None)
     units = [node for node in trees(tree) if node.data == "unit_list"]
     unit = _unit_list(units[0], source) if units else None
     unit_span = span_of(units[0]) if units else None
     return FieldFeature(
-        str(field), str(feature), unit, span_of(tree), span_of(feature), unit_span, arguments
+        _field(field), str(feature), unit, span_of(tree), span_of(feature), unit_span, arguments
     )
+
+
+def _field(token: Token) -> str:
+    return token[1:-1] if token.type == "TEXT" else str(token)
 
 
 def _unit_list(tree: Tree[Token], source: str) -> Unit:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from typing import assert_never
 
@@ -17,13 +18,15 @@ from .ast import (
     Unit,
 )
 
+_NAME = re.compile("[A-Za-z][A-Za-z0-9_]*")
+
 
 def format_declaration(declaration: Declaration) -> str:
     """The declaration as SSL text, one line: ``stream s3 contains speed(UAV) = spd [mi.h-1] …``."""
     match declaration:
-        case StreamDeclaration(name, features, every, entities):
+        case StreamDeclaration(name, features, entities):
             text = f"stream {name} contains {', '.join(map(_feature, features))}"
-            return text + _named(entities, every)
+            return text + _named(entities)
         case SourceDeclaration(name, output):
             made = _field_feature(output) + _named(declaration.entities)
             return f"source {name} provides {made}"
@@ -35,11 +38,20 @@ def format_declaration(declaration: Declaration) -> str:
             assert_never(declaration)
 
 
-def _named(entities: Sequence[Entity], every: bool = True) -> str:
-    if not entities:
-        return ""
-    pairs = ", ".join(f"{entity.name} = {entity.field}" for entity in entities)
-    return f" for {'every ' if every else ''}{pairs}"
+def _named(entities: Sequence[Entity]) -> str:
+    """The for-part; `every` stands once, before the first entity that it governs."""
+    words = []
+    governed = False
+    for entity in entities:
+        every = "every " if entity.every and not governed else ""
+        governed = governed or entity.every
+        words.append(f"{every}{entity.name} = {field_words(entity.field)}")
+    return f" for {', '.join(words)}" if words else ""
+
+
+def field_words(field: str) -> str:
+    """A field as SSL writes it: in quotes unless it is a name."""
+    return field if _NAME.fullmatch(field) else f'"{field}"'
 
 
 def _arguments(arguments: Sequence[Argument]) -> str:
@@ -48,12 +60,14 @@ def _arguments(arguments: Sequence[Argument]) -> str:
 
 
 def _feature(term: FeatureTerm) -> str:
-    return f"{term.feature}{_arguments(term.arguments)} = {term.field}{_unit(term.unit)}"
+    return (
+        f"{term.feature}{_arguments(term.arguments)} = {field_words(term.field)}{_unit(term.unit)}"
+    )
 
 
 def _field_feature(port: FieldFeature) -> str:
     arguments = "" if port.arguments is None else _arguments(port.arguments)
-    return f"{port.field}:{port.feature}{arguments}{_unit(port.unit)}"
+    return f"{field_words(port.field)}:{port.feature}{arguments}{_unit(port.unit)}"
 
 
 def _unit(unit: Unit | None) -> str:

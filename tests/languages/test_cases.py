@@ -41,7 +41,8 @@ dyknow:UAV a owl:Class ; rdfs:subClassOf dyknow:Thing .
 dyknow:RMAX a owl:Class ; rdfs:subClassOf dyknow:UAV , dyknow:Thing .
 dyknow:uav1 a dyknow:UAV , dyknow:Thing .
 dyknow:altitude a dyknow-o:Feature ; dyknow-o:hasUnit "ft" .
-dyknow:speed a dyknow-o:Feature ; dyknow-o:hasUnit "km.h-1" ; rdfs:range xsd:double .
+dyknow:speed a dyknow-o:Feature , dyknow-o:UnaryFeature .
+dyknow:speed dyknow-o:hasUnit "km.h-1" ; rdfs:range xsd:double .
 dyknow:xydist a dyknow-o:Feature .
 dyknow:course a dyknow-o:Feature ; dyknow-o:hasUnit "deg" .
 dyknow:HighSpeedEvent a dyknow-o:Event .

@@ -41,26 +41,31 @@ powers = st.integers(-9, 9).filter(bool)
 units = st.none() | st.lists(
     st.builds(UnitPower, st.from_regex(r"[A-Za-z]{1,4}", fullmatch=True), powers), max_size=3
 ).map(tuple)
-arguments = st.builds(Argument, names, st.none() | names, st.just(HERE))
+prefixed = st.from_regex(r"[a-z][a-z-]{0,3}:[A-Za-z0-9_]{1,3}", fullmatch=True)
+iris = st.from_regex(r"<http://[a-z/#.0-9]{1,5}>", fullmatch=True)
+terms = names | prefixed | iris
+fields = names | st.from_regex(r"[A-Za-z0-9 .\[\]äé,=]{1,6}", fullmatch=True)
+arguments = st.builds(Argument, terms, st.none() | names, st.just(HERE))
 features = st.builds(
     FeatureTerm,
-    names,
+    terms,
     st.lists(arguments, max_size=3).map(tuple),
-    names,
+    fields,
     units,
     st.just(HERE),
     st.just(HERE),
 )
-ports = st.builds(FieldFeature, names, names, units, st.just(HERE), st.just(HERE))
-entities = st.lists(st.builds(Entity, names, names, st.just(HERE)), max_size=3).map(tuple)
+ports = st.builds(FieldFeature, fields, terms, units, st.just(HERE), st.just(HERE))
+conditions = st.lists(st.builds(Entity, terms, fields, st.just(HERE)), max_size=3)
+governed = st.lists(st.builds(Entity, terms, fields, st.just(HERE), st.just(True)), max_size=3)
 streams = st.builds(
-    lambda name, contents, every, named: StreamDeclaration(
-        name, contents, every and bool(named), named, HERE
+    lambda name, contents, before, after: StreamDeclaration(
+        name, contents, (*before, *after), HERE
     ),
     names,
     st.lists(features, min_size=1, max_size=3).map(tuple),
-    st.booleans(),
-    entities,
+    conditions,
+    governed,
 )
 declarations = (
     streams
