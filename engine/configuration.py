@@ -440,6 +440,24 @@ class Configuration:
         """``unit``, or one whose samples reach it, has failed: nothing more comes of it."""
         return any(part.failure is not None for part in self.units_behind(unit))
 
+    def failure_of(self, unit: ComputationalUnit) -> str | None:
+        """Why nothing more comes of ``unit``: the name and the failure of the nearest unit that has
+        failed, itself or one whose samples reach it; None while something may come.
+
+        An adaptive subscription does not fail with its sources: it looks for others. Cost: O(units
+        behind it).
+        """
+        todo, seen = [unit], {unit}
+        for part in todo:
+            if part.failure is not None:
+                return f"{part.name}: {part.failure}"
+            if part.transformation != MERGE:
+                made = (self.units.get(source.name) for source in part.inputs)
+                found = [one for one in made if one is not None and one not in seen]
+                seen.update(found)
+                todo += found
+        return None
+
     def release_unused(self) -> None:
         """Stop units that were built for a request that then failed."""
         for unit in list(self.units.values()):

@@ -7,8 +7,9 @@ Time comes in as an argument (`publish`, `tick`); nothing here reads a clock.
 from __future__ import annotations
 
 import secrets
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
+from typing import TypeVar
 
 from ..continuous.budget import UNLIMITED, Budget
 from ..converters.to_triples import SampleConverter
@@ -73,7 +74,9 @@ from .unit import ComputationalUnit
 from .users import Users
 from .views import (
     DeclarationView,
+    EvaluationView,
     EventView,
+    FailureView,
     InsertionView,
     MatchView,
     Since,
@@ -85,6 +88,8 @@ from .views import (
     Totals,
 )
 from .window_unit import WindowUnit
+
+AnyUnit = TypeVar("AnyUnit", bound=ComputationalUnit)
 
 
 class Engine:
@@ -118,6 +123,8 @@ class Engine:
         self.ontology = ontology
         self.dictionary = TermDictionary()
         self._now = now
+        self.failures = 0
+        """So many failures were told: something may have failed since there were fewer."""
         self._counted = TIME_MIN
         self._measured: int | None = None
         status = StatusStream(lambda: self._now)
@@ -407,15 +414,55 @@ class Engine:
 
     def behind_of(self, stream: str) -> tuple[WindowUnit, ...]:
         """The units that are behind and read ``stream``, themselves or through other units."""
+        return self._readers(self.behind.units, stream)
+
+    def _readers(self, units: Iterable[AnyUnit], stream: str) -> tuple[AnyUnit, ...]:
+        """Those of ``units`` that read ``stream``, themselves or through other units."""
         return tuple(
             unit
-            for unit in self.behind.units
+            for unit in units
             if any(
                 source.name == stream
                 for one in self._configuration.units_behind(unit)
                 for source in one.inputs
             )
         )
+
+    def failure_of(self, generator: StreamGenerator) -> str | None:
+        """Why nothing more comes in a stream: what feeds it has failed. None while something may.
+        See `Configuration.failure_of`."""
+        unit = self._configuration.units.get(generator.name)
+        if unit is None or unit.output is not generator:
+            return None
+        return self._configuration.failure_of(unit)
+
+    def failed(self) -> tuple[FailureView, ...]:
+        """The units that were cut off. Cost: O(units), and for each failure O(requests)."""
+        return self._failed(self._configuration.units.values())
+
+    def evaluation(self, name: str) -> EvaluationView:
+        """How far all is that reads stream ``name``; raises `UnknownStream`. Cost: O(units²)."""
+        generator = self._configuration.stream(name)
+        stream, evaluated = generator.stream, generator.stream.last_number
+        readers = self._readers(self._configuration.units.values(), generator.name)
+        for unit in self.behind_of(generator.name):
+            through = unit.output.watermark
+            number = 0 if through is None else stream.number_before(through)
+            evaluated = min(evaluated, number, stream.last_number - 1)
+        return EvaluationView(stream.last_number, evaluated, self._failed(readers))
+
+    def _failed(self, units: Iterable[ComputationalUnit]) -> tuple[FailureView, ...]:
+        found = []
+        for unit in units:
+            if unit.failure is not None:
+                stream = unit.output.name
+                asked = (
+                    *self._requests.of_stream(stream),
+                    *self.queries.of_stream(stream),
+                    *self._subscriptions.of_stream(stream),
+                )
+                found.append(FailureView(unit.name, stream, asked, unit.failure))
+        return tuple(found)
 
     def go_on_again(self, done: Sequence[Went]) -> None:
         """Do what `go_on` did; raises ``ValueError`` where there is no such thing to do."""
@@ -776,6 +823,7 @@ class Engine:
 
     def _heard(self, change: Change) -> None:
         """What is remembered of a stream holds no more."""
+        self.failures += change.kind in (ChangeKind.UNIT_FAILED, ChangeKind.UNIT_STOPPED_BY_RULE)
         if change.kind is ChangeKind.STREAM_REMOVED:
             self.intake.forget(change.stream)
         self._converters.pop(change.stream, None)

@@ -374,9 +374,7 @@ class RegisteredQueries:
         return found
 
     def _state(self, running: _Running) -> tuple[str, str | None]:
-        units = self._configuration.units_behind(running.unit)
-        failures = (f"{unit.name}: {unit.failure}" for unit in units if unit.failure is not None)
-        failure = next(failures, None)
+        failure = self._configuration.failure_of(running.unit)
         if failure is not None:
             return "failed", failure
         return ("ended" if running.unit.output.is_ended else "running"), None

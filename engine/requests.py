@@ -195,6 +195,7 @@ class EventRequests:
             late=running.unit.late,
             plan=explanations.plan_view(self._configuration, running.unit),
             created=request.number,
+            failure=self._configuration.failure_of(running.unit),
         )
 
     def rdf_of(self, stream: str) -> StreamAnnotation | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ..languages.kpl import format_policy, parse_policy
 from ..streams.generator import StreamGenerator
@@ -123,13 +123,16 @@ class Subscriptions:
         """One subscription; raises `UnknownRequest`."""
         found = self._get(id)
         if isinstance(found, AdaptiveSubscription):
-            return _adaptive_view(found)
+            return replace(
+                _adaptive_view(found), failure=self._configuration.failure_of(found.unit)
+            )
         unit = found.unit
         counters: dict[str, object] = {}
         violations = None
         if unit is not None:
             counters = counts_of(unit)
             violations = None if unit.violations is None else unit.violations.name
+        last = unit or self._configuration.units.get(found.source.name)
         return SubscriptionView(
             id=id,
             source=found.source.name,
@@ -138,6 +141,7 @@ class Subscriptions:
             stream=found.source.name if unit is None else unit.output.name,
             counters=counters,
             violations=violations,
+            failure=None if last is None else self._configuration.failure_of(last),
         )
 
     def _get(self, id: str) -> _Subscription | AdaptiveSubscription:

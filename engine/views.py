@@ -83,6 +83,30 @@ class StreamView:
 
 
 @dataclass(frozen=True, slots=True)
+class FailureView:
+    """A unit that was cut off: ``stream`` is what it makes, ``asked`` are the requests, queries and
+    subscriptions that it answers."""
+
+    unit: str
+    stream: str
+    asked: tuple[str, ...]
+    failure: str
+
+
+@dataclass(frozen=True, slots=True)
+class EvaluationView:
+    """How far all is that reads a stream, directly or through others.
+
+    ``last`` is the number of the stream's newest sample, ``evaluated`` that of the newest one with
+    which all units that read it are through; those that ``failed`` are not waited for.
+    """
+
+    last: int
+    evaluated: int
+    failed: tuple[FailureView, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class TemplateView:
     """A registered event template; ``name`` is the IRI of its event concept."""
 
@@ -124,7 +148,8 @@ class EventView:
     ``position`` the number of the last sample of ``stream`` before the request. ``waits_for``
     names streams that have no sample yet and are not idle: a query of several streams decides
     nothing before. The next window waits for ``held_back_by``, the streams that are least far;
-    ``late`` counts samples that came too late for theirs.
+    ``late`` counts samples that came too late for theirs. ``failure`` says why nothing more comes,
+    if so.
     """
 
     id: str
@@ -139,6 +164,7 @@ class EventView:
     late: int
     plan: PlanView
     created: int
+    failure: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -262,7 +288,7 @@ class SubscriptionView:
     """A subscription to ``source`` under a policy; its samples come on ``stream``.
 
     ``policy`` is KPL text, integers in ms; empty: the stream as it is. ``counters`` and
-    ``violations`` as in `DeclarationView`.
+    ``violations`` as in `DeclarationView`. ``failure`` says why nothing more comes, if so.
     """
 
     id: str
@@ -273,6 +299,7 @@ class SubscriptionView:
     counters: Mapping[str, object]
     violations: str | None
     adaptive: AdaptiveView | None = None
+    failure: str | None = None
 
 
 @dataclass(frozen=True, slots=True)

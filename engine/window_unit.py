@@ -219,6 +219,11 @@ class WindowUnit(ComputationalUnit):
             self._take_part()
 
     @property
+    def spent(self) -> float:
+        """Seconds of work since it fell behind."""
+        return self._spent
+
+    @property
     def is_taking(self) -> bool:
         """Whether part of a batch comes next, and no window before it."""
         has_part = bool(self._put_by) and self._put_by[0][0] == _TAKE

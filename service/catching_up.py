@@ -106,6 +106,22 @@ class CatchingUp:
                 break
             await asyncio.sleep(_LOOK)
 
+    def is_overloaded(self, stream: str) -> bool:
+        """Whether more samples for ``stream`` have to wait outside: a unit that reads it has worked
+        for as long as a publisher waits, and is behind still. So a recording cannot be sent faster
+        than it is evaluated, until some unit is cut off for it.
+
+        Samples that are stamped on arrival do not wait: they would be other samples then.
+        """
+        pausing = self._pausing
+        if pausing is None or not self._behind or self._is_stuck or self._task is None:
+            return False
+        generator = self._engine.generator(stream)
+        if generator.stamped is not False:
+            return False
+        most = min(_PATIENCE, pausing.most / 4)
+        return any(unit.spent >= most for unit in self._engine.behind_of(generator.name))
+
     def close(self) -> None:
         """What is behind stays so."""
         if self._task is not None:

@@ -75,6 +75,10 @@ class Client(Connection):
         """One stream."""
         return self._object("GET", f"/streams/{_part(name)}")
 
+    def evaluation(self, stream: str) -> dict[str, Any]:
+        """How far all is that reads a stream, and what of it failed."""
+        return self._object("GET", f"/streams/{_part(stream)}/evaluation")
+
     def remove_stream(self, name: str) -> None:
         """Remove a declared stream, or one of late samples, unless it is read."""
         self._send("DELETE", f"/streams/{_part(name)}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
+from collections import Counter
 from dataclasses import dataclass, field
 from typing import Annotated, Any
 
@@ -79,6 +80,15 @@ class Service:
             if late > max(LATE, 10 * self.settings.tick):
                 found.append(f"the engine's tick is late: the last one was {late:.1f} s ago")
         return found
+
+    def failed(self) -> list[str]:
+        """Which kinds of failures have cut units off, and how many. It names none of them: whoever
+        asks whether the service is ready need not have a token."""
+        found = Counter(each.failure.partition(":")[0] for each in self.engine.failed())
+        return [
+            f"{count} computational unit{'s have' if count > 1 else ' has'} failed: {kind}"
+            for kind, count in sorted(found.items())
+        ]
 
     def revoke(self) -> int:
         """Let those go whose tokens are not accepted any more; how many."""

@@ -29,7 +29,8 @@ RETRY = 5
 """Seconds after which a client that found no place should ask again."""
 REASONS = ("ended", "removed", "left", "stalled", "revoked", "shutdown", "failed")
 """Why an answer ends: its stream did, or was removed; the client went, or took nothing; its token
-is not accepted any more; the service stops; an error, which is in the log."""
+is not accepted any more; the service stops; what feeds the stream has failed, or an error, which is
+in the log."""
 OPEN = Tokens()
 """No token is asked for."""
 

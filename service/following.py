@@ -88,7 +88,7 @@ class Followed:
         reasons = [cursor.over for cursor in self._cursors]
         if None in reasons:
             return None
-        return "ended" if "ended" in reasons else "removed"
+        return next(one for one in ("failed", "ended", "removed") if one in reasons)
 
     def join(self, client: EventClient) -> None:
         """``client`` is to be woken when there is something."""

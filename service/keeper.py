@@ -181,6 +181,11 @@ class Keeper:
         """Return when nobody who reads ``stream`` is behind, or a moment has passed."""
         await self._catching_up.caught_up(stream)
 
+    def is_overloaded(self, stream: str) -> bool:
+        """Whether more samples for ``stream`` have to wait until the queries that read it have
+        caught up."""
+        return self._catching_up.is_overloaded(stream)
+
     def check_room(self, size: int) -> None:
         """Before so many bytes are looked at: there is memory for more, and they can be kept.
         Raises a 503 `Problem`, and `JournalError`."""

@@ -87,12 +87,15 @@ class LiveSamples(ABC):
     def end(self) -> None:
         """The body is whole: publish what is left."""
 
-    async def keep_up(self) -> None:
-        """Wait while too much waits to be kept, and a moment for those who read the stream. Raises
-        `JournalError`."""
+    async def keep_up(self) -> bool:
+        """Wait while too much waits to be kept, and a moment for those who read the stream; whether
+        these take more samples now. Raises `JournalError`."""
         if self._keeper.is_behind:
             await self._keeper.kept()
         await self._keeper.caught_up(self._name)
+        # One that was removed meanwhile is told with the next sample.
+        there = self._engine.has_stream(self._name)
+        return not there or not self._keeper.is_overloaded(self._name)
 
     def _target(self) -> StreamGenerator:
         """Asked each time: the stream may have been declared anew, or removed, meanwhile."""
@@ -313,7 +316,9 @@ class LiveBodies:
                 live.end()
                 return
             body.keep(live.held)
-            await live.keep_up()
+            # The request is not read meanwhile.
+            while not await live.keep_up() and not self._closing and self._may_go_on(under_way):
+                continue
         raise Problem(
             503,
             "the service stops",

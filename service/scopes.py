@@ -32,6 +32,7 @@ OPEN = (
 READ = (
     "GET /streams",
     "GET /streams/{name}",
+    "GET /streams/{name}/evaluation",
     "GET /streams/{name}/samples",
     "GET /streams/{name}/events",
     "GET /follow",

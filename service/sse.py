@@ -44,12 +44,13 @@ POSITION = "Dyknow-Position"
 
 @dataclass(frozen=True, slots=True)
 class Shown:
-    """Of one stream: the number of the newest sample, whether it has ended, and when (ns) the last
-    switch of its subscription was."""
+    """Of one stream: the number of the newest sample, whether it has ended, when (ns) the last
+    switch of its subscription was, and why what feeds it has failed."""
 
     newest: int
     is_ended: bool
     switched: int | None
+    failure: str | None = None
 
 
 class Feed:
@@ -72,6 +73,8 @@ class Feed:
         self.is_removed = False
         self.switches: Sequence[Rematch] = ()
         """Those of the subscription whose stream this is."""
+        self.failure = engine.failure_of(generator)
+        """Why what feeds the stream has failed, as of the last `look`."""
         self._told: Rematch | None = None
         self._engine = engine
         self._all = clients
@@ -91,7 +94,8 @@ class Feed:
         """What there is to be seen, kept or not."""
         generator = self.generator
         latest = self.switches[-1].time if self.switches else None
-        return Shown(generator.stream.last_number, generator.is_ended, latest)
+        last = generator.stream.last_number
+        return Shown(last, generator.is_ended, latest, self.failure)
 
     @property
     def oldest(self) -> int:
@@ -103,14 +107,18 @@ class Feed:
         """Why nothing comes after `newest`; None while something may."""
         if self.is_removed:
             return "removed"
-        all_seen = self.newest == self.generator.stream.last_number
-        is_told = self.shown is None or self.shown.is_ended
-        return "ended" if self.generator.is_ended and is_told and all_seen else None
+        if self.newest != self.generator.stream.last_number:
+            return None
+        shown = self.shown or self.look_now()
+        if shown.failure is not None and self.failure is not None:
+            return "failed"
+        return "ended" if self.generator.is_ended and shown.is_ended else None
 
     def receive(self, source: StreamGenerator, batch: SampleBatch) -> None:
         self._news()
 
     def ended(self, source: StreamGenerator) -> None:
+        self.failure = self._engine.failure_of(self.generator)
         self._news()
 
     def _news(self) -> None:
@@ -128,9 +136,12 @@ class Feed:
         """Let every client look again. Several wakes before they do are one."""
         self._all.rounds.add(self)
 
-    def look(self) -> None:
-        """Wake the clients where there is a switch that they may not have heard of: it need not
-        come with a sample."""
+    def look(self, *, failures: bool = True) -> None:
+        """Wake the clients where there is a switch that they may not have heard of, or a failure of
+        what feeds the stream (if there are new ``failures``): it need not come with a sample."""
+        if failures and self.failure != (failure := self._engine.failure_of(self.generator)):
+            self.failure = failure
+            self._news()
         if self.switches and self.switches[-1] is not self._told:
             self._told = self.switches[-1]
             self._news()
@@ -266,6 +277,8 @@ class Cursor:
         if self.over is None and feed.over is not None:
             self.over = feed.over
             end = {"stream": feed.name, "sequence": number - 1, "reason": self.over}
+            if self.over == "failed":
+                end["failure"] = feed.failure
             return message("end", end)
         return None
 
@@ -287,6 +300,8 @@ class Feeds:
         self._cache = MessageCache(cache_limit)
         self._feeds: dict[str, Feed] = {}
         self._is_kept = is_kept
+        self._failures = 0
+        """So many failures the feeds have looked for."""
         self._unseen: dict[Feed, None] | None = None if is_kept is None else {}
 
     @property
@@ -360,11 +375,12 @@ class Feeds:
             del self._feeds[feed.name]
 
     def review(self) -> None:
-        """Tell the clients of streams that are no longer there, and of switches. Called at each
-        tick."""
+        """Tell the clients of streams that are no longer there or have failed, and of switches.
+        Called at each tick."""
+        failures, self._failures = self._failures, self._engine.failures
         for feed in tuple(self._feeds.values()):
             if not self._is_removed(feed):
-                feed.look()
+                feed.look(failures=self._failures != failures)
             elif not feed.is_removed:
                 del self._feeds[feed.name]
                 feed.is_removed = True

@@ -368,6 +368,11 @@ class FluentStream:
             after = min(after, first + most)
         return self._part(first, after)
 
+    def number_before(self, time: int) -> int:
+        """The number of the last sample available before ``time``; of one before all that are kept,
+        that of the one before these."""
+        return self._number(time, "left") - 1
+
     def _number(self, time: int, side: Literal["left", "right"]) -> int:
         """The number of the first sample available after ``time`` (``left``: at it or after)."""
         i = (bisect_left if side == "left" else bisect_right)(self._runs, time, key=_END)

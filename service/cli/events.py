@@ -136,16 +136,29 @@ def _list(client: Client, as_json: bool) -> None:
         return
     show_table(
         ["id", "event", "arguments", "stream"],
-        [(e["id"], shorten(e["event"]), e["arguments"], e["stream"] or e["state"]) for e in found],
+        [
+            (
+                e["id"],
+                shorten(e["event"]),
+                e["arguments"],
+                e["stream"] if e["state"] == "running" else e["state"],
+            )
+            for e in found
+        ],
         whole=["id", "stream"],
         empty="no requests run",
     )
+    for each in found:
+        if each["failure"]:
+            show_text(f"{each['id']} {each['state']}: {each['failure']}")
 
 
 def show_events(messages: Iterable[Event], count: int | None, as_json: bool) -> int:
-    """Show the events until the stream's end, at most ``count``; returns how many."""
-    seen = 0
+    """Show the events until the stream's end, at most ``count``; returns how many. Raises
+    ``typer.Exit(1)`` at the end of a stream that ends as what feeds it has failed."""
+    seen, has_failed = 0, False
     for message in messages:
+        has_failed |= message.kind == "end" and message.data.get("reason") == "failed"
         if as_json:
             show_json({"event": message.kind, "id": message.id, **message.data})
         elif message.kind == "sample":
@@ -157,10 +170,13 @@ def show_events(messages: Iterable[Event], count: int | None, as_json: bool) -> 
         elif message.kind == "rematched":
             err().print(_switch_words(message.data), markup=False)
         else:
-            err().print(f"end: the stream has {message.data.get('reason')}", markup=False)
+            why = f": {message.data['failure']}" if "failure" in message.data else ""
+            err().print(f"end: the stream has {message.data.get('reason')}{why}", markup=False)
         seen += message.kind == "sample"
         if count is not None and seen >= count:
             break
+    if has_failed:
+        raise typer.Exit(1)
     return seen
 
 

@@ -34,6 +34,8 @@ from .output import DEFAULT_URL, Json, Url, connect, err, show_json, show_text, 
 from .reading import Sort, show_order
 from .streams import text_or_file
 
+_LOOK = 0.2
+"""Seconds between two looks whether all has been evaluated."""
 _FATES = ("accepted", "used", "late", "duplicate", "expired", "pending")
 
 
@@ -159,6 +161,7 @@ def replay(
         recordings = {name: track.recording for name, track in tracks.items()}
         player = _Player(client, recordings, extent, factor, shift, latest)
         begun = time.monotonic()
+        readers = _Readers(client)
         before = {name: dict.fromkeys(_FATES, 0) for name in tracks}
         try:
             for name, track in tracks.items():
@@ -166,6 +169,7 @@ def replay(
             if meaning is not None:
                 client.annotate(meaning)
             before = {name: client.stream(name)["counters"] for name in tracks}
+            readers.begin(tracks)
             player.run(loop=loop, quiet=as_json)
         except KeyboardInterrupt:
             err().print("stopped", markup=False)
@@ -179,18 +183,65 @@ def replay(
         else:
             for name in tracks:
                 client.end(name)
+            readers.wait()
         seconds = time.monotonic() - begun
         for name in tracks:
             after = client.stream(name)["counters"]
             counts = {fate: after[fate] - before[name][fate] for fate in _FATES}
             counts["ahead"] = player.left_out.get(name, 0)
+            counts["evaluated"] = readers.evaluated(name)
             its = extents[name] or extent
             order = tracks[name].order
             _summary(
                 name, counts, its, seconds, rebase is not None, as_json, opened.dropouts, order
             )
+        failed = readers.failed()
     if not as_json:
         _tell(opened)
+    for each in failed:
+        asked = ", ".join(each["asked"]) or f"what makes stream {each['stream']}"
+        err().print(f"failed: {asked}: {each['failure']}", markup=False, highlight=False)
+    if failed:
+        raise typer.Exit(1)
+
+
+class _Readers:
+    """Those who read the streams that are played: how far they are, and who fails meanwhile."""
+
+    def __init__(self, client: Client) -> None:
+        self._client = client
+        self._begun: dict[str, int] = {}
+        """The number of the last sample of each stream before it is played."""
+        self._before: set[str] = set()
+        """Units that had failed before."""
+
+    def begin(self, streams: Iterable[str]) -> None:
+        """``streams`` are played from now on."""
+        for name in streams:
+            found = self._client.evaluation(name)
+            self._begun[name] = found["last"]
+            self._before.update(each["unit"] for each in found["failed"])
+
+    def wait(self) -> None:
+        """Return when all that reads the streams is through with what is in them now."""
+        for name in self._begun:
+            last = self._client.evaluation(name)["last"]
+            while self._client.evaluation(name)["evaluated"] < last:
+                time.sleep(_LOOK)
+
+    def evaluated(self, name: str) -> int:
+        """So many samples that were played into the stream all are through with."""
+        found: int = self._client.evaluation(name)["evaluated"]
+        return max(0, found - self._begun.get(name, found))
+
+    def failed(self) -> list[dict[str, Any]]:
+        """What has failed since `begin`, each once."""
+        found = {
+            each["unit"]: each
+            for name in self._begun
+            for each in self._client.evaluation(name)["failed"]
+        }
+        return [each for unit, each in found.items() if unit not in self._before]
 
 
 @dataclass(frozen=True, slots=True)
@@ -427,8 +478,9 @@ def _summary(
         return
     rate = counts["accepted"] / max(seconds, 1e-9)
     show_text(
-        f"{stream}: {counts['accepted']:,} samples accepted in {seconds:.1f} s ({rate:,.0f}/s), "
-        f"recorded {format_time(extent.first)} to {format_time(extent.last)}"
+        f"{stream}: {counts['accepted']:,} samples accepted, {counts['evaluated']:,} evaluated in "
+        f"{seconds:.1f} s ({rate:,.0f}/s), recorded {format_time(extent.first)} to "
+        f"{format_time(extent.last)}"
     )
     rest = [f"{fate} {counts[fate]:,}" for fate in _FATES[1:] if counts[fate] or fate == "used"]
     if counts["ahead"]:

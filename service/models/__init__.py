@@ -18,7 +18,15 @@ from .state import (
     ViolationModel,
     WaitingModel,
 )
-from .streams import AcceptedModel, CountersModel, FieldModel, RetentionModel, StreamIn, StreamModel
+from .streams import (
+    AcceptedModel,
+    CountersModel,
+    EvaluationModel,
+    FieldModel,
+    RetentionModel,
+    StreamIn,
+    StreamModel,
+)
 from .subscriptions import AdaptiveModel, RematchModel, SubscriptionIn, SubscriptionModel
 from .transformations import (
     ContentsIn,
@@ -40,6 +48,7 @@ __all__ = [
     "ContentsIn",
     "CountersModel",
     "DeclarationModel",
+    "EvaluationModel",
     "EventIn",
     "EventModel",
     "ExplainModel",

@@ -88,10 +88,11 @@ class EventModel(BaseModel):
     arguments: list[str]
     strategy: str
     since: views.Since
-    state: Literal["running", "waiting"] = Field(
-        description="waiting: an earlier run has accepted it, and this one cannot start it"
+    state: Literal["running", "failed", "waiting"] = Field(
+        description="failed: what answers it was cut off, and nothing more comes; waiting: an "
+        "earlier run has accepted it, and this one cannot start it"
     )
-    failure: str | None = Field(description="why it waits")
+    failure: str | None = Field(description="why it has failed or waits")
     stream: str | None
     position: str | None = Field(
         description="id of the stream's last sample before the request: follow with since=position"
@@ -137,8 +138,8 @@ class EventModel(BaseModel):
             arguments=list(view.arguments),
             strategy=view.strategy,
             since=views.Since(view.since),
-            state="running",
-            failure=None,
+            state="running" if view.failure is None else "failed",
+            failure=view.failure,
             stream=view.stream,
             position=f"{epoch}-{view.position}",
             waits_for=list(view.waits_for),

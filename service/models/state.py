@@ -54,7 +54,7 @@ class StatusModel(BaseModel):
 
 
 class HealthModel(BaseModel):
-    """``ok``, or what is wrong."""
+    """``ok``; ``degraded``: it works, and some unit has failed; ``failing``, and what is wrong."""
 
     status: str
     reason: str | None = None

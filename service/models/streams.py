@@ -218,6 +218,36 @@ class StreamModel(BaseModel):
         )
 
 
+class FailureModel(BaseModel):
+    """A computational unit that was cut off."""
+
+    unit: str
+    stream: str = Field(description="what it makes")
+    asked: list[str] = Field(description="the requests, queries and subscriptions that it answers")
+    failure: str
+
+
+class EvaluationModel(BaseModel):
+    """How far all is that reads a stream, directly or through other streams."""
+
+    last: int = Field(description="number of the newest sample; 0 before the first")
+    evaluated: int = Field(
+        description="number of the newest sample with which all units that read it are through; "
+        "those that failed are not waited for"
+    )
+    failed: list[FailureModel]
+
+    @classmethod
+    def of(cls, view: views.EvaluationView) -> EvaluationModel:
+        failed = [
+            FailureModel(
+                unit=each.unit, stream=each.stream, asked=list(each.asked), failure=each.failure
+            )
+            for each in view.failed
+        ]
+        return cls(last=view.last, evaluated=view.evaluated, failed=failed)
+
+
 class AcceptedModel(BaseModel):
     """How many samples were taken; a batch is taken whole or refused whole."""
 

@@ -110,10 +110,11 @@ class SubscriptionModel(BaseModel):
     source: str = Field(description="the stream; of one to a feature that waits, the feature")
     policy: str = Field(description="as KPL, integers in ms; of one that waits as it was written")
     since: views.Since
-    state: Literal["running", "waiting"] = Field(
-        description="waiting: an earlier run has accepted it, and this one cannot start it"
+    state: Literal["running", "failed", "waiting"] = Field(
+        description="failed: what feeds it was cut off, and nothing more comes; waiting: an "
+        "earlier run has accepted it, and this one cannot start it"
     )
-    failure: str | None = Field(description="why it waits")
+    failure: str | None = Field(description="why it has failed or waits")
     stream: str | None
     counters: dict[str, Any] = Field(description="what became of the samples under the policy")
     violations: str | None = Field(description="the stream of samples that were not passed on")
@@ -146,8 +147,8 @@ class SubscriptionModel(BaseModel):
             source=view.source,
             policy=view.policy,
             since=views.Since(view.since),
-            state="running",
-            failure=None,
+            state="running" if view.failure is None else "failed",
+            failure=view.failure,
             stream=view.stream,
             counters=dict(view.counters),
             violations=view.violations,

@@ -20,10 +20,17 @@ async def healthz() -> HealthModel:
 @router.get("/readyz", responses={503: {"model": HealthModel}})
 async def readyz(service: Context, response: Response) -> HealthModel:
     """The service takes requests: 503 with the reasons while it starts or stops, while the engine's
-    tick fails or is late, and while something else keeps it from its work."""
+    tick fails or is late, and while something else keeps it from its work.
+
+    200 with `degraded` while all works but units that were cut off: what they answer is `failed` in
+    `/events`, `/queries` and `/subscriptions`. Others are served, and a restart would mend nothing.
+    """
     reasons = service.reasons()
     if not reasons:
-        return HealthModel(status="ok")
+        failed = service.failed()
+        if not failed:
+            return HealthModel(status="ok")
+        return HealthModel(status="degraded", reason="; ".join(failed), reasons=failed)
     response.status_code = 503
     return HealthModel(status="failing", reason="; ".join(reasons), reasons=reasons)
 

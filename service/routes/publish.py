@@ -12,7 +12,7 @@ from ...engine.commands import Publish
 from ..context import Context
 from ..models import AcceptedModel
 from ..negotiation import ARROW, JSON, NDJSON, content_type
-from ..problems import responses
+from ..problems import Problem, responses
 from .direct import direct
 
 KEY_LENGTH = 200
@@ -66,10 +66,19 @@ async def publish_samples(
     Samples without `available` are stamped on arrival; one that is further ahead of the clock than
     the stream's `ahead` is a 400 (`latest` is the latest time that is taken).
 
+    429: queries that read the stream are behind, and samples that bring `available` have to wait.
     409: the `Idempotency-Key` was used for
     another body.
     """
     service.engine.accepting(name)  # an unknown stream is told before the body is read
+    if service.keeper.is_overloaded(name):
+        raise Problem(
+            429,
+            "queries are behind",
+            f"queries that read stream {name!r} are behind, and take no more samples now",
+            hint="send the batch again after the seconds in Retry-After",
+            headers={"Retry-After": "1"},
+        )
     kind = content_type(request, (NDJSON, ARROW))
     body = await request.body()
     # Asked again: the stream may have been declared anew while the body came.

@@ -12,7 +12,7 @@ from ...streams.fluent import Retention
 from ...streams.sample import LONGEST_NAME
 from ..context import Context, Service
 from ..listing import listed
-from ..models import QualityIn, StreamIn, StreamModel
+from ..models import EvaluationModel, QualityIn, StreamIn, StreamModel
 from ..negotiation import JSON, content_type
 from ..problems import responses
 from .json_body import JsonRoute
@@ -52,6 +52,12 @@ async def read_stream(name: str, service: Context) -> StreamModel:
     late from then on.
     """
     return StreamModel.of(service.engine.stream(name))
+
+
+@router.get("/streams/{name}/evaluation", responses=responses(404))
+async def read_evaluation(name: str, service: Context) -> EvaluationModel:
+    """How far the queries and other units are that read the stream, and which of them failed."""
+    return EvaluationModel.of(service.engine.evaluation(name))
 
 
 @router.put(
