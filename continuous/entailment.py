@@ -8,7 +8,7 @@ come, so that every way to evaluate a query sees them; docs/semantics.md has the
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -20,7 +20,7 @@ from ..ontology.entailment import Consequences, Rules
 from ..ontology.hierarchy import Node
 from ..ontology.units import Conversion
 from ..rdf.dictionary import Named, TermTable
-from ..rdf.namespaces import RDF_TYPE, shorten
+from ..rdf.namespaces import RDF_TYPE, XSD, shorten
 from ..rdf.timed import Kind, ObjectColumn, TripleRows
 from .background import Background
 from .columns import Sort, TermValues
@@ -129,6 +129,19 @@ class StreamEntailment(TermTable):
                 if effect is not None:
                     found += self._follow(effect, predicate, table, column)
         return [rows for rows in found if len(rows)]
+
+    def tells_of_objects(self, features: Collection[str]) -> bool:
+        """Whether streams of these features (IRIs), or of what is a case of them, entail something
+        that is asked for of the objects of their triples, not of their subjects."""
+        rules = self._background.rules
+        wanted = {NamedNode(feature) for feature in features}
+        return any(
+            self.asked.among(found.back)
+            # Literals are of datatypes, and nothing is said of them.
+            or any(not kind.value.startswith(XSD) for kind in self._kinds(found.object))
+            for found in map(rules.consequences, rules.properties)
+            if found.along & wanted
+        )
 
     def described(self) -> Iterator[str]:
         """What is entailed of streams for the query, for people."""

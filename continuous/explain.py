@@ -37,7 +37,8 @@ class Stages:
     else ``shape`` is how it is computed incrementally, or why it is not. ``merges`` is why
     Oxigraph counts equal triples once although the bag is asked for, "" where it does not.
     ``known`` is what costs are estimated from, ``served`` the parts of the plan that a compiled
-    loop solves. ``profile`` is what the operators have cost so far, where that is measured.
+    loop solves, ``entailed`` what the ontology's schema says of the streams' triples.
+    ``profile`` is what the operators have cost so far, where that is measured.
     """
 
     query: ContinuousQuery
@@ -52,6 +53,7 @@ class Stages:
     merges: str
     known: Known
     served: Sequence[Plan]
+    entailed: Sequence[str]
     profile: Profile | None = None
 
     def __str__(self) -> str:
@@ -63,6 +65,8 @@ class Stages:
         yield f"query{name} ({query.form}), {self.options.semantics} semantics"
         yield from _section("as read", format_query(query).splitlines())
         yield from _section("windows", self._windows())
+        if self.entailed:
+            yield from _section("entailed of each triple of a stream", self.entailed)
         if self.translated is None or self.plan is None:
             yield f"on Oxigraph, a fresh store a window, because of {self.reason}"
             yield from _section("SPARQL", self.sparql.splitlines())

@@ -120,6 +120,8 @@ class TemplateEvaluator(SharedWindows):
         reading = Reading.of(bind(self.query, arguments), windows.schedule)
         if own_solutions(reading.translated(given)):
             return None
+        if one_by_one and windows.entailment.tells_of_objects(streamed):
+            return None
         # ASK says no as well.
         alike = not isinstance(found.head, Ask) and confined(found.plan, one_by_one, streamed)
         return frozenset(fixed) if alike or not one_by_one else None

@@ -25,7 +25,7 @@ from ..converters.to_triples import SampleConverter
 from ..languages.csparql import format_query, with_streams
 from ..languages.csparql.ast import ContinuousQuery
 from ..languages.ssl.annotation import Content, StreamAnnotation
-from ..matching.plan import Node, Supply, wanted_annotation
+from ..matching.plan import Node, Supply, SupplySource, own_annotation, wanted_annotation
 from ..ontology.ontology import Ontology
 from ..ontology.units import Unit
 from ..rdf.dictionary import Term, TermDictionary
@@ -233,28 +233,36 @@ class Queries:
         each."""
         inputs: dict[str, StreamGenerator] = {}
         converters: dict[str, list[SampleConverter]] = defaultdict(list)
+        wanted = [(supply, source) for supply in supplies for source in supply.sources]
+        asked: dict[tuple[object, ...], set[str]] = defaultdict(set)
+        for supply, source in wanted:
+            asked[_element(source)].add(supply.want.feature)
         # Two patterns may want the same of one stream: its samples are still elements once.
-        read: set[tuple[str, tuple[Content, ...], Unit]] = set()
-        for supply in supplies:
-            for source in supply.sources:
-                generator = self._obtain(source.node, since)
-                inputs[generator.name] = generator
-                annotation = wanted_annotation(supply, source, generator.name)
-                element = (generator.name, annotation.contents, source.port.target)
-                if element in read:
-                    continue
-                read.add(element)
-                units: dict[str, Unit] = {supply.want.feature: source.port.target}
-                converters[generator.name].append(
-                    SampleConverter(
-                        annotation,
-                        generator.schema,
-                        self._ontology.vocabulary,
-                        self._dictionary,
-                        namespace=self._configuration.namespaces[generator.name],
-                        units=units,
-                    )
+        read: set[tuple[str, tuple[Content, ...], Unit | None]] = set()
+        for supply, source in wanted:
+            generator = self._obtain(source.node, since)
+            inputs[generator.name] = generator
+            annotation = wanted_annotation(supply, source, generator.name)
+            target: Unit | None = source.port.target
+            if len(asked[_element(source)]) > 1:
+                # Under its own name: that it is of the wider features as well is entailed.
+                annotation = own_annotation(source, generator.name)
+                target = None
+            element = (generator.name, annotation.contents, target)
+            if element in read:
+                continue
+            read.add(element)
+            units: dict[str, Unit] = {} if target is None else {supply.want.feature: target}
+            converters[generator.name].append(
+                SampleConverter(
+                    annotation,
+                    generator.schema,
+                    self._ontology.vocabulary,
+                    self._dictionary,
+                    namespace=self._configuration.namespaces[generator.name],
+                    units=units,
                 )
+            )
         return inputs, converters
 
     def start_over(
@@ -300,6 +308,11 @@ class Queries:
             )
 
         return self._configuration.start_query(form.schema, make, since, manner.name)
+
+
+def _element(source: SupplySource) -> tuple[object, ...]:
+    """What of a node's samples an element is made of."""
+    return source.node, source.port.source_field, source.roles
 
 
 def _built(

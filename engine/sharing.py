@@ -25,6 +25,7 @@ from ..matching.plan import (
     nodes_of,
     nodes_of_supply,
 )
+from ..ontology.entailment import Rules
 from ..ontology.ontology import Ontology
 from ..rdf.dictionary import Term
 from ..templates.instantiate import ArgumentError, instantiate
@@ -56,10 +57,11 @@ class Common:
 
 @dataclass(frozen=True, slots=True)
 class _Agreements:
-    """Of a template with this text: by kind of request the parameters on which they have to agree,
-    None where they cannot share."""
+    """Of a template with this text, under these rules of the ontology: by kind of request the
+    parameters on which they have to agree, None where they cannot share."""
 
     source: str
+    rules: Rules
     known: dict[Hashable, frozenset[str] | None]
 
 
@@ -135,8 +137,14 @@ class Sharing:
         streamed = frozenset(supply.want.feature for supply in supplies)
         given = frozenset(variable.value for variable in query.bindings)
         agreements = self._agreements.get(template.name)
-        if agreements is None or agreements.source != template.source:
-            agreements = self._agreements[template.name] = _Agreements(template.source, {})
+        rules = self._ontology.rules
+        if (
+            agreements is None
+            or agreements.source != template.source
+            or agreements.rules is not rules
+        ):
+            agreements = _Agreements(template.source, rules, {})
+            self._agreements[template.name] = agreements
         known = agreements.known
         kind = (given, selected, streamed)
         if kind not in known:

@@ -326,9 +326,18 @@ def wanted_annotation(supply: Supply, source: SupplySource, stream: str = "") ->
     A stream of a sub-feature is a stream of the feature, so the triples made from it have the
     predicate that the query asks for. The unit is still the stream's (``source.port.source``).
     """
+    return _annotation_of_source(supply.want.feature, source, stream)
+
+
+def own_annotation(source: SupplySource, stream: str = "") -> StreamAnnotation:
+    """The same under the feature that the stream names: that of several wanted ones is entailed."""
+    return _annotation_of_source(source.port.feature, source, stream)
+
+
+def _annotation_of_source(feature: str, source: SupplySource, stream: str) -> StreamAnnotation:
     name = source.node.stream if isinstance(source.node, UseStream) else stream
     port = source.port
-    contents = (Content(supply.want.feature, port.source_field, port.source, source.roles),)
+    contents = (Content(feature, port.source_field, port.source, source.roles),)
     return StreamAnnotation(name, contents, ssl_of(name, contents))
 
 

@@ -35,9 +35,10 @@ class Hierarchy(Mapping[T, frozenset[T]], Generic[T]):
     """
 
     def __init__(self, edges: Iterable[tuple[T, T]]) -> None:
+        self.edges = tuple(edges)
         self._number: dict[T, int] = {}
         self._upper: list[list[int]] = []
-        for lower, upper in edges:
+        for lower, upper in self.edges:
             self._upper[self._numbered(lower)].append(self._numbered(upper))
         self._nodes = list(self._number)
         self._bits = _reachable(self._upper)
@@ -65,6 +66,10 @@ class Hierarchy(Mapping[T, frozenset[T]], Generic[T]):
     def above(self, node: T) -> frozenset[T]:
         """What stands above ``node``; nothing if no edge names it."""
         return self[node] if node in self._number else frozenset()
+
+    def inverted(self) -> Hierarchy[T]:
+        """The same with what stands below each node."""
+        return Hierarchy((upper, lower) for lower, upper in self.edges)
 
     @property
     def pairs(self) -> int:

@@ -35,6 +35,10 @@ _HIERARCHICAL: Final = (*OF_CLASSES, *OF_PROPERTIES)
 _ENDS: Final = (DOMAIN, RANGE)
 _CLASS: Final = NamedNode(OWL + "Class")
 _THING: Final = NamedNode(OWL + "Thing")
+MOST_PAIRS: Final = 60_000
+"""Pairs of a hierarchy that are made triples of. Of a deeper one (350 classes in a chain) what is
+stated stays, and `hierarchy` answers for the rest: 2,000 in a chain are 2 million pairs, which take
+a store 5 s and 800 MB."""
 _REMARKS: Final = frozenset(RDFS + name for name in ("label", "comment", "seeAlso", "isDefinedBy"))
 _PLAIN_KINDS: Final = frozenset(
     {
@@ -216,8 +220,11 @@ def _remarks(asserted: Set[Triple]) -> frozenset[NamedNode]:
 
 
 def _hierarchical(hierarchy: Hierarchy[Node], kind: Inclusion) -> set[Triple]:
+    """The pairs of a hierarchy, unless they are too many."""
     inclusion, equivalence = kind
     found: set[Triple] = set()
+    if hierarchy.pairs > MOST_PAIRS:
+        return found
     for node in hierarchy:
         above = hierarchy[node]
         found.update(Triple(node, inclusion, other) for other in above)

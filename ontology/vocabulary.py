@@ -9,14 +9,16 @@ from __future__ import annotations
 
 import difflib
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
+from itertools import chain
 from typing import Literal as OneOf
 from typing import TypeAlias
 
 from pyoxigraph import Literal, NamedNode, Triple
 
 from ..rdf.namespaces import DYKNOW, OWL, RDF, RDFS, STREAM_SPACE, XSD, local_name
+from .hierarchy import Hierarchy
 from .units import Unit, UnitError, parse_unit
 
 NameKind: TypeAlias = OneOf["sort", "feature", "event", "any"]
@@ -79,10 +81,11 @@ class Vocabulary:
 
     @classmethod
     def from_triples(cls, triples: Iterable[Triple], version: int = 0) -> Vocabulary:
-        """The vocabulary of these triples, which must be closed (asserted and entailed).
+        """The vocabulary of these triples, which must be closed (asserted and entailed) but for
+        the pairs of hierarchies.
 
         Raises `UnitError`, naming the feature, if a ``:hasUnit`` cannot be understood.
-        Cost: linear in the triples.
+        Cost: linear in the triples, and that of the hierarchies.
         """
         return _read(_Index(triples), version)
 
@@ -187,6 +190,15 @@ class _Index:
             for subject, objects in self._objects.get(predicate, {}).items()
         }
 
+    def hierarchy(self, of: str) -> Hierarchy[str]:
+        """What contains each class or property, by name."""
+        inclusions = self.named(f"{RDFS}sub{of}Of")
+        equivalences = self.named(f"{OWL}equivalent{of}")
+        edges = [(lower, upper) for lower, uppers in inclusions.items() for upper in uppers]
+        for one, others in equivalences.items():
+            edges += [pair for other in others for pair in ((one, other), (other, one))]
+        return Hierarchy(edges)
+
     def texts(self, predicate: str) -> dict[str, list[str]]:
         """Subject -> literal texts of ``predicate``, sorted."""
         return {
@@ -211,22 +223,15 @@ def _read(index: _Index, version: int) -> Vocabulary:
 
     features = of_type([STREAM_SPACE + "Feature"]) - own
     events = of_type([STREAM_SPACE + "Event"]) - own
-    superclasses = index.named(RDFS + "subClassOf")
-    kinds_of_feature = {
-        c for c, supers in superclasses.items() if STREAM_SPACE + "Feature" in supers
-    }
+    superclasses = index.hierarchy("Class")
+    kinds_of_feature = superclasses.inverted().above(STREAM_SPACE + "Feature")
     classes = of_type(_CLASSES) | (index.described_sorts - {SELF})
     sorts = (classes - own - features - events - kinds_of_feature) | _TOPS
     tops = {sort for sort in sorts if sort in _TOPS or sort == THING}
     # A sort known only from its use in an annotation is under Thing like any other.
-    supersorts = {
-        sort: frozenset((superclasses.get(sort, set()) & sorts) | {sort} | tops) for sort in sorts
-    }
-    superproperties = index.named(RDFS + "subPropertyOf")
-    superfeatures = {
-        feature: frozenset((superproperties.get(feature, set()) & features) | {feature})
-        for feature in features
-    }
+    within_tops = ((sort, top) for sort in sorts for top in tops)
+    supersorts = Hierarchy(chain(superclasses.edges, within_tops))
+    superfeatures = index.hierarchy("Property")
     # What is typed by the stream space (a Stream, a Transformation) or speaks of RDF is no object.
     others = sorts | features | events | own | of_type(_SCHEMA) | of_type(own - _TOPS)
     objects = {
@@ -239,14 +244,14 @@ def _read(index: _Index, version: int) -> Vocabulary:
     named = sorted(index.named(_SAME).get(SELF, set()) - {SELF})
     for subject in (SELF, *named):
         objects[subject] = frozenset((types.get(subject, set()) & sorts) | tops)
-    infos = _Infos(index, superclasses, superfeatures)
+    infos = _Infos(index, superclasses, superfeatures, features)
     return Vocabulary(
         version,
-        supersorts,
-        _inverted(supersorts),
+        _Links(supersorts, frozenset(sorts)),
+        _Links(supersorts.inverted(), frozenset(sorts)),
         {feature: infos.info(feature) for feature in features},
-        superfeatures,
-        _inverted(superfeatures),
+        _Links(superfeatures, frozenset(features)),
+        _Links(superfeatures.inverted(), frozenset(features)),
         objects,
         frozenset(events),
         named[0] if named else SELF,
@@ -257,11 +262,19 @@ class _Infos:
     """Ranges, domains and units, the narrowest of each."""
 
     def __init__(
-        self, index: _Index, superclasses: Mapping[str, set[str]], superfeatures: Links
+        self,
+        index: _Index,
+        superclasses: Hierarchy[str],
+        superfeatures: Hierarchy[str],
+        features: Set[str],
     ) -> None:
         self._types = index.named(_TYPE)
         self._superclasses = superclasses
         self._superfeatures = superfeatures
+        self._depths = {
+            feature: len((superfeatures.above(feature) | {feature}) & features)
+            for feature in features
+        }
         self._ranges = index.named(RDFS + "range")
         self._domains = index.named(RDFS + "domain")
         self._units = index.texts(STREAM_SPACE + "hasUnit")
@@ -277,15 +290,14 @@ class _Infos:
 
     def _narrowest(self, classes: set[str]) -> str | None:
         """The class that contains no other of them; the first by name if several do."""
-        wider = {w for c in classes for w in self._superclasses.get(c, set()) if w != c}
+        wider = {w for c in classes for w in self._superclasses.above(c) if w != c}
         # Equivalent classes contain each other; then none is narrowest and the name decides.
         return min(classes - wider or classes, key=lambda c: (c != THING, c), default=None)
 
     def _unit(self, feature: str) -> Unit | None:
         # The feature itself has the most super-features, so it comes first.
-        nearest = sorted(
-            self._superfeatures[feature], key=lambda f: (-len(self._superfeatures[f]), f)
-        )
+        above = self._superfeatures.above(feature) & self._depths.keys()
+        nearest = sorted(above, key=lambda f: (-self._depths[f], f))
         for candidate in [feature, *nearest]:
             for text in self._units.get(candidate, []):
                 try:
@@ -295,9 +307,26 @@ class _Infos:
         return None
 
 
-def _inverted(links: Links) -> dict[str, frozenset[str]]:
-    inverse: dict[str, set[str]] = defaultdict(set)
-    for source, targets in links.items():
-        for target in targets:
-            inverse[target].add(source)
-    return {target: frozenset(sources) for target, sources in inverse.items()}
+class _Links(Mapping[str, frozenset[str]]):
+    """Of each of ``names`` those of them that stand above it, itself among them; read when it is
+    asked for: all pairs of a deep hierarchy would be millions."""
+
+    def __init__(self, hierarchy: Hierarchy[str], names: frozenset[str]) -> None:
+        self._hierarchy = hierarchy
+        self._names = names
+        self._read: dict[str, frozenset[str]] = {}
+
+    def __getitem__(self, name: str) -> frozenset[str]:
+        found = self._read.get(name)
+        if found is None:
+            if name not in self._names:
+                raise KeyError(name)
+            above = self._hierarchy.above(name) & self._names
+            found = self._read[name] = above | {name}
+        return found
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)

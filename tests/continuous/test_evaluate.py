@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import count, islice
+from pathlib import Path
 
 import pytest
 from pyoxigraph import Literal, NamedNode
@@ -215,3 +216,20 @@ def test_an_aggregate_over_a_named_window_is_folded(semantics, tmp_path) -> None
     # Nothing static is in a window with a name.
     assert shown(found) == [(10, "9" if semantics == "bag" else "7"), (20, "7")]
     assert "in columns, incrementally" in str(explained)
+
+
+def test_the_schema_of_static_files_holds_of_stream_triples(tmp_path: Path) -> None:
+    schema = tmp_path / "schema.ttl"
+    schema.write_text(
+        f"""@prefix d: <{D}> . @prefix rdfs: <http://www.w3.org/2000/01/rdf-schema#> .
+        d:gs rdfs:subPropertyOf d:groundSpeed . d:groundSpeed rdfs:subPropertyOf d:speed .
+        d:speed rdfs:domain d:Mover . d:Mover rdfs:subClassOf d:Thing .""",
+        encoding="utf-8",
+    )
+    uav, stream = NamedNode(D + "uav1"), D + "s"
+    text = f"""REGISTER QUERY q AS PREFIX d: <{D}> SELECT ?o ?v
+        FROM STREAM <{stream}> [RANGE 1s STEP 1s] WHERE {{ ?o a d:Thing . ?o d:speed ?v }}"""
+    said = [(10**9, uav, NamedNode(D + "gs"), Literal(5))]
+    (window,) = evaluate(text, {stream: said}, static=[schema])
+    assert window.solutions == [{"o": uav, "v": Literal(5)}]
+    assert not next(iter(evaluate(text, {stream: said}))).solutions

@@ -14,7 +14,7 @@ from dyknow.continuous.instance_results import Apart, Joined
 from dyknow.continuous.instances import TemplateEvaluator
 from dyknow.languages.csparql import bind, parse_query, parse_template
 from dyknow.rdf.dictionary import TermDictionary
-from dyknow.rdf.namespaces import DYKNOW, RDF_TYPE, XSD
+from dyknow.rdf.namespaces import DYKNOW, OWL, RDF_TYPE, XSD
 from dyknow.rdf.timed import from_terms
 
 S = 10**9
@@ -267,3 +267,21 @@ def test_many_come_and_go_by_columns() -> None:
         for number in random.choice(sorted(set(numbers) - gone), 700, replace=False).tolist():
             run.template.remove(number)
             gone.add(number)
+
+
+def test_requests_of_own_objects_share_nothing_where_triples_tell_of_other_objects() -> None:
+    """A stream of one object lacks what those of others entail of it."""
+    near = NamedNode("http://d.example/near")
+    text = """REGISTER TEMPLATE d:Beside(?o) AS PREFIX d: <http://d.example/>
+        SELECT ?o ?p WHERE { ?o d:near ?p } WINDOW [RANGE 1s STEP 1s]"""
+    store = Store()
+
+    def agreement() -> frozenset[str] | None:
+        template = TemplateEvaluator(
+            parse_template(text).query, TermDictionary(), Background(store), [X]
+        )
+        return template.agreement({Variable("o"): ONE}, ["o"], [near.value])
+
+    assert agreement() == frozenset()
+    store.add(Quad(near, RDF_TYPE, NamedNode(OWL + "SymmetricProperty")))
+    assert agreement() is None

@@ -10,6 +10,7 @@ from pyoxigraph import Literal, NamedNode, RdfFormat, Triple, parse
 from dyknow.ontology.errors import OntologyError, QueryRefused
 from dyknow.ontology.ontology import Ontology
 from dyknow.ontology.shipped import shipped_ontologies
+from dyknow.ontology.turtle import ALL_PREFIXES
 from dyknow.rdf.namespaces import DYKNOW, RDF_TYPE, STREAM_SPACE
 
 LISTING_2 = """:dyknow_cul a :ComputationalUnit ;
@@ -337,3 +338,30 @@ def test_a_store_in_memory_is_made_anew_now_and_then() -> None:
     ontology.mirror([name], [])
     assert len(ontology.store) == size + 2  # in its graph and in the default graph
     assert column(ontology, "SELECT ?n { :s1 :hasName ?n }") == {"s1"}
+
+
+def test_a_deep_hierarchy_loads_with_what_is_stated_and_answers_for_all_of_it() -> None:
+    """2,000 classes in a chain are 2 million pairs: no store has them (docs/ontology.md)."""
+    lines = ["dyknow:C0 a owl:Class ; rdfs:subClassOf dyknow:Vehicle ."]
+    lines += [
+        f"dyknow:C{i} a owl:Class ; rdfs:subClassOf dyknow:C{i - 1} ." for i in range(1, 2000)
+    ]
+    lines += ["dyknow:deep a dyknow:C1999 .", "dyknow:reading rdfs:range dyknow:C1999 ."]
+    ontology = Ontology.open()
+    before = len(ontology.store)
+    ontology.load("\n".join(lines), name="deep")
+    assert len(ontology.store) - before < 40_000
+    lowest, top = f"{DYKNOW}C1999", f"{DYKNOW}C0"
+    vocabulary = ontology.vocabulary
+    assert vocabulary.is_subsort(lowest, top)
+    assert len(vocabulary.subsorts(top)) == 2000
+    assert NamedNode(top) in ontology.rules.above(NamedNode(lowest))
+    assert top in vocabulary.sorts_of(f"{DYKNOW}deep")
+    static = ontology.closed_store()
+    for text in (
+        "dyknow:deep a dyknow:C0, dyknow:Vehicle",
+        "dyknow:reading rdfs:range dyknow:C0",
+        "dyknow:C1999 rdfs:subClassOf+ dyknow:C0",
+    ):
+        assert ontology.query(f"ASK {{ {text} }}")
+        assert static.query(f"ASK {{ {text} }}", prefixes=ALL_PREFIXES)
