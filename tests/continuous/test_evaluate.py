@@ -215,3 +215,18 @@ def test_an_aggregate_over_a_named_window_is_folded(semantics, tmp_path) -> None
     # Nothing static is in a window with a name.
     assert shown(found) == [(10, "9" if semantics == "bag" else "7"), (20, "7")]
     assert "in columns, incrementally" in str(explained)
+
+
+@pytest.mark.parametrize("report", ["non-empty", "change", "close"])
+def test_the_last_departure_is_told_under_every_report(report) -> None:
+    """What leaves with the last content, after all inputs have ended."""
+    data = [(1, NamedNode(D + "a"), NamedNode(D + "p"), Literal(1))]
+    ends = {}
+    for operator in ("ISTREAM", "DSTREAM"):
+        query = (
+            f"REGISTER QUERY q AS SELECT {operator} ?v FROM STREAM <{X}> [RANGE 2ns STEP 1ns] "
+            f"WHERE {{ ?o <{D}p> ?v }}"
+        )
+        found = evaluate(query, {X: data}, report=report)
+        ends[operator] = [window.end for window in found if len(window.solutions)]
+    assert ends == {"ISTREAM": [1], "DSTREAM": [3]}

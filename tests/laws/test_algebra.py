@@ -453,14 +453,15 @@ def test_named_windows_equal_the_definition(data, streams, cuts, options, named,
     st.lists(ANY_WINDOW, min_size=1, max_size=2),
     EVERY,
     st.sampled_from(["ISTREAM", "DSTREAM"]),
+    REPORTS,
 )
 def test_stream_operators_equal_the_definition(
-    data, streams, cuts, options, windows, every, operator
+    data, streams, cuts, options, windows, every, operator, report
 ):
     query = drawing.windowed(data.draw)
     clauses = [w.Clause(iri, window) for iri, window in zip(INPUTS, windows, strict=False)]
     streams = {clause.stream: streams[clause.stream] for clause in clauses}
-    check(query, clauses, streams, cuts, options, every, operator)
+    check(query, clauses, streams, cuts, replace(options, report=report), every, operator)
 
 
 @law
