@@ -133,9 +133,9 @@ def run(query, streams: dict, cuts: list[int], options: Options, oxigraph: bool 
 
 
 def canonical(term) -> object:
-    """Numbers by datatype and nine digits, so that orders of summation do not count."""
+    """Doubles by datatype and nine digits, so that orders of summation do not count."""
     value = number(term)
-    if value is not None:
+    if value is not None and value[0] in ("float", "double"):
         return (value[0], f"{float(value[1]) + 0.0:.9g}")
     if kind_of(term) == "dateTime":
         return ("dateTime", instant(term))
