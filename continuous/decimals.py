@@ -33,6 +33,7 @@ SCALES: Final = (0, 3, 6, 9, 12, 15, 18)
 DIGITS: Final = 15
 LIMIT: Final = 10**DIGITS
 """Up to here a mantissa has a code: a decimal of 15 digits is the shortest of its float64."""
+_BLOCK: Final = 4096
 _PLACES: Final = 18
 _SAFE: Final = 2.0**62
 _TENS: Final = 10 ** np.arange(19, dtype=np.int64)
@@ -58,9 +59,15 @@ def mantissas(codes: NDArray[np.float64]) -> Mantissas | None:
     for scale in SCALES:
         if not _at_scale(codes[:8], scale)[1].all():
             continue
-        found, fits = _at_scale(codes, scale)
-        if fits.all():
-            return Mantissas(found.astype(np.int64), scale)
+        values = np.empty(len(codes), np.int64)
+        # Block by block: what is made on the way stays in a cache.
+        for first in range(0, len(codes), _BLOCK):
+            found, fits = _at_scale(codes[first : first + _BLOCK], scale)
+            if not fits.all():
+                break
+            values[first : first + _BLOCK] = found
+        else:
+            return Mantissas(values, scale)
     return None
 
 

@@ -384,7 +384,8 @@ class _Rows:
         if kind in (Kind.FLOAT, Kind.DOUBLE):
             return found
         # Exact numbers are in order where their floats are; equal floats may stand for two.
-        doubtful = np.flatnonzero((x == y) & (np.abs(x) >= _EXACT))
+        doubtful = np.flatnonzero(x == y)
+        doubtful = doubtful[np.abs(x[doubtful]) >= _EXACT]
         if len(doubtful):
             rows = doubtful.tolist()
             pairs = zip(self.terms.exact(a, rows), self.terms.exact(b, rows), strict=True)

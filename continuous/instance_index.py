@@ -11,12 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..rdf.timed import Kind, ObjectColumn
-from .columns import Relation, as_terms, bits, decoded
+from .columns import LONG, Relation, TermValues, as_terms, bits, decoded
 from .instance_kernel import fired, least_of
 from .instance_terms import Terms
 from .parameters import Joint
 
 Rows: TypeAlias = NDArray[np.int64]
+EXACT = 2**53
+"""Below, float64 tells integers apart."""
 
 
 class InstanceIndex:
@@ -27,7 +29,14 @@ class InstanceIndex:
     bytes a row, 16 a group, 8 a term of the dictionary.
     """
 
-    def __init__(self, joint: Joint, columns: Mapping[str, Terms], start: int, stop: int) -> None:
+    def __init__(
+        self,
+        joint: Joint,
+        columns: Mapping[str, Terms],
+        terms: TermValues,
+        start: int,
+        stop: int,
+    ) -> None:
         self.joined = joint.joined
         self.stop = stop
         rows = np.arange(start, stop)
@@ -43,8 +52,16 @@ class InstanceIndex:
             groups, count = groups.reshape(-1), len(distinct)
             self._levels.append(distinct)
         self.limits = np.zeros(len(rows), np.float64)
+        self.is_exact = True
+        """Whether float64 tells all limits apart from any number of a column."""
         if self.search is not None:
-            self.limits = _limits(columns[self.search.limit], rows)
+            limits = columns[self.search.limit]
+            self.limits = _limits(limits, rows)
+            at = rows[limits.tags[rows] == Kind.TERM]
+            long = np.isin(terms.sorts(limits.bits[at].astype(np.int32)), LONG)
+            integers = limits.bits[rows[limits.tags[rows] == Kind.INTEGER]]
+            great = (integers >= EXACT) | (integers <= -EXACT)
+            self.is_exact = not (long.any() or great.any())
             if not self.search.greater:
                 self.limits = -self.limits
         by = np.lexsort((self.limits, groups))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..rdf.dictionary import Term
 from ..rdf.timed import Kind, ObjectColumn
 from .columns import Relation, TermValues
-from .instance_index import InstanceIndex, Rows
+from .instance_index import EXACT, InstanceIndex, Rows
 from .instance_terms import Growing, Terms
 from .parameters import Joint, Search
 
@@ -23,7 +23,6 @@ INSTANCE = "\0instance"
 RECENT = 1024
 """Instances are looked up in two indexes: recent ones become part of the main one when they are
 this many and an eighth of it, so that adding one does not sort all."""
-_EXACT = 2.0**53
 
 
 class InstanceTable:
@@ -110,11 +109,11 @@ class InstanceTable:
     def _searched(self, search: Search, relation: Relation) -> ObjectColumn | None:
         """The column to search with, if floats say its order against the limits exactly."""
         column = relation.column(search.value)
-        if not column.kind.is_number:
+        if not column.kind.is_number or not all(index.is_exact for index in self._indexes()):
             return None
         if column.kind is Kind.INTEGER and len(column):
             greatest = max(abs(int(column.values.max())), abs(int(column.values.min())))
-            if greatest >= _EXACT:
+            if greatest >= EXACT:
                 return None
         return column
 
@@ -122,10 +121,10 @@ class InstanceTable:
         count = len(self._settled.view)
         main = self._main
         if main is None or count - main.stop > max(RECENT, main.stop // 8):
-            self._main = main = InstanceIndex(self.joint, self.columns, 0, count)
+            self._main = main = InstanceIndex(self.joint, self.columns, self.terms, 0, count)
             self._recent = None
         if count == main.stop:
             return (main,)
         if self._recent is None or self._recent.stop < count:
-            self._recent = InstanceIndex(self.joint, self.columns, main.stop, count)
+            self._recent = InstanceIndex(self.joint, self.columns, self.terms, main.stop, count)
         return (main, self._recent)

@@ -137,19 +137,18 @@ def _number_parts(
         yield Part((kind, 0), subjects, values, skip)
     else:
         if skip is not None:
-            values = np.where(skip, 0.0, values)
+            rows = np.flatnonzero(~skip)
+            subjects, values = subjects[rows], values[rows]
         found = decimals.mantissas(values)
         if found is not None:
-            yield Part((kind, found.scale), subjects, found.values, skip)
-            return
-        yield from _decimal_parts(subjects, values, skip)
+            yield Part((kind, found.scale), subjects, found.values)
+        else:
+            yield from _decimal_parts(subjects, values)
 
 
-def _decimal_parts(
-    subjects: NDArray[np.int32], codes: NDArray[np.float64], skip: NDArray[np.bool_] | None
-) -> Iterator[Part]:
+def _decimal_parts(subjects: NDArray[np.int32], codes: NDArray[np.float64]) -> Iterator[Part]:
     """Decimals of several scales, a part each."""
-    rows = np.arange(len(subjects)) if skip is None else np.flatnonzero(~skip)
+    rows = np.arange(len(subjects))
     for scale in decimals.SCALES:
         fits, found = decimals.fitting(codes[rows], scale)
         if fits.any():
@@ -273,7 +272,8 @@ class Partial:
             if sums.dtype == np.int64 and len(sums) and _greatest(sums) * len(rows) >= SAFE:
                 sums = sums.astype(object)
             total, counts = np.zeros(count, sums.dtype), np.zeros(count, np.int64)
-            np.add.at(total, groups, sums[rows])
+            with np.errstate(all="ignore"):
+                np.add.at(total, groups, sums[rows])
             np.add.at(counts, groups, mine.counts[rows])
             ends = None
             if mine.ends is not None:
@@ -364,7 +364,8 @@ class Partial:
             for key in own:
                 part = self.numbers[key].sums[at]
                 if code > Kind.DECIMAL:
-                    values = values + part.astype(np.float64) / 10.0 ** key[1]
+                    with np.errstate(all="ignore"):
+                        values = values + part.astype(np.float64) / 10.0 ** key[1]
                 else:
                     values = _exact_sum(values, part, scale - key[1])
             places.append(at)

@@ -201,18 +201,23 @@ class Windowing:
         following = Due(self.schedule.after(self._closed))
         if due is not None and due.end == following.end:
             return due
-        ended = len(self._ended) == len(self.inputs)
-        if self.options.report == "close":
-            return None if due is None and ended else following
+        if self.options.report == "close" and not self._is_over:
+            return following
         # What has left the result is to be told, though nothing is there any more.
         leaves = self.differs or self.options.report == "change"
         return following if leaves and self._had_content else due
+
+    @property
+    def _is_over(self) -> bool:
+        """Whether all inputs have ended, and no window has content any more."""
+        return len(self._ended) == len(self.inputs) and self.contents.next(self._closed) is None
 
     def _evaluate(self, due: Due, closed: Closed) -> None:
         end, reports = due.end, True
         if not self._plain:
             content, changed = self.contents.changed(due, self._closed)
-            reports = {"non-empty": content, "change": changed, "close": True}[self.options.report]
+            wanted = {"non-empty": content, "change": changed, "close": not self._is_over}
+            reports = wanted[self.options.report]
             self._had_content = content
         self._closed = end
         begin = 0 if self.clock is None else self.clock()

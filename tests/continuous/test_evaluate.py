@@ -233,3 +233,18 @@ def test_the_schema_of_static_files_holds_of_stream_triples(tmp_path: Path) -> N
     (window,) = evaluate(text, {stream: said}, static=[schema])
     assert window.solutions == [{"o": uav, "v": Literal(5)}]
     assert not next(iter(evaluate(text, {stream: said}))).solutions
+
+
+@pytest.mark.parametrize("report", ["non-empty", "change", "close"])
+def test_the_last_departure_is_told_under_every_report(report) -> None:
+    """What leaves with the last content, after all inputs have ended."""
+    data = [(1, NamedNode(D + "a"), NamedNode(D + "p"), Literal(1))]
+    ends = {}
+    for operator in ("ISTREAM", "DSTREAM"):
+        query = (
+            f"REGISTER QUERY q AS SELECT {operator} ?v FROM STREAM <{X}> [RANGE 2ns STEP 1ns] "
+            f"WHERE {{ ?o <{D}p> ?v }}"
+        )
+        found = evaluate(query, {X: data}, report=report)
+        ends[operator] = [window.end for window in found if len(window.solutions)]
+    assert ends == {"ISTREAM": [1], "DSTREAM": [3]}

@@ -285,3 +285,26 @@ def test_requests_of_own_objects_share_nothing_where_triples_tell_of_other_objec
     assert agreement() == frozenset()
     store.add(Quad(near, RDF_TYPE, NamedNode(OWL + "SymmetricProperty")))
     assert agreement() is None
+
+
+def test_limits_that_floats_do_not_tell_apart() -> None:
+    """Instances are searched by floats only where these decide."""
+    run = Run(
+        parse_query(
+            f"PREFIX dyknow: <{DYKNOW}> REGISTER QUERY q AS SELECT ?o "
+            f"FROM STREAM <{X}> [RANGE 5s STEP 1s] "
+            "WHERE { ?o dyknow:speed ?v FILTER(?v > ?threshold) }"
+        )
+    )
+    near = Literal("9007199254740992", datatype=NamedNode(XSD + "decimal"))
+    far = Literal(str(2**63), datatype=NamedNode(XSD + "integer"))
+    low, exact, high = (run.add(threshold=term) for term in (near, Literal(2**53 + 1), far))
+    run.push((S, ONE, 2**53 + 1), (S, TWO, 3))
+    (result,) = run.advance(S + 1)
+    assert [result.of(i).size for i in (low, exact, high)] == [1, 0, 0]
+    decimal = Literal("9007199254740994.0", datatype=NamedNode(XSD + "decimal"))
+    greater = run.add(threshold=far)
+    run.template.push(X, from_terms([(2 * S, ONE, SPEED, decimal)], run.dictionary))
+    run.template.push(X, from_terms([(2 * S, TWO, SPEED, Literal(1e30))], run.dictionary))
+    (result,) = run.template.advance(X, 2 * S + 1)
+    assert [result.of(i).size for i in (low, exact, high, greater)] == [3, 2, 1, 1]

@@ -60,7 +60,21 @@ OTHERS = [
     typed("2020-01-01T00:00:00Z", "dateTime"),
     typed("2021-06-01T12:00:00Z", "dateTime"),
 ]
-TERMS = [*NUMBERS, *OTHERS]
+HARD = [
+    typed(str(2**63 - 1), "integer"),
+    typed(str(-(2**63)), "integer"),
+    typed(str(2**63), "integer"),
+    typed("9007199254740993", "integer"),
+    typed("9007199254740992", "decimal"),
+    typed("123456789012345678.5", "decimal"),
+    typed("0.1", "decimal"),
+    typed("NaN", "double"),
+    typed("INF", "double"),
+    typed("1e308", "double"),
+    typed("-1e308", "double"),
+]
+"""Numbers that float64 or int64 does not hold, or that sums run out of."""
+TERMS = [*NUMBERS, *OTHERS, *HARD]
 
 
 def elements(values: list, times: st.SearchStrategy, most: int = 14):
@@ -167,9 +181,21 @@ def star(where: q.Group, distinct: bool = False) -> q.Select | q.Ask:
 
 # --- expressions
 
-CONSTANTS = [Literal(0), Literal(1), Literal(2), Literal(2.5), *OTHERS, OBJECTS[1]]
+CONSTANTS = [Literal(0), Literal(1), Literal(2), Literal(2.5), *OTHERS, *HARD[:7], OBJECTS[1]]
 COMPARE = ["=", "!=", "<", "<=", ">", ">="]
-UNARY = ["STR", "STRLEN", "UCASE", "ABS", "DATATYPE", "LANG", "isIRI", "isLiteral", "isNumeric"]
+UNARY = [
+    "STR",
+    "STRLEN",
+    "UCASE",
+    "ABS",
+    "CEIL",
+    "ROUND",
+    "DATATYPE",
+    "LANG",
+    "isIRI",
+    "isLiteral",
+    "isNumeric",
+]
 
 
 def operand(draw: Draw, names: list[str]) -> Any:

@@ -1,6 +1,6 @@
 """Expressions of SPARQL by their definition (SPARQL 1.1 §17, §18.5.1).
 
-A number is its datatype and a value; decimals are rounded to float64 after each step, as
+A number is its datatype and a value; integers and decimals are exact, quotients as
 docs/semantics.md says. Where SPARQL leaves room, the choice is stated: terms of different known
 datatypes are unequal, not an error (§17.3.1 allows it).
 """
@@ -40,8 +40,8 @@ def number(term: Any) -> tuple[str, Any] | None:
     if kind not in KINDS:
         return None
     text = term.value
-    if text in ("NaN", "INF", "-INF"):
-        return kind, float(text)
+    if kind in ("float", "double"):
+        return kind, float(text.replace("INF", "inf"))
     return kind, Fraction(text)
 
 
@@ -49,13 +49,44 @@ def literal(kind: str, value: Any) -> Literal:
     datatype = NamedNode(XSD + kind)
     if kind == "integer":
         return Literal(str(int(value)), datatype=datatype)
-    rounded = float(value)
+    if kind == "decimal":
+        return Literal(decimal_text(Fraction(value)), datatype=datatype)
+    rounded = nearest(value)
     if math.isnan(rounded):
         return Literal("NaN", datatype=datatype)
     if math.isinf(rounded):
         return Literal("INF" if rounded > 0 else "-INF", datatype=datatype)
     text = str(int(rounded)) if rounded == int(rounded) else repr(rounded)
-    return Literal(text, datatype=datatype)
+    return Literal(
+        "-0" if rounded == 0 and math.copysign(1, rounded) < 0 else text, datatype=datatype
+    )
+
+
+def nearest(value: Any) -> float:
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf if value > 0 else -math.inf
+
+
+def decimal_text(value: Fraction) -> str:
+    """All digits of a decimal that ends."""
+    places = next(k for k in range(2000) if (value * 10**k).denominator == 1)
+    digits = str(abs(value.numerator * 10**places // value.denominator)).rjust(places + 1, "0")
+    text = digits[: len(digits) - places] + ("." + digits[len(digits) - places :] if places else "")
+    return "-" + text if value < 0 else text
+
+
+def quotient(a: Fraction, b: Fraction) -> Fraction:
+    """Exact within 18 digits after the point or 15 significant ones; else rounded, half to even, to
+    15 significant digits, or to an integer where that keeps more (docs/semantics.md)."""
+    found = a / b
+    for places in range(60):
+        digits = found * 10**places
+        if digits.denominator == 1 and (places <= 18 or abs(digits) < 10**15):
+            return found
+    places = next(k for k in range(60) if abs(found) * 10**k >= 10**14)
+    return Fraction(round(found * 10**places), 10**places)
 
 
 def boolean(value: bool) -> Literal:
@@ -63,11 +94,12 @@ def boolean(value: bool) -> Literal:
 
 
 def effective(term: Any) -> bool:
-    """The effective boolean value (§17.2.2)."""
+    """The effective boolean value (§17.2.2): plain literals are those with a language, too; an
+    ill-typed number or boolean is false."""
     kind = kind_of(term)
     if kind == "boolean":
         return term.value == "true"
-    if kind == "string":
+    if kind == "string" or (isinstance(term, Literal) and term.language):
         return term.value != ""
     found = number(term)
     if found is None:
@@ -100,15 +132,23 @@ def comparable(term: Any) -> tuple[str, Any] | None:
     return None
 
 
-def equal(a: Any, b: Any) -> bool:
+def promoted(a: Any, b: Any) -> tuple:
+    """What ``<`` compares: two numbers are doubles if one is (§17.3)."""
     x, y = comparable(a), comparable(b)
+    if x and y and x[0] == y[0] == "number" and float in map(type, (x[1], y[1])):
+        return ("number", nearest(x[1])), ("number", nearest(y[1]))
+    return x, y
+
+
+def equal(a: Any, b: Any) -> bool:
+    x, y = promoted(a, b)
     if x and y and x[0] == y[0]:
         return x[1] == y[1]
     return a == b
 
 
 def less(a: Any, b: Any) -> bool:
-    x, y = comparable(a), comparable(b)
+    x, y = promoted(a, b)
     if not x or not y or x[0] != y[0]:
         raise Failed
     return x[1] < y[1]
@@ -124,15 +164,12 @@ def arithmetic(sign: str, a: Any, b: Any) -> Literal:
     if x is None or y is None:
         raise Failed
     kind = max(x[0], y[0], key=KINDS.index)
-    if sign == "/" and kind == "integer":
-        kind = "decimal"
-    exact = kind in ("integer", "decimal")
-    if isinstance(x[1], float) or isinstance(y[1], float):
-        return literal(kind, inexact(sign, float(x[1]), float(y[1])))
-    if sign == "/" and y[1] == 0:
-        if exact:
+    if kind in ("float", "double"):
+        return literal(kind, inexact(sign, nearest(x[1]), nearest(y[1])))
+    if sign == "/":
+        if y[1] == 0:
             raise Failed
-        return literal(kind, inexact(sign, float(x[1]), 0.0))
+        return literal("decimal", quotient(x[1], y[1]))
     return literal(kind, OPERATIONS[sign](x[1], y[1]))
 
 
@@ -146,7 +183,8 @@ OPERATIONS: dict[str, Callable[[Any, Any], Any]] = {
 
 def inexact(sign: str, a: float, b: float) -> float:
     if sign == "/" and b == 0:
-        return math.nan if a == 0 or math.isnan(a) else math.copysign(math.inf, a)
+        sign_of = math.copysign(1, a) * math.copysign(1, b)
+        return math.nan if a == 0 or math.isnan(a) else math.copysign(math.inf, sign_of)
     return OPERATIONS[sign](a, b)
 
 
@@ -154,6 +192,9 @@ def text_of(term: Any) -> str:
     """STR()."""
     if isinstance(term, BlankNode):
         raise Failed
+    if kind_of(term) in ("float", "double") and abs(float(term.value)) >= 1e15:
+        # A literal is its value; with or without an exponent, the spelling is open.
+        raise Undetermined
     return term.value
 
 
@@ -182,6 +223,23 @@ def absolute(term: Any) -> Literal:
     if found is None:
         raise Failed
     return literal(found[0], abs(found[1]))
+
+
+def rounding(exact: Callable[[Fraction], int]) -> Callable[[Any], Literal]:
+    """CEIL, FLOOR or ROUND; of a double the sign stays (XPath F&O §4.4)."""
+
+    def rounded(term: Any) -> Literal:
+        found = number(term)
+        if found is None:
+            raise Failed
+        kind, value = found
+        if isinstance(value, float):
+            if not math.isfinite(value):
+                return literal(kind, value)
+            return literal(kind, math.copysign(exact(Fraction(value)), value))
+        return literal(kind, exact(value))
+
+    return rounded
 
 
 def datatype(term: Any) -> NamedNode:
@@ -224,6 +282,9 @@ FUNCTIONS: dict[str, Callable[..., Any]] = {
     "STRLEN": lambda a: literal("integer", len(string(a))),
     "UCASE": upper,
     "ABS": absolute,
+    "CEIL": rounding(math.ceil),
+    "FLOOR": rounding(math.floor),
+    "ROUND": rounding(lambda value: math.floor(value + Fraction(1, 2))),
     "DATATYPE": datatype,
     "LANG": language,
     "CONCAT": concatenation,
@@ -286,10 +347,16 @@ def aggregate(function: str, values: list, separator: str | None) -> Any:
         raise Failed
     if numbers:
         kind = max((n[0] for n in numbers), key=KINDS.index)
-        total = literal(kind, sum(n[1] for n in numbers))
+        total = literal(kind, exact_sum([n[1] for n in numbers]))
         if function == "AVG":
             total = arithmetic("/", total, literal("integer", len(numbers)))
     return total
+
+
+def exact_sum(values: list) -> Any:
+    """Doubles are added exactly and rounded once; infinities and NaN as floats are."""
+    odd = [v for v in values if isinstance(v, float) and not math.isfinite(v)]
+    return sum(odd) if odd else sum(map(Fraction, values))
 
 
 def joined(texts: list[str], separator: str) -> Any:
@@ -311,6 +378,12 @@ def extreme(values: list, least: bool) -> Any:
     """Those that nothing else certainly precedes (or follows)."""
     if not values:
         raise Failed
+    found = [number(value) for value in values]
+    if None not in found:
+        # A NaN is the extreme of numbers, as of fn:min and fn:max.
+        odd = [kind for kind, value in found if value != value]
+        if odd:
+            return literal(max(odd, key=KINDS.index), math.nan)
     unequal = list(dict.fromkeys(values))
     best = [
         a
