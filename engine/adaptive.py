@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 from ..languages.ssl.annotation import Content, Role, StreamAnnotation
+from ..languages.ssl.annotation_text import in_ssl
 from ..languages.ssl.check import variable_name
 from ..matching.plan import (
     Compute,
@@ -23,7 +24,6 @@ from ..matching.plan import (
     UseStream,
     nodes_of,
     nodes_of_supply,
-    ssl_of,
 )
 from ..matching.strategy import Kind, Strategy
 from ..matching.subject import Sorts, Subject
@@ -178,7 +178,7 @@ class AdaptiveSubscription:
         others = [Role(s.sort, s.object, f"{OBJECT}{i}") for i, s in enumerate(want.others, 2)]
         roles = (Role(want.wanted_sort, None, OBJECT), *others)
         contents = (Content(want.feature, value_field(want), unit or (), roles),)
-        return StreamAnnotation(name, contents, ssl_of(name, contents))
+        return in_ssl(StreamAnnotation(name, contents, ""), vocabulary)
 
 
 def value_field(want: Want) -> str:

@@ -11,12 +11,13 @@ from ..converters.errors import ConversionError
 from ..languages.errors import LanguageError
 from ..languages.ssl import check_ssl, parse_ssl
 from ..languages.ssl.annotation import CheckedAnnotation, Content, Role, StreamAnnotation
-from ..matching.plan import ssl_of
+from ..languages.ssl.annotation_text import in_ssl
 from ..ontology.ontology import Ontology
-from ..ontology.units import format_unit, parse_unit
+from ..ontology.units import parse_unit
+from ..ontology.vocabulary import Vocabulary
 from .changes import Change, ChangeKind
 from .declared import DeclaredStreams
-from .describing import DescribedStream, Describer
+from .describing import DescribedStream, DescribedTransformation, Describer
 from .errors import BadArguments, DyknowError
 from .registered import RegisteredTransformations, check_quality
 from .reports import Report
@@ -54,21 +55,29 @@ class Annotations:
             self._apply(annotation)
         return checked
 
-    def describe_all(self, described: Sequence[DescribedStream]) -> tuple[StreamAnnotation, ...]:
-        """Annotate streams by descriptions in names, all of them or none; as `annotate` does by
-        SSL. Raises what `Describer` raises, and `Conflict`."""
+    def describe_all(
+        self,
+        described: Sequence[DescribedStream],
+        transformations: Sequence[DescribedTransformation] = (),
+    ) -> tuple[CheckedAnnotation, ...]:
+        """Annotate streams and transformations by descriptions in names, all of them or none; as
+        `annotate` does by SSL. Raises what `Describer` raises, and `Conflict`."""
         describer = Describer(self._ontology.vocabulary)
-        annotations = tuple(describer.stream(each) for each in described)
-        for name, number in Counter(each.stream for each in annotations).items():
+        annotations = (
+            *(describer.stream(each) for each in described),
+            *(describer.transformation(each).annotation for each in transformations),
+        )
+        names = [_key(annotation) for annotation in annotations]
+        for (kind, name), number in Counter(names).items():
             if number > 1:
                 raise BadArguments(
-                    f"stream {name!r} is described twice",
+                    f"{kind} {name!r} is described twice",
                     "one description says all that a stream contains",
                 )
         for annotation in annotations:
-            self._streams.check_annotation(annotation)
+            self._check(annotation)
         for annotation in annotations:
-            self._streams.annotate(annotation, kept=_json_of(annotation))
+            self._apply(annotation)
         return annotations
 
     def set_quality(self, stream: str, quality: float) -> None:
@@ -141,9 +150,9 @@ class Annotations:
             self._apply(annotation, kept=source)
 
     def _read(self, name: str, kept: str) -> tuple[CheckedAnnotation, ...]:
-        """SSL, or the JSON of `describe`; raises `ValueError` and `KeyError` for neither."""
+        """SSL, or the JSON of earlier versions; raises `ValueError` and `KeyError` for neither."""
         if kept.startswith("{"):
-            return (_of_json(name, kept),)
+            return (_of_json(name, kept, self._ontology.vocabulary),)
         return check_ssl(parse_ssl(kept), kept, self._ontology.vocabulary)
 
     def _check(self, annotation: CheckedAnnotation) -> None:
@@ -159,21 +168,14 @@ class Annotations:
             self._registered.annotate(annotation)
 
 
-def _json_of(annotation: StreamAnnotation) -> str:
-    """An annotation in IRIs, for names that SSL cannot write."""
-    contents = [
-        {
-            "feature": content.feature,
-            "field": content.field,
-            "unit": format_unit(content.unit),
-            "roles": [[role.sort, role.object, role.id_field] for role in content.roles],
-        }
-        for content in annotation.contents
-    ]
-    return json.dumps({"contents": contents})
+def _key(annotation: CheckedAnnotation) -> tuple[str, str]:
+    if isinstance(annotation, StreamAnnotation):
+        return "stream", annotation.stream
+    return "transformation", annotation.name
 
 
-def _of_json(stream: str, kept: str) -> StreamAnnotation:
+def _of_json(stream: str, kept: str, vocabulary: Vocabulary) -> StreamAnnotation:
+    """An annotation as directories of earlier versions have it, where SSL had no names for it."""
     contents = tuple(
         Content(
             content["feature"],
@@ -183,4 +185,4 @@ def _of_json(stream: str, kept: str) -> StreamAnnotation:
         )
         for content in json.loads(kept)["contents"]
     )
-    return StreamAnnotation(stream, contents, ssl_of(stream, contents))
+    return in_ssl(StreamAnnotation(stream, contents, ""), vocabulary)

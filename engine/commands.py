@@ -26,7 +26,7 @@ from ..converters.ndjson import decode_ndjson
 from ..converters.wire import BatchLimits, Incoming
 from ..languages.errors import LanguageError
 from ..languages.specification import Specification
-from ..languages.ssl.annotation import CheckedAnnotation, StreamAnnotation
+from ..languages.ssl.annotation import CheckedAnnotation
 from ..ontology.errors import OntologyError, QueryRefused
 from ..ontology.ontology import PreparedOntology
 from ..ontology.reading import TextFormat
@@ -261,9 +261,10 @@ class Annotate(Command, frozen=True, tag="annotate"):
 
 class Describe(Command, frozen=True, tag="describe"):
     described: tuple[DescribedStream, ...]
+    transformations: tuple[DescribedTransformation, ...] | None = None
 
-    def apply(self, engine: Engine) -> tuple[StreamAnnotation, ...]:
-        return engine.describe_all(self.described)
+    def apply(self, engine: Engine) -> tuple[CheckedAnnotation, ...]:
+        return engine.describe_all(self.described, self.transformations or ())
 
 
 class RegisterTemplate(Command, frozen=True, tag="register template"):

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
+from ..languages.errors import LanguageError
 from ..languages.ssl.annotation import (
     Argument,
     Content,
@@ -19,9 +20,8 @@ from ..languages.ssl.annotation import (
     StreamAnnotation,
     TransformationAnnotation,
 )
-from ..languages.ssl.check import variable_name
-from ..matching.plan import ssl_of
-from ..matching.words import port_words
+from ..languages.ssl.annotation_text import Annotation, declaration_of, in_ssl
+from ..languages.ssl.check import check_ssl, variable_name
 from ..ontology.units import DIMENSIONLESS, Unit, UnitError, dimension, format_unit, parse_unit
 from ..ontology.vocabulary import SELF, Vocabulary
 from ..rdf.namespaces import shorten
@@ -38,11 +38,18 @@ _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
 @dataclass(frozen=True, slots=True)
 class DescribedArgument:
     """A sort, an object or ``self``, as a name; ``alias`` tells two of a sort apart, ``id`` is the
-    field that names the object."""
+    field that names the object.
+
+    ``every`` says that the name is that of a sort (True) or of an object (False). Without it the
+    ontology decides: a name that it does not know is that of an object, or an error where the name
+    ``must_be_known``. Descriptions in journals of earlier versions say neither.
+    """
 
     name: str
     alias: str | None = None
     id: str | None = None
+    every: bool | None = None
+    must_be_known: bool | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,12 +109,11 @@ class Describer:
             given |= {variable_name(argument.name) for argument in described.output.arguments}
         output = self._output(described.output, given)
         annotation: TransformationAnnotation | SourceAnnotation
-        words = ", ".join(map(port_words, inputs)) or "∅"
-        source = f"{described.name} : {words} ⇒ {port_words(output)}"
         if inputs:
-            annotation = TransformationAnnotation(described.name, inputs, output, source)
+            taken = TransformationAnnotation(described.name, inputs, output, "")
+            annotation = self._checked(taken)
         else:
-            annotation = SourceAnnotation(described.name, output, source)
+            annotation = self._checked(SourceAnnotation(described.name, output, ""))
         return Transformation(
             annotation,
             described.implementation or described.name,
@@ -121,13 +127,16 @@ class Describer:
         contents = tuple(self._content(content) for content in described.contents)
         if not contents:
             raise BadArguments("an annotation says of at least one field what it contains")
-        for i, content in enumerate(contents):
-            if any((c.feature, c.roles) == (content.feature, content.roles) for c in contents[:i]):
-                raise BadArguments(
-                    f"{shorten(content.feature)} of the same object is described twice",
-                    "name each feature of an object once",
-                )
-        return StreamAnnotation(described.stream, contents, ssl_of(described.stream, contents))
+        return self._checked(StreamAnnotation(described.stream, contents, ""))
+
+    def _checked(self, annotation: Annotation) -> Annotation:
+        """The annotation with its SSL, which is held to the rules of SSL."""
+        written = in_ssl(annotation, self._vocabulary)
+        try:
+            check_ssl([declaration_of(annotation, self._vocabulary)], "", self._vocabulary)
+        except LanguageError as error:
+            raise BadArguments(error.message, error.hint) from error
+        return written
 
     def _content(self, described: DescribedPort) -> Content:
         feature = self._feature(described.feature)
@@ -136,7 +145,7 @@ class Describer:
         return Content(feature, _field(described), unit, roles)
 
     def _role(self, argument: DescribedArgument, described: DescribedPort) -> Role:
-        sort, object = self._named(argument.name)
+        sort, object = self._named(argument)
         if object == SELF:
             object = self._vocabulary.self_object
         if sort is not None and argument.id is None:
@@ -147,7 +156,7 @@ class Describer:
         return Role(sort, object, argument.id)
 
     def _inputs(self, described: Sequence[DescribedPort]) -> tuple[PortAnnotation, ...]:
-        ports = [self._port(port) for port in described]
+        ports = [self._port(port, is_input=True) for port in described]
         fields = [port.field for port in ports]
         for name in fields:
             if fields.count(name) > 1:
@@ -157,7 +166,7 @@ class Describer:
     def _output(self, described: DescribedPort, given: set[str]) -> PortAnnotation:
         port = self._port(described)
         arguments = tuple(
-            argument
+            replace(argument, id_field=None)
             if argument.object is not None or argument.variable in given
             else Argument(argument.variable, argument.sort, None, argument.id_field or "id")
             for argument in port.arguments
@@ -170,13 +179,20 @@ class Describer:
             )
         return PortAnnotation(port.field, port.feature, port.unit, arguments)
 
-    def _port(self, described: DescribedPort) -> PortAnnotation:
+    def _port(self, described: DescribedPort, *, is_input: bool = False) -> PortAnnotation:
         feature = self._feature(described.feature)
         arguments = []
         for argument in described.arguments:
-            sort, object = self._named(argument.name)
-            name = variable_name(argument.name) if argument.alias is None else argument.alias
-            arguments.append(Argument(name, sort, object, argument.id if sort else None))
+            sort, object = self._named(argument)
+            usual = variable_name(argument.name)
+            name = argument.alias or usual
+            if name != usual and not _NAME.match(name):
+                raise BadArguments(
+                    f"{name!r} cannot tell two arguments apart",
+                    '"as" has letters, digits and _; the first is a letter',
+                )
+            id_field = argument.id if sort and not is_input else None
+            arguments.append(Argument(name, sort, object, id_field))
         variables = [argument.variable for argument in arguments]
         if len(variables) > len(set(variables)):
             raise BadArguments(
@@ -185,10 +201,29 @@ class Describer:
         unit = self._unit(feature, described.unit)
         return PortAnnotation(_field(described), feature, unit, tuple(arguments))
 
-    def _named(self, name: str) -> tuple[str | None, str | None]:
+    def _named(self, argument: DescribedArgument) -> tuple[str | None, str | None]:
         """A name as a sort or as an object."""
+        name, known = argument.name, self._vocabulary
         iri = SELF if name == "self" else iri_of(name)
-        return (iri, None) if self._vocabulary.is_sort(iri) else (None, iri)
+        is_sort = known.is_sort(iri)
+        if argument.every and not is_sort:
+            raise BadArguments(
+                f"{shorten(iri)} is no sort of the ontology, and `every` needs one",
+                did_you_mean(known.suggest(name, "sort")) or 'write "every": false for an object',
+            )
+        if is_sort and argument.every is False:
+            raise BadArguments(
+                f"{shorten(iri)} is a sort, so one field value cannot be it",
+                'leave "every" out, or write "every": true',
+            )
+        is_known = is_sort or known.is_object(iri) or iri == SELF
+        if argument.every is None and argument.must_be_known and not is_known:
+            raise BadArguments(
+                f"the ontology knows neither a sort nor an object {shorten(iri)}",
+                did_you_mean(known.suggest(name, "sort"))
+                or 'write "every": false if it names one object',
+            )
+        return (iri, None) if is_sort else (None, iri)
 
     def _feature(self, name: str) -> str:
         iri = iri_of(name)

@@ -43,7 +43,7 @@ from .busy import BusyTime, Stopwatch
 from .changes import Change, ChangeKind, KnownTransformation
 from .configuration import C_SPARQL, Configuration
 from .declared import DeclaredStreams
-from .describing import DescribedStream
+from .describing import DescribedStream, DescribedTransformation
 from .errors import (
     AlreadyExists,
     BadArguments,
@@ -264,15 +264,14 @@ class Engine:
             self._settle()
         return annotated
 
-    def describe(self, described: DescribedStream) -> StreamAnnotation:
-        """Annotate a stream in names; see `Annotations`."""
-        (annotation,) = self.describe_all([described])
-        return annotation
-
-    def describe_all(self, described: Sequence[DescribedStream]) -> tuple[StreamAnnotation, ...]:
-        """Annotate streams in names, all of them or none; see `Annotations`."""
+    def describe_all(
+        self,
+        described: Sequence[DescribedStream],
+        transformations: Sequence[DescribedTransformation] = (),
+    ) -> tuple[CheckedAnnotation, ...]:
+        """Annotate streams and transformations in names, all of them or none; see `Annotations`."""
         with self._manager.together():
-            annotations = self._annotations.describe_all(described)
+            annotations = self._annotations.describe_all(described, transformations)
             self._settle()
         return annotations
 

@@ -14,8 +14,8 @@ from operator import attrgetter
 from typing import NamedTuple, TypeAlias, assert_never
 
 from ..languages.ssl.annotation import Content, PortAnnotation, Role, StreamAnnotation
-from ..ontology.units import Conversion, Unit, format_unit
-from ..rdf.namespaces import local_name
+from ..languages.ssl.annotation_text import in_ssl
+from ..ontology.units import Conversion, Unit
 from .subject import Subject
 from .want import Want
 
@@ -312,12 +312,11 @@ def _select(roles: tuple[Role, ...], id_field: str, object: str) -> tuple[Role, 
 def annotation_of(node: Node, stream: str = "") -> StreamAnnotation:
     """The annotation of ``node``'s stream, under the name it was given.
 
-    A stream that exists keeps its own name. ``source`` is SSL as far as SSL can say it: an object
-    whose name is no SSL name (``dyknow:398564``) is printed all the same.
+    A stream that exists keeps its own name.
     """
     name = node.stream if isinstance(node, UseStream) else stream
     contents = contents_of(node)
-    return StreamAnnotation(name, contents, ssl_of(name, contents))
+    return in_ssl(StreamAnnotation(name, contents, ""))
 
 
 def wanted_annotation(supply: Supply, source: SupplySource, stream: str = "") -> StreamAnnotation:
@@ -338,7 +337,7 @@ def _annotation_of_source(feature: str, source: SupplySource, stream: str) -> St
     name = source.node.stream if isinstance(source.node, UseStream) else stream
     port = source.port
     contents = (Content(feature, port.source_field, port.source, source.roles),)
-    return StreamAnnotation(name, contents, ssl_of(name, contents))
+    return in_ssl(StreamAnnotation(name, contents, ""))
 
 
 def nodes_of(node: Node) -> Iterator[Node]:
@@ -412,26 +411,3 @@ def expanded(supply: Supply, made: Mapping[str, Node]) -> Supply:
             case _:
                 assert_never(node)
     return replace(supply, sources=of_sources(supply.sources))
-
-
-def ssl_of(stream: str, contents: tuple[Content, ...]) -> str:
-    features = []
-    entities: dict[str, str] = {}
-    every = False
-    for content in contents:
-        names = []
-        for role in content.roles:
-            # A selected object is written as the condition that it is.
-            name = local_name(role.object or role.sort or "")
-            every = every or role.object is None
-            names.append(name)
-            if role.id_field is not None:
-                entities[name] = role.id_field
-        unit = f" [{format_unit(content.unit)}]" if content.unit else ""
-        arguments = ", ".join(names)
-        features.append(f"{local_name(content.feature)}({arguments}) = {content.field}{unit}")
-    text = f"stream {stream} contains {', '.join(features)}"
-    if entities:
-        pairs = ", ".join(f"{name} = {field}" for name, field in entities.items())
-        text += f" for {'every ' if every else ''}{pairs}"
-    return text

@@ -13,7 +13,7 @@ from __future__ import annotations
 import json
 import uuid
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any
+from typing import Any, Final
 from urllib.parse import quote
 
 import httpx
@@ -144,17 +144,21 @@ class Client(Connection):
         start: str | int | None = None,
         end: str | int | None = None,
         limit: int | None = None,
-        at: str | int | None = None,
+        **question: str | int | None,
     ) -> list[dict[str, Any]]:
-        """The kept samples by available time, or the most recent one at a valid time."""
-        answer = self._history(stream, JSON, start, end, limit, at)
-        found: list[dict[str, Any]] = answer.json()
+        """The kept samples by available time; of these those valid from ``valid_from`` to
+        ``valid_to``. Or what one of ``at`` and ``before`` (with ``known``), ``prev`` and
+        ``last_avail`` asks for [DyKnow10 Def. 5.5-5.7]; see `GET /streams/{name}/samples`.
+
+        Raises `ServiceError` 410 where the answer depends on samples that are forgotten.
+        """
+        given = {"start": start, "end": end, "limit": limit, **question}
+        found: list[dict[str, Any]] = self._history(stream, JSON, given).json()
         return found
 
     def history_text(self, stream: str, media_type: str = CSV, **arguments: Any) -> str:
         """The same as text: ``text/csv``, ``application/x-ndjson``, ``application/n-triples``."""
-        wanted = {key: arguments.get(key) for key in ("start", "end", "limit", "at")}
-        return self._history(stream, media_type, *wanted.values()).text
+        return self._history(stream, media_type, arguments).text
 
     def events(
         self, stream: str, *, since: str | None = None, resume: bool = True
@@ -524,7 +528,7 @@ class Client(Connection):
 
     def rdf(self, stream: str, *, limit: int | None = None) -> str:
         """The kept samples as N-Triples, by the stream's annotation."""
-        return self._history(stream, NTRIPLES, None, None, limit, None).text
+        return self._history(stream, NTRIPLES, {"limit": limit}).text
 
     # -- within
 
@@ -542,18 +546,23 @@ class Client(Connection):
         return self._send("GET", path, params=parameters, headers={"Accept": accept})
 
     def _history(
-        self,
-        stream: str,
-        kind: str,
-        start: str | int | None,
-        end: str | int | None,
-        limit: int | None,
-        at: str | int | None,
+        self, stream: str, kind: str, given: Mapping[str, str | int | None]
     ) -> httpx.Response:
-        given = {"from": start, "to": end, "limit": limit, "at": at}
-        parameters = {key: value for key, value in given.items() if value is not None}
+        unknown = given.keys() - _QUESTIONS
+        if unknown:
+            raise TypeError(f"no question about a history: {', '.join(sorted(unknown))}")
+        names = {"start": "from", "end": "to"}
+        parameters = {
+            names.get(key, key): value for key, value in given.items() if value is not None
+        }
         path = f"/streams/{_part(stream)}/samples"
         return self._send("GET", path, params=parameters, headers={"Accept": kind})
+
+
+_QUESTIONS: Final = frozenset(
+    {"start", "end", "valid_from", "valid_to", "limit"}
+    | {"at", "before", "prev", "last_avail", "known"}
+)
 
 
 def _part(name: str) -> str:

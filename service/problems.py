@@ -26,6 +26,7 @@ from ..journal.errors import JournalError, JournalFull
 from ..languages.errors import LanguageError
 from ..ontology.errors import OntologyError, QueryRefused
 from ..ontology.units import UnitError
+from ..streams.recall import Forgotten
 from ..streams.sample import SampleError
 from ..streams.time import format_time
 from .hints import hint_for
@@ -62,6 +63,7 @@ class ProblemModel(BaseModel):
     accepted: int | None = Field(
         None, description="how many of the live samples before the error were taken"
     )
+    oldest: str | None = Field(None, description="the available time of the oldest sample kept")
     missing: list[str] | None = Field(None, description="what semantic matching would need")
     errors: list[dict[str, Any]] | None = Field(None, description="each value that does not fit")
 
@@ -148,6 +150,15 @@ def problem_of(error: Exception) -> Problem:
             status = next((code for kind, code in _STATUS if isinstance(error, kind)), 400)
             missing = list(error.missing) if isinstance(error, NoPlan) else None
             return Problem(status, error.title, error.detail, hint=error.hint, missing=missing)
+        case Forgotten():
+            oldest = None if error.oldest is None else format_time(error.oldest)
+            return Problem(
+                410,
+                "forgotten",
+                str(error),
+                hint="ask for later samples, or declare the stream with a longer retention",
+                oldest=oldest,
+            )
         case QueryRefused():
             return Problem(
                 400,

@@ -18,6 +18,7 @@ from .pauses import Pauses
 from .sample import TIMES_SIZE, FieldType, SampleBatch, Times, concatenate, empty_batch, widened
 from .sample import Schema as Schema
 from .strings import StringPool
+from .time import TIME_MAX, TIME_MIN
 
 _FAN: Final = 32
 """So many neighbouring runs of one size class are put together to one of the next."""
@@ -123,6 +124,17 @@ class FluentStream:
         self._first = first
         self._next = first
         self._last_available: int | None = None
+        self._gone_valid: tuple[int, int] | None = None
+        """The least and the greatest valid time of samples in runs that are gone."""
+
+    @property
+    def forgotten_valid(self) -> tuple[int, int] | None:
+        """The least and the greatest valid time of all samples that retention has forgotten; None
+        if there is none. Cost: O(samples of one run)."""
+        if self._runs and (gone := self._first - self._runs[0].first):
+            valid = self._runs[0].batch.valid[:gone]
+            return _span(self._gone_valid, int(valid.min()), int(valid.max()))
+        return self._gone_valid
 
     @property
     def retention(self) -> Retention:
@@ -170,8 +182,10 @@ class FluentStream:
         return self._last_available
 
     def go_on(self, batch: SampleBatch, first: int) -> None:
-        """Be as one that kept ``batch``, whose first sample has number ``first``. Contract: nothing
-        was appended yet."""
+        """Be as one that kept ``batch``, whose first sample has number ``first``; what is known of
+        earlier ones is nothing. Contract: nothing was appended yet."""
+        if first > self._first:
+            self._gone_valid = TIME_MIN, TIME_MAX
         self._first = self._next = first
         self.append(batch)
 
@@ -505,6 +519,8 @@ class FluentStream:
         while gone + 1 < len(self._runs) and self._runs[gone + 1].first <= first:
             gone += 1
         if gone:
+            for run in self._runs[:gone]:
+                self._gone_valid = _span(self._gone_valid, run.low, run.high)
             del self._runs[:gone]
         oldest = self._runs[0]
         if 2 * (first - oldest.first) >= len(oldest.batch) and self._is_oldest_large():
@@ -521,8 +537,13 @@ class FluentStream:
         """Leave of the oldest run what is kept."""
         oldest = self._runs[0]
         if gone := self._first - oldest.first:
+            self._gone_valid = self.forgotten_valid
             kept = oldest.batch.take(np.arange(gone, len(oldest.batch)))
             self._runs[0] = _run(self._first, kept)._replace(place=oldest.place)
+
+
+def _span(known: tuple[int, int] | None, low: int, high: int) -> tuple[int, int]:
+    return (low, high) if known is None else (min(known[0], low), max(known[1], high))
 
 
 def _run(first: int, batch: SampleBatch) -> _Run:

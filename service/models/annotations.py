@@ -12,6 +12,7 @@ from ...languages.ssl.annotation import (
     StreamAnnotation,
     TransformationAnnotation,
 )
+from .transformations import PortModel
 
 
 class AnnotationModel(BaseModel):
@@ -21,25 +22,31 @@ class AnnotationModel(BaseModel):
     name: str
     features: list[str] = Field(description="IRIs of the features that it carries or makes")
     source: str = Field(description="the SSL text")
+    stream: str | None = None
+    contents: list[PortModel] | None = None
+    inputs: list[PortModel] | None = None
+    output: PortModel | None = None
 
     @classmethod
     def of(cls, annotation: CheckedAnnotation) -> AnnotationModel:
         match annotation:
             case StreamAnnotation():
-                features = [content.feature for content in annotation.contents]
                 return cls(
                     kind="stream",
                     name=annotation.stream,
-                    features=features,
+                    features=[content.feature for content in annotation.contents],
                     source=annotation.source,
+                    stream=annotation.stream,
+                    contents=[PortModel.of_content(content) for content in annotation.contents],
                 )
             case SourceAnnotation() | TransformationAnnotation():
-                kind: Literal["source", "transformation"] = (
-                    "source" if isinstance(annotation, SourceAnnotation) else "transformation"
-                )
+                is_source = isinstance(annotation, SourceAnnotation)
+                inputs = () if isinstance(annotation, SourceAnnotation) else annotation.inputs
                 return cls(
-                    kind=kind,
+                    kind="source" if is_source else "transformation",
                     name=annotation.name,
                     features=[annotation.output.feature],
                     source=annotation.source,
+                    inputs=[PortModel.of_port(port) for port in inputs],
+                    output=PortModel.of_port(annotation.output),
                 )

@@ -13,7 +13,7 @@ from ...engine.describing import (
     DescribedTransformation,
 )
 from ...engine.registered import TransformationView
-from ...languages.ssl.annotation import Argument, PortAnnotation, SourceAnnotation
+from ...languages.ssl.annotation import Argument, Content, PortAnnotation, Role, SourceAnnotation
 from ...ontology.units import format_unit
 from ...ontology.vocabulary import SELF
 from ...rdf.namespaces import shorten
@@ -25,13 +25,14 @@ PORTS = 100
 
 class ArgumentModel(Body):
     """A sort, an object or ``self``. ``as`` tells two of a sort apart, ``id`` is the field that
-    names the object."""
+    names the object. ``every`` says that the name is that of a sort (true) or of an object."""
 
     model_config = ConfigDict(extra="forbid", serialize_by_alias=True)
 
     name: Name
     alias: Name | None = Field(None, alias="as")
     id: Name | None = None
+    every: bool | None = None
 
 
 class PortModel(Body):
@@ -58,26 +59,49 @@ class PortModel(Body):
             of=[_argument(argument) for argument in port.arguments],
         )
 
+    @classmethod
+    def of_content(cls, content: Content) -> PortModel:
+        return cls(
+            feature=shorten(content.feature),
+            field=content.field,
+            unit=format_unit(content.unit),
+            of=[_role(role) for role in content.roles],
+        )
+
     def described(self) -> DescribedPort:
         """For the engine."""
         arguments = (
             DescribedArgument(one)
             if isinstance(one, str)
-            else DescribedArgument(one.name, one.alias, one.id)
+            else DescribedArgument(one.name, one.alias, one.id, one.every, one.id is not None)
             for one in self.of
         )
         return DescribedPort(self.feature, self.field, self.unit, tuple(arguments))
 
 
 class ContentsIn(Body):
-    """What a stream contains: the JSON form of an annotation."""
+    """An annotation in JSON: of a ``stream`` its ``contents``; of a transformation its ``name``,
+    ``inputs`` (none: it is a source) and ``output``. What GET shows beside them is not read."""
 
-    stream: Name
-    contents: list[PortModel] = Field(min_length=1, max_length=1000)
+    stream: Name | None = None
+    contents: list[PortModel] | None = Field(None, min_length=1, max_length=1000)
+    name: Name | None = None
+    inputs: list[PortModel] | None = Field(None, max_length=PORTS)
+    output: PortModel | None = None
+    kind: Literal["stream", "source", "transformation"] | None = None
+    features: list[str] | None = Field(None, max_length=1000)
+    source: str | None = None
 
-    def described(self) -> DescribedStream:
-        """For the engine."""
-        return DescribedStream(self.stream, tuple(each.described() for each in self.contents))
+    def described(self) -> DescribedStream | DescribedTransformation:
+        """For the engine; raises `ValueError` for a description of neither or of both."""
+        of_stream = self.stream is not None and self.contents is not None
+        if of_stream == (self.name is not None and self.output is not None):
+            raise ValueError("an annotation has either stream and contents, or name and output")
+        if self.output is not None:
+            inputs = tuple(port.described() for port in self.inputs or ())
+            return DescribedTransformation(self.name or "", inputs, self.output.described())
+        contents = tuple(port.described() for port in self.contents or ())
+        return DescribedStream(self.stream or "", contents)
 
 
 class TransformationIn(Body):
@@ -174,10 +198,19 @@ class TransformationModel(BaseModel):
         )
 
 
+def _role(role: Role) -> ArgumentModel:
+    return _named(role.object, role.sort, role.id_field, None)
+
+
 def _argument(argument: Argument) -> ArgumentModel:
-    named = argument.object or argument.sort or ""
-    return ArgumentModel(
-        name="self" if named == SELF else shorten(named),
-        id=argument.id_field,
-        **{"as": argument.variable},
+    return _named(argument.object, argument.sort, argument.id_field, argument.variable)
+
+
+def _named(
+    object: str | None, sort: str | None, id: str | None, variable: str | None
+) -> ArgumentModel:
+    """What a feature speaks of: an object, or every object of a sort."""
+    name = "self" if object == SELF else shorten(object or sort or "")
+    return ArgumentModel.model_validate(
+        {"name": name, "as": variable, "id": id, "every": object is None}
     )

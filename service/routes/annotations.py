@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated, TypeAlias
 
 from fastapi import APIRouter, Request
@@ -9,13 +10,14 @@ from fastapi.responses import PlainTextResponse, Response
 from pydantic import Field
 
 from ...engine.commands import Annotate, Describe
+from ...engine.describing import DescribedStream, DescribedTransformation
 from ...languages.ssl.ast import StreamDeclaration
-from ..context import Context
+from ..context import Context, Service
 from ..listing import listed
 from ..models import AnnotationModel, ContentsIn, schema_of, text_schema
 from ..negotiation import JSON, TEXT, accepted, content_type, json_value, utf8
 from ..parsing import MOST_CONTENTS, MOST_DECLARATIONS, check_length, read_ssl, too_long
-from ..problems import responses
+from ..problems import Problem, responses
 
 router = APIRouter(tags=["annotations"])
 
@@ -82,10 +84,23 @@ async def annotate(request: Request, service: Context) -> list[AnnotationModel]:
         return [AnnotationModel.of(annotation) for annotation in found]
     described: ContentsIn | list[ContentsIn] = await json_value(body, Described)
     several = described if isinstance(described, list) else [described]
-    if sum(len(each.contents) for each in several) > MOST_CONTENTS:
+    if sum(len(each.contents or ()) for each in several) > MOST_CONTENTS:
         raise too_long(f"{MOST_CONTENTS} contents")
-    quotas.check_streams([each.stream for each in several])
-    made = await service.do(Describe(tuple(each.described() for each in several)))
+    try:
+        wanted = [each.described() for each in several]
+    except ValueError as error:
+        raise Problem(400, "wrong arguments", str(error)) from error
+    return await _describe(service, wanted)
+
+
+async def _describe(
+    service: Service, described: Sequence[DescribedStream | DescribedTransformation]
+) -> list[AnnotationModel]:
+    streams = tuple(one for one in described if isinstance(one, DescribedStream))
+    others = tuple(one for one in described if isinstance(one, DescribedTransformation))
+    service.gate.quotas.check_streams([one.stream for one in streams])
+    service.gate.quotas.check_transformations([one.name for one in others])
+    made = await service.do(Describe(streams, others))
     return [AnnotationModel.of(annotation) for annotation in made]
 
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Query, Request, Response
+from fastapi import APIRouter, Depends, Query, Request, Response
 
 from ...engine.errors import UnknownStream
+from ...streams import recall
 from ...streams.fluent import FluentStream
 from ...streams.sample import SampleBatch
 from ...streams.time import TIME_MAX
@@ -29,38 +31,52 @@ CONTENT: dict[int | str, dict[str, Any]] = {
 }
 
 
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """What is asked of a history: one kind of question, with its bounds."""
+
+    start: Annotated[Time, Query(alias="from")] = None
+    end: Annotated[Time, Query(alias="to")] = None
+    valid_from: Time = None
+    valid_to: Time = None
+    limit: Annotated[
+        int | None,
+        Query(ge=1, description="the newest so many; with `from` or `valid_from` the oldest"),
+    ] = None
+    at: Annotated[Time, Query(description="most_recent_at: the latest valid by then")] = None
+    before: Annotated[Time, Query(description="before: all that are valid by then")] = None
+    prev: Annotated[Time, Query(description="prev: the last one available before then")] = None
+    last_avail: Annotated[Time, Query(description="last_avail: the last available by then")] = None
+    known: Annotated[
+        Time, Query(description="with `at` or `before`: of what was available by then")
+    ] = None
+
+
 @router.get(
     "/streams/{name}/samples",
     response_class=Response,
-    responses=CONTENT | responses(404, 406, 422),
+    responses=CONTENT | responses(404, 406, 410, 422),
 )
 async def read_samples(
-    name: str,
-    request: Request,
-    service: Context,
-    start: Annotated[Time, Query(alias="from")] = None,
-    end: Annotated[Time, Query(alias="to")] = None,
-    limit: Annotated[
-        int | None, Query(ge=1, description="the newest so many; with `from` the oldest")
-    ] = None,
-    at: Annotated[Time, Query(description="most_recent_at: the latest valid by then")] = None,
-    known: Annotated[Time, Query(description="with `at`: of what was available by then")] = None,
+    name: str, request: Request, service: Context, asked: Annotated[Asked, Depends()]
 ) -> Response:
-    """The kept samples with available time from `from` to `to`, both included.
+    """The kept samples with available time from `from` to `to` and valid time from `valid_from` to
+    `valid_to`, all included.
 
     A long answer comes in pieces, each encoded when the one before it is taken.
 
-    Or, with `at`, the one sample that says most about that valid time (Def. 5.6).
+    Or, with `at`, the one sample that says most about that valid time; with `before` all samples
+    about earlier valid times; with `prev` and `last_avail` the one before or at an available time
+    (Def. 5.5-5.7). 410 with `oldest`, the oldest available time kept, where the answer depends on
+    samples that the stream has forgotten.
     """
     kind = accepted(request, FORMATS)
     stream = service.engine.generator(name).stream
-    given = {"from": start, "to": end, "at": at, "known": known}
-    times = {key: time_of(text, key) for key, text in given.items()}
-    most = limit or service.settings.history_limit
+    question = _question(asked, asked.limit or service.settings.history_limit)
     # Nobody has a place for it yet (service/answers): few at a time, so that many who ask at once
     # take no more than there are places for.
     async with service.histories:
-        batch = _select(stream, times, most)
+        batch = question(stream)
         return await history_answer(kind, batch, partial(_triples, service, name))
 
 
@@ -71,12 +87,33 @@ def _triples(service: Service, name: str, batch: SampleBatch) -> list[str]:
         return []
 
 
-def _select(stream: FluentStream, times: Mapping[str, int | None], limit: int) -> SampleBatch:
-    start, at, known = times["from"], times["at"], times["known"]
-    if at is not None:
-        if start is not None or times["to"] is not None:
-            raise Problem(400, "wrong arguments", "`at` stands alone, without `from` and `to`")
-        return stream.most_recent_at(at, TIME_MAX if known is None else known)
-    if known is not None:
-        raise Problem(400, "wrong arguments", "`known` goes with `at`")
-    return stream.between(start, times["to"], most=limit, newest=start is None)
+def _question(asked: Asked, limit: int) -> Callable[[FluentStream], SampleBatch]:
+    """What to ask of the stream; raises a 400 `Problem` for questions that exclude each other."""
+    ranges = {"from": asked.start, "to": asked.end}
+    ranges |= {"valid_from": asked.valid_from, "valid_to": asked.valid_to}
+    single = {"at": asked.at, "before": asked.before}
+    single |= {"prev": asked.prev, "last_avail": asked.last_avail}
+    bounds = {key: time_of(text, key) for key, text in ranges.items()}
+    times = {key: time for key, text in single.items() if (time := time_of(text, key)) is not None}
+    known = time_of(asked.known, "known")
+    if len(times) > 1 or (times and any(text is not None for text in ranges.values())):
+        raise Problem(
+            400,
+            "wrong arguments",
+            f"`{next(iter(times))}` stands alone, without another question",
+            hint="ask one of at, before, prev, last_avail; or for a range",
+        )
+    if known is not None and not times.keys() & {"at", "before"}:
+        raise Problem(400, "wrong arguments", "`known` goes with `at` or `before`")
+    by = TIME_MAX if known is None else known
+    if times:
+        kinds: dict[str, Callable[[FluentStream, int], SampleBatch]] = {
+            "at": partial(recall.most_recent_at, known=by),
+            "before": partial(recall.before, known=by, most=limit),
+            "prev": recall.prev,
+            "last_avail": recall.last_avail,
+        }
+        key, time = next(iter(times.items()))
+        return lambda stream: kinds[key](stream, time)
+    start, end, valid_from, valid_to = bounds.values()
+    return lambda stream: recall.between(stream, start, end, valid_from, valid_to, most=limit)

@@ -4,6 +4,7 @@
 changes what is: a file that cannot be read any more is an error in the program.
 """
 
+import itertools
 import json
 import os
 from pathlib import Path
@@ -38,6 +39,9 @@ CHECKPOINT = CASES / "00000000000000000003.checkpoint"
 PORT = DescribedPort("dyknow:speed", "spd", "km/h", (DescribedArgument("UAV", "a", "id"),))
 LATER = {"ahead": HOUR}
 """What members that came later say where nothing is written."""
+KNOWN = DescribedPort(
+    "dyknow:speed", "spd", None, (DescribedArgument("UAV", "a", "id", True, True),)
+)
 EXAMPLES = [
     c.Begin("3f2a91c0", 1_633_633_973_000_000_000, "dyknow 0.1.0, Python 3.11.7, 0123456789abcdef"),
     c.Tick(1_633_633_973_100_000_000),
@@ -70,6 +74,7 @@ EXAMPLES = [
     c.SetQuality("s5", 0.5),
     c.Annotate("stream s5 contains speed(UAV) = spd for every UAV = id"),
     c.Describe((DescribedStream("s5", (PORT,)),)),
+    c.Describe((), (DescribedTransformation("t", (PORT,), KNOWN),)),
     c.RegisterTemplate("REGISTER TEMPLATE …", True),
     c.RemoveTemplate("HighSpeedEvent"),
     c.RequestEvent("dyknow:HighSpeedEvent(?o, dyknow:UAV, 100)", strategy="cost"),
@@ -179,6 +184,8 @@ def _plain(value):
 def _without_later(told, was):
     """``told`` without the members of objects that ``was`` lacks and that say nothing, or what is
     usual."""
+    if isinstance(told, list) and isinstance(was, list):
+        return [_without_later(*each) for each in itertools.zip_longest(told, was)]
     if not isinstance(told, dict) or not isinstance(was, dict):
         return told
     return {

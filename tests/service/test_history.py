@@ -18,6 +18,8 @@ from hypothesis import strategies as st
 
 from dyknow.converters.arrow import decode_arrow
 from dyknow.service import history
+from dyknow.service.client import Client
+from dyknow.service.connection import ServiceError
 from dyknow.service.history import PIECE_BYTES, PIECE_SAMPLES, history_answer, pieces
 from dyknow.service.negotiation import ARROW, CSV, JSON, NDJSON, NTRIPLES
 from dyknow.service.settings import Settings
@@ -31,6 +33,41 @@ LINES = {"Content-Type": NDJSON}
 @pytest.fixture
 def settings(settings: Settings) -> Settings:
     return settings.model_copy(update={"batch_samples": 1_500})
+
+
+def test_questions_about_the_past(http: httpx.Client, client: Client) -> None:
+    """[DyKnow10 Def. 5.5-5.7], and 410 where the stream has forgotten what the answer needs."""
+    retention = {"samples": 3}
+    client.put_stream("s", {"v": "integer"}, retention=retention)
+    rows = [(10, 5), (11, 3), (12, 6), (13, 6)]
+    lines = [{"available": a, "valid": v, "v": i} for i, (a, v) in enumerate(rows)]
+    client.publish("s", lines[:3])
+    asked = {"at": 5, "before": 5, "prev": 12, "last_avail": 11, "valid_from": 4, "start": 10}
+    found = {key: [s["v"] for s in client.history("s", **{key: t})] for key, t in asked.items()}
+    assert found == {
+        "at": [0],
+        "before": [0, 1],
+        "prev": [1],
+        "last_avail": [1],
+        "valid_from": [0, 2],
+        "start": [0, 1, 2],
+    }
+    assert [s["v"] for s in client.history("s", at=5, known=9)] == []
+    client.publish("s", lines[3:])
+    for question in ({"at": 5}, {"before": 5}, {"prev": 11}, {"last_avail": 10}, {"valid_to": 5}):
+        with pytest.raises(ServiceError) as refused:
+            client.history("s", **question)
+        assert refused.value.status == 410
+        assert refused.value.problem["oldest"] == "1970-01-01T00:00:00.000000011Z"
+    with pytest.raises(ServiceError, match="forgotten"):
+        client.history("s", start=10)
+    assert [s["v"] for s in client.history("s", at=6)] == [3]
+    assert [s["v"] for s in client.history("s", start=11)] == [1, 2, 3]
+    assert [s["v"] for s in client.history("s")] == [1, 2, 3]
+    for wrong in ("at=1&prev=2", "at=1&valid_from=2", "known=3", "prev=1&known=2", "before=soon"):
+        assert http.get(f"/streams/s/samples?{wrong}").status_code == 400
+    with pytest.raises(TypeError, match="later"):
+        client.history("s", later=1)
 
 
 def batch(*sizes: int | None) -> SampleBatch:

@@ -64,7 +64,9 @@ def test_registered_read_changed_and_removed(http: httpx.Client, body: dict[str,
     assert found["text"] == "glider : altitude[UAV] ⇒ speed[UAV]"
     assert (found["cost"], found["quality"], found["lacks"]) == (2.0, 0.5, "")
     assert found["parameters"] == {"factor": "3"}
-    assert found["inputs"][0]["of"] == [{"name": "dyknow:UAV", "as": "UAV", "id": None}]
+    assert found["inputs"][0]["of"] == [
+        {"name": "dyknow:UAV", "as": "UAV", "id": None, "every": True}
+    ]
     assert http.get("/transformations/glider").json() == found
     assert [one["name"] for one in http.get("/transformations").json()] == [
         "coordinatesToSpeed",
@@ -135,7 +137,7 @@ def test_a_source(http: httpx.Client) -> None:
     assert answer.status_code == 201, answer.text
     found = answer.json()
     assert (found["kind"], found["inputs"]) == ("source", [])
-    assert found["output"]["of"] == [{"name": "self", "as": "self", "id": None}]
+    assert found["output"]["of"] == [{"name": "self", "as": "self", "id": None, "every": False}]
     in_names = {"name": "other", "output": {"feature": "altitude", "of": ["self"]}}
     answer = http.post("/transformations", json=in_names | {"implementation": "Altimeter"})
     assert answer.status_code == 201, answer.text
@@ -286,6 +288,13 @@ def test_streams_are_annotated_in_json(http: httpx.Client) -> None:
         (contents("status"), 403, "system's own"),
         ([contents(), contents()], 400, "described twice"),
         ({"stream": "s1", "contents": []}, 422, "at least 1"),
+        ({"stream": "s1"}, 400, "either stream and contents, or name and output"),
+        (contents() | {"name": "f", "output": {"feature": "speed"}}, 400, "either stream"),
+        (contents(of=[{"name": "Truck", "id": "id", "every": True}]), 400, "no sort of the"),
+        (contents(of=[{"name": "UAC", "id": "id"}]), 400, "did you mean UAV"),
+        (contents(of=[{"name": "UAV", "id": "id", "every": False}]), 400, "is a sort"),
+        (contents(of=[{"name": "UAV", "id": "id"}, "uav1"]), 400, "one object, and 2 are named"),
+        (contents(of=[{"name": "lorry7", "id": "id", "every": False}]), 201, "lorry7 = id"),
         ([], 201, ""),
         (5, 422, "body"),
     ],
@@ -296,6 +305,25 @@ def test_json_annotations_that_are_wrong(
     answer = http.post("/annotations", json=body)
     assert answer.status_code == status, answer.text
     assert said in answer.text
+
+
+def test_what_is_shown_of_annotations_can_be_sent_again(http: httpx.Client) -> None:
+    truck = {"name": "http://example.org/fleet#truck_7", "id": "who (id)", "every": False}
+    several = [contents("s1", of=[truck]), contents("s2")]
+    assert http.post("/annotations", json=several).status_code == 201
+    http.post("/transformations", json=described())
+    shown = http.get("/annotations").json()
+    text = http.get("/annotations", headers={"Accept": "text/plain"}).text
+    assert '<http://example.org/fleet#truck_7> = "who (id)"' in text
+    again = http.post("/annotations", json=shown)
+    assert again.status_code == 201, again.text
+    # Line breaks of SSL are not kept in JSON.
+    for one in [*shown, *(answered := http.get("/annotations").json())]:
+        one["source"] = " ".join(one["source"].split())
+    assert answered == shown
+    again = http.post("/annotations", content=text, headers={"Content-Type": "text/plain"})
+    assert again.status_code == 201, again.text
+    assert http.get("/annotations", headers={"Accept": "text/plain"}).text == text
 
 
 def test_the_quality_of_a_stream_decides(http: httpx.Client) -> None:
