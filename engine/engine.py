@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import secrets
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -56,6 +57,7 @@ from .idleness import Idleness
 from .intake import Intake
 from .knowing import checked_strategy, checked_want, did_you_mean, iri_of
 from .kpl import KplDeclarations
+from .plan_text import plan_text
 from .plans import Plans
 from .processes import PROCESSES, Processes
 from .registered import RegisteredTransformations, check_quality
@@ -728,9 +730,12 @@ class Engine:
         checked_strategy(strategy)
         without = self._plans.unusable(Since.NOW)
         (found,) = self._plans.match([want], strategy, without, explained=True)
-        return explanations.match_view(
+        view = explanations.match_view(
             want, found, strategy, self._manager.space, self._plans.is_running
         )
+        supplies = self._plans.made_from([found])
+        texts = [plan_text(supply, self._transformations) for supply in supplies]
+        return replace(view, specification=next(iter(texts), None))
 
     def explain_running(self, id: str) -> str:
         """Each stage of a query or request that runs; raises `UnknownRequest`."""

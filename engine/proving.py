@@ -1,9 +1,10 @@
 """Proving a KPL specification on a recording ([DyKnow10 Def. 5.29, 5.35-5.38]).
 
 The recording is replayed through the application that the specification declares. Then every
-declared stream is held against the definition: it must be in eval_fsterm of its term over the
-whole stream of its label. The definitions (`streams.satisfaction`) share nothing with what made
-the streams.
+stream with a policy, declared or the inner term of a process, is held against the definition: it
+must be in eval_fsterm of its term over the whole stream of its label. Every `join` and `sync` is
+held against its definition over its inputs. The definitions (`streams.satisfaction`,
+`streams.tuple_definition`) share nothing with what made the streams.
 """
 
 from __future__ import annotations
@@ -25,27 +26,31 @@ from ..languages.kpl import (
 )
 from ..streams.fluent import Retention
 from ..streams.generator import StreamGenerator
-from ..streams.policy import Approximation, PolicyCounters, PolicyError
+from ..streams.joining import Join
+from ..streams.policy import Approximation, Constraint, PolicyCounters, PolicyError
 from ..streams.sample import Column, Field, FieldType, SampleBatch, Schema, concatenate
 from ..streams.satisfaction import Counterexample, prove, satisfies
 from ..streams.time import TIME_MAX
+from ..streams.tuple_definition import TupleInput, prove_join, prove_states
 from .application import Application
 from .changes import Change, ChangeKind
 from .configuration import Configuration
 from .errors import Conflict
 from .network import schema_text
 from .processes import Processes
-from .stream_units import AdaptationUnit
+from .stream_units import AdaptationUnit, TupleUnit
 from .supervision import DIRECT, Runner
+from .unit import ComputationalUnit
 
 _FAILURES = (ChangeKind.UNIT_FAILED, ChangeKind.UNIT_STOPPED_BY_RULE)
 
 
 @dataclass(frozen=True, slots=True)
 class Proof:
-    """What was found for one declared stream.
+    """What was found for one declared stream, inner term, `join` or `sync`.
 
-    ``refutation`` None: the stream is a maximal satisfying substream, as Def. 5.35 asks.
+    ``stream`` names it: an inner term is its own name. ``refutation`` None: the stream is a maximal
+    satisfying substream, as Def. 5.35 asks, or its tuples are those of Def. 5.11 or of SPEC §1.
     ``as_recorded`` is the first place where the label's own stream would have broken the policy,
     None where it holds of the recording as it is. ``failure``: a unit behind the stream failed, or
     the grid of the policy is too long; then nothing was proved.
@@ -69,12 +74,13 @@ class Rehearsal:
     """An application with a whole recording behind it.
 
     ``failures`` are ``(stream, reason)``; ``broken`` says of each stream that has a failed unit
-    behind it why the first of these failed.
+    behind it why the first of these failed. ``units`` are there at the end, by their output.
     """
 
     application: Application
     failures: Sequence[tuple[str, str]]
     broken: Mapping[str, str]
+    units: Mapping[str, ComputationalUnit]
 
 
 def rehearse(
@@ -123,7 +129,7 @@ def rehearse(
     for source in sources.values():
         source.end()
         application.settle()
-    return Rehearsal(application, failures, _broken(configuration, failures))
+    return Rehearsal(application, failures, _broken(configuration, failures), configuration.units)
 
 
 def prove_specification(
@@ -134,11 +140,21 @@ def prove_specification(
 ) -> tuple[Proof, ...]:
     """Replay a recording and prove each declared stream; arguments and errors as of `rehearse`."""
     rehearsal = rehearse(signature, processes, samples, runner)
-    return tuple(
-        _proof(rehearsal.application, rehearsal.broken, declaration)
-        for declaration in signature.declarations
-        if isinstance(declaration, StreamDeclaration)
-    )
+    application = rehearsal.application
+    proofs: list[Proof] = []
+    declared = [d for d in signature.declarations if isinstance(d, StreamDeclaration)]
+    for declaration in declared:
+        unit = application.process_of(declaration.name)
+        assert isinstance(unit, AdaptationUnit)
+        proofs.append(_proof(rehearsal, unit, declaration.name, format_term(declaration.term)))
+    names = {declaration.name for declaration in declared}
+    for name, other in sorted(rehearsal.units.items()):
+        if isinstance(other, AdaptationUnit) and name not in names:
+            term = other.parameters["term"]
+            proofs.append(_proof(rehearsal, other, term, term))
+        elif isinstance(other, TupleUnit):
+            proofs.append(_tuple_proof(rehearsal, other))
+    return tuple(proofs)
 
 
 def _broken(configuration: Configuration, failures: Sequence[tuple[str, str]]) -> Mapping[str, str]:
@@ -219,18 +235,11 @@ def _runs(recorded: Mapping[str, SampleBatch]) -> Iterator[tuple[str, SampleBatc
         done[i] += end - start
 
 
-def _proof(
-    application: Application, broken: Mapping[str, str], declaration: StreamDeclaration
-) -> Proof:
-    policy = declaration.term.policy
-    label = str(declaration.term.label)
-    source, output = application.stream_of(label), application.stream_of(declaration.name)
-    unit = application.process_of(declaration.name)
-    assert source is not None
-    assert output is not None
-    assert isinstance(unit, AdaptationUnit)
-    whole, made = source.stream.all(), output.stream.all()
-    failure, refutation = broken.get(output.name), None
+def _proof(rehearsal: Rehearsal, unit: AdaptationUnit, name: str, term: str) -> Proof:
+    """Of a stream with a policy."""
+    policy, (source,) = unit.policy, unit.inputs
+    whole, made = unit.past_of(source), unit.output.stream.all()
+    failure, refutation = rehearsal.broken.get(unit.output.name), None
     if failure is None:
         try:
             refutation = prove(made, whole, policy)
@@ -238,11 +247,44 @@ def _proof(
             failure = f"PolicyError: {error}"
     approximates = policy.approximation is Approximation.MOST_RECENT
     return Proof(
-        stream=declaration.name,
-        term=format_term(declaration.term),
+        stream=name,
+        term=term,
         received=len(whole),
         counters=unit.policy_counters,
         refutation=refutation,
         as_recorded=None if approximates and not len(whole) else satisfies(whole, policy),
+        failure=failure,
+    )
+
+
+def _tuple_proof(rehearsal: Rehearsal, unit: TupleUnit) -> Proof:
+    """Of a `join` or `sync`."""
+    made, kernel = unit.output.stream.all(), unit.kernel
+    pasts = [unit.past_of(source) for source in unit.inputs]
+    failure = rehearsal.broken.get(unit.output.name)
+    refutation: Counterexample | None = None
+    if isinstance(kernel, Join):
+        inputs = list(map(TupleInput, pasts, unit.field_names))
+        counters = PolicyCounters(sent=len(made))
+        if failure is None:
+            refutation = prove_join(made, inputs)
+    else:
+        last = max((end for end in kernel.ends if end is not None), default=None)
+        ends = [None if end == last else end for end in kernel.ends]
+        inputs = list(map(TupleInput, pasts, unit.field_names, kernel.monotone, ends))
+        counted = kernel.counters
+        counters = PolicyCounters(sent=counted.states, approximated=counted.approximated)
+        counters.drop(Constraint.AVAILABLE, counted.late)
+        counters.drop(Constraint.ORDER, counted.dropped)
+        if failure is None:
+            refutation = prove_states(made, inputs, kernel.policy)
+    counters.received = sum(map(len, pasts))
+    return Proof(
+        stream=unit.output.name,
+        term=unit.parameters["kpl"],
+        received=counters.received,
+        counters=counters,
+        refutation=refutation,
+        as_recorded=None,
         failure=failure,
     )

@@ -115,6 +115,16 @@ class TupleUnit(PolicyUnit):
         self._find_names()
 
     @property
+    def kernel(self) -> Join | Synchronization:
+        """What makes the tuples."""
+        return self._kernel
+
+    @property
+    def field_names(self) -> Sequence[Sequence[str]]:
+        """The names that the fields of each input have in a tuple; none before they are known."""
+        return self._names or [[] for _ in self.inputs]
+
+    @property
     def policy_counters(self) -> StateCounters | None:
         """What became of samples and states; None of a join, which has no policy."""
         return self._kernel.counters if isinstance(self._kernel, Synchronization) else None

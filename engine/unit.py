@@ -101,6 +101,15 @@ class ComputationalUnit(ABC):
         for source in self.sources:
             self.connect(source)
 
+    def past_of(self, source: StreamGenerator) -> SampleBatch:
+        """All kept samples of an input that this unit was to see; see `start`."""
+        batch = source.stream.all()
+        after = TIME_MIN if self._after is None else self._after
+        rows = (batch.available > after) | (self._after is None)
+        if self._until is not None:
+            rows &= batch.available <= self._until
+        return batch.take(rows)
+
     def connect(self, source: StreamGenerator) -> None:
         """Subscribe to an input, and hear of its end if that was earlier."""
         if self.failure is not None:

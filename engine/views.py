@@ -216,7 +216,8 @@ class MatchView:
     """What semantic matching found for a feature, and why.
 
     ``cost`` and ``quality`` are those of the plan, None where there is none; ``proven`` says
-    whether the strategy's optimum was found and proven.
+    whether the strategy's optimum was found and proven. ``specification`` is the plan in XML, None
+    where there is no plan or a specification cannot make it.
     """
 
     feature: str
@@ -229,6 +230,7 @@ class MatchView:
     cost: float | None
     quality: float | None
     proven: bool
+    specification: str | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,12 +19,14 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .policy import AnyChange, Constraint, Order, Policy, PolicyCounters
-from .sample import Mask, SampleBatch, Times, concatenate
+from .constraints import differs
+from .policy import AnyChange, ChangeBy, Constraint, Order, Policy, PolicyCounters
+from .sample import FieldType, Mask, SampleBatch, Times, concatenate
 from .saturating import earlier
 from .time import TIME_MAX, TIME_MIN
 
@@ -108,10 +110,12 @@ class Adaptation(ABC):
 
 
 class Filtering(Adaptation):
-    """Decides each sample when it arrives: any order, or an order without a bound on delay.
+    """Decides each sample when it arrives: any order, an order without a bound on delay, or
+    ``change by d``.
 
-    To wait for ever would keep nothing, so an order with ``max delay oo`` never waits.
-    Cost: O(n) numpy. Memory: the last sample sent.
+    To wait for ever would keep nothing, so an order with ``max delay oo`` never waits. With
+    ``change by d`` nothing waits: what is news depends on what was sent before.
+    Cost: O(n) numpy; ``change by d`` O(n) Python. Memory: the last sample sent.
     """
 
     def __init__(self, policy: Policy, on_drop: OnDrop | None = None) -> None:
@@ -119,6 +123,7 @@ class Filtering(Adaptation):
         self._passes_all = policy.is_default
         self._greatest: int | None = None
         self._last: SampleBatch | None = None
+        self._numbers: dict[str, Any] | None = None
 
     def push(self, batch: SampleBatch) -> list[SampleBatch]:
         self.counters.received += len(batch)
@@ -137,7 +142,9 @@ class Filtering(Adaptation):
 
     def _kept(self, batch: SampleBatch) -> SampleBatch:
         reasons = self._inadmissible(batch)
-        if self.policy.order is not Order.ANY:
+        if isinstance(self.policy.change, ChangeBy):
+            self._drop_without_news(batch, reasons, self.policy.change.difference)
+        elif self.policy.order is not Order.ANY:
             self._drop_out_of_order(batch, reasons)
         if isinstance(self.policy.change, AnyChange):
             self._drop_unchanged(batch, reasons)
@@ -172,6 +179,35 @@ class Filtering(Adaptation):
         reasons[rows[wrong]] = CODES[Constraint.ORDER]
         last = int(greatest[-1])
         self._greatest = last if self._greatest is None else max(last, self._greatest)
+
+    def _drop_without_news(self, batch: SampleBatch, reasons: Reasons, difference: float) -> None:
+        """One by one: order and difference are both judged by the last sample that was sent."""
+        rows = np.flatnonzero(reasons == KEPT)
+        kinds = (FieldType.INTEGER, FieldType.FLOAT)
+        fields = {n: c.take(rows).tolist() for n, c in batch.columns.items() if c.type in kinds}
+        order, greatest = self.policy.order, self._greatest
+        last: list[Any] | None = None
+        if self._numbers is not None:
+            last = [self._numbers.get(name) for name in fields]
+        for at, (row, valid) in enumerate(
+            zip(rows.tolist(), batch.valid[rows].tolist(), strict=True)
+        ):
+            numbers = [values[at] for values in fields.values()]
+            if greatest is not None and (
+                (order is not Order.ANY and valid < greatest)
+                or (order is Order.STRICT and valid == greatest)
+            ):
+                reasons[row] = CODES[Constraint.ORDER]
+            elif last is not None and not any(
+                differs(before, then, difference)
+                for before, then in zip(last, numbers, strict=True)
+            ):
+                reasons[row] = CODES[Constraint.CHANGE_BY]
+            else:
+                greatest, last = valid, numbers
+        self._greatest = greatest
+        if last is not None:
+            self._numbers = dict(zip(fields, last, strict=True))
 
     def _drop_unchanged(self, batch: SampleBatch, reasons: Reasons) -> None:
         rows = np.flatnonzero(reasons == KEPT)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from .adaptation import Adaptation, Filtering, OnDrop
 from .approximation import Approximating
 from .chain import Chain
-from .policy import GRID_LIMIT, Approximation, Order, Policy
+from .policy import GRID_LIMIT, Approximation, ChangeBy, Order, Policy
 from .reordering import Reordering
 
 
@@ -19,6 +19,7 @@ def adapt(policy: Policy, on_drop: OnDrop | None = None, *, limit: int = GRID_LI
         return Approximating(policy, on_drop, limit=limit)
     if policy.period is not None:
         return Chain(policy, on_drop)
-    if policy.order is Order.ANY or policy.max_delay is None:
+    waits = policy.order is not Order.ANY and policy.max_delay is not None
+    if not waits or isinstance(policy.change, ChangeBy):
         return Filtering(policy, on_drop)
     return Reordering(policy, on_drop)

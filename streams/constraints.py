@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from .policy import AnyChange, Constraint, Order, Policy
+from .policy import AnyChange, ChangeBy, Constraint, Order, Policy
 from .sample import SampleBatch
 
 Content = tuple[Any, ...]
@@ -44,4 +44,18 @@ def after(
         return Constraint.ORDER, f"valid at {then[0]} after one valid at {content[0]}"
     if isinstance(policy.change, AnyChange) and content == then:
         return Constraint.CHANGE, f"the sample valid at {then[0]} repeats the one before"
+    if isinstance(policy.change, ChangeBy):
+        difference = policy.change.difference
+        if not any(differs(*pair, difference) for pair in zip(content[1:], then[1:], strict=True)):
+            said = f"no number of the sample valid at {then[0]} differs by {difference:g}"
+            return Constraint.CHANGE_BY, f"{said} from the one before"
     return None
+
+
+def differs(value: Any, then: Any, difference: float) -> bool:
+    """Whether two values of a field differ by at least ``difference``: numbers, or a number and
+    no_value. Other values do not."""
+    numbers = [isinstance(each, int | float) for each in (value, then)]
+    if isinstance(value, bool) or isinstance(then, bool):
+        return False
+    return abs(value - then) >= difference if all(numbers) else any(numbers)

@@ -8,11 +8,13 @@ one that uses the oldest of equal samples leaves the least to add.
 Under ``any change`` a delayed copy of a kept sample is no news. So copies count only undelayed, at
 their own available time, whichever of equal samples the kept ones are taken to be. Where samples
 wait for others (an order with a max delay), a copy that came before the last one like it was sent
-is no news either: who waits cannot know that there will be room before it.
+is no news either: who waits cannot know that there will be room before it. Under ``change by d``
+every sample counts only undelayed: delayed enough, nearly each would differ from its neighbours.
 
 Whether something can be added is decided one sample at a time, which is enough: a part of what
 satisfies an order, a delay or a duration satisfies it, and a chain of ``sample every`` grows by its
-next sample. Only copies may need each other: between A and B there is room for B, A.
+next sample. Only what must differ from its neighbours may need each other: copies (between A and B
+there is room for B, A), and samples under ``change by d``.
 """
 
 from __future__ import annotations
@@ -23,7 +25,7 @@ from collections.abc import Sequence
 from itertools import groupby, pairwise
 
 from .constraints import Content, after, alone
-from .policy import AnyChange, Order, Policy
+from .policy import AnyChange, ChangeBy, Order, Policy
 from .time import TIME_MAX
 
 Known = tuple[int, Content]
@@ -53,6 +55,8 @@ def addable(
     """A row of ``whole`` that can be added to its satisfying substream ``part``, and a free
     available time for it; None if there is none. Cost: O((n + m) log m) Python, m rows of ``part``.
     """
+    if isinstance(policy.change, ChangeBy):
+        return _addable_undelayed(part, whole, policy)
     times = [time for time, _ in part]
     valids = [content[0] for _, content in part]
     free = _next_free(times)
@@ -68,6 +72,35 @@ def addable(
         if moment is not None:
             return row, moment
     return _addable_copy(part, whole, kept, policy) if kept else None
+
+
+def _addable_undelayed(
+    part: Sequence[Known], whole: Sequence[Known], policy: Policy
+) -> tuple[int, int] | None:
+    """A row that can be added at its own available time, by itself or before others of the same
+    gap. Cost: O(k²) Python for k rows in a gap."""
+    times = [time for time, _ in part]
+    taken = set(times)
+    rows, _ = unused(part, whole)
+    free = [
+        (bisect_left(times, time), row)
+        for row in rows
+        for time, content in [whole[row]]
+        if time not in taken and alone(time, content[0], policy) is None
+    ]
+    for place, gap in groupby(free, key=lambda each: each[0]):
+        before, then = part[place - 1 : place] if place else [], part[place : place + 1]
+        reached: list[tuple[int, int]] = []
+        """Rows to which a chain leads from before the gap, and the first of that chain."""
+        for _, row in gap:
+            starts = [first for last, first in reached if _fits([whole[last], whole[row]], policy)]
+            if _fits([*before, whole[row]], policy):
+                starts.append(row)
+            if starts and _fits([whole[row], *then], policy):
+                return starts[0], whole[starts[0]][0]
+            if starts:
+                reached.append((row, starts[0]))
+    return None
 
 
 def _addable_copy(

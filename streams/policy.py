@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import StrEnum
+from math import inf
 from typing import Final, TypeAlias
 
 from .time import TIME_MAX, TIME_MIN
@@ -37,6 +38,21 @@ class AnyChange:
 
 
 @dataclass(frozen=True, slots=True)
+class ChangeBy:
+    """``change by d``: some number differs from the last one sent by at least ``difference``, in
+    the unit of its field ([DyKnow10 §4.3.1]); a number that comes or goes differs, too."""
+
+    difference: float
+
+    def __post_init__(self) -> None:
+        if not 0 < self.difference < inf:
+            raise PolicyError(
+                f"a change is by more than nothing, not {self.difference}",
+                "write for example `change by 10`, or `any change`",
+            )
+
+
+@dataclass(frozen=True, slots=True)
 class SampleEvery:
     """``sample every t``: valid times of consecutive samples differ by exactly ``period`` ns."""
 
@@ -50,7 +66,7 @@ class SampleEvery:
             )
 
 
-Change: TypeAlias = AnyUpdate | AnyChange | SampleEvery
+Change: TypeAlias = AnyUpdate | AnyChange | ChangeBy | SampleEvery
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,6 +198,7 @@ class Constraint(StrEnum):
     ORDER = "order"
     AVAILABLE = "available time"
     """No available time is left at which the sample could be sent: they are unique (Def. 4.1)."""
+    CHANGE_BY = "change by"
 
 
 @dataclass(slots=True)

@@ -107,6 +107,21 @@ class Synchronization:
         return known_of(self._inputs)
 
     @property
+    def policy(self) -> SynchronizationPolicy:
+        """What the states are like."""
+        return self._policy
+
+    @property
+    def monotone(self) -> Sequence[bool]:
+        """Of which inputs the valid times do not decrease."""
+        return self._monotone
+
+    @property
+    def ends(self) -> Sequence[int | None]:
+        """The moment from which on each input is not waited for; None of one that goes on."""
+        return [input.ended_at for input in self._inputs]
+
+    @property
     def retained(self) -> int:
         """How many samples are kept."""
         kept = sum(len(batch) for batch in self._kept if batch is not None)

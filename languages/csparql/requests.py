@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pyoxigraph import Variable
 
 from ...rdf.dictionary import Term
-from ...rdf.namespaces import PREFIXES
+from ...rdf.namespaces import DYKNOW, PREFIXES
 from ..errors import LanguageError, Span
 from .ast import EventRequest
 from .limits import check_length
@@ -18,19 +18,20 @@ _EXAMPLE = "write `dyknow:HighSpeedEvent(?o, dyknow:UAV, 100)`"
 
 
 def parse_event_request(source: str, prefixes: Mapping[str, str] = PREFIXES) -> EventRequest:
-    """The event and its arguments, each a term or a variable that stays open.
+    """The event and its arguments, each a term or a variable that stays open. An event without a
+    prefix is ``dyknow:``'s, as [Events14 §V.C] writes them.
 
     Raises `LanguageError` with the place of what is no event name, no argument or no prefix.
     """
     check_length(source)
     tokens = tokenize(source)
-    if not tokens or tokens[0].kind not in (Kind.IRI, Kind.PREFIXED):
+    if not tokens or tokens[0].kind not in (Kind.IRI, Kind.PREFIXED, Kind.WORD):
         found = f", not `{tokens[0].text}`" if tokens else ""
-        hint = _EXAMPLE
-        if tokens and tokens[0].kind is Kind.WORD:
-            hint = f"write `dyknow:{tokens[0].text}(…)`"
-        raise _error(f"the name of an event is due{found}", source, tokens, 0, hint)
-    event = iri_text(tokens[0], source, prefixes)
+        raise _error(f"the name of an event is due{found}", source, tokens, 0, _EXAMPLE)
+    if tokens[0].kind is Kind.WORD:
+        event = DYKNOW + tokens[0].text
+    else:
+        event = iri_text(tokens[0], source, prefixes)
     if len(tokens) == 1 or not tokens[1].is_mark("("):
         raise _error("`(` is due after the event's name", source, tokens, 1, _EXAMPLE)
     arguments: list[Term | Variable] = []

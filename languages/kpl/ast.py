@@ -42,11 +42,13 @@ class Time:
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """Def. 5.22; ``period`` belongs to ``sample every`` alone."""
+    """Def. 5.22; ``period`` belongs to ``sample every`` alone, ``difference`` to ``change by``
+    ([DyKnow10 §4.3.1]), as written: ``10``, ``0.5``."""
 
-    kind: Literal["any update", "any change", "sample every"]
+    kind: Literal["any update", "any change", "change by", "sample every"]
     period: Time | None
     span: Span = attribute(compare=False)
+    difference: str | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,6 +16,7 @@ from ...streams.policy import (
     AnyUpdate,
     Approximation,
     Change,
+    ChangeBy,
     Duration,
     Order,
     Policy,
@@ -85,6 +86,14 @@ def to_synchronization(
             span,
             "write `sync(a, b; sample every 100, max delay 50)` or `sync(a, b; any change)`",
         )
+    if isinstance(merged.change, ChangeBy):
+        raise LanguageError(
+            "`change by` says nothing of the times at which states are",
+            source,
+            span,
+            "write `any change`, and read the states with the policy: `stream s = state with "
+            "change by 10`",
+        )
     return SynchronizationPolicy(
         merged.change, merged.max_delay, merged.duration, merged.order, merged.approximation
     )
@@ -126,7 +135,11 @@ def _merge(constraints: Sequence[ast.Constraint], source: str, unit: str) -> _Co
 
 
 def _stronger(change: Change | None, constraint: ast.Change, source: str, unit: str) -> Change:
+    if constraint.difference is not None:
+        return _larger(change, constraint, source)
     if constraint.period is not None:
+        if isinstance(change, ChangeBy):
+            raise _two_changes(constraint, source)
         period = duration(constraint.period, source, unit)
         if period <= 0:
             raise LanguageError(
@@ -144,8 +157,37 @@ def _stronger(change: Change | None, constraint: ast.Change, source: str, unit: 
             )
         return SampleEvery(period)
     if constraint.kind == "any change":
-        return change if isinstance(change, SampleEvery) else AnyChange()
+        return change if isinstance(change, SampleEvery | ChangeBy) else AnyChange()
     return AnyUpdate() if change is None else change
+
+
+def _larger(change: Change | None, constraint: ast.Change, source: str) -> ChangeBy:
+    """``change by``, together with what was written before: it implies ``any change``."""
+    if isinstance(change, SampleEvery):
+        raise _two_changes(constraint, source)
+    try:
+        wanted = ChangeBy(float(constraint.difference or ""))
+    except ValueError as error:
+        raise LanguageError(
+            f"`change by {constraint.difference}` names no difference above 0",
+            source,
+            constraint.span,
+            error.hint
+            if isinstance(error, PolicyError)
+            else "write a number without a unit, it is in the unit of the feature: `change by 10`",
+        ) from None
+    if isinstance(change, ChangeBy):
+        return max(change, wanted, key=lambda each: each.difference)
+    return wanted
+
+
+def _two_changes(constraint: ast.Change, source: str) -> LanguageError:
+    return LanguageError(
+        "`sample every` and `change by` in one policy",
+        source,
+        constraint.span,
+        "keep one: `sample every` sends a sample each period, whether it differs or not",
+    )
 
 
 def _delay(time: ast.Time, source: str, unit: str) -> int:

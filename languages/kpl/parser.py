@@ -319,6 +319,8 @@ class _Reader:
                 return ast.Change("any update", None, span)
             case "any_change":
                 return ast.Change("any change", None, span)
+            case "change_by":
+                return ast.Change("change by", None, span, str(tokens(tree, "NUMBER")[0]))
             case "sample_every":
                 return ast.Change("sample every", times[0], span)
             case "max_delay":

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from decimal import Decimal
 from typing import Final, assert_never
 
 from ...streams.policy import (
     AnyChange,
     AnyUpdate,
     Approximation,
+    ChangeBy,
     Order,
     Policy,
     SampleEvery,
@@ -60,6 +62,8 @@ def format_policy(policy: Policy | SynchronizationPolicy, unit: str = DEFAULT_UN
             parts += ["any update"] if isinstance(policy, SynchronizationPolicy) else []
         case AnyChange():
             parts.append("any change")
+        case ChangeBy(difference):
+            parts.append(f"change by {_number(difference)}")
         case SampleEvery(period):
             parts.append(f"sample every {_time(period, unit)}")
         case _:
@@ -133,6 +137,12 @@ def _value(sort: ValueSort) -> str:
     if sort.simple_type is not None:
         return sort.simple_type.value
     return f"({', '.join(f'{field.name} {field.type.value}' for field in sort.fields or ())})"
+
+
+def _number(number: float) -> str:
+    """The shortest digits that give ``number`` again, without an exponent."""
+    text = format(Decimal(repr(number)), "f")
+    return text.removesuffix(".0")
 
 
 def _time(time: int, unit: str) -> str:

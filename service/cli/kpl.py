@@ -100,10 +100,10 @@ def prove(
     time_unit: TimeUnit = None,
     as_json: Json = False,
 ) -> None:
-    """Replay a recording and prove that each declared stream is what its policy admits.
+    """Replay a recording and prove each policy, join and sync against its definition.
 
-    Status 1 if one is not. "as recorded" tells whether the recording itself keeps the policy, and
-    the first sample that does not.
+    Status 1 if one does not hold, or if nothing was proved. "as recorded" tells whether the
+    recording itself keeps the policy, and the first sample that does not.
     """
     signature, samples = _recorded(file, recording, processes, unit, time_unit)
     with _watched() as watchdog:
@@ -114,6 +114,14 @@ def prove(
         _show(proofs)
     if not all(proof.holds for proof in proofs):
         raise typer.Exit(1)
+    if not any(proof.received for proof in proofs):
+        raise fail(
+            "nothing was proved: "
+            + ("no stream has a sample" if proofs else "the text has no stream, join or sync"),
+            "record samples of the sources"
+            if proofs
+            else "declare stream NAME = LABEL with POLICY",
+        )
 
 
 @kpl.command()
@@ -322,7 +330,7 @@ def _show(proofs: tuple[Proof, ...]) -> None:
             ]
             for proof in proofs
         ],
-        empty="the text declares no stream: stream NAME = LABEL with POLICY",
+        empty="",
     )
     for proof in proofs:
         if proof.failure is not None:

@@ -35,6 +35,10 @@ class MatchModel(BaseModel):
     cost: float | None = Field(description="of the plan's units that do not run yet")
     quality: float | None = Field(description="of what the plan gives, 0 to 1")
     proven: bool = Field(description="whether the plan is proven to be the strategy's best")
+    specification: str | None = Field(
+        description="the plan as a specification in XML, as POST /specifications takes it; null "
+        "without a plan, or where the plan has the query of an event"
+    )
 
     @classmethod
     def of(cls, view: views.MatchView) -> MatchModel:
@@ -49,4 +53,5 @@ class MatchModel(BaseModel):
             cost=view.cost,
             quality=view.quality,
             proven=view.proven,
+            specification=view.specification,
         )

@@ -159,6 +159,35 @@ def test_the_same_request_shares_a_stream_and_the_last_user_stops_it(scenario):
         scenario.cancel_event(second.id)
 
 
+def test_an_event_needs_no_prefix(scenario):
+    """As [Events14 §V.C] writes it."""
+    text = 'HighSpeedEvent(dyknow:uav1, dyknow:UAV, "100"^^xsd:integer)'
+    view = scenario.request_event(scenario.parse_request(text))
+    other = scenario.request_event(scenario.parse_request(f"dyknow:{text}"))
+    assert view.stream == other.stream
+
+
+def test_a_match_gives_the_specification_that_makes_its_plan(scenario):
+    matched = scenario.match("dyknow:speed", objects=["dyknow:uav1"])
+    text = matched.specification
+    assert text is not None
+    assert text.count("<spec:cu") == 2
+    assert '<spec:stream name="coordinates"' in text
+    names = {view.name for view in scenario.streams()}
+    assert names == {"status", "coordinates"}  # nothing was started
+    applied = scenario.apply_specification(text)
+    kinds = {unit.transformation for unit in applied.started}
+    assert kinds == {"coordinatesToSpeed", "selectObject"}
+    again = scenario.match("dyknow:speed", objects=["dyknow:uav1"], strategy="cost")
+    assert again.cost == 0
+    assert scenario.apply_specification(again.specification).started == ()
+
+
+def test_a_plan_with_the_query_of_an_event_is_no_specification(scenario):
+    matched = scenario.match("dyknow:HighSpeedEvent", objects=["dyknow:uav1"])
+    assert matched.specification is None
+
+
 def test_requests_share_the_units_that_they_have_in_common(scenario):
     first = scenario.request_event(scenario.parse_request(REQUEST))
     other = REQUEST.replace("100", "200")

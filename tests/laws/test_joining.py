@@ -22,8 +22,9 @@ from dyknow.streams.policy import (
     SampleEvery,
     SynchronizationPolicy,
 )
-from dyknow.streams.sample import SampleBatch
+from dyknow.streams.sample import Field, FieldType, SampleBatch, Schema, batch_from_rows
 from dyknow.streams.synchronization import Synchronization
+from dyknow.streams.tuple_definition import TupleInput, prove_join, prove_states
 
 LIMITS = settings(deadline=None, max_examples=150)
 LEAST, GREATEST = -(2**63), 2**63 - 1
@@ -263,3 +264,51 @@ def test_synchronization_at_the_ends_of_time(data):
     )
     case = data.draw(synchronizations(near, st.integers(1, 5) | st.integers(2**62, GREATEST)))
     check_synchronization(data, *case, near)
+
+
+def flat(tuples, streams):
+    """Tuples as a stream of their own: of each input the place of its sample."""
+    schema = Schema(tuple(Field(f"x{i}", FieldType.INTEGER) for i in range(len(streams))))
+    rows = [(a, v, {f"x{i}": k for i, k in enumerate(chosen)}) for a, v, chosen in tuples]
+    return batch_from_rows(schema, rows)
+
+
+def numbered(stream):
+    schema = Schema((Field("x", FieldType.INTEGER),))
+    return batch_from_rows(schema, [(a, v, {"x": k}) for k, (a, v) in enumerate(stream)])
+
+
+@LIMITS
+@given(st.data(), st.sampled_from(["not", "less", "value", "moment"]))
+def test_what_proves_tuples_agrees_with_the_definition(data, how):
+    """On what the definition gives, and on what was spoilt afterwards."""
+    is_join = data.draw(st.booleans())
+    if is_join:
+        inputs = data.draw(st.lists(streams(), min_size=1, max_size=3))
+        tuples, policy = definition.join(inputs), None
+        known = [TupleInput(numbered(s), [f"x{i}"]) for i, s in enumerate(inputs)]
+    else:
+        inputs, _, policy, twin = data.draw(synchronizations(SMALL, st.integers(1, 5)))
+        promised = [s[-1][0] if s else -4 for s in inputs]
+        tuples, _, _ = definition.synchronize(inputs, promised, *twin)
+        last = max(promised)
+        known = [
+            TupleInput(numbered(s), [f"x{i}"], twin[0][i], None if p == last else p + 1)
+            for i, (s, p) in enumerate(zip(inputs, promised, strict=True))
+        ]
+    spoilt = list(tuples)
+    # The end of a grid that no duration ends depends on the last news; what proves asks for less.
+    rows = len(tuples) - (policy is not None and policy.period is not None)
+    if how != "not" and rows > 0:
+        row = data.draw(st.integers(0, rows - 1))
+        available, valid, chosen = spoilt[row]
+        match how:
+            case "less":
+                del spoilt[row]
+            case "value":
+                spoilt[row] = (available, valid, (*chosen[:-1], 77))
+            case "moment":
+                spoilt[row] = (available - 1, valid, chosen)
+    made = flat(spoilt, inputs)
+    found = prove_join(made, known) if is_join else prove_states(made, known, policy)
+    assert (found is None) == (spoilt == tuples), found

@@ -22,6 +22,7 @@ from dyknow.streams.policy import (
     AnyChange,
     AnyUpdate,
     Approximation,
+    ChangeBy,
     Duration,
     Order,
     Policy,
@@ -43,7 +44,9 @@ durations = st.builds(
     st.none() | times,
     st.booleans(),
 )
-changes = st.just(AnyUpdate()) | st.just(AnyChange()) | delays.filter(bool).map(SampleEvery)
+by = st.floats(0, exclude_min=True, allow_infinity=False).map(ChangeBy)
+periods = st.just(AnyChange()) | delays.filter(bool).map(SampleEvery)
+changes = st.just(AnyUpdate()) | periods | by
 parts = (changes, st.none() | delays, durations, st.sampled_from(Order))
 
 
@@ -71,8 +74,11 @@ def test_a_list_of_constraints_is_their_conjunction(one: Policy, other: Policy) 
     assert parse_policy(", ".join(reversed(text.split(", "))) if text else "", "ns") == one
     joined = ", ".join(filter(None, [text, more]))
     periods = {p.period for p in (one, other)} - {None}
-    if len(periods) == 2:
-        with pytest.raises(LanguageError, match="two sample periods"):
+    by = any(isinstance(p.change, ChangeBy) for p in (one, other))
+    if len(periods) == 2 or (periods and by):
+        with pytest.raises(
+            LanguageError, match=r"two sample periods|`sample every` and `change by`"
+        ):
             parse_policy(joined, "ns")
         return
     both = parse_policy(joined, "ns")
@@ -132,7 +138,7 @@ def specifications(draw: st.DrawFn) -> str:
                 lines.append(f"strmgen j{i} = join({inputs})")
                 made.append((f"j{i}", f"j{i}"))
             case 1:
-                values = [draw(part) for part in parts]
+                values = [draw(st.just(AnyUpdate()) | periods), *map(draw, parts[1:])]
                 policy = SynchronizationPolicy(*values, draw(st.sampled_from(Approximation)))
                 text = format_policy(policy).replace(", ", draw(st.sampled_from([", ", "; "])))
                 lines.append(f"strmgen y{i}[w] = sync({inputs}; {text})")

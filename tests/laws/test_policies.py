@@ -14,6 +14,7 @@ from dyknow.streams.policy import (
     AnyChange,
     AnyUpdate,
     Approximation,
+    ChangeBy,
     Duration,
     Order,
     Policy,
@@ -25,7 +26,7 @@ from dyknow.streams.strings import StringPool
 from dyknow.streams.time import TIME_MAX, TIME_MIN
 
 SCHEMA = Schema((Field("x", FieldType.INTEGER), Field("name", FieldType.STRING)))
-VALUES = [(1, "a"), (1, None), (2, "a"), (None, "b")]
+VALUES = [(1, "a"), (1, None), (2, "a"), (None, "b"), (4, "a"), (5, "b")]
 LAWS = settings(deadline=None, max_examples=300)
 
 
@@ -44,7 +45,12 @@ def streams(draw: st.DrawFn, base: int = 0) -> list[tuple[int, int, object]]:
 @st.composite
 def policies(draw: st.DrawFn, base: int = 0) -> Policy:
     change = draw(
-        st.sampled_from([AnyUpdate(), AnyChange(), SampleEvery(1), SampleEvery(5), SampleEvery(10)])
+        st.sampled_from(
+            [
+                *(AnyUpdate(), AnyChange(), ChangeBy(1), ChangeBy(1.5), ChangeBy(3)),
+                *(SampleEvery(1), SampleEvery(5), SampleEvery(10)),
+            ]
+        )
     )
     delay = draw(st.sampled_from([None, 0, 1, 3, 8, 50]))
     start = draw(st.sampled_from([None, 0, 5, 10]))

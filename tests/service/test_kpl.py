@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 
 from dyknow.engine.processes import PROCESSES
 from dyknow.service.cli import app
+from dyknow.streams.change_states import ChangeStates
 
 EXAMPLE = """source pos pos_car1
 strmgen pos[car1]=pos_car1
@@ -137,6 +138,58 @@ def test_run_prints_the_streams_and_gives_them_back(tmp_path):
     assert len(label.output.splitlines()) == 4
     unknown = CliRunner().invoke(app, [*arguments, "--stream", "nothing"])
     assert unknown.exit_code == 1
+
+
+INNER = """
+source float p
+source float q
+strmgen f = p
+strmgen g = q
+strmgen pair = join(f with monotone order, g)
+strmgen state = sync(f, g; any change, max delay 20, use most recent)
+"""
+
+
+def prove(tmp_path, text, *files):
+    (tmp_path / "inner.kpl").write_text(text)
+    arguments = ["kpl", "prove", str(tmp_path / "inner.kpl"), *map(str, files), "--json"]
+    return CliRunner().invoke(app, arguments)
+
+
+def test_inner_terms_joins_and_synchronizations_are_proved(tmp_path, monkeypatch):
+    """And refused, were they made otherwise."""
+    files = [tmp_path / "p.csv", tmp_path / "q.csv"]
+    rows = "110,100,1\n120,90,2\n310,300,3\n"
+    files[0].write_text("available,valid,value\n" + rows)
+    files[1].write_text("available,valid,value\n115,100,1\n340,300,2\n")
+    said = prove(tmp_path, INNER, *files)
+    assert said.exit_code == 0, said.output
+    proofs = {one["stream"]: one for one in map(json.loads, said.stdout.splitlines())}
+    assert list(proofs) == ["f with monotone order", "pair", "state"]
+    assert proofs["f with monotone order"]["dropped"] == {"order": 1}
+    assert proofs["pair"]["sent"] == 4
+    assert proofs["state"]["sent"] == 2
+    monkeypatch.setattr(ChangeStates, "_release", lambda *_: None)
+    spoilt = prove(tmp_path, INNER, *files)
+    assert spoilt.exit_code == 1
+    proofs = {one["stream"]: one for one in map(json.loads, spoilt.stdout.splitlines())}
+    assert not proofs["state"]["holds"]
+    assert "there is no state for 100" in proofs["state"]["refutation"]["message"].replace(
+        "000", ""
+    )
+
+
+def test_nothing_proved_is_no_proof(tmp_path):
+    file = tmp_path / "p.csv"
+    file.write_text("available,valid,value\n110,100,1\n")
+    text = "source float p\nstrmgen f = p\n"
+    said = prove(tmp_path, text, file)
+    assert said.exit_code == 1
+    assert "nothing was proved" in said.stderr
+    text += "source float q\nstrmgen g = q\nstream s = g with any change\n"
+    silent = prove(tmp_path, text, file)
+    assert silent.exit_code == 1
+    assert "no stream has a sample" in silent.stderr
 
 
 def test_recorded_samples_of_one_available_time_are_no_stream(tmp_path):

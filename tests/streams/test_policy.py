@@ -5,6 +5,7 @@ import pytest
 from dyknow.streams.adapting import adapt
 from dyknow.streams.policy import (
     Approximation,
+    ChangeBy,
     Constraint,
     Duration,
     Policy,
@@ -110,3 +111,22 @@ def test_a_grid_over_all_of_time_has_its_points() -> None:
     assert prove(stream(*expected), recorded, policy) is None
     assert prove(stream(*expected[:-1]), recorded, policy) is not None
     assert prove(stream(*expected[:-1], (2**62, 2**62, "p1")), recorded, policy) is not None
+
+
+def test_an_estimate_is_sent_when_it_has_changed_by_ten_metres() -> None:
+    """[DyKnow10 §4.3.1]; a number that comes or goes has changed, and text never does."""
+    schema = Schema((Field("at", FieldType.FLOAT), Field("lane", FieldType.STRING)))
+    places = [(0.0, "a"), (9.9, "b"), (10.0, "b"), (19.0, "b"), (0.5, "b"), (None, "b"), (0.5, "b")]
+    estimates = batch_from_rows(
+        schema, [(t, t, {"at": at, "lane": lane}) for t, (at, lane) in enumerate(places)]
+    )
+    policy = Policy(ChangeBy(10))
+    adaptation = adapt(policy)
+    (made,) = adaptation.push(estimates) + adaptation.end()
+    assert made.available.tolist() == [0, 2, 5, 6]
+    assert adaptation.counters.dropped == {Constraint.CHANGE_BY: 3}
+    assert prove(made, estimates, policy) is None
+    found = satisfies(estimates, policy)
+    assert found is not None
+    assert (found.constraint, found.row) == (Constraint.CHANGE_BY, 1)
+    assert prove(made.take(slice(0, 3)), estimates, policy) is not None

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from itertools import combinations, pairwise
 
-from dyknow.streams.policy import AnyChange, Approximation, Order, Policy
+from dyknow.streams.policy import AnyChange, Approximation, ChangeBy, Order, Policy
 
 Sample = tuple[int, int, object]
 
@@ -21,6 +21,10 @@ def satisfies(stream: list[Sample], policy: Policy) -> bool:
     pairs = list(pairwise(stream))
     if isinstance(policy.change, AnyChange) and any(a[1:] == b[1:] for a, b in pairs):
         return False
+    if isinstance(policy.change, ChangeBy):
+        d = policy.change.difference
+        if not all(is_change_by(a[2], b[2], d) for a, b in pairs):
+            return False
     if policy.period is not None and any(b[1] - a[1] != policy.period for a, b in pairs):
         return False
     if policy.duration.start is not None and any(tv < policy.duration.start for _, tv, _ in stream):
@@ -32,6 +36,20 @@ def satisfies(stream: list[Sample], policy: Policy) -> bool:
     if policy.order is Order.MONOTONE and any(a[1] > b[1] for a, b in pairs):
         return False
     return not (policy.order is Order.STRICT and any(a[1] >= b[1] for a, b in pairs))
+
+
+def is_change_by(before: tuple[object, ...], then: tuple[object, ...], d: float) -> bool:
+    """Some number differs by at least ``d``, or is there in one only."""
+
+    def number(value: object) -> bool:
+        return type(value) in (int, float)
+
+    for a, b in zip(before, then, strict=True):
+        if number(a) and number(b) and not -d < a - b < d:
+            return True
+        if (number(a) and b is None) or (a is None and number(b)):
+            return True
+    return False
 
 
 def most_recent_at(stream: list[Sample], time: int, query: int) -> Sample | None:
@@ -95,9 +113,18 @@ def addable(part: list[Sample], whole: list[Sample], policy: Policy) -> Sample |
     None if ``part`` is maximal.
 
     All times at which something could differ are tried: next to its own and to those of ``part``.
+    For `change by` all count only undelayed, up to three at once.
     For `any change` one that repeats what is kept counts only undelayed: by itself, or with another
     such; where samples wait, only after the last one like it.
     """
+    if isinstance(policy.change, ChangeBy):
+        free = [s for s in unused(part, whole) if all(s[0] != other[0] for other in part)]
+        for count in (1, 2, 3):
+            for added in combinations(free, count):
+                more = sorted([*part, *added], key=lambda s: s[0])
+                if satisfies(more, policy):
+                    return added[0]
+        return None
     repeats = isinstance(policy.change, AnyChange)
     kept = {s[1:] for s in part}
     for sample in unused(part, whole):
