@@ -26,9 +26,10 @@ SWEPT := $(addprefix tests/laws/test_,continuous.py algebra.py patterns.py event
 
 ROUNDS ?= 3
 SECONDS ?= 600
-soak: $(VENV)/installed-dev ## what takes long: a service under use, a thousand deaths, ROUNDS of all laws
+soak: $(VENV)/installed-dev ## what takes long: a service under use, a thousand deaths, 200,000 random windows, ROUNDS of all laws
 	$(BIN)/python bench/soak.py $(SECONDS)
 	DYKNOW_KILLS=1000 $(BIN)/pytest -n 0 -s tests/service/test_kill.py
+	DYKNOW_QUERY_WINDOWS=200000 DYKNOW_QUERY_SEED=$$(date +%s) $(PYTEST) tests/laws/test_differential.py
 	for round in $$(seq $(ROUNDS)); do $(PYTEST) tests/laws --hypothesis-profile=default || exit 1; done
 
 image-check: ## what the Dockerfile does, as a script in an empty folder
