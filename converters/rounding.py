@@ -52,7 +52,6 @@ def rounded_lines(data: bytes, batch: SampleBatch, pauses: Pauses) -> Rounded | 
     suspects = _suspects(batch, lambda: any(mark in data for mark in _SMALL))
     if not suspects:
         return None
-    columns = {name: batch.columns[name].values for name in suspects}
     rows = set().union(*suspects.values())
     found: list[tuple[int, str]] = []
     for row, (line, text) in enumerate(Part(data, 1).lines()):
@@ -60,8 +59,8 @@ def rounded_lines(data: bytes, batch: SampleBatch, pauses: Pauses) -> Rounded | 
             sent = json.loads(text, parse_float=Decimal, parse_int=Decimal)
             found += [
                 (line, name)
-                for name, values in columns.items()
-                if sent[name] is not None and _is_other(values[row], sent[name])
+                for name, places in suspects.items()
+                if row in places and _is_other(batch.columns[name].values[row], sent[name])
             ]
         if not row % _SOME:
             pauses.breathe()
@@ -80,7 +79,7 @@ def rounded_rows(columns: Mapping[str, Any], batch: SampleBatch) -> Rounded | No
     return Rounded(len(found), *min(found)) if found else None
 
 
-def _suspects(batch: SampleBatch, may_be_small: Callable[[], bool]) -> dict[str, list[int]]:
+def _suspects(batch: SampleBatch, may_be_small: Callable[[], bool]) -> dict[str, set[int]]:
     """The rows of each float column that have large values, and, where there ``may_be_small`` ones,
     those next to 0."""
     found = {}
@@ -95,7 +94,7 @@ def _suspects(batch: SampleBatch, may_be_small: Callable[[], bool]) -> dict[str,
         if column.null is not None:
             rows &= ~column.null
         if bool(rows.any()):
-            found[name] = np.flatnonzero(rows).tolist()
+            found[name] = set(np.flatnonzero(rows).tolist())
     return found
 
 

@@ -42,6 +42,7 @@ NUMBERS = INTEGERS | TINY | DOUBLES | st.sampled_from(["null", "0", "-0.0", "0e-
 @given(st.lists(st.tuples(NUMBERS, NUMBERS), min_size=1, max_size=40))
 @example([("9007199254740993", "1")])
 @example([("1", "9007199254740992"), ("1e-400", "1e300")])
+@example([("0", "0"), ("0", "11009960943271584e-290")])
 @example([("0." + "0" * 400 + "1", "1")])
 def test_it_is_as_defined(rows: list[tuple[str, str]]) -> None:
     lost = [
