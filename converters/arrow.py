@@ -31,6 +31,7 @@ from ..streams.time import TIME_MAX, TIME_MIN
 from .arrow_sizes import check_sizes
 from .errors import WireError
 from .inference import TIME_UNITS, TimeReader
+from .rounding import rounded_rows
 from .wire import (
     TIME_RANGE_HINT,
     BatchLimits,
@@ -122,7 +123,8 @@ def samples_of_table(
         for field in text_last
     }
     columns = {name: found[name] for name in schema.names}
-    return Incoming(SampleBatch(available, valid, columns), stamped)
+    batch = SampleBatch(available, valid, columns)
+    return Incoming(batch, stamped, rounded_rows(given, batch))
 
 
 def joined(tables: Sequence[Any]) -> Any:

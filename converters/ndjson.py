@@ -7,6 +7,7 @@ and no other; null is no_value; a time is ISO-8601 or integer nanoseconds.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import msgspec
 
@@ -19,6 +20,7 @@ from .exact import decode_exactly
 from .lines import PART, count_lines
 from .open_fields import decided_by
 from .regular import decode_regular
+from .rounding import rounded_lines
 from .wire import BOM, BatchLimits, Incoming, check_names, format_times
 
 CONTENT_TYPE = "application/x-ndjson"
@@ -51,7 +53,8 @@ def decode_ndjson(
         schema = decided_by(data, limits, pauses)
     check_names(schema)
     regular = decode_regular(data, schema, pools, pauses)
-    return decode_exactly(data, schema, pools, pauses) if regular is None else regular
+    found = decode_exactly(data, schema, pools, pauses) if regular is None else regular
+    return replace(found, rounded=rounded_lines(data, found.batch, pauses))
 
 
 def _check_limits(data: bytes, limits: BatchLimits, pauses: Pauses) -> None:

@@ -23,6 +23,7 @@ from ..streams.sample import (
 from ..streams.strings import Codes, StringPool
 from ..streams.time import TIME_MIN, format_time, parse_time
 from .errors import WireError
+from .rounding import Rounded
 
 BOM = b"\xef\xbb\xbf"
 """The byte order mark that some editors put before UTF-8; it is no part of the text."""
@@ -31,10 +32,12 @@ BOM = b"\xef\xbb\xbf"
 @dataclass(frozen=True, slots=True)
 class Incoming:
     """A decoded batch. ``stamped``: it brought no available times, the generator must stamp it
-    (``batch.available`` then repeats the valid times)."""
+    (``batch.available`` then repeats the valid times). ``rounded``: which of its numbers were (see
+    `rounding`); None where none was."""
 
     batch: SampleBatch
     stamped: bool
+    rounded: Rounded | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,6 +24,7 @@ from ..converters.arrow_messages import ArrowMessages
 from ..converters.bad_lines import mixed_times
 from ..converters.errors import WireError
 from ..converters.ndjson import decode_ndjson
+from ..converters.rounding import Rounded
 from ..converters.wire import BOM, BatchLimits, Incoming
 from ..engine.commands import BatchKind, Publish
 from ..engine.engine import Engine
@@ -64,6 +65,8 @@ class LiveSamples(ABC):
         limits: BatchLimits | None = None,
     ) -> None:
         self.accepted = 0
+        self.rounded: Rounded | None = None
+        """Which numbers of those were rounded."""
         self._limits = limits
         self._engine = engine
         self._keeper = keeper
@@ -110,7 +113,17 @@ class LiveSamples(ABC):
         batch.check_ahead(self._engine, incoming)
         self.accepted += self._keeper.do(batch, incoming)
         self._keeper.hasten()
+        self._note(incoming.rounded)
         self._stamped = incoming.stamped
+
+    def _note(self, rounded: Rounded | None) -> None:
+        """Count what was rounded in the part that comes next."""
+        if rounded is None:
+            return
+        if self.rounded is None:
+            self.rounded = replace(rounded, line=self._before + rounded.line)
+        else:
+            self.rounded = replace(self.rounded, count=self.rounded.count + rounded.count)
 
     def _placed(self, error: WireError) -> WireError:
         """An error in what comes next, as one of the body."""

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, Field, field_validator
 
+from ...converters.rounding import Rounded
 from ...engine import views
 from ...rdf.namespaces import DYKNOW
 from ...streams import fluent, sample
@@ -248,7 +249,26 @@ class EvaluationModel(BaseModel):
         return cls(last=view.last, evaluated=view.evaluated, failed=failed)
 
 
+class RoundedModel(BaseModel):
+    """Numbers that no double is: integers beyond 2^53, and what is nearer to 0 than doubles have
+    digits."""
+
+    count: int
+    line: int = Field(description="of the first; of Arrow the row")
+    field: str = Field(description="of the first")
+
+
 class AcceptedModel(BaseModel):
     """How many samples were taken; a batch is taken whole or refused whole."""
 
     accepted: int
+    rounded: RoundedModel | None = Field(
+        None, description="numbers of float fields that were rounded beyond their last digit"
+    )
+
+    @classmethod
+    def of(cls, accepted: int, rounded: Rounded | None) -> AcceptedModel:
+        told = None
+        if rounded is not None:
+            told = RoundedModel(count=rounded.count, line=rounded.line, field=rounded.field)
+        return cls(accepted=accepted, rounded=told)

@@ -23,6 +23,7 @@ router = APIRouter(tags=["samples"])
     "/streams/{name}/samples/live",
     status_code=202,
     response_model=AcceptedModel,
+    response_model_exclude_none=True,
     openapi_extra=BODY,
     responses=responses(403, 404, 408, 409, 413, 415, 429, 503),
 )
@@ -61,7 +62,7 @@ async def publish_live(
         await service.keeper.settled()
         raise _refusal(error, live) from error
     await service.keeper.kept()
-    return AcceptedModel(accepted=live.accepted)
+    return AcceptedModel.of(live.accepted, live.rounded)
 
 
 def _samples(name: str, kind: str, service: Service) -> LiveSamples:

@@ -41,6 +41,8 @@ async def _published(request: Request) -> Response | None:
         return None
     name, service = request.path_params["name"], request.app.state.service
     taken = await publish_samples(name, request, service, key)
+    if taken.rounded is not None:
+        return Response(taken.model_dump_json(), 202, media_type=JSON)
     return Response(b'{"accepted":%d}' % taken.accepted, 202, media_type=JSON)
 
 
@@ -50,6 +52,7 @@ router = APIRouter(tags=["samples"], route_class=direct(_published))
 @router.post(
     "/streams/{name}/samples",
     status_code=202,
+    response_model_exclude_none=True,
     openapi_extra=BODY,
     responses=responses(403, 404, 409, 413, 415, 429),
 )
@@ -64,7 +67,8 @@ async def publish_samples(
     """Publish a batch: taken whole, or refused whole with the line and the cause.
 
     Samples without `available` are stamped on arrival; one that is further ahead of the clock than
-    the stream's `ahead` is a 400 (`latest` is the latest time that is taken).
+    the stream's `ahead` is a 400 (`latest` is the latest time that is taken). `rounded` tells of
+    numbers that float fields do not hold, if there are any.
 
     429: queries that read the stream are behind, and samples that bring `available` have to wait.
     409: the `Idempotency-Key` was used for
@@ -95,4 +99,4 @@ async def publish_samples(
     except AheadOfClock:
         service.engine.intake.refuse_ahead(name)
         raise
-    return AcceptedModel(accepted=await service.do(batch, incoming))
+    return AcceptedModel.of(await service.do(batch, incoming), incoming.rounded)

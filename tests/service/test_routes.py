@@ -472,3 +472,18 @@ def test_a_stream_that_is_read_is_not_removed(http: httpx.Client, client: Client
     assert http.delete(f"/streams/{request['stream']}").status_code == 403
     client.cancel_event(request["id"])
     assert http.delete("/streams/s5").status_code == 204
+
+
+@pytest.mark.parametrize("way", ["", "/live"])
+def test_what_a_float_field_does_not_hold_is_told(http: httpx.Client, way: str) -> None:
+    http.put("/streams/s5", json={"fields": {"v": "float"}})
+
+    def published(*values: str) -> Any:
+        body = "".join(f'{{"valid": 1, "v": {value}}}\n' for value in values)
+        answer = http.post(f"/streams/s5/samples{way}", content=body, headers=LINES)
+        assert answer.status_code == 202, answer.text
+        return answer.json()
+
+    assert published("1.5", "0.1") == {"accepted": 2}
+    told = {"count": 2, "line": 2, "field": "v"}
+    assert published("1", "9007199254740993", "1e-400") == {"accepted": 3, "rounded": told}
