@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,7 @@ from ..ontology.hierarchy import Node
 from ..ontology.units import Conversion
 from ..rdf.dictionary import Named, TermTable
 from ..rdf.namespaces import RDF_TYPE, XSD, shorten
-from ..rdf.timed import Kind, ObjectColumn, TripleRows
+from ..rdf.timed import Kind, ObjectColumn, TripleRows, make_literal
 from .background import Background
 from .columns import Sort, TermValues
 from .expressions import Const
@@ -201,7 +202,7 @@ class StreamEntailment(TermTable):
             column = ObjectColumn(column.kind, column.values)
         time, valid, subject, sort = table.time, table.valid, table.subject, table.sort
         for super, change in effect.along:
-            yield TripleRows(time, valid, subject, {super: _changed(column, change)})
+            yield TripleRows(time, valid, subject, {super: _changed(column, change, self._terms)})
         for kind in effect.subject:
             if not self._is_known(sort, kind):
                 yield TripleRows(time, valid, subject, {}, kind)
@@ -241,9 +242,32 @@ class StreamEntailment(TermTable):
                 yield TripleRows(rows.time, rows.valid, rows.subject, {}, id)
 
 
-def _changed(column: ObjectColumn, change: Conversion | None) -> ObjectColumn:
-    """Numbers in another unit."""
-    if change is None or not column.kind.is_number:
+_CHANGED: Final = {
+    Sort.INTEGER: Kind.DOUBLE,
+    Sort.LONG_INTEGER: Kind.DOUBLE,
+    Sort.DECIMAL: Kind.DECIMAL,
+    Sort.LONG_DECIMAL: Kind.DECIMAL,
+    Sort.FLOAT: Kind.FLOAT,
+    Sort.DOUBLE: Kind.DOUBLE,
+}
+"""What numbers become in another unit."""
+
+
+def _changed(column: ObjectColumn, change: Conversion | None, terms: TermValues) -> ObjectColumn:
+    """Numbers in another unit: integers become doubles, what is no number stays."""
+    if change is None or change.is_identity:
         return column
-    kind = Kind.DOUBLE if column.kind is Kind.INTEGER else column.kind
-    return ObjectColumn(kind, change.apply(column.values), column.null)
+    if column.kind.is_number:
+        kind = _CHANGED[Sort(column.kind)]
+        return ObjectColumn(kind, change.apply(column.values))
+    if column.kind is not Kind.TERM:
+        return column
+    distinct, places = np.unique(column.values, return_inverse=True)
+    changed = distinct.copy()
+    for at, sort in enumerate(terms.sorts(distinct).tolist()):
+        changed_kind = _CHANGED.get(Sort(sort))
+        if changed_kind is not None:
+            number = terms.dictionary.term(int(distinct[at]))
+            value = change.apply(np.array(float(number.value)))
+            changed[at] = terms.dictionary.transient_id(make_literal(changed_kind, value))
+    return ObjectColumn(Kind.TERM, changed[places])

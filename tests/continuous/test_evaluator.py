@@ -10,6 +10,7 @@ from dyknow.continuous.background import Background
 from dyknow.continuous.evaluator import ContinuousEvaluator
 from dyknow.continuous.options import Options
 from dyknow.languages.csparql import bind, parse_query
+from dyknow.ontology.units import Conversion
 from dyknow.rdf.dictionary import TermDictionary
 from dyknow.rdf.namespaces import DYKNOW, RDF_TYPE, RDFS, XSD
 from dyknow.rdf.timed import Kind, ObjectColumn, TimedTriples, TripleRows, from_terms
@@ -158,6 +159,32 @@ def test_sorts_of_rows_count_as_types_with_their_supersorts() -> None:
         rows = TripleRows(table.time, table.valid, table.subject, table.objects, sort=id)
         run.evaluator.push(X, TimedTriples(run.dictionary, (rows,)))
     assert {row[0]["o"] for _, row in run.rows(run.evaluator.end(X))} == {ONE}
+
+
+def test_numbers_of_a_sub_feature_are_in_the_unit_of_the_feature() -> None:
+    """However a column holds them; what is no number stays what it is."""
+    store, knots = Store(), NamedNode(DYKNOW + "knots")
+    store.add(Quad(knots, NamedNode(RDFS + "subPropertyOf"), SPEED))
+    background = Background(store, conversion=lambda source, target: Conversion(2.0))
+    run = Run(f"SELECT ?v {FROM_X} WHERE {{ ?o dyknow:speed ?v }}", background=background)
+    decimal, double = NamedNode(XSD + "decimal"), NamedNode(XSD + "double")
+    mixed = [Literal(1), Literal("1.50", datatype=decimal), Literal(2.5), Literal("fast")]
+    run.push(*((S, ONE, knots, value) for value in mixed))
+    rows = run.rows(run.evaluator.end(X))[0][1]
+    expected = {
+        Literal("2", datatype=double),
+        Literal("3", datatype=decimal),
+        Literal("5", datatype=double),
+        Literal("fast"),
+    }
+    assert {row["v"] for row in rows} == expected
+    (plain,) = from_terms([(S, ONE, knots, Literal(1))], run.dictionary).tables
+    ids = np.array([run.dictionary.id(value) for value in (mixed[0], mixed[1])], np.int32)
+    two = plain.take(np.array([0, 0]))
+    objects = {run.dictionary.id(knots): ObjectColumn(Kind.TERM, ids)}
+    rows = TripleRows(two.time, two.valid, two.subject, objects)
+    found = TimedTriples(run.dictionary, tuple(run.evaluator._windows.entailment.of([rows])))
+    assert {o.value for *_, o in found} == {"2", "3"}
 
 
 def test_a_change_of_the_static_side_is_seen_by_its_version() -> None:

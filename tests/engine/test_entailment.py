@@ -115,3 +115,20 @@ def test_explain_says_what_is_entailed(watching):
     )
     assert "?s dyknow:gs ?o entails ?s dyknow:speed ?o" in text
     assert "Aircraft" not in text
+
+
+def test_each_argument_of_a_feature_of_several_objects_is_of_its_sort(watching):
+    watching.load_ontology(
+        SCHEMA + "dyknow:distance a :Feature, owl:ObjectProperty .", name="schema"
+    )
+    watching.annotate(
+        "stream gaps contains distance(Car as a, Human as b) = d for every a = x, every b = y"
+    )
+    found = answers(
+        watching,
+        f"""SELECT ?b FROM STREAM <{DYKNOW}gaps.trdf> {WINDOW} WHERE
+        {{ ?n <http://www.w3.org/1999/02/22-rdf-syntax-ns#_2> ?b . ?b a dyknow:Human }}""",
+        "gaps",
+        [(1, {"x": "car1", "y": "human1", "d": 3.0})],
+    )
+    assert found == [{"b": "human1"}]

@@ -10,6 +10,7 @@ from collections import Counter
 from functools import cache
 from typing import TypeAlias
 
+import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pyoxigraph import Literal, NamedNode, Quad, Store, Triple
@@ -20,9 +21,9 @@ from dyknow.continuous.options import Options, Semantics
 from dyknow.languages.csparql import parse_query
 from dyknow.ontology.closure import by_owlrl, closure_of
 from dyknow.ontology.entailment import Rules
-from dyknow.rdf.dictionary import Term, TermDictionary
+from dyknow.rdf.dictionary import NO_TERM, Term, TermDictionary
 from dyknow.rdf.namespaces import OWL, RDF_TYPE, RDFS
-from dyknow.rdf.timed import from_terms
+from dyknow.rdf.timed import Kind, ObjectColumn, TimedTriples, TripleRows, from_terms
 
 D = "http://d.example/"
 INPUT = D + "s"
@@ -116,6 +117,18 @@ def closed(schema: frozenset[Triple]) -> frozenset[Triple]:
     return schema | closure_of(schema)
 
 
+def wide_rows(given: list[Element], dictionary: TermDictionary) -> TimedTriples:
+    """One table with a column a predicate; each row has one object."""
+    id, times = dictionary.transient_id, np.array([time for time, *_ in given], np.int64)
+    objects = {}
+    for predicate in {p for _, _, p, _ in given}:
+        missing = np.array([p != predicate for _, _, p, _ in given])
+        ids = np.array([NO_TERM if p != predicate else id(o) for _, _, p, o in given], np.int32)
+        objects[id(predicate)] = ObjectColumn(Kind.TERM, ids, missing)
+    subjects = np.array([id(s) for _, s, _, _ in given], np.int32)
+    return TimedTriples(dictionary, (TripleRows(times, times, subjects, objects),))
+
+
 def windows(
     query: str,
     given: list[Element],
@@ -125,6 +138,7 @@ def windows(
     *,
     cuts: int = 1,
     by_oxigraph: bool = False,
+    wide: bool = False,
 ) -> list[tuple[int, object]]:
     text = f"""REGISTER QUERY q AS PREFIX d: <{D}>
         {
@@ -144,7 +158,7 @@ def windows(
     size = max(1, -(-len(ordered) // cuts))
     for first in range(0, len(ordered), size):
         part = [(t * SECOND, s, p, o) for t, s, p, o in ordered[first : first + size]]
-        evaluator.push(INPUT, from_terms(part, dictionary))
+        evaluator.push(INPUT, wide_rows(part, dictionary) if wide else from_terms(part, dictionary))
         results += evaluator.advance(INPUT, part[-1][0])
         dictionary.collect()
     results += evaluator.end(INPUT)
@@ -169,6 +183,7 @@ def windows(
     st.sampled_from(["bag", "set"]),
     st.integers(1, 4),
     st.booleans(),
+    st.booleans(),
 )
 @settings(deadline=None, max_examples=60)
 def test_windows_hold_what_the_schema_says_of_each_triple(
@@ -179,6 +194,7 @@ def test_windows_hold_what_the_schema_says_of_each_triple(
     semantics: Semantics,
     cuts: int,
     by_oxigraph: bool,
+    wide: bool,
 ) -> None:
     store = Store()
     store.extend(Quad(t.subject, t.predicate, t.object) for t in (*closed(schema), *facts))
@@ -187,6 +203,7 @@ def test_windows_hold_what_the_schema_says_of_each_triple(
         for time, *said in given
         for t in ({Triple(*said)} | entailed(schema, Triple(*said)))
     ]
-    found = windows(query, given, store, None, semantics, cuts=cuts, by_oxigraph=by_oxigraph)
+    how = {"cuts": cuts, "by_oxigraph": by_oxigraph, "wide": wide}
+    found = windows(query, given, store, None, semantics, **how)
     # Oxigraph has a bag of its own for some paths (`merged`), so the twin asks it as well.
     assert found == windows(query, twin, store, Rules(()), semantics, by_oxigraph=by_oxigraph)
