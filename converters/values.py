@@ -269,7 +269,10 @@ def _parsed(
     values = np.zeros(len(objects), field.type.dtype)
     if read:
         values[present] = np.array(read, field.type.dtype)[inverse]
-    return Column(field.type, values, objects.null)
+    null, lost = objects.null, ~np.isfinite(values)
+    if lost.any():
+        null = lost if null is None else lost | null
+    return Column(field.type, values, null)
 
 
 def _term_value(type: FieldType, term: Term, namespace: str) -> float | int | bool | None:
@@ -286,8 +289,7 @@ def _term_value(type: FieldType, term: Term, namespace: str) -> float | int | bo
                 known = {"true": True, "1": True, "false": False, "0": False}
                 return known.get(text.strip()) if datatype == "boolean" else None
             case FieldType.FLOAT:
-                value = float(text) if datatype in _NUMERIC else float("nan")
-                return value if np.isfinite(value) else None
+                return float(text) if datatype in _NUMERIC else None
             case FieldType.INTEGER if datatype == "dateTime":
                 # What a query has computed may be finer than what is kept.
                 return parse_time(text, cut=True)

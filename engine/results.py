@@ -6,14 +6,18 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
+from pyoxigraph import Literal, NamedNode
 from rdflib import BNode, URIRef
 from rdflib import Literal as RdflibLiteral
 from rdflib import Variable as RdflibVariable
 from rdflib.namespace import RDF
 from rdflib.plugins.sparql.parserutils import CompValue
 
+from ..continuous.expressions import Const, Expression, Var
+from ..continuous.translate_expressions import ExpressionTranslation
+from ..continuous.unsupported import Unsupported
 from ..converters.to_samples import ID, ResultConverter, field_names, result_schema
 from ..languages.attached import attached
 from ..languages.csparql import algebra
@@ -31,6 +35,7 @@ from ..rdf.timed import DATATYPES, Kind
 from ..streams.sample import LONGEST_NAME, TIME_FIELDS, Schema
 from ..streams.strings import StringPool
 from ..templates.patterns import patterns
+from .computed_kinds import kind_of, one_kind
 
 _AGGREGATE_KINDS = {
     "Aggregate_Avg": Kind.DOUBLE,
@@ -245,6 +250,8 @@ def _kinds(tree: CompValue, vocabulary: Vocabulary) -> dict[str, Kind]:
     value they are, and by the aggregate that computes them."""
     kinds: dict[str, Kind] = {}
     said: dict[str, Kind | None] = {}
+    others: set[str] = set()
+    made: dict[str, dict[int, Kind | None]] = defaultdict(dict)
 
     def learn(node: Any) -> None:
         if not isinstance(node, CompValue):
@@ -255,6 +262,8 @@ def _kinds(tree: CompValue, vocabulary: Vocabulary) -> dict[str, Kind]:
                 kind = _KIND_OF_RANGE.get((info.range if info else None) or "")
                 if not isinstance(object, RdflibVariable):
                     continue
+                if info is not None and info.range is not None and kind is None:
+                    others.add(str(object))
                 if said.setdefault(str(object), kind) is not kind:
                     # In a UNION the one may hold or the other: text fits both.
                     kind = said[str(object)] = None
@@ -269,8 +278,13 @@ def _kinds(tree: CompValue, vocabulary: Vocabulary) -> dict[str, Kind]:
                 kind = Kind.INTEGER
             if kind is not None:
                 kinds[str(node.res)] = kind
-        elif node.name == "Extend" and isinstance(node.expr, RdflibVariable):
-            kind = kinds.get(str(node.expr))
+        elif node.name == "Extend":
+            try:
+                kind = kind_of(_EXPRESSIONS.of(node.expr, {}), kinds, others)
+            except Unsupported:
+                kind = None
+            made[str(node.var)][id(node)] = kind
+            kind = one_kind([*made[str(node.var)].values()])
             if kind is not None:
                 kinds[str(node.var)] = kind
 
@@ -279,10 +293,29 @@ def _kinds(tree: CompValue, vocabulary: Vocabulary) -> dict[str, Kind]:
     while before < len(kinds):
         before = len(kinds)
         _walk(tree, learn)
+    for name, found in made.items():
+        bound = [said[name]] if name in said else []
+        known = one_kind([*found.values(), *bound])
+        if known is None:
+            # In a UNION the one may hold or the other: text fits both.
+            kinds.pop(name, None)
+        else:
+            kinds[name] = known
     for name in _names(tree, vocabulary):
         # A number in one branch of a UNION, a name in another.
         kinds.pop(str(name), None)
     return kinds
+
+
+def _term(node: Any) -> Expression:
+    if isinstance(node, RdflibVariable):
+        return Var(str(node))
+    if isinstance(node, RdflibLiteral) and node.datatype is not None:
+        return Const(Literal(str(node), datatype=NamedNode(str(node.datatype))))
+    return Const(Literal(str(node)))
+
+
+_EXPRESSIONS: Final = ExpressionTranslation(_term, lambda _: Const(Literal(True)))
 
 
 def _walk(node: Any, visit: Callable[[Any], None]) -> None:

@@ -97,6 +97,60 @@ def test_a_table_has_a_column_a_variable(flying):
     assert last["o"] == NamedNode(DYKNOW + "uav1")
 
 
+COMPUTED = [
+    ("MAX(?v) - MIN(?v)", FieldType.FLOAT, 0.0),
+    ("COUNT(?v) + 1", FieldType.INTEGER, 2),
+    ("COUNT(?v) / 4", FieldType.FLOAT, 0.25),
+    ("ROUND(AVG(?v))", FieldType.FLOAT, 150.0),
+    ("-MAX(?v)", FieldType.FLOAT, -150.0),
+    ("MAX(?v) > 100", FieldType.BOOLEAN, True),
+    ("IF(MAX(?v) > 100, 1, 2.5)", FieldType.FLOAT, 1.0),
+    ("IF(MAX(?v) > 100, 1, 2)", FieldType.INTEGER, 1),
+    ("IF(MAX(?v) > 100, 1, 'slow')", FieldType.STRING, "1"),
+    ("STRLEN(STR(COUNT(?v)))", FieldType.INTEGER, 1),
+    ("xsd:integer(MAX(?v))", FieldType.INTEGER, 150),
+    ("STR(MAX(?v))", FieldType.STRING, "150"),
+    ("1 / 0", FieldType.FLOAT, None),
+]
+
+
+@pytest.mark.parametrize(("expression", "type", "value"), COMPUTED)
+def test_what_is_computed_of_aggregates_is_of_its_datatype(flying, expression, type, value):
+    view = flying.queries.register(
+        f"REGISTER QUERY computed AS SELECT ?o ({expression} AS ?x) FROM STREAM {S5} "
+        "[RANGE 1s STEP 1s] WHERE { ?o dyknow:speed ?v } GROUP BY ?o"
+    )
+    assert {field.name: field.type for field in view.fields}["x"] is type
+    play(flying)
+    assert samples(flying, "computed")[0][1].get("x") == value
+
+
+def test_what_bind_computes_is_of_its_datatype(flying):
+    view = flying.queries.register(
+        f"REGISTER QUERY computed AS SELECT ?sum ?either FROM STREAM {S5} [RANGE 1s STEP 1s] "
+        "WHERE { ?o dyknow:speed ?v ; dyknow:altitude ?h BIND(?v + ?h AS ?sum) "
+        "{ BIND(1 AS ?either) } UNION { BIND('text' AS ?either) } }"
+    )
+    types = {field.name: field.type for field in view.fields}
+    assert types == {"sum": FieldType.FLOAT, "either": FieldType.STRING}
+    play(flying)
+    assert [values for _, values in samples(flying, "computed")[:2]] == [
+        {"sum": 1150.0, "either": "1"},
+        {"sum": 1150.0, "either": "text"},
+    ]
+
+
+def test_a_constructed_number_without_a_range_is_a_number(flying):
+    view = flying.queries.register(
+        f"REGISTER STREAM spread AS PREFIX x: <http://x.example/> CONSTRUCT {{ ?o x:spread ?x }} "
+        f"FROM STREAM {S5} [RANGE 1s STEP 1s] "
+        "WHERE { { SELECT ?o (MAX(?v) - MIN(?v) AS ?x) WHERE { ?o dyknow:speed ?v } GROUP BY ?o } }"
+    )
+    assert {field.name: field.type for field in view.fields}["spread"] is FieldType.FLOAT
+    play(flying)
+    assert samples(flying, "spread")[0][1] == {"id": "uav2", "spread": 0.0}
+
+
 def test_ask_is_a_boolean(flying):
     flying.queries.register(
         f"REGISTER QUERY any AS ASK FROM STREAM {S5} [RANGE 1s STEP 1s] "
