@@ -276,8 +276,10 @@ def unit_triples(change: Change) -> Iterable[Triple]:
     unit = term(change.unit)
     yield Triple(unit, RDF_TYPE, term(change.role))
     yield Triple(unit, term("hasName"), Literal(change.unit))
-    for source in change.inputs:
+    for source in change.fed or change.inputs:
         yield Triple(unit, term("hasInput"), term(source))
+    if change.synchronization:
+        yield Triple(unit, term("hasSynchronization"), term(change.synchronization))
     if change.stream:
         yield Triple(unit, term("hasOutput"), term(change.stream))
     yield Triple(unit, term("instantiationOf"), term(change.transformation))
