@@ -47,6 +47,8 @@ class Change:
     transformation with its parameters; of a failure, the reason, and so of an annotation kept by
     an earlier run that does not hold any more. ``policy`` is what ``stream`` keeps, in KPL.
     ``aliases`` are all further names of ``stream``, if it was named.
+    ``synchronization`` is the unit that was inserted to bring the inputs of ``unit`` together, and
+    ``fed`` what that one reads: the inputs that the transformation has ([Introspection15 §4.1]).
     ``annotation`` is what ``stream`` contains from now on, ``quality`` (0..1) how good it is,
     ``described`` what ``transformation`` takes and gives; None where nothing is said of it.
     """
@@ -63,6 +65,8 @@ class Change:
     quality: float | None = None
     described: KnownTransformation | None = None
     aliases: tuple[str, ...] = ()
+    synchronization: str = ""
+    fed: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -520,6 +520,7 @@ class Configuration:
 
     def tell(self, kind: ChangeKind, unit: ComputationalUnit, specification: str = "") -> None:
         """Tell a change of a unit."""
+        together = unit.synchronization
         self._on_change(
             Change(
                 kind,
@@ -530,6 +531,8 @@ class Configuration:
                 specification,
                 unit.role,
                 policy=format_policy(unit.policy) if isinstance(unit, AdaptationUnit) else "",
+                synchronization="" if together is None else together.name,
+                fed=() if together is None else tuple(one.name for one in together.inputs),
             )
         )
 

@@ -489,6 +489,7 @@ class Engine:
         with uncollected(), self._manager.together():
             self._count_subscribers()
             self._manager.measure_rates((name, rate_of(each)) for name, each in streams)
+            self._manager.show_samples(streams)
 
     def rdf_of(self, name: str, batch: SampleBatch) -> list[str]:
         """Each sample of stream ``name`` as N-Triples; empty text where it says nothing."""

@@ -17,6 +17,7 @@ from pyoxigraph import NamedNode
 from ..continuous.budget import UNLIMITED, Budget
 from ..converters.objects import ObjectTable
 from ..converters.values import field_type
+from ..languages.ssl.annotation import TransformationAnnotation
 from ..matching.match import Match, match_all
 from ..matching.plan import (
     Compute,
@@ -47,6 +48,7 @@ from .function_unit import FunctionUnit, InputPort
 from .processes import SourceImplementation, UnitImplementation
 from .queries import Queries
 from .selection_unit import SelectionUnit
+from .shapes import is_implied
 from .source_unit import SourceUnit
 from .supervision import DIRECT, ProcessEvent, Runner
 from .synchronization_unit import SynchronizationUnit, TakenField, schema_of
@@ -308,7 +310,12 @@ class Plans:
         parameters = dict(self._transformations.parameters_of(transformation))
         inputs = [] if source is None else [source]
         identity = self._configuration.identity(transformation.name, inputs, output, parameters)
-        return self._unit(node, transformation, identity, parameters)
+        unit = self._unit(node, transformation, identity, parameters)
+        if source is not None and isinstance(known.annotation, TransformationAnnotation):
+            fields = [port.field for port in known.annotation.inputs]
+            if is_implied(node.inputs[0], fields):
+                unit.synchronization = self._configuration.units[source.name]
+        return unit
 
     def _unit(
         self,

@@ -21,8 +21,11 @@ from ..matching.space import StreamDescription, StreamSpace
 from ..ontology.ontology import Ontology
 from ..ontology.units import format_unit
 from ..ontology.vocabulary import SELF, THING
-from ..rdf.namespaces import RDF_TYPE, STREAM_SPACE
+from ..rdf.namespaces import RDF_TYPE, STREAM_SPACE, XSD
+from ..streams.generator import StreamGenerator
+from ..streams.time import format_time
 from .changes import Change, ChangeKind, KnownTransformation
+from .status import STATUS
 
 
 # Enough for the terms of the ontology and of what comes and goes just now: names come without end.
@@ -33,6 +36,7 @@ def term(name: str) -> NamedNode:
     return NamedNode(STREAM_SPACE + quote(name, safe=""))
 
 
+_DATE_TIME = NamedNode(XSD + "dateTime")
 _HAS_RATE = term("hasRate")
 _HAS_SUBSCRIBER_COUNT = term("hasSubscriberCount")
 
@@ -56,6 +60,7 @@ class SemanticsManager:
         self._held: dict[Triple, bool] | None = None
         self._subscribers: dict[str, int] = {}
         self._rates: dict[str, float] = {}
+        self._sampled: dict[str, tuple[bool, bool]] = {}
 
     @contextmanager
     def together(self) -> Iterator[None]:
@@ -79,6 +84,8 @@ class SemanticsManager:
         match change.kind:
             case ChangeKind.STREAM_ADDED:
                 self._know(change.stream)
+                if change.stream == STATUS:
+                    self._assert(("engine", STATUS), engine_triples())
             case ChangeKind.STREAM_ANNOTATED:
                 self._annotate(change)
             case ChangeKind.QUALITY_CHANGED if change.stream:
@@ -150,6 +157,8 @@ class SemanticsManager:
         self._assert(("subscribers", stream), ())
         self._rates.pop(stream, None)
         self._assert(("rate", stream), ())
+        self._sampled.pop(stream, None)
+        self._assert(("sample", stream), ())
 
     def measure_rates(self, rates: Iterable[tuple[str, float]]) -> None:
         """Mirror how many samples a second each stream has, to two digits.
@@ -163,6 +172,18 @@ class SemanticsManager:
                 self._rates[name] = rate
                 measured = Triple(term(name), _HAS_RATE, Literal(float(f"{rate:.2g}")))
                 self._assert(("rate", name), (measured,))
+
+    def show_samples(self, streams: Iterable[tuple[str, StreamGenerator]]) -> None:
+        """Mirror which streams have a sample, and the one of each constant stream: one that has
+        ended with a single sample ([Introspection15 §3.1]). Cost: a look at each, and what changed.
+        """
+        with self.together():
+            for name, generator in streams:
+                is_constant = generator.is_ended and generator.counters.used == 1
+                shown = generator.counters.used > 0, is_constant
+                if self._sampled.get(name, (False, False)) != shown:
+                    self._sampled[name] = shown
+                    self._assert(("sample", name), sample_triples(name, generator, is_constant))
 
     def _has_moved(self, stream: str, rate: float) -> bool:
         before = self._rates.get(stream)
@@ -220,6 +241,30 @@ def stream_triples(
         yield from _roles(segment, content)
 
 
+def engine_triples() -> Iterable[Triple]:
+    """The stream processing engine, the first computational unit ([Introspection15 §4.2])."""
+    engine = term("dyknow_engine")
+    yield Triple(engine, RDF_TYPE, term("StreamProcessingEngine"))
+    yield Triple(engine, term("hasName"), Literal("dyknow_engine"))
+    yield Triple(engine, term("hasOutput"), term(STATUS))
+
+
+def sample_triples(name: str, generator: StreamGenerator, is_constant: bool) -> Iterable[Triple]:
+    """That a stream has a sample; of a constant stream its times, too."""
+    if not generator.counters.used:
+        return
+    stream, sample = term(name), term(f"{name}_sample")
+    yield Triple(stream, term("hasSample"), sample)
+    yield Triple(sample, RDF_TYPE, term("Sample"))
+    whole = generator.stream.all()
+    if not is_constant or not len(whole):
+        return
+    yield Triple(stream, RDF_TYPE, term("ConstantStream"))
+    for link, times in (("hasAvailableTime", whole.available), ("hasValidTime", whole.valid)):
+        time = Literal(format_time(int(times[0])), datatype=_DATE_TIME)
+        yield Triple(sample, term(link), time)
+
+
 def alias_triples(change: Change) -> Iterable[Triple]:
     """The further names of a stream."""
     for alias in change.aliases:
@@ -231,8 +276,10 @@ def unit_triples(change: Change) -> Iterable[Triple]:
     unit = term(change.unit)
     yield Triple(unit, RDF_TYPE, term(change.role))
     yield Triple(unit, term("hasName"), Literal(change.unit))
-    for source in change.inputs:
+    for source in change.fed or change.inputs:
         yield Triple(unit, term("hasInput"), term(source))
+    if change.synchronization:
+        yield Triple(unit, term("hasSynchronization"), term(change.synchronization))
     if change.stream:
         yield Triple(unit, term("hasOutput"), term(change.stream))
     yield Triple(unit, term("instantiationOf"), term(change.transformation))

@@ -53,6 +53,8 @@ class ComputationalUnit(ABC):
         """The inputs, each stream once: the same one may be given twice."""
         self.output = output
         self.parameters = dict(parameters)
+        self.synchronization: ComputationalUnit | None = None
+        """The unit that was inserted to bring its inputs together."""
         self.users = 0
         self.failure: str | None = None
         self.counters = ErrorCounters()

@@ -94,6 +94,18 @@ def test_listing_1_as_printed_runs(listing):
     ) == [{"unit": "dyknow_cu8", "of": "project2Dto3D"}]
 
 
+def test_the_mirror_of_listing_1_is_listing_2(listing):
+    """Both cameras are inputs of the fusion; what brings them together is how it is done."""
+    listing.apply_specification(listing_1())
+    fusion = "?unit dyknow-o:instantiationOf dyknow-o:fusionRGBIR ; "
+    source = "?camera dyknow-o:hasOutput ?in ; dyknow-o:instantiationOf ?of"
+    found = ask(listing, f"{fusion} dyknow-o:hasInput ?in . {source}")
+    assert sorted(row["of"] for row in found) == ["irCam", "rgbCam"]
+    (how,) = ask(listing, f"{fusion} dyknow-o:hasSynchronization/dyknow-o:instantiationOf ?how")
+    assert how["how"] == "synchronize"
+    assert listing.ontology.validate().conforms
+
+
 def test_removing_what_was_inserted_releases_its_inputs(listing):
     before = units(listing), sorted(listing._configuration.streams)
     mirrored = listing._manager.assertions()

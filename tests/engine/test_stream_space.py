@@ -230,6 +230,44 @@ def test_mirror_says_the_policy_that_a_stream_keeps(engine):
     assert ask(engine, "?p a dyknow-o:Policy") == []
 
 
+def test_the_engine_is_the_first_computational_unit(engine):
+    (found,) = ask(engine, "?unit a dyknow-o:StreamProcessingEngine ; dyknow-o:hasOutput ?out")
+    assert found == {"unit": "dyknow_engine", "out": "status"}
+    entailed = "?unit a dyknow-o:StreamProcessingEngine ; a dyknow-o:ComputationalUnit"
+    assert ask(engine, entailed) == [{"unit": "dyknow_engine"}]
+    assert engine.ontology.validate().conforms
+
+
+def test_a_stream_that_ended_with_one_sample_is_constant(engine):
+    engine.declare(StreamDeclaration("runway", (Field("length", FieldType.FLOAT),)))
+    constant = "?s a dyknow-o:ConstantStream ; dyknow-o:hasSample ?x . ?x a dyknow-o:Sample ; "
+    constant += "dyknow-o:hasValidTime ?at"
+
+    def publish(time):
+        feed(engine, "runway", [(time, {"length": 2500.0})])
+
+    assert ask(engine, "dyknow-o:runway dyknow-o:hasSample ?x") == []
+    publish(1)
+    measured(engine, 2)
+    assert ask(engine, "dyknow-o:runway dyknow-o:hasSample ?x") == [{"x": "runway_sample"}]
+    assert ask(engine, constant) == []
+    engine.end("runway")
+    measured(engine, 4)
+    (found,) = ask(engine, constant)
+    assert found == {"s": "runway", "x": "runway_sample", "at": "1970-01-01T00:00:01Z"}
+    assert engine.ontology.validate().conforms
+    publish(5)
+    measured(engine, 6)
+    assert ask(engine, constant) == []
+    engine.remove_stream("runway")
+    assert ask(engine, "dyknow-o:runway dyknow-o:hasSample ?x") == []
+
+
+def measured(engine, seconds):
+    engine.tick(seconds * 10**9)
+    engine.measure()
+
+
 def test_mirror_counts_subscribers_within_a_second(engine):
     engine.add_kpl("source float f\nstrmgen n = f\nstream s = n with any change")
     counted = "dyknow-o:f dyknow-o:hasSubscriberCount ?n"
