@@ -15,6 +15,7 @@ from fastapi import Request
 from fastapi.responses import Response
 
 from ..engine.errors import UnknownStream
+from ..streams.recall import Moment
 from .event_clients import EventClient
 from .negotiation import EVENT_STREAM, accepted
 from .problems import Problem
@@ -140,9 +141,10 @@ def follow_many(
 
 def begin(feeds: Feeds, names: Sequence[str], since: str | None) -> Followed:
     """What a client gets of the streams ``names``: from now on, from the ``start`` of what is kept,
-    or after an id. Raises `UnknownStream`, and a 400 `Problem` for an id that is none of theirs."""
+    from a `Moment`, or after an id. Raises `UnknownStream`, `Forgotten`, and a 400 `Problem` for an
+    id that is none of theirs."""
     names = sorted(set(names))
-    if since is None or since == "start":
+    if since is None or since == "start" or Moment.parse(since) is not None:
         starts = {name: feeds.start(name, since) for name in names}
         cursors = [Cursor(feeds, name, start) for name, start in starts.items()]
         return Followed(feeds.epoch, cursors, {})

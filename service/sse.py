@@ -23,7 +23,9 @@ from fastapi.responses import Response
 from ..engine.adaptive import Rematch
 from ..engine.engine import Engine
 from ..engine.errors import UnknownStream
+from ..streams import recall
 from ..streams.generator import StreamGenerator
+from ..streams.recall import Moment
 from ..streams.sample import SampleBatch
 from ..streams.time import format_time
 from .access import CALLER
@@ -315,15 +317,19 @@ class Feeds:
         return len(self.all)
 
     def start(self, name: str, since: str | None) -> Start:
-        """Where a client begins: now, at the ``start`` of what is kept, or after an id.
+        """Where a client begins: now, at the ``start`` of what is kept, at a time or a duration
+        before the newest sample (`Moment`), or after an id.
 
-        Raises `UnknownStream`, or a 400 `Problem` for an id that is none.
+        Raises `UnknownStream`, `Forgotten`, or a 400 `Problem` for a text that is none of these.
         """
         stream = self._engine.generator(name).stream
         if since is None:
             return Start(self._newest(name) + 1, seen=stream.last_number)
         if since == "start":
             return Start(stream.first_number, seen=stream.last_number)
+        moment = Moment.parse(since)
+        if moment is not None:
+            return Start(recall.number_since(stream, moment), seen=stream.last_number)
         epoch, _, digits = since.rpartition("-")
         if not 0 < len(epoch) <= LONGEST_EPOCH or not is_number(digits):
             raise bad_id(since)
@@ -473,7 +479,7 @@ def bad_id(since: str) -> Problem:
         400,
         "bad event id",
         f"{since!r} is no id of a sample",
-        hint="send the id of the last message, or since=start",
+        hint="send the id of the last message, or since=start, a time or a duration such as 30s",
     )
 
 

@@ -298,6 +298,11 @@ class FluentStream:
                 found.append(Segment(run.first + cut, part))
         return found
 
+    def number_at(self, time: int) -> int:
+        """The number of the first kept sample available at ``time`` or later; that of the next
+        sample where there is none. Cost: O(log n)."""
+        return self._number(time, "left")
+
     def all(self) -> SampleBatch:
         """The whole kept history as one batch."""
         return self._part(self._first, self._next)

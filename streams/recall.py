@@ -8,9 +8,30 @@ service/routes/samples; tests/laws/test_recall.py compares with the definitions.
 
 from __future__ import annotations
 
+from contextlib import suppress
+from dataclasses import dataclass
+
 from .fluent import FluentStream
 from .sample import SampleBatch
-from .time import TIME_MAX, TIME_MIN, format_time
+from .time import TIME_MAX, TIME_MIN, format_time, parse_duration, read_time
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """Where a part of a stream's past begins: at a ``time`` (ns), or so long ``before`` (ns) its
+    newest sample; included."""
+
+    time: int = TIME_MIN
+    before: int | None = None
+
+    @classmethod
+    def parse(cls, text: str) -> Moment | None:
+        """A time as `read_time` has it, or a duration such as ``30s``; None for neither."""
+        with suppress(ValueError):
+            return cls(before=parse_duration(text))
+        with suppress(ValueError):
+            return cls(read_time(text))
+        return None
 
 
 class Forgotten(LookupError):
@@ -89,6 +110,19 @@ def between(
     if most is None or len(found) <= most:
         return found
     return found.take(slice(len(found) - most, None) if newest else slice(0, most))
+
+
+def number_since(stream: FluentStream, since: Moment) -> int:
+    """The number of the first sample available since then."""
+    time = since.time if since.before is None else _ago(stream, since.before)
+    check_reach(stream, time)
+    return stream.number_at(time)
+
+
+def _ago(stream: FluentStream, duration: int) -> int:
+    """The stream's past is told in its own time: that of a recording is not the clock's."""
+    last = stream.last_available
+    return TIME_MIN if last is None or last < TIME_MIN + duration else last - duration
 
 
 def check_reach(stream: FluentStream, start: int, end: int | None = None) -> None:

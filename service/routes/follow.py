@@ -22,7 +22,10 @@ EVENTS: dict[int | str, dict[str, Any]] = {
     }
 }
 
-SINCE = "`start` of what is kept, or the id of a sample"
+SINCE = (
+    "`start` of what is kept, a time, a duration before the newest sample (`30s`), or the id of a "
+    "sample"
+)
 
 
 async def _followed(request: Request) -> Response | None:
@@ -36,7 +39,7 @@ async def _followed(request: Request) -> Response | None:
 router = APIRouter(tags=["streams"], route_class=direct(_followed))
 
 
-@router.get("/streams/{name}/events", responses={**EVENTS, **responses(404, 406, 429, 503)})
+@router.get("/streams/{name}/events", responses={**EVENTS, **responses(404, 406, 410, 429, 503)})
 async def follow_stream(
     name: str,
     request: Request,
@@ -67,7 +70,7 @@ async def follow(
     return answer
 
 
-@router.get("/follow", responses={**EVENTS, **responses(404, 406, 422, 429, 503)})
+@router.get("/follow", responses={**EVENTS, **responses(404, 406, 410, 422, 429, 503)})
 async def follow_streams(
     request: Request,
     service: Context,

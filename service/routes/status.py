@@ -10,7 +10,7 @@ from ...streams.time import format_time
 from ..context import Context
 from ..models import StatusModel, WaitingModel
 from ..problems import responses
-from .follow import EVENTS, follow
+from .follow import EVENTS, SINCE, follow
 
 router = APIRouter(tags=["status"])
 
@@ -42,11 +42,11 @@ async def read_status(service: Context) -> StatusModel:
     )
 
 
-@router.get("/status/events", responses={**EVENTS, **responses(406, 429, 503)})
+@router.get("/status/events", responses={**EVENTS, **responses(406, 410, 429, 503)})
 async def follow_status(
     request: Request,
     service: Context,
-    since: str | None = Query(None, description="`start` of what is kept, or the id of a sample"),
+    since: str | None = Query(None, description=SINCE),
 ) -> Response:
     """Every change of the stream space as server-sent events: the stream `status`."""
     return await follow(service, request, "status", since)

@@ -14,7 +14,7 @@ from ..listing import listed
 from ..models import RematchModel, SubscriptionIn, SubscriptionModel
 from ..negotiation import EVENT_STREAM
 from ..problems import Problem, responses
-from .follow import follow
+from .follow import SINCE, follow
 from .json_body import JsonRoute
 from .streams import json_only
 
@@ -87,12 +87,14 @@ async def list_rematches(id: str, service: Context) -> list[RematchModel]:
     return [RematchModel.of(switch) for switch in service.engine.rematches(id)]
 
 
-@router.get("/subscriptions/{id}/events", responses={**REMATCHED, **responses(404, 406, 429, 503)})
+@router.get(
+    "/subscriptions/{id}/events", responses={**REMATCHED, **responses(404, 406, 410, 429, 503)}
+)
 async def follow_subscription(
     id: str,
     request: Request,
     service: Context,
-    since: str | None = Query(None, description="`start` of what is kept, or the id of a sample"),
+    since: str | None = Query(None, description=SINCE),
 ) -> Response:
     """The samples as server-sent events; see `/streams/{name}/events`.
 

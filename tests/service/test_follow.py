@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import itertools
+import json
+from typing import Any
 
 import httpx
 import pytest
@@ -152,3 +154,53 @@ def test_ids_are_bounded() -> None:
     longest = Position("3f2a91c0", {f"s{i}": 10**18 - 1 for i in range(MOST_STREAMS)})
     assert len(str(longest)) <= 8 + 1 + 8 + 1 + 19 * MOST_STREAMS
     assert Position.parse(str(longest), list(longest.numbers)) == longest
+
+
+@pytest.mark.parametrize(
+    ("since", "first"),
+    [
+        ("start", 3),
+        ("7ns", 3),
+        ("5ns", 5),
+        ("PT0S", 10),
+        ("1970-01-01T00:00:00.000000008Z", 8),
+        ("9", 9),
+        ("11", None),
+    ],
+)
+def test_the_past_of_a_stream_from_a_time_or_a_duration(
+    client: Client, since: str, first: int | None
+) -> None:
+    """The stream's own time counts: its samples are of 1970, and the last of them is of 10 ns."""
+    client.put_stream("a", FIELDS, retention={"samples": 8})
+    for n in range(1, 11):
+        publish(client, "a", n, 1)
+    client.end("a")
+    wanted = [] if first is None else list(range(first, 11))
+    for events in (client.events("a", since=since), client.follow(["a"], since=since)):
+        samples = [event.data["sequence"] for event in events if event.kind == "sample"]
+        assert samples == wanted
+
+
+def test_a_past_that_is_forgotten_is_refused(client: Client) -> None:
+    client.put_stream("a", FIELDS, retention={"samples": 8})
+    for n in range(1, 11):
+        publish(client, "a", n, 1)
+    for since in ("8ns", "2", "1h"):
+        for ask in (client.events("a", since=since), client.follow(["a"], since=since)):
+            with pytest.raises(ServiceError) as refused:
+                next(ask)
+            assert refused.value.status == 410
+            assert refused.value.problem["oldest"] == "1970-01-01T00:00:00.000000003Z"
+
+
+def test_follow_with_some_history_on_the_command_line(dyknow: Any, client: Client) -> None:
+    client.put_stream("a", FIELDS)
+    publish(client, "a", 1, 10)
+    client.end("a")
+    for policy in ("", "any change"):
+        found = dyknow("follow", "a", "--since", "3ns", "--policy", policy, "--json").stdout
+        events = [json.loads(line) for line in found.splitlines()]
+        assert [e["values"]["n"] for e in events if e["event"] == "sample"] == [7, 8, 9, 10]
+    wrong = dyknow("follow", "a", "--since", "soon", status=2)
+    assert "30s" in wrong.stderr
