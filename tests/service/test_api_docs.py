@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 from fastapi import FastAPI
+from waiting import HANGS
 
 from dyknow.engine.engine import Engine
 from dyknow.service.app import create_app
@@ -81,13 +82,13 @@ def test_the_commands_on_the_page_run_from_top_to_bottom(url: str) -> None:
     page = DOCS.read_text()
     blocks = re.findall(r"^```sh\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
     script = "".join(blocks).replace("http://127.0.0.1:8000", url)
-    checked = 'set -euo pipefail\ncurl() { command curl -sS --fail-with-body -m 20 "$@"; }\n'
+    checked = 'set -euo pipefail\ncurl() { command curl -sS --fail-with-body "$@"; }\n'
     done = subprocess.run(
         ["bash", "-c", checked + script],
         cwd=DOCS.parents[1],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=HANGS,
     )
     assert done.returncode == 0, (done.stdout, done.stderr)
     # The last block shows the event, which the sample of the first makes.

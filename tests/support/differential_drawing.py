@@ -274,6 +274,7 @@ class Drawing:
         return Group(tuple(elements))
 
     def group(self, depth: int, minus: bool = True) -> Group:
+        """Without ``minus`` for a window of a variable: a bag's oracle cannot say what is in it."""
         random = self.random
         elements: list[Pattern] = [
             self.basic()
@@ -294,7 +295,7 @@ class Drawing:
             elif kind == "bind":
                 seen = variables_of(Group(tuple(elements)))
                 elements.append(Bind(self.value(seen, 2), self.new_variable()))
-            elif kind == "sub":
+            elif kind == "sub" and minus:
                 elements.append(self.subselect(depth, minus))
         self.add_filters(elements, depth if minus else 0)
         return Group(tuple(elements))

@@ -99,6 +99,8 @@ def smaller(tree: Any) -> Iterator[Any]:
     elif is_dataclass(tree):
         for field in fields(tree):
             value = getattr(tree, field.name)
+            if isinstance(tree, Select) and tree.classic and field.name == "items":
+                continue  # an AGGREGATE clause has one aggregate
             if field.name in ("items", "keys", "having", "template", "rows") and len(value) > 0:
                 for place in range(len(value)):
                     yield replace(tree, **{field.name: value[:place] + value[place + 1 :]})

@@ -11,6 +11,9 @@ T = TypeVar("T")
 PATIENCE = 60.0
 """Seconds: only what never comes takes so long."""
 
+HANGS = 600.0
+"""Seconds for a script of many commands: it is killed only if it hangs."""
+
 
 def until(found: Callable[[], T], seconds: float = PATIENCE, said: object = "") -> T:
     """What ``found()`` gives as soon as that is true; ``said`` helps to see why it never was."""
