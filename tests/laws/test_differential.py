@@ -12,14 +12,13 @@ it: the test of the table fails when an entry applies no more.
 
 import os
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path as FilePath
 
 import pytest
 from differential_drawing import (
     BASE,
     HUGE,
-    INSTANTS,
     SECOND,
     Case,
     Element,
@@ -191,70 +190,6 @@ LISTED: tuple[Listed, ...] = (
             (("?v", None),),
             Filter(Term(str(typed("boolean", "false")[0]))),
             values=typed("integer", "1"),
-        ),
-    ),
-    Listed(
-        "temporary, differ.found 2: what has no order is ordered by Oxigraph in mixed columns",
-        met("unordered"),
-        example(
-            (("?v", None),),
-            Filter(Call("<=", (V, V))),
-            values=[Literal("a", language="en"), *typed("string", "b")],
-        ),
-    ),
-    Listed(
-        "temporary, differ.found 3: integers beyond 64 bits are unbound",
-        met("beyond 64 bits"),
-        example((("?x", Call("*", (V, V))),), values=typed("integer", "9007199254740993")),
-    ),
-    Listed(
-        "temporary, differ.found 5: decimals are compared and computed as doubles",
-        met("long decimal"),
-        example(
-            (("?v", None),),
-            Filter(Call("=", (V, Term(str(typed("integer", "9007199254740993")[0]))))),
-            values=typed("decimal", "9007199254740992.0"),
-        ),
-    ),
-    Listed(
-        "temporary, differ.found 6: the truth of a value depends on the other kinds of its column",
-        mixed_truth,
-        example((("?v", None),), Filter(V), values=typed("integer", "1") + typed("string", "x")),
-    ),
-    Listed(
-        "temporary, differ.found 7: MINUS in EXISTS does not see the values of the outer variables",
-        has(minus_in_exists),
-        example(
-            (("?v", None),),
-            Filter(
-                Exists(
-                    False,
-                    Group(
-                        (
-                            Triple("?a", Path(":p"), "?w"),
-                            Minus(Group((Triple("?a", Path(":p"), "?b"),))),
-                        )
-                    ),
-                )
-            ),
-            values=typed("integer", "1"),
-        ),
-    ),
-    Listed(
-        "temporary, differ.found 8: a warning of numpy where a sum of doubles overflows",
-        lambda case, difference: "overflow encountered" in difference.found,
-        replace(
-            example((("?x", Aggregate("SUM", False, V)),), values=typed("double", "1E308")),
-            static=((NamedNode(BASE + "b"), NamedNode(BASE + "p"), *typed("double", "1E308")),),
-        ),
-    ),
-    Listed(
-        "temporary, differ.found 9: an order with NaN is an error in a column of several kinds",
-        met("NaN compared"),
-        example(
-            (("?v", None),),
-            Filter(Call("!", (Call(">=", (V, Term(str(typed("double", "0.5E0")[0])))),))),
-            values=[*typed("float", "NaN"), *INSTANTS[:1]],
         ),
     ),
 )
