@@ -205,13 +205,23 @@ def text(number: Decimal) -> str:
 
 def parsed(lexical: str) -> Decimal | None:
     """The value of a decimal or integer text; None for one of too many digits."""
-    return Decimal(lexical) if len(lexical) <= LONGEST else None
+    return _kept(Decimal(lexical)) if len(lexical) <= 2 * LONGEST + 3 else None
+
+
+def _kept(number: Decimal) -> Decimal | None:
+    """The number if it has up to `LONGEST` digits, before the point and after it."""
+    exponent = number.as_tuple().exponent
+    assert isinstance(exponent, int)
+    fits = len(number.as_tuple().digits) <= LONGEST and exponent >= -LONGEST
+    return number if fits and number.adjusted() < LONGEST else None
 
 
 def computed(name: str, a: Decimal, b: Decimal) -> Decimal | None:
     """``a name b``; None where that is an error."""
     try:
-        return quotient(Fraction(a), Fraction(b)) if name == "/" else _OPERATIONS[name](a, b)
+        if name == "/":
+            return _kept(quotient(Fraction(a), Fraction(b)))
+        return _kept(_OPERATIONS[name](a, b))
     except (decimal.DecimalException, ZeroDivisionError):
         return None
 
@@ -237,22 +247,27 @@ def scaled(value: int, scale: int) -> Decimal:
 
 
 def quotient(a: Fraction, b: Fraction) -> Decimal:
-    """``a / b`` by the rule of this module; raises ``ZeroDivisionError``."""
+    """``a / b`` by the rule of this module; raises ``ZeroDivisionError`` and `decimal.Inexact`."""
     found = a / b
     twos, fives = _power(found.denominator, 2), _power(found.denominator, 5)
     after = max(twos, fives)
-    whole = len(str(abs(found.numerator) // found.denominator))
     if 2**twos * 5**fives == found.denominator:
         digits = found.numerator * 10**after // found.denominator
-        if after <= _PLACES or len(str(abs(digits))) <= DIGITS:
+        if after <= _PLACES or abs(digits) < LIMIT:
             return scaled(digits, after)
-    places = DIGITS - whole
-    if abs(found) < 1:
-        places = DIGITS
-        while abs(found) * 10**places < LIMIT // 10:
-            places += 1
-    places = max(0, places)
+    places = _places(abs(found))
     return scaled(round(found * 10**places), places)
+
+
+def _places(number: Fraction) -> int:
+    """Behind which digit after the point a number is rounded to 15 digits; an integer, of more."""
+    if number >= LIMIT // 10:
+        return 0
+    bits_below = number.denominator.bit_length() - number.numerator.bit_length()
+    places = max(0, int(bits_below * 0.30102) + DIGITS - 3)
+    while number * 10**places < LIMIT // 10:
+        places += 1
+    return places
 
 
 def _power(number: int, factor: int) -> int:

@@ -58,7 +58,7 @@ _LONG_KINDS: Final[dict[int, Kind]] = {
     Sort.LONG_DECIMAL: Kind.DECIMAL,
 }
 _EXACT: Final = 2.0**53
-"""Below, integers and decimals that are equal as float64 are equal."""
+"""Below, integers and decimals of columns that are equal as float64 are equal."""
 NATIVE: Final = INFIX | {
     "!",
     "NEGATE",
@@ -385,7 +385,8 @@ class _Rows:
             return found
         # Exact numbers are in order where their floats are; equal floats may stand for two.
         doubtful = np.flatnonzero(x == y)
-        doubtful = doubtful[np.abs(x[doubtful]) >= _EXACT]
+        if a.kind is not Kind.TERM and b.kind is not Kind.TERM:
+            doubtful = doubtful[np.abs(x[doubtful]) >= _EXACT]
         if len(doubtful):
             rows = doubtful.tolist()
             pairs = zip(self.terms.exact(a, rows), self.terms.exact(b, rows), strict=True)
@@ -402,7 +403,8 @@ class _Rows:
             with np.errstate(all="ignore"):
                 return ObjectColumn(kind, _ARITHMETIC[name](x, y), null)
         if name == "/":
-            kind, zero = Kind.DECIMAL, self.terms.approximate(b) == 0
+            # A long number is not 0, though its float may be.
+            kind, zero = Kind.DECIMAL, (b.values == 0) & (b.kind is not Kind.TERM)
             if zero.any():
                 null = either(null, zero)
                 b = ObjectColumn(b.kind, np.where(zero, 1, b.values))

@@ -134,9 +134,11 @@ def _first_of(rows: Rows, group: Rows, count: int) -> Rows:
 def _extreme(
     least: bool, value: ObjectColumn, group: Rows, count: int, terms: TermValues
 ) -> ObjectColumn:
-    """MIN or MAX by the order of ORDER BY; an error among the values of a group makes it one."""
+    """MIN or MAX by the order of ORDER BY, of equal numbers the one of the first kind; an error
+    among the values of a group makes it one."""
     keys = sort_keys(value, terms)
-    order = np.lexsort([*(key if least else -key for key in keys[::-1]), group])
+    kinds = [terms.sorts(value.values)] if value.kind is Kind.TERM else []
+    order = np.lexsort([*kinds, *(key if least else -key for key in keys[::-1]), group])
     best = take_or_null(value, _first_of(order, group, count))
     failed = np.zeros(count, np.bool_)
     failed[group[~value.present]] = True

@@ -21,6 +21,7 @@ from ..rdf.dictionary import Term
 from ..rdf.namespaces import XSD
 from ..rdf.timed import Kind, ObjectColumn
 from .columns import LONG, Sort, TermValues
+from .decimals import of_code
 
 SortKey = NDArray[np.int64] | NDArray[np.float64]
 _BLANK, _IRI, _NAN, _NUMBER, _STRING, _OTHER = 1, 2, 3, 4, 5, 6
@@ -46,7 +47,8 @@ def sort_keys(column: ObjectColumn, terms: TermValues) -> list[SortKey]:
     number = np.where(is_number, terms.approximate(column), 0.0)
     rank, number = _without_nan(rank, number)
     place = np.zeros(len(column), np.int64)
-    great = np.flatnonzero(np.abs(number) >= _EXACT)
+    long = is_number & np.isin(sorts, LONG)
+    great = np.flatnonzero(is_number if long.any() else np.abs(number) >= _EXACT)
     if len(great):
         place[great] = _exact_places(column.values[great], terms)
     others = np.flatnonzero(column.present & ~is_number)
@@ -67,7 +69,7 @@ def _without_nan(rank: NDArray[np.int64], values: NDArray[Any]) -> tuple[Any, An
 
 
 def _exact_places(ids: NDArray[np.int32], terms: TermValues) -> NDArray[np.int64]:
-    """The order of great numbers by their exact values."""
+    """The order of numbers by their exact values; NaN and infinities are told apart already."""
     distinct, inverse = np.unique(ids, return_inverse=True)
     literals = [terms.dictionary.term(id) for id in distinct.tolist()]
     values = [_exact_value(literal) for literal in literals]
@@ -79,7 +81,8 @@ def _exact_value(term: Term) -> Decimal:
     assert isinstance(term, Literal)
     if term.datatype.value in INTEGERS or term.datatype.value == XSD + "decimal":
         return Decimal(term.value)
-    return Decimal(float(term.value))
+    value = float(term.value)
+    return of_code(value) if np.isfinite(value) else Decimal(0)
 
 
 def _ranked(found: Sequence[Term]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -101,12 +101,17 @@ def _nearest(exact: Fraction | int) -> float:
 
 
 def extreme(numbers: Iterable[tuple[Kind, Number]], least: bool) -> Literal:
-    """MIN or MAX: NaN where a number is; of equal numbers the one of the least kind."""
+    """MIN or MAX: NaN where a number is; of equal numbers the one of the first kind."""
     parts = sorted(numbers, key=lambda part: part[0])
     nans = [kind for kind, value in parts if value != value]
     if nans:
         return make_literal(max(nans), math.nan)
-    kind, value = (min if least else max)(parts, key=lambda part: part[1])
+    choose = min if least else max
+    exact = [part for part in parts if part[0] <= Kind.DECIMAL]
+    floats = [part for part in parts if part[0] > Kind.DECIMAL]
+    # Two exact numbers are compared exactly, any others as floats (§17.3).
+    best = [choose(some, key=lambda part: part[1]) for some in (exact, floats) if some]
+    kind, value = choose(best, key=lambda part: float(part[1]))
     if isinstance(value, Decimal):
         return exact_literal(kind, value)
     return make_literal(kind, value)

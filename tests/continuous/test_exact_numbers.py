@@ -131,6 +131,12 @@ def test_comparisons_are_exact() -> None:
     assert passing("?v > 9007199254740993.0", ODD) == set()
     assert passing(f"?v > {GREAT - 1}", integer(GREAT), integer(7)) == {integer(GREAT)}
     assert passing(f"?v = {10**20}.0", integer(10**20), integer(1)) == {integer(10**20)}
+    # Their floats are equal.
+    close = [decimal(f"0.1234567890123456789{digit}") for digit in "12"]
+    code = decimal("0.12345678901234568")
+    assert passing("?v < 0.12345678901234567892", *close, code) == {close[0]}
+    assert passing("?v < 0.12345678901234568", *close, code) == set(close)
+    assert passing("?v > 0", decimal("0." + "0" * 400 + "1")) != set()
 
 
 def test_arithmetic_is_exact() -> None:
@@ -173,6 +179,19 @@ def test_quotients() -> None:
     assert computed("?v / 1024", integer(12345678901)) == [decimal("12056327.0517578125")]
     assert computed("?v / 3", integer(10**17)) == [decimal("33333333333333333")]
     assert computed("?v / 0", integer(1), decimal("0.5")) == [None, None]
+
+
+def test_numbers_of_too_many_digits_have_no_value() -> None:
+    """Numbers are exact up to 1,000 digits: arithmetic beyond is an error, and so is the text."""
+    long = integer(10**600 + 1)
+    assert computed("?v + 1", long) == [integer(10**600 + 2)]
+    assert computed("?v * ?v", long) == [None]
+    assert computed("?v / 7", long)[0] is not None
+    assert computed("1 / ?v", long)[0] is not None
+    tiny = decimal("0." + "0" * 600 + "1")
+    assert computed("?v * ?v", tiny) == [None]
+    assert computed("1 / ?v", tiny) == [decimal("1" + "0" * 601)]
+    assert passing("?v > 0", integer(10**1100), integer(1)) == {integer(1)}
 
 
 # -- aggregates: folded (no key beside the subject), and each window anew (with OPTIONAL)
@@ -249,6 +268,53 @@ def test_order_by_exact_numbers() -> None:
     values = [integer(9007199254740993), decimal("9007199254740992"), integer(GREAT), integer(3)]
     found = rows("SELECT ?v WHERE { ?o d:speed ?v } ORDER BY ?v", values)
     assert [row["v"] for row in found] == [values[3], values[1], values[0], values[2]]
+    close = [decimal(f"0.1234567890123456789{digit}") for digit in "21"]
+    others = [double("NaN"), double("INF"), double("-INF"), integer(0)]
+    found = rows("SELECT ?v WHERE { ?o d:speed ?v } ORDER BY ?v", [*close, *others])
+    nan, above, below, zero = others
+    assert [row["v"] for row in found] == [nan, below, zero, close[1], close[0], above]
+
+
+POOL = ["0.1", "0.2", "0.3", "-1.5", "3", "7", "1000000007", "123456.789", "0.0000001", "2.2"]
+
+
+@settings(deadline=None, max_examples=40)
+@given(
+    st.lists(st.tuples(st.sampled_from(POOL), st.sampled_from(POOL)), min_size=1, max_size=6),
+    st.sampled_from("+-*/"),
+    st.sampled_from(POOL),
+    st.sampled_from(POOL),
+    st.sampled_from(["=", "<", ">="]),
+)
+def test_filters_of_joined_patterns_are_exact(pairs, sign, left, right, test) -> None:
+    """They are judged by the compiled loop: it computes as columns do."""
+    height = NamedNode(DYKNOW + "height")
+    elements = []
+    for i, (a, b) in enumerate(pairs):
+        subject = NamedNode(f"{DYKNOW}o{i}")
+        elements += [(1, subject, SPEED, decimal(a)), (1, subject, height, decimal(b))]
+    bound = computed_pair(sign, left, right)
+    query = (
+        f"REGISTER QUERY q AS PREFIX d: <{DYKNOW}> SELECT ?o FROM STREAM <{X}> "
+        f"[RANGE 10ns STEP 10ns] WHERE {{ ?o d:speed ?v . ?o d:height ?w "
+        f"FILTER(?v {sign} ?w {test} {decimals.text(bound)}) }}"
+    )
+    (window,) = evaluate(query, {X: elements})
+    wanted = {
+        f"{DYKNOW}o{i}"
+        for i, (a, b) in enumerate(pairs)
+        if TESTS[test](computed_pair(sign, a, b), bound)
+    }
+    assert {row["o"].value for row in window.solutions} == wanted
+
+
+def computed_pair(sign: str, a: str, b: str) -> Decimal:
+    found = decimals.computed(sign, Decimal(a), Decimal(b))
+    assert found is not None
+    return found
+
+
+TESTS = {"=": operator.eq, "<": operator.lt, ">=": operator.ge}
 
 
 # -- the module itself

@@ -289,20 +289,20 @@ def differences(case: Case, expected: Answer, found: Answer) -> Iterator[Differe
     """The windows that differ, but for rows that the standard leaves open."""
     if expected.late != found.late:
         yield Difference(None, str(expected.late), str(found.late))
-    any_kind = has_extreme(case)
+    any_spelling = has_extreme(case)
     for end in sorted(set(expected.windows) | set(found.windows)):
         given, wanted = found.windows.get(end), expected.windows.get(end)
         met = expected.met.get(end, frozenset())
         if case.operator == "RSTREAM" and (given is None or wanted is None):
             same = False
         else:
-            same = "open" in met or alike(wanted or Counter(), given or Counter(), any_kind)
+            same = "open" in met or alike(wanted or Counter(), given or Counter(), any_spelling)
         if not same:
             yield Difference(end, show(wanted), show(given), met)
 
 
 def has_extreme(case: Case) -> bool:
-    """MIN and MAX of equal values in two spellings may give either (docs/semantics.md)."""
+    """MIN and MAX of one instant in two spellings may give either (docs/semantics.md)."""
     return any(
         isinstance(part, Aggregate) and part.name in ("MIN", "MAX") for part in parts_of(case.query)
     )
@@ -314,36 +314,36 @@ def show(rows: Rows | None) -> str:
     return "; ".join(sorted(f"{count} x {dict(row)}" for row, count in rows.items())) or "no rows"
 
 
-def alike(wanted: Rows, given: Rows, any_kind: bool) -> bool:
+def alike(wanted: Rows, given: Rows, any_spelling: bool) -> bool:
     if wanted == given:
         return True
     missing, extra = list((wanted - given).elements()), list((given - wanted).elements())
     if len(missing) != len(extra):
         return False
     for row in missing:
-        partner = next((other for other in extra if same_row(row, other, any_kind)), None)
+        partner = next((other for other in extra if same_row(row, other, any_spelling)), None)
         if partner is None:
             return False
         extra.remove(partner)
     return True
 
 
-def same_row(row: Row, other: Row, any_kind: bool) -> bool:
+def same_row(row: Row, other: Row, any_spelling: bool) -> bool:
     wanted, given = dict(row), dict(other)
     return wanted.keys() == given.keys() and all(
-        same_key(wanted[name], given[name], any_kind) for name in wanted
+        same_key(wanted[name], given[name], any_spelling) for name in wanted
     )
 
 
-def same_key(wanted: Key, given: Key, any_kind: bool) -> bool:
+def same_key(wanted: Key, given: Key, any_spelling: bool) -> bool:
     """Equal, up to rounding of what cannot be exact; `ANY` is like every term."""
     if wanted == given or wanted == key_of(ANY):
         return True
-    if any_kind and (wanted[2:3] == given[2:3] == (XSD + "dateTime",)):
+    if any_spelling and (wanted[2:3] == given[2:3] == (XSD + "dateTime",)):
         return compare_instants(wanted[1], given[1]) == 0
     if wanted[0] != "number" or given[0] != "number" or "NaN" in (wanted[2], given[2]):
         return False
-    if wanted[1] != given[1] and not any_kind:
+    if wanted[1] != given[1]:
         return False
     if any(isinstance(key[2], float) and math.isinf(key[2]) for key in (wanted, given)):
         return bool(wanted[2] == given[2])

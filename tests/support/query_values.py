@@ -390,4 +390,7 @@ def extreme(values: list, least: bool) -> Any:
         for a in unequal
         if not any((precedes(b, a) if least else precedes(a, b)) is True for b in unequal)
     ]
+    if all(number(term) and equal(term, best[0]) for term in best):
+        # Of equal numbers the one of the first kind.
+        return min(best, key=lambda term: KINDS.index(kind_of(term) or ""))
     return best[0] if len(best) == 1 else OneOf(best)

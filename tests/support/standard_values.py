@@ -320,11 +320,21 @@ def average(terms: list[Term]) -> Literal:
 
 
 def extreme(sign: int) -> Callable[[list[Term]], Term]:
-    """MIN (-1) or MAX (1); ANY where the order of ORDER BY is open or a NaN is among numbers."""
+    """MIN (-1) or MAX (1); ANY where the order of ORDER BY is open.
+
+    A NaN among numbers is the result, and of equal numbers the one of the first kind
+    (docs/semantics.md).
+    """
 
     def choose(terms: list[Term]) -> Term:
         if ERROR in terms or not terms:
             raise Undefined
+        numbers = [value for value in map(number, terms) if value is not None]
+        if len(numbers) == len(terms):
+            terms = sorted(terms, key=lambda term: KINDS.index(of_kind(term)))
+            odd = [value.kind for value in numbers if value.value != value.value]
+            if odd:
+                return literal(max(odd, key=KINDS.index), "NaN")
         best = terms[0]
         for term in terms[1:]:
             try:
@@ -338,6 +348,12 @@ def extreme(sign: int) -> Callable[[list[Term]], Term]:
         return best
 
     return choose
+
+
+def of_kind(term: Term) -> str:
+    value = number(term)
+    assert value is not None
+    return value.kind
 
 
 def node_order(left: Term, right: Term) -> int | None:
