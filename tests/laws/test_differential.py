@@ -105,7 +105,7 @@ def described(seed: int, case: Case, failure: Difference, folder: FilePath) -> s
             found = first_failure(smaller, expected_answer(smaller), folder)
         except SyntaxError:
             return False  # what was taken away was needed
-        return found is not None and (found.end is None) is (failure.end is None)
+        return found is not None and found.kind == failure.kind
 
     small = shrink(case, fails)
     return "\n".join(

@@ -242,6 +242,8 @@ def solutions(case: Case, contents: Contents) -> tuple[Rows, frozenset[str]]:
     else:
         names = [variable.value for variable in found.variables]
         rows = rows_of(dict(zip(names, solution, strict=True)) for solution in found)
+    if case.operator != "RSTREAM" and any(key == key_of(ANY) for row in rows for _, key in row):
+        called.met.add("open")  # whether such a row is that of the window before
     return rows, frozenset(called.met)
 
 
@@ -316,6 +318,11 @@ class Difference:
     expected: str
     found: str
     met: frozenset[str] = frozenset()
+
+    @property
+    def kind(self) -> str:
+        """What stays the same while a case is made small: the error that was raised, if any."""
+        return self.found.partition(":")[0] if self.end is None else "rows"
 
     def __str__(self) -> str:
         place = "late" if self.end is None else f"window {self.end}"
