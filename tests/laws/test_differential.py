@@ -12,7 +12,7 @@ it: the test of the table fails when an entry applies no more.
 
 import os
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path as FilePath
 
 import pytest
@@ -105,7 +105,7 @@ def described(seed: int, case: Case, failure: Difference, folder: FilePath) -> s
             found = first_failure(smaller, expected_answer(smaller), folder)
         except SyntaxError:
             return False  # what was taken away was needed
-        return found is not None and (found.end is None) is (failure.end is None)
+        return found is not None and found.kind == failure.kind
 
     small = shrink(case, fails)
     return "\n".join(
@@ -172,15 +172,6 @@ FALSE = {
 }  # fmt: skip
 
 
-def minus_in_exists(part: object) -> bool:
-    return isinstance(part, Exists) and any(isinstance(inner, Minus) for inner in parts_of(part))
-
-
-def mixed_truth(case: Case, difference: Difference) -> bool:
-    """An effective boolean value is asked of what is no boolean."""
-    return any(name.startswith("truth of ") for name in difference.met - {"truth of boolean"})
-
-
 V = Term("?v")
 LISTED: tuple[Listed, ...] = (
     Listed(
@@ -190,6 +181,20 @@ LISTED: tuple[Listed, ...] = (
             (("?v", None),),
             Filter(Term(str(typed("boolean", "false")[0]))),
             values=typed("integer", "1"),
+        ),
+    ),
+    Listed(
+        "temporary, differ.found 10: ROUND adds a half in double precision",
+        met("hard to round"),
+        example((("?x", Call("ROUND", (V,))),), values=HUGE[-4:-3]),
+    ),
+    Listed(
+        "temporary, differ.found 11: DSTREAM under report close never tells the last departure",
+        lambda case, difference: case.operator == "DSTREAM" and case.report == "close",
+        replace(
+            example((("?v", None),), values=typed("integer", "1")),
+            operator="DSTREAM",
+            report="close",
         ),
     ),
 )

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from random import Random
 
 from differential_queries import (
+    TIMESTAMP,
     Aggregate,
     Ask,
     Bind,
@@ -119,7 +120,14 @@ class Case:
     bounds: str = "(]"
     origin: int = 0
     lateness: int | None = None
+    report: str = "non-empty"
     exact: bool = True
+
+    @property
+    def timed(self) -> bool:
+        return any(
+            isinstance(part, Call) and part.name == TIMESTAMP for part in parts_of(self.query)
+        )
 
     @property
     def bag(self) -> bool:
@@ -166,6 +174,7 @@ class Drawing:
             bounds=random.choice(("(]", "(]", "[)")),
             origin=random.choice((0, 0, SECOND // 2)),
             lateness=random.choice((None, 0, SECOND, 3 * SECOND)),
+            report=random.choice(("non-empty",) * 6 + ("change", "close")),
             exact=self.exact,
         )
         self.bag = case.bag
@@ -231,6 +240,8 @@ class Drawing:
     # The query.
 
     def query(self) -> Query:
+        if self.chance(0.08):
+            return self.timed()
         where = self.where()
         seen = variables_of(where)
         if self.chance(0.1):
@@ -242,6 +253,38 @@ class Drawing:
         if self.chance(0.4):
             return self.aggregated(where, seen, classic=self.chance(0.2))
         return self.selected(where, seen)
+
+    def timed(self) -> Query:
+        """A query of the times of what its patterns match, all in one group."""
+        random = self.random
+        objects = random.sample(("?v", "?w", "?b"), random.choice((1, 2, 2, 3)))
+        predicates = [
+            random.choice(NODE_PREDICATES if o == "?b" else VALUE_PREDICATES) for o in objects
+        ]
+        triples = [Triple("?a", Path(p), o) for p, o in zip(predicates, objects, strict=True)]
+
+        def time() -> Expression:
+            if self.chance(0.3):
+                triple = random.choice(triples)
+                whole = (triple.subject, str(triple.predicate), triple.object)
+                return Call(TIMESTAMP, tuple(map(Term, whole)))
+            return Call(TIMESTAMP, (Term(random.choice(("?a", *objects))),))
+
+        elements: list[Pattern] = [*triples]
+        if self.chance(0.5):
+            bound = (
+                time() if self.chance(0.6) else Term(str(random.randrange(2, 200) * SECOND // 2))
+            )
+            elements.append(Filter(Call(random.choice("<>="), (time(), bound))))
+        elements.append(Bind(time(), "?n0"))
+        group = Group(tuple(elements))
+        window = random.choice(self.windows)
+        where = Group((InWindow(window.name, group),)) if window.name else group
+        if self.chance(0.3):
+            name = random.choice(("MIN", "MAX", "COUNT", "SUM"))
+            items = (("?a", None), ("?n1", Aggregate(name, False, Term("?n0"))))
+            return Select(False, items, where, ("?a",))
+        return Select(self.chance(0.3), tuple((v, None) for v in ("?a", *objects, "?n0")), where)
 
     def head_triple(self, seen: list[str]) -> Triple:
         nodes = [v for v in seen if v in NODE_VARIABLES] or [":a"]

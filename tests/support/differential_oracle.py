@@ -10,11 +10,12 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import partial
+from operator import itemgetter
 from pathlib import Path as FilePath
 from typing import Any
 
 from differential_drawing import BASE, Case, Element, WindowOf
-from differential_queries import Aggregate, Ask, Oracle, Product, parts_of
+from differential_queries import DEFAULT, Aggregate, Ask, Oracle, Product, parts_of
 from pyoxigraph import (
     BlankNode,
     DefaultGraph,
@@ -91,6 +92,7 @@ def product_answer(case: Case, folder: FilePath) -> Answer:
         bounds=case.bounds,
         origin=case.origin or None,
         lateness=case.lateness,
+        report=case.report,
         late=late.append,
     )
     windows = {window.end: rows_of(window.solutions) for window in found}
@@ -131,30 +133,48 @@ def key_of(term: Term) -> Key:
 # The expected answer.
 
 
+Contents = dict[WindowOf, list[Element]]
+
+
 def expected_answer(case: Case) -> Answer:
     kept, late = without_late(case)
-    period = max(case.every, min(window.step for window in case.windows))
     windows: dict[int, Rows] = {}
     met: dict[int, frozenset[str]] = {}
     before: Rows = Counter()
     met_before: frozenset[str] = frozenset()
-    begun = False
-    for end in ends(case, kept, period):
-        contents = {window: content(case, window, kept, end) for window in case.windows}
-        filled = any(contents.values())
-        if not (filled or begun):
-            continue
-        begun = True
-        if case.operator == "RSTREAM" and not filled:
-            continue
-        rows, met_now = solutions(case, contents)
+    for end, contents in evaluations(case, kept):
+        rows, met[end] = solutions(case, contents)
         if case.operator == "RSTREAM":
             windows[end] = rows
-        else:
-            windows[end] = rows - before if case.operator == "ISTREAM" else before - rows
-        met[end] = met_now if case.operator == "RSTREAM" else met_now | met_before
-        before, met_before = rows, met_now
+            continue
+        windows[end] = rows - before if case.operator == "ISTREAM" else before - rows
+        met[end], met_before = met[end] | met_before, met[end]
+        before = rows
     return Answer(windows, late, met)
+
+
+def evaluations(case: Case, elements: list[Element]) -> Iterator[tuple[int, Contents]]:
+    """The ends at which the query gives a result (docs/semantics.md, Report), and the contents.
+
+    They begin with the first content. When the last has left, that is one more change, and one
+    more evaluation for ISTREAM and DSTREAM.
+    """
+    found = [
+        (end, {window: content(case, window, elements, end) for window in case.windows})
+        for end in ends(case, elements)
+    ]
+    filled = [place for place, (_, contents) in enumerate(found) if any(contents.values())]
+    if not filled:
+        return
+    first, last = filled[0], filled[-1]
+    for place in range(first, last + 2):
+        end, contents = found[place]
+        silent = case.report == "non-empty" or (case.report == "close" and place > last)
+        if case.operator == "RSTREAM" and silent and not any(contents.values()):
+            continue
+        if case.report == "change" and place > first and contents == found[place - 1][1]:
+            continue
+        yield end, contents
 
 
 def without_late(case: Case) -> tuple[list[Element], Counter[tuple[int, Term, Term, Term]]]:
@@ -174,9 +194,11 @@ def without_late(case: Case) -> tuple[list[Element], Counter[tuple[int, Term, Te
     return kept, late
 
 
-def ends(case: Case, elements: list[Element], period: int) -> Iterable[int]:
+def ends(case: Case, elements: list[Element]) -> Iterable[int]:
+    """Multiples of the period around all elements, an empty one at each side."""
     if not elements:
         return ()
+    period = max(case.every, min(window.step for window in case.windows))
     times = [element.time for element in elements]
     longest = max(window.range + window.step for window in case.windows)
     first = (min(times) - case.origin) // period - 1
@@ -194,10 +216,10 @@ def content(case: Case, window: WindowOf, elements: list[Element], now: int) -> 
     return [element for element in mine if start <= element.time < end]
 
 
-def solutions(case: Case, contents: dict[WindowOf, list[Element]]) -> tuple[Rows, frozenset[str]]:
+def solutions(case: Case, contents: Contents) -> tuple[Rows, frozenset[str]]:
     """What Oxigraph says of the windows' content, and what it has met."""
     store = Store()
-    store.extend(quads(case, contents))
+    store.extend(timed_quads(case, contents) if case.timed else quads(case, contents))
     oracle = oracle_of(case)
     text = oracle_text(case, oracle)
 
@@ -220,6 +242,8 @@ def solutions(case: Case, contents: dict[WindowOf, list[Element]]) -> tuple[Rows
     else:
         names = [variable.value for variable in found.variables]
         rows = rows_of(dict(zip(names, solution, strict=True)) for solution in found)
+    if case.operator != "RSTREAM" and any(key == key_of(ANY) for row in rows for _, key in row):
+        called.met.add("open")  # whether such a row is that of the window before
     return rows, frozenset(called.met)
 
 
@@ -238,7 +262,7 @@ def oracle_of(case: Case) -> Oracle:
         names = ["", *(window.name for window in case.windows)]
         copies = {name: tuple(str(copy_name(name, place)) for place in most) for name in names}
     windows = tuple(window.name for window in case.windows if window.name)
-    return Oracle(copies, windows, case.exact)
+    return Oracle(copies, windows, case.exact, timed=case.timed)
 
 
 def oracle_text(case: Case, oracle: Oracle) -> str:
@@ -254,7 +278,7 @@ def most_copies(case: Case) -> int:
     return max(triples.values(), default=1)
 
 
-def quads(case: Case, contents: dict[WindowOf, list[Element]]) -> Iterator[Quad]:
+def quads(case: Case, contents: Contents) -> Iterator[Quad]:
     seen: defaultdict[tuple[str, Term, Term, Term], int] = defaultdict(int)
     elements = [("", *triple) for triple in case.static]
     for window, content in contents.items():
@@ -268,6 +292,21 @@ def quads(case: Case, contents: dict[WindowOf, list[Element]]) -> Iterator[Quad]
             yield Quad(*triple, copy_name(name, place))
 
 
+def timed_quads(case: Case, contents: Contents) -> Iterator[Quad]:
+    """Each element in a graph of its own; under set semantics the latest of equal ones."""
+    elements = [("", triple, -1) for triple in case.static]
+    for window, content in contents.items():
+        elements += [(window.name, (e.subject, e.predicate, e.object), e.time) for e in content]
+    elements.sort(key=itemgetter(2))
+    if not case.bag:
+        latest = {(name, triple): time for name, triple, time in elements}
+        elements = [(name, triple, time) for (name, triple), time in latest.items()]
+    for place, (name, triple, time) in enumerate(elements):
+        yield Quad(
+            *triple, NamedNode(f"urn:time:{name or DEFAULT}:{place}:{'' if time < 0 else time}")
+        )
+
+
 # The comparison.
 
 
@@ -279,6 +318,11 @@ class Difference:
     expected: str
     found: str
     met: frozenset[str] = frozenset()
+
+    @property
+    def kind(self) -> str:
+        """What stays the same while a case is made small: the error that was raised, if any."""
+        return self.found.partition(":")[0] if self.end is None else "rows"
 
     def __str__(self) -> str:
         place = "late" if self.end is None else f"window {self.end}"

@@ -18,7 +18,8 @@ from typing import Any, assert_never
 from standard_values import ERROR, iri
 from standard_values import Term as Node
 
-TYPE = "a"
+TIMESTAMP = "f:timestamp"
+DEFAULT = "default"
 
 
 @dataclass(frozen=True)
@@ -300,6 +301,7 @@ class Oracle(Product):
 
     ``copies``: of each graph ("" for the default one), the graphs of the n-th copies, or nothing
     under set semantics. ``exact``: numbers and comparisons go through `standard_values`.
+    ``timed``: each element has a graph of its own whose name has its time.
     """
 
     copies: dict[str, tuple[str, ...]]
@@ -307,6 +309,8 @@ class Oracle(Product):
     exact: bool
     scope: str = ""
     fresh: int = 0
+    timed: bool = False
+    matched: list[tuple[Triple, str]] = field(default_factory=list)
     seen: tuple[str, ...] = ()
     inner: list[tuple[Group, str, tuple[str, ...]]] = field(default_factory=list)
 
@@ -348,6 +352,12 @@ class Oracle(Product):
         return f"VALUES {name} {{ {' '.join(self.windows)} }}" if name.startswith("?") else ""
 
     def triple(self, triple: Triple) -> str:
+        if self.timed:
+            graph = self.new_variable()
+            self.matched.append((triple, graph))
+            found = f"GRAPH {graph} {{ {super().triple(triple)} }}"
+            names = f"urn:time:{self.scope or DEFAULT}:"
+            return f'{{ {found} FILTER (STRSTARTS(STR({graph}), "{names}")) }}'
         return self.copied(triple.subject, triple.predicate, triple.object)
 
     def copied(self, subject: str, path: Path, target: str) -> str:
@@ -428,7 +438,20 @@ class Oracle(Product):
         argument = f"COALESCE({self.expression(given.argument)}, {ERROR})"
         return f"<{iri(given.name + (' DISTINCT' if given.distinct else '')).value}>({argument})"
 
+    def timestamp(self, given: Call) -> str:
+        """Of the graphs that the patterns matched in, which have their elements' times."""
+        terms = tuple(argument.text for argument in given.arguments if isinstance(argument, Term))
+        graphs = (
+            graph
+            for triple, graph in self.matched
+            for whole in [(triple.subject, str(triple.predicate), triple.object)]
+            if whole == terms or (len(terms) == 1 and terms[0] in whole)
+        )
+        return f"<{iri('latest').value}>({', '.join(graphs)})"
+
     def call(self, given: Call) -> str:
+        if given.name == TIMESTAMP:
+            return self.timestamp(given)
         parts = given.arguments
         if given.name in ("IN", "NOT IN") and self.exact:
             first, *others = parts

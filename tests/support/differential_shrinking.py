@@ -51,6 +51,7 @@ def smaller_cases(case: Case) -> Iterator[Case]:
         ("bounds", "(]"),
         ("lateness", None),
         ("operator", "RSTREAM"),
+        ("report", "non-empty"),
     ):
         if getattr(case, name) != simple:
             yield replace(case, **{name: simple})

@@ -372,6 +372,14 @@ def count(terms: list[Term]) -> Literal:
     return literal("integer", str(len([term for term in terms if term != ERROR])))
 
 
+def latest(*graphs: NamedNode) -> Literal:
+    """The latest time in the names of graphs of elements; static triples have none."""
+    times = [int(text) for graph in graphs if (text := graph.value.rpartition(":")[2])]
+    if not times:
+        raise Undefined
+    return literal("integer", str(max(times)))
+
+
 FUNCTIONS: dict[str, Callable[..., Term]] = {
     "ebv": lambda term: boolean(effective_boolean(term)),
     "=": lambda left, right: boolean(equal(left, right)),
@@ -386,6 +394,7 @@ FUNCTIONS: dict[str, Callable[..., Term]] = {
     "CEIL": on_number(math.ceil),
     "FLOOR": on_number(math.floor),
     "ROUND": on_number(half_up),
+    "latest": latest,
 }
 AGGREGATES: dict[str, Callable[[list[Term]], Term]] = {
     "SUM": lambda terms: written(total(terms)),
@@ -423,13 +432,24 @@ def value_of(term: Term) -> Fraction | float | None:
     return None if found is None else found.value
 
 
+def hard_to_round(term: Term) -> bool:
+    """If a half added in double precision gives another integer than the exact sum."""
+    found = value_of(term)
+    return (
+        isinstance(found, float)
+        and math.isfinite(found)
+        and math.floor(found + 0.5) != half_up(Fraction(found))
+    )
+
+
 class Called:
     """The functions and aggregates for one query of Oxigraph.
 
     ``met`` afterwards names what the query has met: ``open`` (it needed a term that the standard
     leaves open, so nothing can be said of the result), ``beyond 64 bits`` (an integer), ``long
     decimal`` (of more than 15 digits), ``unordered`` (terms of one kind that has no order were
-    ordered), ``NaN compared`` (by order), ``truth of`` a kind of term.
+    ordered), ``NaN compared`` (by order), ``hard to round``, ``truth
+    of`` a kind of term.
     """
 
     def __init__(self, others: Mapping[str, Callable[..., Term]]) -> None:
@@ -469,6 +489,8 @@ class Called:
                 self.met.add("beyond 64 bits")
             if found is not None and found.kind == "decimal" and len(term.value.strip("-0.")) > 15:
                 self.met.add("long decimal")
+        if name == "ROUND" and any(map(hard_to_round, terms)):
+            self.met.add("hard to round")
         kinds = [kind_of(term) for term in terms]
         if name == "ebv":
             self.met.add(f"truth of {kinds[0]}")
