@@ -1,11 +1,10 @@
-"""Numbers that float fields do not hold: which of a batch were rounded so that more is lost than a
-last digit (docs/conversion.md).
+"""Numbers of a batch that float fields round beyond a last digit (docs/conversion.md).
 
 A float field holds the double nearest to the number that was sent (IEEE 754, ties to even), as
-every reader of decimals does. Two kinds of numbers are told beyond that: integers from 2^53 on that
-no double is, such as 9007199254740993, and numbers so near to 0 that doubles have fewer digits
-there, or none, such as 1e-400. A number is *rounded* if the shortest decimal of its double is
-another number.
+every reader of decimals does. This module reports two kinds of numbers that lose more: integers
+from 2^53 on that no double is, such as 9007199254740993, and numbers so near to 0 that doubles have
+fewer digits there, or none, such as 1e-400. Such a number is *rounded* if the shortest decimal of
+its double is another number.
 """
 
 from __future__ import annotations
@@ -25,11 +24,11 @@ from ..streams.sample import FieldType, SampleBatch
 from .lines import Part
 
 _EXACT: Final = 2.0**53
-"""Doubles below this are all integers that there are."""
+"""Every integer below is a double."""
 _LEAST: Final = 2.0**-1022
-"""Doubles that are nearer to 0 have fewer digits."""
+"""Doubles nearer to 0 have fewer digits."""
 _SMALL: Final = (b"e-", b"E-", b"0" * 300)
-"""A number that is nearer to 0 has one of these."""
+"""A number nearer to 0 contains one of these."""
 _FEW: Final = 16
 _SOME: Final = 256
 """Lines that are read again between two moments for others."""
@@ -45,7 +44,7 @@ class Rounded:
 
 
 def rounded_lines(data: bytes, batch: SampleBatch, pauses: Pauses) -> Rounded | None:
-    """The numbers of an NDJSON body that ``batch``, which was read from it, has rounded.
+    """The numbers of an NDJSON body that were rounded in ``batch``, its samples.
 
     Cost: a look at each float column; the lines are read again where values are large or tiny.
     """
@@ -68,7 +67,7 @@ def rounded_lines(data: bytes, batch: SampleBatch, pauses: Pauses) -> Rounded | 
 
 
 def rounded_rows(columns: Mapping[str, Any], batch: SampleBatch) -> Rounded | None:
-    """The integers of Arrow's ``columns`` that ``batch`` has rounded; rows are told as lines."""
+    """The integers of Arrow's ``columns`` that were rounded in ``batch``; ``line`` is the row."""
     found = [
         (row + 1, name)
         for name, rows in _suspects(batch, lambda: False).items()

@@ -126,7 +126,7 @@ class Engine:
         self.dictionary = TermDictionary()
         self._now = now
         self.failures = 0
-        """So many failures were told: something may have failed since there were fewer."""
+        """Number of failures on the status stream: while it stays, nothing more has failed."""
         self._counted = TIME_MIN
         self._measured: int | None = None
         status = StatusStream(lambda: self._now)

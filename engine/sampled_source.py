@@ -137,7 +137,7 @@ class SampledSource:
         before = len(self._answers.reports)
         try:
             row = self._ask(time)
-        except BaseException as error:  # recorded, and raised by whoever asked
+        except BaseException as error:  # recorded, and raised in `_read`
             if is_interrupt(error):
                 raise
             return Reading(self.name, time, error=describe(error))

@@ -205,7 +205,7 @@ class Supervisor:
                     row = 0
                 except RecordedBlock:
                     raise
-                except BaseException as error:  # isolated, counted and told by the rule
+                except BaseException as error:  # isolated, counted and reported by the rule
                     if is_interrupt(error):
                         raise
                     row += 1
@@ -366,7 +366,7 @@ def describe(error: BaseException) -> str:
         return str(error)
     try:
         text = str(error)
-    except BaseException as second:  # user code again, and there is something to tell
+    except BaseException as second:  # user code again; the type is reported
         if is_interrupt(second):
             raise
         text = f"(its text cannot be had: {type(second).__name__})"

@@ -82,8 +82,8 @@ class Service:
         return found
 
     def failed(self) -> list[str]:
-        """Which kinds of failures have cut units off, and how many. It names none of them: whoever
-        asks whether the service is ready need not have a token."""
+        """Which kinds of failures have cut units off, and how many. It names none of them:
+        /readyz needs no token."""
         found = Counter(each.failure.partition(":")[0] for each in self.engine.failed())
         return [
             f"{count} computational unit{'s have' if count > 1 else ' has'} failed: {kind}"

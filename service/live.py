@@ -96,7 +96,7 @@ class LiveSamples(ABC):
         if self._keeper.is_behind:
             await self._keeper.kept()
         await self._keeper.caught_up(self._name)
-        # One that was removed meanwhile is told with the next sample.
+        # Of a stream that was removed meanwhile the next sample reports it.
         there = self._engine.has_stream(self._name)
         return not there or not self._keeper.is_overloaded(self._name)
 

@@ -41,7 +41,7 @@ MOST_TOLD = 100
 """Of so many values that do not fit is told where they are: an answer is not to be longer than what
 was asked."""
 AHEAD: Final = "ahead of the clock"
-"""The title of what is said of a sample that is: who publishes may leave it out (``latest``)."""
+"""The title of the problem of such a sample: a publisher may leave it out (``latest``)."""
 _NAMES = "urn:dyknow:problem:"
 _REQUESTS = "urn:dyknow:request:"
 

@@ -206,7 +206,7 @@ def replay(
 
 
 class _Readers:
-    """Those who read the streams that are played: how far they are, and who fails meanwhile."""
+    """The units that read the played streams: how far they are, and which fail meanwhile."""
 
     def __init__(self, client: Client) -> None:
         self._client = client
@@ -427,8 +427,8 @@ class _Player:
             progress.update(tasks[name], advance=len(part.batch), rate=sent[name] / elapsed)
 
     def _publish(self, name: str, batch: SampleBatch) -> int:
-        """Publish a part without the samples that are ahead of the clock, which are told; gives how
-        many were accepted."""
+        """Publish a part without the samples that are ahead of the clock, and report these; return
+        how many were accepted."""
         try:
             return self.client.publish(name, batch)
         except ServiceError as error:

@@ -67,7 +67,7 @@ async def publish_samples(
     """Publish a batch: taken whole, or refused whole with the line and the cause.
 
     Samples without `available` are stamped on arrival; one that is further ahead of the clock than
-    the stream's `ahead` is a 400 (`latest` is the latest time that is taken). `rounded` tells of
+    the stream's `ahead` is a 400 (`latest` is the latest time that is taken). `rounded` counts
     numbers that float fields do not hold, if there are any.
 
     429: queries that read the stream are behind, and samples that bring `available` have to wait.

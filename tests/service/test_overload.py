@@ -1,5 +1,5 @@
-"""Queries that cannot keep up: publishers are held back, and what is cut off all the same is shown
-everywhere that somebody looks."""
+"""Queries that cannot keep up: publishers are held back, and a query that is cut off all the same
+shows as failed everywhere."""
 
 from __future__ import annotations
 
@@ -82,8 +82,8 @@ def publish(http: httpx.Client, body: str) -> None:
 
 @pytest.fixture
 def hard(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each turn of a unit counts as a tenth of a second of work, and who publishes waits for one
-    hundredth: whatever the machine does."""
+    """Each turn of a unit counts as a tenth of a second of work, and publishers wait for one
+    hundredth, on any machine."""
     go_on = WindowUnit.go_on
 
     def slow(unit: WindowUnit, *given: Any, **more: Any) -> Any:
@@ -98,7 +98,7 @@ def hard(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("hard")
 def test_a_live_body_is_not_read_faster_than_it_is_evaluated() -> None:
-    """A window a turn: four batches of ten windows that nobody waits for would be too much."""
+    """A window a turn: the backlog of four batches of ten windows would be too much."""
     with serving(2.5) as url, Client(url, timeout=60) as client, asking(url) as http:
         post(http, COUNT)
 
@@ -124,7 +124,7 @@ def _behind(client: Client) -> bool:
 
 
 @pytest.mark.usefixtures("hard")
-def test_who_may_not_send_more_is_told_when() -> None:
+def test_a_refused_publisher_learns_when_to_send_again() -> None:
     with serving(10**6) as url, asking(url) as http:
         post(http, ENDLESS)
         publish(http, line(1) + line(2))
@@ -138,7 +138,7 @@ def test_who_may_not_send_more_is_told_when() -> None:
         answer = http.post("/streams/s/samples", content=line(3), headers=LINES)
         assert answer.headers["retry-after"] == "1"
         assert answer.json()["title"] == "queries are behind"
-        # Nobody else is held back, nor are samples that cannot wait.
+        # Other streams are not held back.
         http.put("/streams/t", json={"fields": {"v": "float"}})
         body = json.dumps({"valid": 1, "available": 1, "v": 1.0})
         assert http.post("/streams/t/samples", content=body, headers=LINES).status_code == 202
@@ -146,7 +146,7 @@ def test_who_may_not_send_more_is_told_when() -> None:
 
 
 def cut_off(http: httpx.Client) -> None:
-    """Publish what makes more windows due than anybody can close."""
+    """Publish samples that make too many windows due."""
     publish(http, line(1) + line(100) + line(101))
 
 
@@ -194,10 +194,10 @@ def test_a_cut_off_request_is_shown_everywhere(tmp_path: Path, recorded: bool) -
         assert all((end["reason"], end["failure"]) == ("failed", failure) for end in ends)
         for view in http.get("/subscriptions").json():
             assert (view["state"], view["failure"]) == ("failed", failure)
-        # Who comes later hears of it at once.
+        # A later client gets the same end at once.
         follow(followed[0], lambda: None)
         assert ends[-1]["reason"] == "failed"
-        # The service works for others, and names nothing to who has no token.
+        # The service works for others; /readyz needs no token, so it names nothing.
         ready = http.get("/readyz")
         assert (ready.status_code, ready.json()["status"]) == (200, "degraded")
         assert ready.json()["reasons"] == ["1 computational unit has failed: Overwhelmed"]
