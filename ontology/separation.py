@@ -248,9 +248,10 @@ def _ends(
         if triple.predicate == end and not isinstance(kind, Literal | Triple):
             assert not isinstance(triple.subject, Triple)
             direct[triple.subject] |= {kind} | classes.above(kind)
+    stated = frozenset(direct)
     return {
         Triple(property, end, kind)
         for property in {*direct, *properties}
-        for above in (property, *properties.above(property))
-        for kind in direct.get(above, ())
+        for above in stated & (properties.above(property) | {property})
+        for kind in direct[above]
     }

@@ -271,10 +271,7 @@ class _Infos:
         self._types = index.named(_TYPE)
         self._superclasses = superclasses
         self._superfeatures = superfeatures
-        self._depths = {
-            feature: len((superfeatures.above(feature) | {feature}) & features)
-            for feature in features
-        }
+        self._features = features
         self._ranges = index.named(RDFS + "range")
         self._domains = index.named(RDFS + "domain")
         self._units = index.texts(STREAM_SPACE + "hasUnit")
@@ -294,10 +291,14 @@ class _Infos:
         # Equivalent classes contain each other; then none is narrowest and the name decides.
         return min(classes - wider or classes, key=lambda c: (c != THING, c), default=None)
 
+    def _depth(self, feature: str) -> int:
+        """How many features it is a case of."""
+        return len((self._superfeatures.above(feature) | {feature}) & self._features)
+
     def _unit(self, feature: str) -> Unit | None:
         # The feature itself has the most super-features, so it comes first.
-        above = self._superfeatures.above(feature) & self._depths.keys()
-        nearest = sorted(above, key=lambda f: (-self._depths[f], f))
+        above = self._superfeatures.above(feature) & self._features & self._units.keys()
+        nearest = sorted(above, key=lambda f: (-self._depth(f), f))
         for candidate in [feature, *nearest]:
             for text in self._units.get(candidate, []):
                 try:
