@@ -585,10 +585,18 @@ class Engine:
     # -- subscriptions -----------------------------------------------------------------------
 
     def subscribe(
-        self, stream: str, policy: str = "", unit: str = "ms", since: Since = Since.NOW
+        self,
+        stream: str,
+        policy: str = "",
+        unit: str = "ms",
+        since: Since = Since.NOW,
+        *,
+        keyed: bool = True,
     ) -> SubscriptionView:
-        """Subscribe to a stream under a policy; see `Subscriptions.start`."""
-        return self._subscriptions.start(stream, policy, unit, since)
+        """Subscribe to a stream under a policy; see `Subscriptions.start`. The policy holds for
+        each object by itself that the stream's annotation has an id field for, if ``keyed``."""
+        keys = self._id_fields(stream) if keyed else ()
+        return self._subscriptions.start(stream, policy, unit, since, keys)
 
     def subscribe_to_feature(
         self,
@@ -603,6 +611,7 @@ class Engine:
         staleness: int | None = None,
         quality: float = 0.0,
         hold_off: int = 2 * SECOND,
+        keyed: bool = True,
     ) -> SubscriptionView:
         """Subscribe to a feature of objects or a sort, whatever streams hold it ([Introspection15
         §4.4]); see `Wish`. What cannot be met now waits until it can. Raises `UnknownFeature`,
@@ -613,7 +622,7 @@ class Engine:
         if min(hold_off, hold_off if staleness is None else staleness - 1) < 0:
             raise BadArguments("staleness is longer than nothing, hold_off not less than nothing")
         parsed = parse_policy(policy, unit)
-        wish = Wish(want, strategy, parsed, since, staleness, quality, hold_off)
+        wish = Wish(want, strategy, parsed, since, staleness, quality, hold_off, keyed)
         with self._manager.together():
             return self._subscriptions.start_adaptive(wish)
 
@@ -837,6 +846,13 @@ class Engine:
         source = self._configuration.late.source_of(stream)
         annotation = self._manager.annotations.get(stream if source is None else source)
         return () if annotation is None else annotation.contents
+
+    def _id_fields(self, stream: str) -> tuple[str, ...]:
+        """The fields that name the objects of a stream's samples, each once."""
+        name = self._configuration.stream(stream).name
+        roles = (role for content in self._contents(name) for role in content.roles)
+        fields = (role.id_field for role in roles if role.id_field is not None)
+        return tuple(dict.fromkeys(fields))
 
     def _count_subscribers(self) -> None:
         streams = self._configuration.streams.items()

@@ -117,7 +117,7 @@ def _command(wanted: SubscriptionIn) -> Subscribe | SubscribeToFeature:
         if more:
             told = f"{', '.join(more)}: only with a feature"
             raise Problem(400, "wrong arguments", told, hint=FORM)
-        return Subscribe(wanted.stream, wanted.policy, wanted.unit, wanted.since)
+        return Subscribe(wanted.stream, wanted.policy, wanted.unit, wanted.since, keyed=True)
     assert wanted.feature is not None
     return SubscribeToFeature(
         wanted.feature,
@@ -130,4 +130,5 @@ def _command(wanted: SubscriptionIn) -> Subscribe | SubscribeToFeature:
         staleness=wanted.staleness,
         quality=wanted.min_quality,
         hold_off=wanted.hold_off,
+        keyed=True,
     )
