@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from ..continuous.budget import UNLIMITED, Budget
+from ..converters.objects import object_iri
 from ..converters.to_triples import SampleConverter
 from ..converters.wire import Incoming
 from ..languages.csparql import parse_argument, parse_event_request
@@ -24,7 +25,7 @@ from ..matching.uncollected import uncollected
 from ..ontology.ontology import Ontology, PreparedOntology
 from ..ontology.reading import TextFormat
 from ..rdf.dictionary import TermDictionary
-from ..rdf.namespaces import PREFIXES, shorten
+from ..rdf.namespaces import DYKNOW, PREFIXES, shorten
 from ..streams.generator import StreamGenerator
 from ..streams.sample import SampleBatch
 from ..streams.time import SECOND, TIME_MIN
@@ -815,6 +816,17 @@ class Engine:
             len(self._transformations),
             self.ontology.number,
         )
+
+    def object_name(self, text: str) -> str:
+        """What a name that people give an object stands for: an id without a prefix is one in the
+        object namespace of the annotated streams, where these have one in common, else `dyknow:`.
+        """
+        if text == "self" or ":" in text or text.startswith("<"):
+            return text
+        streams = [each.stream for each in self._declared.annotations()]
+        namespaces = {self._configuration.namespaces[name] for name in streams}
+        namespace = namespaces.pop() if len(namespaces) == 1 else DYKNOW
+        return f"<{object_iri(text, namespace)}>"
 
     # -- within ------------------------------------------------------------------------------
 
