@@ -57,7 +57,7 @@ class Wish:
 
     ``staleness`` (ns) is how long a source may be silent; None: as long as it has been used to.
     ``quality`` is the least that is good enough. A better plan is taken when it has been there for
-    ``hold_off`` (ns).
+    ``hold_off`` (ns). The policy holds for each object by itself if it ``is_keyed``.
     """
 
     want: Want
@@ -67,6 +67,7 @@ class Wish:
     staleness: int | None = None
     quality: float = 0.0
     hold_off: int = 2 * SECOND
+    is_keyed: bool = False
 
     @property
     def kind(self) -> Kind:

@@ -311,9 +311,13 @@ class Subscribe(Command, frozen=True, tag="subscribe"):
     policy: str = ""
     unit: str = "ms"
     since: Since = Since.NOW
+    keyed: bool | None = None
+    """Whether the policy holds for each object by itself; None in journals of earlier versions,
+    where it does not."""
 
     def apply(self, engine: Engine) -> SubscriptionView:
-        return engine.subscribe(self.stream, self.policy, self.unit, self.since)
+        keyed = self.keyed is True
+        return engine.subscribe(self.stream, self.policy, self.unit, self.since, keyed=keyed)
 
 
 class SubscribeToFeature(Command, frozen=True, tag="subscribe to feature"):
@@ -329,6 +333,7 @@ class SubscribeToFeature(Command, frozen=True, tag="subscribe to feature"):
     staleness: int | None = None
     quality: float = 0.0
     hold_off: int = 2 * SECOND
+    keyed: bool | None = None
 
     def apply(self, engine: Engine) -> SubscriptionView:
         return engine.subscribe_to_feature(
@@ -342,6 +347,7 @@ class SubscribeToFeature(Command, frozen=True, tag="subscribe to feature"):
             staleness=self.staleness,
             quality=self.quality,
             hold_off=self.hold_off,
+            keyed=self.keyed is True,
         )
 
 

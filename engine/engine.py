@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from ..continuous.budget import UNLIMITED, Budget
+from ..converters.objects import object_iri
 from ..converters.to_triples import SampleConverter
 from ..converters.wire import Incoming
 from ..languages.csparql import parse_argument, parse_event_request
@@ -24,7 +25,7 @@ from ..matching.uncollected import uncollected
 from ..ontology.ontology import Ontology, PreparedOntology
 from ..ontology.reading import TextFormat
 from ..rdf.dictionary import TermDictionary
-from ..rdf.namespaces import PREFIXES, shorten
+from ..rdf.namespaces import DYKNOW, PREFIXES, shorten
 from ..streams.generator import StreamGenerator
 from ..streams.sample import SampleBatch
 from ..streams.time import SECOND, TIME_MIN
@@ -585,10 +586,18 @@ class Engine:
     # -- subscriptions -----------------------------------------------------------------------
 
     def subscribe(
-        self, stream: str, policy: str = "", unit: str = "ms", since: Since = Since.NOW
+        self,
+        stream: str,
+        policy: str = "",
+        unit: str = "ms",
+        since: Since = Since.NOW,
+        *,
+        keyed: bool = True,
     ) -> SubscriptionView:
-        """Subscribe to a stream under a policy; see `Subscriptions.start`."""
-        return self._subscriptions.start(stream, policy, unit, since)
+        """Subscribe to a stream under a policy; see `Subscriptions.start`. The policy holds for
+        each object by itself that the stream's annotation has an id field for, if ``keyed``."""
+        keys = self._id_fields(stream) if keyed else ()
+        return self._subscriptions.start(stream, policy, unit, since, keys)
 
     def subscribe_to_feature(
         self,
@@ -603,6 +612,7 @@ class Engine:
         staleness: int | None = None,
         quality: float = 0.0,
         hold_off: int = 2 * SECOND,
+        keyed: bool = True,
     ) -> SubscriptionView:
         """Subscribe to a feature of objects or a sort, whatever streams hold it ([Introspection15
         §4.4]); see `Wish`. What cannot be met now waits until it can. Raises `UnknownFeature`,
@@ -613,7 +623,7 @@ class Engine:
         if min(hold_off, hold_off if staleness is None else staleness - 1) < 0:
             raise BadArguments("staleness is longer than nothing, hold_off not less than nothing")
         parsed = parse_policy(policy, unit)
-        wish = Wish(want, strategy, parsed, since, staleness, quality, hold_off)
+        wish = Wish(want, strategy, parsed, since, staleness, quality, hold_off, keyed)
         with self._manager.together():
             return self._subscriptions.start_adaptive(wish)
 
@@ -807,6 +817,17 @@ class Engine:
             self.ontology.number,
         )
 
+    def object_name(self, text: str) -> str:
+        """What a name that people give an object stands for: an id without a prefix is one in the
+        object namespace of the annotated streams, where these have one in common, else `dyknow:`.
+        """
+        if text == "self" or ":" in text or text.startswith("<"):
+            return text
+        streams = [each.stream for each in self._declared.annotations()]
+        namespaces = {self._configuration.namespaces[name] for name in streams}
+        namespace = namespaces.pop() if len(namespaces) == 1 else DYKNOW
+        return f"<{object_iri(text, namespace)}>"
+
     # -- within ------------------------------------------------------------------------------
 
     def _refuse_if_source(self, name: str, declaration: StreamDeclaration | None = None) -> None:
@@ -837,6 +858,13 @@ class Engine:
         source = self._configuration.late.source_of(stream)
         annotation = self._manager.annotations.get(stream if source is None else source)
         return () if annotation is None else annotation.contents
+
+    def _id_fields(self, stream: str) -> tuple[str, ...]:
+        """The fields that name the objects of a stream's samples, each once."""
+        name = self._configuration.stream(stream).name
+        roles = (role for content in self._contents(name) for role in content.roles)
+        fields = (role.id_field for role in roles if role.id_field is not None)
+        return tuple(dict.fromkeys(fields))
 
     def _count_subscribers(self) -> None:
         streams = self._configuration.streams.items()

@@ -26,6 +26,7 @@ from . import explain as explanations
 from .changes import Change, ChangeKind
 from .configuration import RESERVED, Configuration
 from .declared import DeclaredStreams
+from .emptiness import why_empty
 from .errors import (
     AlreadyExists,
     Conflict,
@@ -238,6 +239,7 @@ class RegisteredQueries:
             late=unit.late,
             errors=evaluating.counters.errors,
             last_error=evaluating.counters.last_error,
+            empty=why_empty(self._configuration, unit, self._ontology.vocabulary),
             plan=explanations.plan_view(self._configuration, unit),
         )
 

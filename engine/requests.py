@@ -29,6 +29,7 @@ from ..templates.needs import Needs, NeedsError
 from . import explain as explanations
 from .changes import Change, ChangeKind
 from .configuration import Configuration
+from .emptiness import why_empty
 from .errors import BadArguments, NoPlan, UnknownRequest
 from .finding import check_graphs, find_streams, mean_the_same
 from .plans import Plans
@@ -196,6 +197,7 @@ class EventRequests:
             plan=explanations.plan_view(self._configuration, running.unit),
             created=request.number,
             failure=self._configuration.failure_of(running.unit),
+            empty=why_empty(self._configuration, running.unit, self._ontology.vocabulary),
         )
 
     def rdf_of(self, stream: str) -> StreamAnnotation | None:

@@ -12,9 +12,11 @@ from dataclasses import asdict
 from typing import Any
 
 from ..languages.kpl import object_field
+from ..streams.adaptation import Adaptation
 from ..streams.adapting import adapt
 from ..streams.generator import StreamGenerator
 from ..streams.joining import Join
+from ..streams.keyed_adapting import KeyedAdapting
 from ..streams.policy import Policy, PolicyCounters
 from ..streams.sample import FieldType, SampleBatch, SampleError, empty_batch
 from ..streams.synchronization import StateCounters, Synchronization
@@ -61,12 +63,25 @@ def counts_of(unit: PolicyUnit) -> dict[str, object]:
 
 
 class AdaptationUnit(PolicyUnit):
-    """A subscription with a policy: its output is in eval_fsterm(label with policy) (Def. 5.35)."""
+    """A subscription with a policy: its output is in eval_fsterm(label with policy) (Def. 5.35).
 
-    def __init__(self, *args: Any, policy: Policy, violations: Violations | None = None) -> None:
+    With ``keys``, fields that name objects, it is so for the samples of each object by themselves.
+    """
+
+    def __init__(
+        self,
+        *args: Any,
+        policy: Policy,
+        keys: Sequence[str] = (),
+        violations: Violations | None = None,
+    ) -> None:
         super().__init__(*args, violations=violations)
         self.policy = policy
-        self._adaptation = adapt(policy, None if violations is None else violations.dropped)
+        self.keys = tuple(keys)
+        on_drop = None if violations is None else violations.dropped
+        self._adaptation: Adaptation | KeyedAdapting = (
+            KeyedAdapting(policy, keys, on_drop) if keys else adapt(policy, on_drop)
+        )
 
     @property
     def policy_counters(self) -> PolicyCounters:
@@ -86,7 +101,9 @@ class AdaptationUnit(PolicyUnit):
 
     def _offer(self, batches: Sequence[SampleBatch]) -> None:
         for batch in batches:
-            self.output.offer(batch)
+            # Samples of several objects may have to be sent at one time.
+            stamps = self.output.stamps_at(batch.available) if self.keys else batch.available
+            self.output.offer(batch.with_available(stamps))
 
 
 class TupleUnit(PolicyUnit):

@@ -12,6 +12,7 @@ from ..streams.sample import Schema
 from .adaptive import AdaptiveSubscription, Rematch, Wish
 from .configuration import POLICY, Configuration
 from .errors import UnknownRequest
+from .merge_unit import object_fields
 from .rematching import Rematching
 from .stream_units import AdaptationUnit, counts_of
 from .views import AdaptiveView, Since, SubscriptionView
@@ -44,16 +45,22 @@ class Subscriptions:
         self._rematching = rematching
 
     def start(
-        self, stream: str, policy: str, unit: str = "ms", since: Since = Since.NOW
+        self,
+        stream: str,
+        policy: str,
+        unit: str = "ms",
+        since: Since = Since.NOW,
+        keys: Sequence[str] = (),
     ) -> SubscriptionView:
-        """Subscribe; ``policy`` is text as after ``with`` in KPL, integers in ``unit``.
+        """Subscribe; ``policy`` is text as after ``with`` in KPL, integers in ``unit``. It holds
+        for each object that the fields ``keys`` name by itself.
 
         With ``Since.START`` it begins with the kept history, as if it had always been there. Raises
         `UnknownStream` and `LanguageError`.
         """
         source = self._configuration.stream(stream)
         parsed = parse_policy(policy, unit)
-        adapted = None if parsed.is_default else self._adapted(source, parsed, since)
+        adapted = None if parsed.is_default else self._adapted(source, parsed, since, keys)
         id = self._next_id()
         self._subscriptions[id] = _Subscription(id, source, parsed, since, adapted)
         return self.view(id)
@@ -69,7 +76,10 @@ class Subscriptions:
     def adapted(self, source: StreamGenerator, wish: Wish) -> AdaptationUnit | None:
         """What keeps the policy of a wish, if it has one."""
         policy = wish.policy
-        return None if policy.is_default else self._adapted(source, policy, Since.START)
+        if policy.is_default:
+            return None
+        keys = object_fields(1 + len(wish.want.others)) if wish.is_keyed else ()
+        return self._adapted(source, policy, Since.START, keys)
 
     def rematches(self, id: str) -> Sequence[Rematch]:
         """The switches of an adaptive subscription, oldest first; none of another."""
@@ -152,21 +162,26 @@ class Subscriptions:
             )
         return found
 
-    def _adapted(self, source: StreamGenerator, policy: Policy, since: Since) -> AdaptationUnit:
+    def _adapted(
+        self, source: StreamGenerator, policy: Policy, since: Since, keys: Sequence[str]
+    ) -> AdaptationUnit:
         """The unit that keeps a policy, shared, with one user more."""
-        made = self.obtain(source, policy, since)
+        made = self.obtain(source, policy, since, keys)
         made.users += 1
         return made
 
-    def obtain(self, source: StreamGenerator, policy: Policy, since: Since) -> AdaptationUnit:
+    def obtain(
+        self, source: StreamGenerator, policy: Policy, since: Since, keys: Sequence[str] = ()
+    ) -> AdaptationUnit:
         """The unit that keeps a policy, found or built; its user is still to be counted."""
-        made = self._configuration.share(
-            (source, policy, since), lambda: self._build(source, policy, since)
-        )
+        key = (source, policy, *((tuple(keys),) if keys else ()), since)
+        made = self._configuration.share(key, lambda: self._build(source, policy, since, keys))
         assert isinstance(made, AdaptationUnit)
         return made
 
-    def _build(self, source: StreamGenerator, policy: Policy, since: Since) -> AdaptationUnit:
+    def _build(
+        self, source: StreamGenerator, policy: Policy, since: Since, keys: Sequence[str]
+    ) -> AdaptationUnit:
         name = self._configuration.reserved_name()
         output = self._configuration.add_stream(
             name,
@@ -180,6 +195,7 @@ class Subscriptions:
         unit = AdaptationUnit(
             *self._configuration.identity(POLICY, [source], output, {"term": text}),
             policy=policy,
+            keys=keys,
             violations=self._configuration.violations(name, source.stream.retention),
         )
         self._configuration.start(unit, since, text)

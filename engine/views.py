@@ -149,7 +149,7 @@ class EventView:
     names streams that have no sample yet and are not idle: a query of several streams decides
     nothing before. The next window waits for ``held_back_by``, the streams that are least far;
     ``late`` counts samples that came too late for theirs. ``failure`` says why nothing more comes,
-    if so.
+    if so; ``empty`` why there is no sample yet, None once there is one.
     """
 
     id: str
@@ -165,6 +165,7 @@ class EventView:
     plan: PlanView
     created: int
     failure: str | None = None
+    empty: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,7 +179,8 @@ class QueryView:
     ``windows`` how many results are kept, ``last_window`` the end (ns) of the last that closed,
     ``late`` the samples that came too late for theirs. Windows that end before ``watermark`` (ns)
     have closed; the others wait for ``held_back_by``, the streams that are least far.
-    ``errors`` counts windows that needed more than they may and have no result.
+    ``errors`` counts windows that needed more than they may and have no result; ``empty`` says why
+    the stream has no sample yet.
     """
 
     name: str
@@ -209,6 +211,7 @@ class QueryView:
     errors: int = 0
     last_error: str | None = None
     plan: PlanView | None = None
+    empty: str | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,6 +17,7 @@ from ..continuous.evaluator import ContinuousEvaluator
 from ..continuous.flows import Flow
 from ..continuous.shared_windows import SharedWindows
 from ..converters.to_triples import SampleConverter
+from ..languages.ssl.annotation import Content
 from ..streams.generator import StreamGenerator
 from ..streams.sample import SampleBatch
 from ..streams.time import format_time
@@ -47,6 +48,10 @@ class WindowUnit(ComputationalUnit):
         super().__init__(*args)
         self.evaluator = evaluator
         self._converters = converters
+        self.samples = 0
+        """How many samples it has read."""
+        self.triples = 0
+        """How many triples these stood for."""
         self._put_by: deque[tuple[str, tuple[Any, ...]]] = deque()
         """What inputs have said since the unit is behind."""
         self._task: Task | None = None
@@ -70,6 +75,12 @@ class WindowUnit(ComputationalUnit):
     def reads(self) -> Sequence[StreamGenerator]:
         """The streams whose samples are in the windows."""
         return self.inputs
+
+    @property
+    def contents(self) -> tuple[Content, ...]:
+        """What the inputs contain, as their samples are converted."""
+        several = (each for converters in self._converters.values() for each in converters)
+        return tuple(content for each in several for content in each.annotation.contents)
 
     def flows(self) -> dict[str, Flow]:
         """What may be expected of the inputs, by name."""
@@ -118,8 +129,11 @@ class WindowUnit(ComputationalUnit):
             batch = self.in_time(source, batch, limit)
         if not len(batch):
             return
+        self.samples += len(batch)
         for converter in self._converters[source.name]:
-            self.evaluator.push(source.name, converter.convert(batch))
+            converted = converter.convert(batch)
+            self.triples += len(converted)
+            self.evaluator.push(source.name, converted)
 
     def progress(self, source: StreamGenerator, watermark: int) -> None:
         self.emit(self.evaluator.advance(source.name, watermark))

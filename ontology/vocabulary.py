@@ -139,6 +139,10 @@ class Vocabulary:
         """All features that are cases of the feature, with itself."""
         return self._subfeatures.get(iri) or frozenset({iri})
 
+    def has_members(self, sort: str) -> bool:
+        """Whether the ontology knows an object of the sort. Cost: O(objects)."""
+        return any(sort in sorts for sorts in self._objects.values())
+
     def sorts_of(self, object_iri: str) -> frozenset[str]:
         """Every sort of a known object; empty for an object that the ontology does not name."""
         return self._objects.get(object_iri, _NO_NAMES)

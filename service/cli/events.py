@@ -89,6 +89,10 @@ def events(
                 # It ends at once when what it reads has ended; nothing new will come.
                 hint = "the recording has ended; --since start begins with its past"
                 err().print(f"hint: {hint}", markup=False)
+            elif not seen and not as_json:
+                why = client.request(view["id"])["empty"]
+                if why is not None:
+                    err().print(f"nothing came: {why}", markup=False)
         except KeyboardInterrupt:
             err().print("stopped", markup=False)
         finally:

@@ -24,7 +24,8 @@ from rich.progress import (
 from ...converters.recording import Recording, open_recording
 from ...converters.recordings import Recordings, has_many_streams, open_recordings
 from ...converters.time_order import TimeOrder, in_time_order
-from ...languages.ssl import parse_ssl
+from ...languages.ssl import Declaration, parse_ssl
+from ...languages.ssl.ast import StreamDeclaration
 from ...streams.sample import FieldType, SampleBatch
 from ...streams.time import FOREVER, HOUR, SECOND, TIME_MAX, format_time, parse_duration, read_time
 from ..client import Client, ServiceError
@@ -135,9 +136,9 @@ def replay(
     with connect(url) as client:
         # All that can be wrong with tables and text is found before anything is made.
         meaning = None if ssl is None else text_or_file(ssl)
-        if meaning is not None:
-            parse_ssl(meaning)
+        declared = () if meaning is None else parse_ssl(meaning)
         opened = _open(client, file, stream or [], time_column, time_unit, utc)
+        _warn_of_others(declared, opened.tracks)
         tracks = {name: track.in_time_order(sort) for name, track in opened.tracks.items()}
         for name, track in tracks.items():
             show_order(name, track.order)
@@ -458,6 +459,18 @@ def _tell(opened: _Opened) -> None:
         show_text("dropouts: none")
     for note in opened.notes:
         show_text(f"note: {note}")
+
+
+def _warn_of_others(declared: Sequence[Declaration], tracks: Mapping[str, _Track]) -> None:
+    """Say which streams an SSL text annotates that are not played: their names may be wrong."""
+    for one in declared:
+        if isinstance(one, StreamDeclaration) and one.name not in tracks:
+            played = ", ".join(tracks)
+            err().print(
+                f"warning: the SSL text annotates stream {one.name!r}, which is not played; "
+                f"played: {played}",
+                markup=False,
+            )
 
 
 def _summary(

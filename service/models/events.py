@@ -107,6 +107,7 @@ class EventModel(BaseModel):
     late: int = Field(description="samples that came too late for their windows")
     events: str | None
     plan: PlanModel | None
+    empty: str | None = Field(None, description="why the stream has no sample yet")
 
     @classmethod
     def waiting(cls, waiting: Waiting) -> EventModel:
@@ -128,6 +129,7 @@ class EventModel(BaseModel):
             late=0,
             events=None,
             plan=None,
+            empty=None,
         )
 
     @classmethod
@@ -147,4 +149,5 @@ class EventModel(BaseModel):
             late=view.late,
             events=f"/streams/{view.stream}/events",
             plan=PlanModel.of(view.plan),
+            empty=view.empty,
         )

@@ -64,6 +64,7 @@ class QueryModel(BaseModel):
     )
     options: OptionsModel
     plan: PlanModel | None
+    empty: str | None = Field(None, description="why the stream has no sample yet")
     source: str
     explanation: str | None = Field(None, description="each stage, where it was asked for")
 
@@ -109,6 +110,7 @@ class QueryModel(BaseModel):
                 since=views.Since(view.since),
             ),
             plan=None if view.plan is None else PlanModel.of(view.plan),
+            empty=view.empty,
             source=view.source,
             explanation=explanation,
         )

@@ -8,6 +8,7 @@ from typing import Any
 from fastapi import APIRouter, Depends, Query, Request, Response
 
 from ...engine.commands import Subscribe, SubscribeToFeature, Unsubscribe
+from ...engine.engine import Engine
 from ...engine.standing import SUBSCRIPTION
 from ..context import Context
 from ..listing import listed
@@ -46,7 +47,7 @@ async def subscribe(
     nothing gives the feature. 400 with line and column for a policy that is none; 404 for an
     unknown stream, feature or sort.
     """
-    view = await service.do(_command(wanted))
+    view = await service.do(_command(wanted, service.engine))
     response.headers["Location"] = f"/subscriptions/{view.id}"
     return SubscriptionModel.of(view)
 
@@ -106,7 +107,7 @@ async def follow_subscription(
     return await follow(service, request, view.stream, since, switches)
 
 
-def _command(wanted: SubscriptionIn) -> Subscribe | SubscribeToFeature:
+def _command(wanted: SubscriptionIn, engine: Engine) -> Subscribe | SubscribeToFeature:
     """Raises a 400 `Problem` for what is neither or both, and for parts of the other one."""
     if (wanted.stream is None) == (wanted.feature is None):
         which = "neither" if wanted.stream is None else "both"
@@ -117,12 +118,12 @@ def _command(wanted: SubscriptionIn) -> Subscribe | SubscribeToFeature:
         if more:
             told = f"{', '.join(more)}: only with a feature"
             raise Problem(400, "wrong arguments", told, hint=FORM)
-        return Subscribe(wanted.stream, wanted.policy, wanted.unit, wanted.since)
+        return Subscribe(wanted.stream, wanted.policy, wanted.unit, wanted.since, keyed=True)
     assert wanted.feature is not None
     return SubscribeToFeature(
         wanted.feature,
         sort=wanted.sort,
-        objects=tuple(wanted.objects),
+        objects=tuple(map(engine.object_name, wanted.objects)),
         strategy=wanted.strategy,
         policy=wanted.policy,
         unit=wanted.unit,
@@ -130,4 +131,5 @@ def _command(wanted: SubscriptionIn) -> Subscribe | SubscribeToFeature:
         staleness=wanted.staleness,
         quality=wanted.min_quality,
         hold_off=wanted.hold_off,
+        keyed=True,
     )

@@ -81,6 +81,8 @@ EXAMPLES = [
     c.RequestEvent(None, "dyknow:HighSpeedEvent", ("?o", "100"), "fast", Since.START),
     c.CancelEvent("event1"),
     c.Subscribe("s5", "sample every 200", "s", Since.START),
+    c.Subscribe("s5", "any change", keyed=True),
+    c.SubscribeToFeature("dyknow:speed", keyed=True),
     c.SubscribeToFeature(
         "dyknow:speed",
         "dyknow:UAV",

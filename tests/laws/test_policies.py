@@ -6,15 +6,14 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from policies_drawn import policies
 from policy_definition import addable, extend, origins, satisfies
 
 from dyknow.streams.adaptation import REASONS, Adaptation, Dropped
 from dyknow.streams.adapting import adapt
 from dyknow.streams.policy import (
     AnyChange,
-    AnyUpdate,
     Approximation,
-    ChangeBy,
     Duration,
     Order,
     Policy,
@@ -40,33 +39,6 @@ def streams(draw: st.DrawFn, base: int = 0) -> list[tuple[int, int, object]]:
         tv = draw(st.one_of(valid, st.just(time), st.integers(time - 6, time)))
         samples.append((base + time, base + tv, draw(st.sampled_from(VALUES))))
     return samples
-
-
-@st.composite
-def policies(draw: st.DrawFn, base: int = 0) -> Policy:
-    change = draw(
-        st.sampled_from(
-            [
-                *(AnyUpdate(), AnyChange(), ChangeBy(1), ChangeBy(1.5), ChangeBy(3)),
-                *(SampleEvery(1), SampleEvery(5), SampleEvery(10)),
-            ]
-        )
-    )
-    delay = draw(st.sampled_from([None, 0, 1, 3, 8, 50]))
-    start = draw(st.sampled_from([None, 0, 5, 10]))
-    end = draw(st.sampled_from([None, 15, 30]))
-    order = draw(st.sampled_from(list(Order)))
-    duration = Duration(
-        None if start is None else base + start,
-        None if end is None else base + end,
-        to_oo=end is None and draw(st.booleans()),
-    )
-    recent = Approximation.MOST_RECENT
-    if isinstance(change, SampleEvery) and duration.is_complete and delay is not None:
-        approximation = draw(st.sampled_from([Approximation.NONE, recent, recent]))
-    else:
-        approximation = Approximation.NONE
-    return Policy(change, delay, duration, order, approximation)
 
 
 def batch_of(samples: list[tuple[int, int, object]], pool: StringPool) -> SampleBatch:

@@ -89,6 +89,30 @@ def test_annotate_ask_then_play(dyknow: Any, template: str, client: Client, tmp_
     assert "lacks its field 'spd'" in refused.stderr
 
 
+def test_silence_has_a_reason(dyknow: Any, table: Path, template: str) -> None:
+    other = SSL.replace("stream s5", "stream s6")
+    played = dyknow(
+        "replay", str(table), "--stream", "s5", "--speed", "max", "--ssl", f"{SSL}\n{other}"
+    )
+    assert "'s6', which is not played; played: s5" in played.stderr
+    dyknow("template", "add", template)
+    none = dyknow("events", REQUEST.replace("100", "1000"), "--since", "start")
+    assert "nothing came: 40 samples read, 40 triples: none of" in none.stderr
+
+
+def test_an_object_by_its_id(dyknow: Any, client: Client) -> None:
+    """An id without a prefix is one of the streams' object namespace, as in samples."""
+    fleet = "http://example.org/fleet/"
+    client.put_stream("s5", {"id": "string", "spd": "float"}, namespace=fleet)
+    dyknow("annotate", SSL)
+    found = client.subscribe_to("speed", objects=["39b415"])
+    client.publish("s5", [{"valid": 1, "available": 1, "id": "39b415", "spd": 5}])
+    client.publish("s5", [{"valid": 2, "available": 2, "id": "uav2", "spd": 6}])
+    samples = client.history(found["stream"])
+    assert [(s["object"], s["speed"]) for s in samples] == [(fleet + "39b415", 5.0)]
+    assert "39b415" in dyknow("match", "speed", "--object", "39b415").stdout
+
+
 def test_replay_for_people_declares_annotates_and_ends(
     dyknow: Any, table: Path, client: Client
 ) -> None:
