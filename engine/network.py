@@ -123,6 +123,7 @@ class Network:
                     *self._identity("join", terms, declaration, None, after),
                     kernel=Join(len(terms)),
                     identifiers=process.identifiers,
+                    inner_times=process.inner_times,
                 )
             case Synchronize(terms):
                 unit = self._synchronization(declaration, process, after)

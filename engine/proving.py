@@ -264,7 +264,11 @@ def _tuple_proof(rehearsal: Rehearsal, unit: TupleUnit) -> Proof:
     failure = rehearsal.broken.get(unit.output.name)
     refutation: Counterexample | None = None
     if isinstance(kernel, Join):
-        inputs = list(map(TupleInput, pasts, unit.field_names))
+        timed = unit.inner_times
+        inputs = [
+            TupleInput(past, names, inner_times=timed)
+            for past, names in zip(pasts, unit.field_names, strict=True)
+        ]
         counters = PolicyCounters(sent=len(made))
         if failure is None:
             refutation = prove_join(made, inputs)

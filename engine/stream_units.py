@@ -110,9 +110,10 @@ class TupleUnit(PolicyUnit):
     """``join(w1 … wn)`` or ``sync(w1 … wn; policy)``: one sample a tuple, whose fields are those of
     the inputs under the names of `flat_names`; where an input has none they are no_value.
 
-    ``identifiers`` name the inputs. The same stream may be given twice. While an input is open,
-    tuples wait for it to have fields, or to end without any; as many as the output keeps in its
-    history, more are an error.
+    ``identifiers`` name the inputs. With ``inner_times`` the available and the valid time (ns) of
+    each input's sample are fields as well, ``NAME_available`` and ``NAME_valid``. The same stream
+    may be given twice. While an input is open, tuples wait for it to have fields, or to end without
+    any; as many as the output keeps in its history, more are an error.
     """
 
     def __init__(
@@ -120,10 +121,12 @@ class TupleUnit(PolicyUnit):
         *args: Any,
         kernel: Join | Synchronization,
         identifiers: Sequence[str],
+        inner_times: bool = False,
         violations: Violations | None = None,
     ) -> None:
         super().__init__(*args, violations=violations)
         self._kernel = kernel
+        self.inner_times = inner_times
         self._identifiers = tuple(identifiers)
         self._names: list[list[str]] | None = None
         self._held: list[TupleBatch] = []
@@ -148,7 +151,8 @@ class TupleUnit(PolicyUnit):
 
     def process(self, source: StreamGenerator, batch: SampleBatch) -> None:
         for place in self._places(source):
-            if self._names is not None and len(self._names[place]) != len(batch.columns):
+            own = None if self._names is None else len(self._names[place]) - 2 * self.inner_times
+            if own is not None and own != len(batch.columns):
                 raise SampleError(
                     f"stream {source.name!r} has got its fields after it had ended without any, "
                     f"and {self.output.name} had gone on without them: declare them in its sort"
@@ -194,7 +198,7 @@ class TupleUnit(PolicyUnit):
                 for batch, source in zip(made.inputs, self.inputs, strict=True)
             )
             whole = TupleBatch(made.available, made.valid, inputs, made.rows)
-            self.output.offer(whole.flatten(names))
+            self.output.offer(whole.flatten(names, self.inner_times))
 
     @property
     def open_inputs(self) -> list[str]:
@@ -220,14 +224,14 @@ class TupleUnit(PolicyUnit):
         if open and not (self._held and self._ended.issuperset(open)):
             return None
         schemas = [source.schema for source in self.inputs]
-        names = self._names = flat_names(self._identifiers, schemas)
+        names = self._names = flat_names(self._identifiers, schemas, self.inner_times)
         pools = {
             name: source.stream.pools[field.name]
             for own, source in zip(names, self.inputs, strict=True)
-            for name, field in zip(own, source.schema.fields, strict=True)
+            for name, field in zip(own, source.schema.fields, strict=False)
             if field.type is FieldType.STRING
         }
-        self.output.adopt(flat_schema(names, schemas), pools)
+        self.output.adopt(flat_schema(names, schemas, self.inner_times), pools)
         return names
 
 

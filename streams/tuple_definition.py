@@ -25,7 +25,8 @@ Values = tuple[Any, ...]
 
 @dataclass(frozen=True, slots=True)
 class TupleInput:
-    """An input of a tuple: its samples, the names that its fields have in the tuple; for a
+    """An input of a tuple: its samples, the names that its fields have in the tuple, the last two
+    of which are those of its times if ``inner_times`` of a join are fields; for a
     synchronization whether its valid times do not decrease, and the moment at which it ended (None:
     it ended with the last input, or has not)."""
 
@@ -33,13 +34,14 @@ class TupleInput:
     names: Sequence[str]
     is_monotone: bool = False
     ended: int | None = None
+    inner_times: bool = False
 
 
 def prove_join(made: SampleBatch, inputs: Sequence[TupleInput]) -> Counterexample | None:
     """Def. 5.11: at each available time of an input the latest sample of each. Cost: O(n log n)."""
     available_of = [one.samples.available.tolist() for one in inputs]
     times = sorted({time for own in available_of for time in own})
-    latest = [_values(one.samples, list(one.samples.columns)) for one in inputs]
+    latest = [_latest(one) for one in inputs]
     rows = zip(made.available.tolist(), made.valid.tolist(), *_parts(made, inputs), strict=True)
     for row, (available, valid, *parts) in enumerate(rows):
         if row >= len(times) or available != times[row] or valid != available:
@@ -196,8 +198,9 @@ class _States:
         """A state that should have left and has not, in words."""
         for time in self._wanted():
             if self.due(time) is not None and time not in self._gone:
-                last = self._left[-1][0] if self._left else -1
-                if last < TIME_MAX:
+                leaves, last = self._left[-1] if self._left else (TIME_MIN, TIME_MIN)
+                # After the end of 64-bit time no state leaves.
+                if leaves < TIME_MAX or (self._in_order and time < last):
                     return f"there is no state for {time}"
         return None
 
@@ -221,6 +224,15 @@ class _States:
                 if self._in_order and before and self._left[before - 1][1] >= valid:
                     continue
                 yield valid
+
+
+def _latest(one: TupleInput) -> list[Values]:
+    """What a tuple has of each sample of an input of a join."""
+    values = _values(one.samples, list(one.samples.columns)) or [()] * len(one.samples)
+    if not one.inner_times:
+        return values
+    times = zip(one.samples.available.tolist(), one.samples.valid.tolist(), strict=True)
+    return [(*own, *inner) for own, inner in zip(values, times, strict=True)]
 
 
 def _parts(made: SampleBatch, inputs: Sequence[TupleInput]) -> list[list[Values]]:

@@ -138,7 +138,8 @@ class Mediation:
 @dataclass(frozen=True, slots=True)
 class Strmgen:
     """Def. 5.18. Without ``terms`` and ``mediation`` nothing in parentheses was written, so a
-    source is meant. ``synchronization`` are the constraints after ``;`` (ours)."""
+    source is meant. ``synchronization`` are the constraints after ``;``, ``inner_times`` is
+    ``; inner times`` (both ours)."""
 
     label: LabelTerm
     process: Name
@@ -146,6 +147,7 @@ class Strmgen:
     synchronization: tuple[Constraint, ...]
     mediation: Mediation | None
     span: Span = attribute(compare=False)
+    inner_times: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -142,11 +142,13 @@ class JoinOf:
     """``strmgen l = join(w1, …, wn)``: the tuples of Def. 5.11 as they are. Ours.
 
     ``names`` is what the inputs are called in names of fields, where that is not the `identifier`
-    of their labels: a `ForeachDeclaration` gives all its objects the same fields.
+    of their labels: a `ForeachDeclaration` gives all its objects the same fields. With
+    ``inner_times`` (``; inner times``) the times of the inputs' samples are fields as well.
     """
 
     terms: tuple[Term, ...]
     names: tuple[str, ...] = ()
+    inner_times: bool = False
 
     @property
     def identifiers(self) -> tuple[str, ...]:
@@ -370,7 +372,7 @@ def _bound(process: Process, variable: str, object: str) -> Process:
         case Compute(unit, terms):
             return Compute(unit, each(terms))
         case JoinOf(terms):
-            return JoinOf(each(terms), process.identifiers)
+            return JoinOf(each(terms), process.identifiers, process.inner_times)
         case Synchronize(terms, policy):
             return Synchronize(each(terms), policy, process.identifiers)
         case SelectObject(term):

@@ -94,14 +94,16 @@ class Generators:
         if isinstance(found, CompunitDeclaration):
             self._check_inputs(found, written, sorts)
             return GeneratorDeclaration(label, found.sort, Compute(name, terms))
-        made: Process = JoinOf(terms)
+        made: Process = JoinOf(terms, inner_times=written.inner_times)
         if name == "sync":
             policy = to_synchronization(
                 written.synchronization, self.scope.source, self.scope.unit, span
             )
             made = Synchronize(terms, policy)
         identifiers = [term.label.identifier for term in terms]
-        return GeneratorDeclaration(label, tuple_sort(label.feature, identifiers, sorts), made)
+        return GeneratorDeclaration(
+            label, tuple_sort(label.feature, identifiers, sorts, times=written.inner_times), made
+        )
 
     def _check_form(self, written: ast.Strmgen) -> None:
         """Each process has its own form of inputs."""
@@ -111,6 +113,12 @@ class Generators:
                 f"`{name}` takes no constraints of its own",
                 written.synchronization[0].span,
                 "constraints after `;` belong to `sync`; those of an input stand after `with`",
+            )
+        if written.inner_times and name != "join":
+            raise self.scope.error(
+                f"`{name}` has no inner times",
+                written.process.span,
+                "`; inner times` is for `join` alone: of a state, the valid time is its own",
             )
         mediates = name in ("aggregate", "select")
         if written.mediation is not None and not mediates:

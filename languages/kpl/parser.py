@@ -220,8 +220,10 @@ class _Reader:
         if last is not None and last.data == "mediated":
             mediation = self.mediation(items, last)
             return ast.Strmgen(self.label(label), name, (), (), mediation, span)
+        is_timed = last is not None and last.data == "timed"
         synchronization = self.constraints(trees(last)) if last is not None else ()
-        return ast.Strmgen(self.label(label), name, self.terms(items), synchronization, None, span)
+        terms = self.terms(items)
+        return ast.Strmgen(self.label(label), name, terms, synchronization, None, span, is_timed)
 
     def mediation(self, items: list[Tree[Token]], tree: Tree[Token]) -> ast.Mediation:
         pattern = self.one_term(items, "what is mediated")
@@ -271,7 +273,7 @@ class _Reader:
     def split(self, tree: Tree[Token]) -> tuple[list[Tree[Token]], Tree[Token] | None]:
         """The terms and constraints among arguments, and what stands behind them."""
         nodes = trees(tree)
-        behind = nodes.pop() if nodes[-1].data in ("synchronized", "mediated") else None
+        behind = nodes.pop() if nodes[-1].data in ("synchronized", "mediated", "timed") else None
         return nodes, behind
 
     def term(self, label: Tree[Token], policy: Iterable[Tree[Token]]) -> ast.StreamTerm:

@@ -120,7 +120,7 @@ def _process(generator: GeneratorDeclaration, unit: str) -> str:
         case Compute(name):
             return f"{name}({terms})"
         case JoinOf():
-            return f"join({terms})"
+            return f"join({terms}{'; inner times' if generator.process.inner_times else ''})"
         case Synchronize(_, policy):
             return f"sync({terms}; {format_policy(policy, unit)})"
         case SelectObject():

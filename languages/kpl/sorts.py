@@ -153,15 +153,18 @@ def known_sorts(scope: Scope) -> list[str]:
 # -- sorts of what processes make ----------------------------------------------------------------
 
 
-def tuple_sort(name: str, identifiers: Iterable[str], sorts: Iterable[ValueSort]) -> ValueSort:
-    """The sort of tuples of streams (Def. 5.2): open if one of theirs is."""
+def tuple_sort(
+    name: str, identifiers: Iterable[str], sorts: Iterable[ValueSort], *, times: bool = False
+) -> ValueSort:
+    """The sort of tuples of streams (Def. 5.2), with the times of their samples if ``times``: open
+    if one of theirs is."""
     schemas: list[Schema] = []
     for sort in sorts:
         if sort.fields is None:
             return ValueSort(name, None)
         schemas.append(Schema(sort.fields))
-    names = flat_names(list(identifiers), schemas)
-    return ValueSort(name, flat_schema(names, schemas).fields)
+    names = flat_names(list(identifiers), schemas, times)
+    return ValueSort(name, flat_schema(names, schemas, times).fields)
 
 
 def of_many_objects(sort: ValueSort) -> ValueSort:

@@ -146,6 +146,7 @@ source float q
 strmgen f = p
 strmgen g = q
 strmgen pair = join(f with monotone order, g)
+strmgen timed = join(f, g; inner times)
 strmgen state = sync(f, g; any change, max delay 20, use most recent)
 """
 
@@ -165,7 +166,7 @@ def test_inner_terms_joins_and_synchronizations_are_proved(tmp_path, monkeypatch
     said = prove(tmp_path, INNER, *files)
     assert said.exit_code == 0, said.output
     proofs = {one["stream"]: one for one in map(json.loads, said.stdout.splitlines())}
-    assert list(proofs) == ["f with monotone order", "pair", "state"]
+    assert list(proofs) == ["f with monotone order", "pair", "state", "timed"]
     assert proofs["f with monotone order"]["dropped"] == {"order": 1}
     assert proofs["pair"]["sent"] == 4
     assert proofs["state"]["sent"] == 2
