@@ -100,6 +100,33 @@ def test_silence_has_a_reason(dyknow: Any, table: Path, template: str) -> None:
     assert "nothing came: 40 samples read, 40 triples: none of" in none.stderr
 
 
+@pytest.mark.parametrize(
+    ("query", "hints"),
+    [
+        (
+            "SELECT * { ?x dyknow:sped ?y }",
+            ["nothing is called dyknow:sped; did you mean dyknow:speed?"],
+        ),
+        (
+            "PREFIX d: <http://www.dyknow.eu/ontology#> ASK { ?s a d:Stram # d:Unknown\n}",
+            ["nothing is called dyknow-o:Stram; did you mean dyknow-o:Stream"],
+        ),
+        (
+            "CONSTRUCT { ?x a ?y } { ?x <http://www.ida.liu.se/dyknow/zzzzzzzz> ?y }",
+            ["nothing is called dyknow:zzzzzzzz"],
+        ),
+        ("SELECT * { ?x dyknow:speed 'dyknow:sped' }", []),
+        ("SELECT * { dyknow:speed a ?kind OPTIONAL { ?x dyknow:sped ?y } }", []),
+    ],
+)
+def test_sparql_suggests_terms_where_it_finds_nothing(
+    dyknow: Any, query: str, hints: list[str]
+) -> None:
+    said = dyknow("sparql", query).stderr.splitlines()
+    assert len(said) == len(hints)
+    assert all(line.startswith(f"hint: {hint}") for line, hint in zip(said, hints, strict=True))
+
+
 def test_an_object_by_its_id(dyknow: Any, client: Client) -> None:
     """An id without a prefix is one of the streams' object namespace, as in samples."""
     fleet = "http://example.org/fleet/"
