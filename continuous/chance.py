@@ -10,14 +10,14 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterator
 from itertools import count
-from typing import Any, Final
+from typing import Final
 from uuid import UUID
 
 from pyoxigraph import Literal, NamedNode
-from rdflib.plugins.sparql.parserutils import CompValue
 
 from ..rdf.dictionary import Term
 from ..rdf.namespaces import XSD
+from ..sparql import ast
 from .expressions import Call, Const, Expression
 from .logical import Plan, expressions_of, walk, with_expressions, with_inputs
 
@@ -72,10 +72,6 @@ def drawn(call: Call, rows: int) -> Iterator[Term]:
         yield NamedNode(f"urn:uuid:{text}") if call.name == "UUID" else Literal(text)
 
 
-def names_chance(tree: Any) -> bool:
-    """Whether a volatile function stands anywhere in rdflib's algebra."""
-    if isinstance(tree, CompValue):
-        if tree.name.removeprefix("Builtin_") in VOLATILE:
-            return True
-        return any(names_chance(part) for name, part in tree.items() if name != "_vars")
-    return isinstance(tree, list | tuple) and any(map(names_chance, tree))
+def names_chance(tree: ast.Query) -> bool:
+    """Whether a volatile function stands anywhere in a query."""
+    return any(isinstance(node, ast.Call) and node.name in VOLATILE for node in ast.walk(tree))

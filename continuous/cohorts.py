@@ -10,7 +10,7 @@ from array import array
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import takewhile
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from pyoxigraph import Variable
@@ -18,6 +18,7 @@ from pyoxigraph import Variable
 from ..languages.csparql import bind
 from ..languages.csparql.ast import ContinuousQuery, StreamOperator
 from ..rdf.dictionary import Term
+from ..sparql import ast
 from .columns import NeedsOxigraph, Relation
 from .costs import cost_table
 from .estimates import estimate
@@ -273,11 +274,7 @@ def joint_of(
         return None, dict.fromkeys(arguments, str(unsupported))
 
 
-def _graph_names(tree: Any) -> frozenset[str]:
-    """The variables after GRAPH or WINDOW in rdflib's algebra."""
-    if isinstance(tree, dict):
-        own = {str(tree.get("term"))} if getattr(tree, "name", "") == "Graph" else set()
-        return frozenset(own).union(*(map(_graph_names, tree.values())))
-    if isinstance(tree, list | tuple):
-        return frozenset().union(*map(_graph_names, tree))
-    return frozenset()
+def _graph_names(tree: ast.Query) -> frozenset[str]:
+    """The variables after GRAPH or WINDOW."""
+    graphs = (node for node in ast.walk(tree) if isinstance(node, ast.Graph))
+    return frozenset(graph.name.value for graph in graphs if isinstance(graph.name, Variable))

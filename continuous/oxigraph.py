@@ -10,29 +10,16 @@ import hashlib
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
-from itertools import pairwise
 from typing import Any, TypeGuard
 
-from pyoxigraph import (
-    BlankNode,
-    DefaultGraph,
-    Literal,
-    NamedNode,
-    Quad,
-    Triple,
-)
-from rdflib.plugins.sparql.parserutils import CompValue
-from rdflib.term import URIRef
+from pyoxigraph import BlankNode, DefaultGraph, Literal, NamedNode, Quad, Triple, Variable
 
-from ..languages.csparql import term_text
-from ..languages.csparql.body import Edit, apply_edits
-from ..languages.csparql.functions import UNCALLED
-from ..languages.csparql.tokens import Kind as TokenKind
-from ..languages.csparql.tokens import closing, tokenize
 from ..rdf.dictionary import Term
-from ..rdf.namespaces import RDF, RDF_TYPE, XSD
-from ..rdf.sparql import check_sparql
+from ..rdf.namespaces import RDF_TYPE, XSD
 from ..rdf.timed import TimedTriples, TripleRows, from_terms
+from ..sparql import ast
+from ..sparql.printer import print_query
+from ..sparql.terms import term_text
 from ..streams.time import format_time
 from .asking import NOTHING, Found, Kept, Table
 from .bag import HIDDEN, copy_graph, counting
@@ -47,19 +34,19 @@ _DEFAULT = DefaultGraph()
 
 
 class OxigraphWindows:
-    """Evaluates a SPARQL text over one window after the other.
+    """Evaluates a query over one window after the other.
 
     Cost a window: a Python object a triple of the window and of the static triples that the query
     can touch (chosen once a version of the background), then Oxigraph's; under bag semantics a
     look-up a triple more, and twice the store where triples are equal. Memory: one such store.
-    Raises ``ValueError`` for a text that Oxigraph does not take. Blank nodes that the query makes
-    are called by ``seed`` and the window.
+    Blank nodes that the query makes are called by ``seed`` and the window. Oxigraph reads the text
+    where it evaluates it, in the service another process (`asking`); ``prefixes`` are for people.
     """
 
     def __init__(
         self,
-        sparql: str,
-        algebra: CompValue,
+        query: ast.Query,
+        prefixes: Mapping[str, str],
         static: StaticSide,
         terms: TermValues,
         graphs: Graphs | None = None,
@@ -67,13 +54,14 @@ class OxigraphWindows:
         distinct: bool,
         seed: str = "",
     ) -> None:
-        _parsed(sparql)
         self.graphs = graphs or Graphs()
-        self.sparql = _restricted(sparql, self.graphs)
+        self.query = _restricted(query, self.graphs)
+        self.sparql = print_query(self.query, prefixes)
+        self._text = _Text(self.query)
         self.distinct = distinct
         self.static = static
         self.terms = terms
-        self.predicates, self.classes = named(algebra)
+        self.predicates, self.classes = named(query)
         self._label = (
             f"q{hashlib.blake2b(f'{self.sparql} {seed}'.encode(), digest_size=8).hexdigest()}"
         )
@@ -82,17 +70,12 @@ class OxigraphWindows:
         self._kept = NOTHING
 
     @cached_property
-    def counting(self) -> str | None:
+    def counting(self) -> _Text | None:
         """The text for windows that hold equal triples, None where they count once."""
         if self.distinct:
             return None
         try:
-            text = counting(self.sparql)
-            _parsed(text)
-            return text
-        except ValueError:
-            self.merges = "its text"
-            return None
+            return _Text(counting(self.query))
         except Unsupported as unsupported:
             self.merges = str(unsupported)
             return None
@@ -113,14 +96,14 @@ class OxigraphWindows:
             again |= len(set(named)) < len(named)
             asked += named
         copies = [] if self.distinct else _copies(static, content)
-        sparql = self.sparql
+        text = self._text
         if copies and self.counting is not None:
             asked += copies
-            sparql = self.counting
+            text = self.counting
         merged = (bool(copies) or (again and not self.distinct)) and self.counting is None
         budget = self.terms.budget
         with budget.pauses.apart(waits=True):
-            found = budget.asking.ask(_at_time(sparql, end), self._kept, asked)
+            found = budget.asking.ask(text.at(end), self._kept, asked)
         found = self._named_again(found, end, asked)
         return replace(self._read(found, start, end), merged=merged)
 
@@ -197,42 +180,47 @@ class OxigraphWindows:
                     yield from (Quad(subject, RDF_TYPE, sort, graph) for sort in sorts)
 
 
-def _restricted(sparql: str, graphs: Graphs) -> str:
-    """The text with the graphs that each ``GRAPH ?g`` may stand for: windows or static ones."""
-    if "graph" not in sparql.lower():  # most: their tokens are many
-        return sparql
-    edits = []
-    for word, name in pairwise(tokenize(sparql)):
-        if word.is_word("GRAPH") and name.kind is TokenKind.VARIABLE:
-            windows = name.text[1:] in graphs.window_variables
-            names = graphs.windows if windows else graphs.static
-            listed = " ".join(term_text(NamedNode(iri)) for iri in names)
-            edits.append(Edit(word.start, word.start, f"VALUES {name.text} {{ {listed} }} "))
-    return apply_edits(sparql, edits)
+class _Text:
+    """A query as text, with NOW() as the end of a window: nothing here reads a clock."""
+
+    def __init__(self, query: ast.Query) -> None:
+        text = print_query(query)
+        mark = "urn:dyknow:now"
+        while mark in text:
+            mark += "_"
+
+        def marked(node: object) -> NamedNode | None:
+            is_now = isinstance(node, ast.Call) and node.name == "NOW"
+            return NamedNode(mark) if is_now else None
+
+        self._parts = print_query(ast.rewritten(query, marked)).split(f"<{mark}>")
+
+    def at(self, end: int) -> str:
+        """The text for the window that ends then."""
+        now = Literal(format_time(end), datatype=NamedNode(XSD + "dateTime"))
+        return term_text(now).join(self._parts)
 
 
-def _at_time(sparql: str, end: int) -> str:
-    """The text with NOW() as the end of the window: nothing here reads a clock."""
-    edits = []
-    tokens = tokenize(sparql)
-    for word, following in pairwise(tokens):
-        if word.is_word("NOW") and following.is_mark("("):
-            close = tokens[closing(tokens, tokens.index(following))].end
-            now = Literal(format_time(end), datatype=NamedNode(XSD + "dateTime"))
-            edits.append(Edit(word.start, close, term_text(now)))
-    return apply_edits(sparql, edits)
+def _restricted(query: ast.Query, graphs: Graphs) -> ast.Query:
+    """The query with the graphs that each ``GRAPH ?g`` may stand for: windows or static ones."""
+
+    def change(node: object) -> ast.Group | None:
+        if not isinstance(node, ast.Group):
+            return None
+        elements: list[ast.Element] = []
+        for one in node.elements:
+            if isinstance(one, ast.Graph) and isinstance(one.name, Variable):
+                windows = one.name.value in graphs.window_variables
+                names = graphs.windows if windows else graphs.static
+                elements.append(ast.Values((one.name,), tuple((NamedNode(n),) for n in names)))
+            elements.append(ast.rewritten(one, change))
+        return ast.Group(tuple(elements), node.span)
+
+    return ast.rewritten(query, change)
 
 
 def _is_node(term: Any) -> TypeGuard[NamedNode | BlankNode]:
     return isinstance(term, NamedNode | BlankNode)
-
-
-def _parsed(sparql: str) -> None:
-    """Raises ``ValueError`` for a text that Oxigraph does not take: now, not at some window."""
-    try:
-        check_sparql(sparql, {}, UNCALLED)
-    except SyntaxError as error:
-        raise ValueError(f"Oxigraph refuses the query: {error}") from error
 
 
 def _copies(static: Collection[Quad], content: Sequence[Quad]) -> list[Quad]:
@@ -262,41 +250,28 @@ def _value(term: Any) -> Any:
 
 
 def named(
-    algebra: Any,
+    query: ast.Query,
 ) -> tuple[frozenset[NamedNode] | None, frozenset[NamedNode] | None]:
     """The predicates and the classes that a query names; None where it may touch any."""
     predicates: set[NamedNode] = set()
     classes: set[NamedNode] = set()
-    anything = any_class = algebra.name == "DescribeQuery"
-    for _, predicate, object in _patterns(algebra):
-        if not isinstance(predicate, URIRef):
+    anything = any_class = query.form is ast.Form.DESCRIBE
+    for node in ast.walk(replace(query, template=None)):
+        if not isinstance(node, ast.Triple):
+            continue
+        if not isinstance(node.predicate, NamedNode):
             anything = True
             continue
-        predicates.add(NamedNode(str(predicate)))
-        if str(predicate) == RDF + "type":
-            if isinstance(object, URIRef):
-                classes.add(NamedNode(str(object)))
+        predicates.add(node.predicate)
+        if node.predicate == RDF_TYPE:
+            if isinstance(node.object, NamedNode):
+                classes.add(node.object)
             else:
                 any_class = True
     return (
         None if anything else frozenset(predicates),
         None if any_class else frozenset(classes),
     )
-
-
-def _patterns(node: Any) -> Iterator[tuple[Any, Any, Any]]:
-    """Every triple pattern in an algebra, those of EXISTS too."""
-    if isinstance(node, CompValue):
-        for name, value in node.items():
-            if name == "triples" and isinstance(value, Iterable):
-                for entry in value:
-                    entry = tuple(entry)
-                    yield from zip(entry[0::3], entry[1::3], entry[2::3], strict=True)
-            elif name != "template":
-                yield from _patterns(value)
-    elif isinstance(node, list | tuple):
-        for part in node:
-            yield from _patterns(part)
 
 
 def _term(term: Any) -> Term:

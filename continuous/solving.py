@@ -8,13 +8,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from rdflib.plugins.sparql.parserutils import CompValue
+from pyoxigraph import Literal
 
-from ..languages.csparql import algebra, body_sparql, group_keys
+from ..languages.csparql import body_tree, body_with_rows, group_keys
 from ..languages.csparql.ast import ContinuousQuery
-from ..languages.csparql.shape import query_shape
 from ..languages.errors import Span
 from ..rdf.dictionary import Term
+from ..sparql import ast
 from .budget import BudgetExceeded
 from .chance import names_chance, with_seeds
 from .columns import NeedsOxigraph
@@ -40,32 +40,30 @@ from .windows import Schedule
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """A query as SPARQL and as rdflib's algebra, with what the translation has to know of it."""
+    """A query as the tree that is planned and as the one with the terms of its parameters, with
+    what the translation has to know of it."""
 
-    sparql: str
-    tree: CompValue
+    tree: ast.Query
+    asked: ast.Query
     graphs: Graphs
-    selects_all: bool
 
     @classmethod
     def of(cls, query: ContinuousQuery, schedule: Schedule) -> Reading:
         """``query`` over these windows; raises ``ValueError`` where it makes no SPARQL."""
         asked = _with_rows_only(query)
         graphs = Graphs(schedule.named, query.static_named, query.window_variables)
-        shape = query_shape(query.sparql)
-        selects_all = shape is not None and shape.selects_all
-        return cls(body_sparql(asked), algebra(asked).algebra, graphs, selects_all)
+        return cls(body_tree(asked), body_with_rows(asked), graphs)
 
     def translated(self, bindings: Mapping[str, Term]) -> Query:
         """The logical plan with these terms put in; raises as `translate`."""
-        return translate(self.tree, bindings, self.graphs, selects_all=self.selects_all)
+        return translate(self.tree, bindings, self.graphs)
 
 
 def _with_rows_only(query: ContinuousQuery) -> ContinuousQuery:
     """An AGGREGATE over nothing gives no row, as one with group keys does ([Events14 §III.A])."""
     if not query.aggregations or group_keys(query):
         return query
-    some = ("(COUNT(*) > 0)", Span(0, 0))
+    some = (ast.Comparison(">", ast.Aggregate("COUNT", None), Literal(0)), Span(0, 0))
     return replace(query, aggregate_filters=(*query.aggregate_filters, some))
 
 
@@ -94,8 +92,8 @@ class Solver:
         # With its name, streams and windows: another query draws other values.
         self._seed = f"{query.source} {bound}"
         self.oxigraph = OxigraphWindows(
-            reading.sparql,
-            reading.tree,
+            reading.asked,
+            query.prefixes,
             static,
             self.terms,
             reading.graphs,

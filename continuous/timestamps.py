@@ -10,13 +10,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import count
-from typing import Any, Final
+from typing import Final
 
 from pyoxigraph import Literal, NamedNode
-from rdflib.plugins.sparql.parserutils import CompValue
 
 from ..languages.csparql.functions import ACCESSORS, TIMESTAMP
 from ..rdf.namespaces import XSD
+from ..sparql import ast
 from ..streams.time import format_time
 from .expressions import Call, Const, Expression, Var
 from .logical import (
@@ -167,13 +167,10 @@ def at_time(plan: Plan, end: int) -> Plan:
     return go(plan)
 
 
-def asks_for_times(tree: Any) -> bool:
-    """Whether an accessor stands anywhere in rdflib's algebra."""
-    if isinstance(tree, CompValue):
-        if tree.name == "Function" and f"<{tree.iri}>" in _ACCESSORS:
-            return True
-        return any(asks_for_times(part) for name, part in tree.items() if name != "_vars")
-    return isinstance(tree, list | tuple) and any(map(asks_for_times, tree))
+def asks_for_times(tree: ast.Query) -> bool:
+    """Whether an accessor stands anywhere in a query."""
+    calls = (node for node in ast.walk(tree) if isinstance(node, ast.FunctionCall))
+    return any(call.iri.value in ACCESSORS for call in calls)
 
 
 _NOW: Final = Call("NOW", ())

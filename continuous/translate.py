@@ -1,4 +1,5 @@
-"""From rdflib's algebra to the logical plan, template arguments in their places.
+"""From the tree of a query to the logical plan (SPARQL 1.1 §18.2), template arguments in their
+places.
 
 What the plan has no word for raises `Unsupported` with the reason: the query is then evaluated by
 Oxigraph, and `explain` says why.
@@ -7,18 +8,15 @@ Oxigraph, and `explain` says why.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from copy import deepcopy
 from dataclasses import dataclass
-from typing import Any
 
-from pyoxigraph import Literal, NamedNode
-from rdflib.plugins.sparql.algebra import translateGroupGraphPattern
-from rdflib.plugins.sparql.parserutils import CompValue
-from rdflib.term import BNode, URIRef, Variable
-from rdflib.term import Literal as RdflibLiteral
+from pyoxigraph import BlankNode, Literal, NamedNode, Variable
 
 from ..rdf.dictionary import Term
 from ..rdf.namespaces import RDF_TYPE
+from ..sparql import ast
+from ..sparql.algebra import split
+from ..sparql.scope import shown, visible
 from .columns import canonical
 from .expressions import Const, Expression, Var
 from .logical import (
@@ -68,97 +66,109 @@ class Graphs:
 
 
 def translate(
-    query: CompValue,
-    bindings: Mapping[str, Term],
-    graphs: Graphs | None = None,
-    *,
-    selects_all: bool = False,
+    query: ast.Query, bindings: Mapping[str, Term], graphs: Graphs | None = None
 ) -> Query:
-    """The logical plan of rdflib's ``query``, ``bindings`` put in their variables' places.
+    """The logical plan of ``query``, ``bindings`` put in their variables' places.
 
-    ``selects_all``: the head is ``*`` (rdflib lists variables of EXISTS there, SPARQL does not).
     Raises ``ValueError`` for an accessor of times that no pattern fits.
     """
-    return _Translation(bindings, graphs or Graphs(), selects_all).query(query)
+    return _Translation(bindings, graphs or Graphs()).query(query)
 
 
 class _Translation:
-    def __init__(self, bindings: Mapping[str, Term], graphs: Graphs, selects_all: bool) -> None:
+    def __init__(self, bindings: Mapping[str, Term], graphs: Graphs) -> None:
         self.bindings = {name: canonical(term) for name, term in bindings.items()}
         self.graphs = graphs
-        self.selects_all = selects_all
         self.graph = DEFAULT
         self.hidden = 0
         self.expressions = ExpressionTranslation(self._term, self.exists)
         self.waiting: list[tuple[str, Plan]] = []
         """EXISTS of the expression that is being translated: its mark and its pattern."""
 
-    def query(self, query: CompValue) -> Query:
-        body = query.p
-        if query.name != "SelectQuery":
-            # CONSTRUCT and ASK show no variables: rdflib's projection is of all.
-            body = _without_projection(body)
-            head = self._template_head(query, body)
-            return Query(head, with_times(self.plan(body)))
-        plan = self.plan(body)
-        names = tuple(str(name) for name in query.PV)
-        if self.selects_all:
-            known = outputs(_without_top(plan))
-            names = tuple(name for name in names if name in known)
-        if not isinstance(plan, Project | Distinct | Slice):
-            plan = self._shown(names, plan)
-        return Query(Select(names), with_times(plan))
+    def query(self, query: ast.Query) -> Query:
+        if query.form is ast.Form.DESCRIBE:
+            raise Unsupported("the form DESCRIBE")
+        plan = self.solutions(query)
+        if query.form is ast.Form.SELECT:
+            return Query(Select(shown(query)), with_times(plan))
+        # CONSTRUCT and ASK show no variables.
+        head: Head = Ask()
+        if query.form is ast.Form.CONSTRUCT:
+            head = Construct(self._template(query.template or ()))
+        return Query(head, with_times(plan))
 
-    def _template_head(self, query: CompValue, body: CompValue) -> Head:
-        match query.name:
-            case "ConstructQuery":
-                template = query.template
-                if template is None:
-                    # CONSTRUCT WHERE: the pattern is the template too (SPARQL 1.1 §16.2.4).
-                    if body.name != "BGP":
-                        raise Unsupported(f"CONSTRUCT WHERE with {body.name}")
-                    template = body.triples
-                return Construct(self._template(template))
-            case "AskQuery":
-                return Ask()
-            case name:
-                raise Unsupported(f"the form {name.removesuffix('Query').upper()}")
+    # -- queries ---------------------------------------------------------------------------
 
-    # -- graph patterns --------------------------------------------------------------------
+    def solutions(self, query: ast.Query) -> Plan:
+        """What a query finds, with its modifiers (§18.2.4, §18.2.5)."""
+        assert query.where is not None, "only DESCRIBE has no WHERE"
+        plan, expressions = self._grouped(query, self.group(query.where))
+        for condition in query.having:
+            plan = self._filtered(expressions.get(condition, condition), plan)
+        if query.values is not None:
+            plan = Join((plan, self._values(query.values)))
+        for one in query.projection or ():
+            if one.expression is not None:
+                expression = expressions.get(one.expression, one.expression)
+                plan = self._extended(one.variable.value, expression, plan)
+        if query.order:
+            keys = []
+            for order in query.order:
+                expression = expressions.get(order.expression, order.expression)
+                keys.append((self.expression(expression), order.descending))
+                plan = self.marked(plan)
+            plan = Order(tuple(keys), plan)
+        if query.form is ast.Form.SELECT:
+            plan = self._shown(shown(query), plan)
+        if query.modifier:
+            plan = Distinct(plan)
+        if query.limit is not None or query.offset is not None:
+            plan = Slice(query.offset or 0, query.limit, plan)
+        return plan
 
-    def plan(self, node: Any) -> Plan:
-        match node.name:
-            case "BGP":
-                return self._basic(node.triples)
-            case "Join":
-                return Join((self.plan(node.p1), self.plan(node.p2)))
-            case "LeftJoin":
-                return self._optional(node)
-            case "Union":
-                return Union((self.plan(node.p1), self.plan(node.p2)))
-            case "Minus":
-                return Minus(self.plan(node.p1), self.plan(node.p2))
-            case "Graph":
-                return self._graph(node)
-            case "ToMultiSet":
-                return self._values(node.p) if node.p.name == "values" else self.plan(node.p)
-            case "Filter" | "Extend":
-                return self._extend(node)
-            case "AggregateJoin":
-                return self._aggregate(node)[0]
-            case "Project":
-                names = tuple(str(name) for name in node.PV)
-                return self._shown(names, self.plan(node.p))
-            case "Distinct" | "Reduced":
-                return Distinct(self.plan(node.p))
-            case "OrderBy":
-                return self._order(node)
-            case "Slice":
-                return Slice(int(node.start or 0), _length(node), self.plan(node.p))
-            case "ServiceGraphPattern":
-                raise Unsupported("SERVICE")
-            case name:
-                raise Unsupported(name)
+    def _grouped(
+        self, query: ast.Query, plan: Plan
+    ) -> tuple[Plan, dict[ast.Expression, ast.Expression]]:
+        """The groups of a query that groups (§18.2.4.1), and its expressions over them: with a
+        variable for each aggregate, which is one wherever it is written."""
+        if not query.is_aggregated:
+            return plan, {}
+        keys: list[str] = []
+        for key in query.keys:
+            if isinstance(key.expression, Variable) and key.alias is None:
+                keys.append(key.expression.value)
+                continue
+            name = self.fresh() if key.alias is None else key.alias.value
+            plan = self._extended(name, key.expression, plan)
+            keys.append(name)
+        given = [one.expression for one in query.projection or () if one.expression is not None]
+        given += [*query.having, *(order.expression for order in query.order)]
+        named: dict[ast.Aggregate, Variable] = {}
+        assert query.where is not None, "only DESCRIBE has no WHERE"
+        sampled = visible(query.where).keys() - set(keys)
+
+        def over_groups(expression: ast.Expression) -> ast.Expression:
+            def change(node: object) -> object:
+                if isinstance(node, ast.Exists):
+                    return node
+                if isinstance(node, Variable) and node.value in sampled:
+                    node = ast.Aggregate("SAMPLE", node)
+                if isinstance(node, ast.Aggregate):
+                    return named.setdefault(node, Variable(f"__agg_{len(named) + 1}__"))
+                return None
+
+            return ast.rewritten(expression, change)
+
+        expressions = {expression: over_groups(expression) for expression in given}
+        aggregations = []
+        for one, variable in named.items():
+            argument = None if one.argument is None else self.expression(one.argument)
+            plan = self.marked(plan)
+            separator = " " if one.separator is None else one.separator
+            made = Aggregation(variable.value, one.function, argument, one.distinct, separator)
+            aggregations.append(made)
+        free = tuple(key for key in keys if key not in self.bindings)
+        return Aggregate(free, tuple(aggregations), plan, implicit=not keys), expressions
 
     def _shown(self, names: tuple[str, ...], plan: Plan) -> Plan:
         """A bound parameter that is to be seen becomes a column again."""
@@ -167,14 +177,60 @@ class _Translation:
                 plan = Extend(name, Const(self.bindings[name]), plan)
         return Project(names, plan)
 
-    def _basic(self, triples: Sequence[Any]) -> Plan:
+    # -- graph patterns --------------------------------------------------------------------
+
+    def group(self, group: ast.Group) -> Plan:
+        """A group graph pattern (§18.2.2)."""
+        plan, conditions = self._unfiltered(group)
+        return self._filtered_by(conditions, plan)
+
+    def _unfiltered(self, group: ast.Group) -> tuple[Plan, list[ast.Expression]]:
+        """A group without its filters, and these."""
+        parts, conditions = split(group)
+        plan: Plan | None = None
+        for part in parts:
+            before = Join(()) if plan is None else plan
+            match part:
+                case ast.Optional(inner):
+                    plan = self._optional(before, inner)
+                case ast.Minus(inner):
+                    plan = Minus(before, self.group(inner))
+                case ast.Bind(expression, variable):
+                    plan = self._extended(variable.value, expression, before)
+                case _:
+                    found = self._part(part)
+                    plan = found if plan is None else Join((plan, found))
+        return Join(()) if plan is None else plan, conditions
+
+    def _part(self, part: ast.Element) -> Plan:
+        match part:
+            case ast.Triples(triples):
+                return self._basic(triples)
+            case ast.Group():
+                return self.group(part)
+            case ast.Union(groups):
+                plan = self.group(groups[0])
+                for group in groups[1:]:
+                    plan = Union((plan, self.group(group)))
+                return plan
+            case ast.Graph(name, group):
+                return self._graph(name, group)
+            case ast.Values():
+                return self._values(part)
+            case ast.SubSelect(query):
+                return self.solutions(query)
+        raise AssertionError(f"{type(part).__name__} stands in no group")
+
+    def _basic(self, triples: Sequence[ast.Triple]) -> Plan:
         parts: list[Plan] = []
-        for s, p, o in triples:
-            subject, object = self._position(s), self._position(o)
-            if isinstance(p, Variable | URIRef):
-                parts.append(self.pattern(subject, self._term(p), object))
-            else:
-                parts.append(path_plan(p, subject, object, self.pattern, self.fresh, self.graph))
+        for triple in triples:
+            subject, object = self._position(triple.subject), self._position(triple.object)
+            predicate = triple.predicate
+            if isinstance(predicate, Variable | NamedNode):
+                parts.append(self.pattern(subject, self._term(predicate), object))
+                continue
+            graph = self.graph
+            parts.append(path_plan(predicate, subject, object, self.pattern, self.fresh, graph))
         return Join(tuple(parts))
 
     def pattern(self, subject: Position, predicate: Position, object: Position) -> Plan:
@@ -194,86 +250,67 @@ class _Translation:
         self.hidden += 1
         return f"\0{self.hidden}"
 
-    def _position(self, term: Any) -> Position:
-        return Var(f"_:{term}") if isinstance(term, BNode) else self._term(term)
+    def _position(self, term: ast.Place) -> Position:
+        return Var(f"_:{term.value}") if isinstance(term, BlankNode) else self._term(term)
 
-    def _term(self, term: Any) -> Position:
+    def _term(self, term: Variable | NamedNode | Literal) -> Position:
         """A variable (or the parameter given for it) or a constant of the text."""
         if isinstance(term, Variable):
-            bound = self.bindings.get(str(term))
-            return Var(str(term)) if bound is None else Const(bound)
-        if isinstance(term, URIRef):
-            return Const(NamedNode(str(term)))
-        if not isinstance(term, RdflibLiteral):
-            raise Unsupported(f"the term {term}")
-        if term.language is not None:
-            return Const(Literal(str(term), language=term.language))
-        datatype = None if term.datatype is None else NamedNode(str(term.datatype))
-        return Const(canonical(Literal(str(term), datatype=datatype)))
+            bound = self.bindings.get(term.value)
+            return Var(term.value) if bound is None else Const(bound)
+        return Const(canonical(term) if isinstance(term, Literal) else term)
 
-    def _optional(self, node: Any) -> Plan:
-        child, optional = self.plan(node.p1), self.plan(node.p2)
+    def _optional(self, child: Plan, group: ast.Group) -> Plan:
+        """OPTIONAL; the filters of its group see both sides."""
+        optional, conditions = self._unfiltered(group)
         condition = None
-        if not (isinstance(node.expr, CompValue) and node.expr.name == "TrueFilter"):
-            condition = self.expression(node.expr)
+        if conditions:
+            condition = self.expression(_all_of(conditions))
             if self.waiting:
                 raise Unsupported("EXISTS in a condition of OPTIONAL")
         return LeftJoin(child, optional, condition)
 
-    def _graph(self, node: Any) -> Plan:
-        place = self._term(node.term)
+    def _graph(self, name: NamedNode | Variable, group: ast.Group) -> Plan:
+        place = self._term(name)
         if isinstance(place, Const):
             value = place.term.value if isinstance(place.term, NamedNode) else ""
-            return self._in_graph(value, node.p)
+            return self._in_graph(value, group)
         windows = place.name in self.graphs.window_variables
         parts = [
-            Join((Values((place.name,), ((NamedNode(name),),)), self._in_graph(name, node.p)))
-            for name in (self.graphs.windows if windows else self.graphs.static)
+            Join((Values((place.name,), ((NamedNode(iri),),)), self._in_graph(iri, group)))
+            for iri in (self.graphs.windows if windows else self.graphs.static)
         ]
-        return Union(tuple(parts)) if parts else self._in_graph("", node.p)
+        return Union(tuple(parts)) if parts else self._in_graph("", group)
 
-    def _in_graph(self, name: str, node: Any) -> Plan:
+    def _in_graph(self, name: str, group: ast.Group) -> Plan:
         before, self.graph = self.graph, name
-        plan = self.plan(node)
+        plan = self.group(group)
         self.graph = before
         if name not in self.graphs.windows and name not in self.graphs.static:
             return Values(tuple(sorted(outputs(plan))), ())
         return plan
 
-    def _values(self, node: Any) -> Plan:
-        rows = node.res
-        names = tuple(dict.fromkeys(str(name) for row in rows for name in row))
+    def _values(self, values: ast.Values) -> Plan:
+        names = tuple(variable.value for variable in values.variables)
         if any(name in self.bindings for name in names):
             raise Unsupported("VALUES for a parameter")
-        table = []
-        for row in rows:
-            given = {str(name): term for name, term in row.items()}
-            cells: list[Term | None] = []
-            for name in names:
-                term = given.get(name)
-                constant = None if term is None or term == "UNDEF" else self._term(term)
-                cells.append(constant.term if isinstance(constant, Const) else None)
-            table.append(tuple(cells))
-        return Values(names, tuple(table))
+        return Values(
+            names,
+            tuple(
+                tuple(canonical(t) if isinstance(t, Literal) else t for t in row)
+                for row in values.rows
+            ),
+        )
 
     # -- what stands on a pattern ----------------------------------------------------------
 
-    def expression(self, node: Any, renamed: Mapping[str, str] | None = None) -> Expression:
-        return self.expressions.of(node, self._renamed(renamed or {}))
+    def expression(self, node: ast.Expression) -> Expression:
+        return self.expressions.of(node)
 
-    def _renamed(self, renamed: Mapping[str, str]) -> Mapping[str, Expression]:
-        return {
-            name: Const(self.bindings[to]) if to in self.bindings else Var(to)
-            for name, to in renamed.items()
-        }
-
-    def exists(self, graph: Any) -> Expression:
+    def exists(self, group: ast.Group) -> Expression:
         """EXISTS as a variable, which whoever takes the expression has to bind (`marked`)."""
-        if graph.name == "GroupGraphPatternSub":
-            # rdflib translates in place, and the tree is shared.
-            graph = translateGroupGraphPattern(deepcopy(graph))
         waiting, self.waiting = self.waiting, []
-        pattern = self.plan(graph)
+        pattern = self.group(group)
         mark = self.fresh()
         self.waiting = [*waiting, (mark, pattern)]
         return Var(mark)
@@ -285,122 +322,38 @@ class _Translation:
             plan = Exists(mark, pattern, plan)
         return plan
 
-    def _extend(self, node: Any) -> Plan:
-        """A chain of Extends and Filters, down to an aggregate whose keys rdflib renamed."""
-        chain = []
-        while node.name in ("Extend", "Filter"):
-            chain.append(node)
-            node = node.p
-        renamed: dict[str, str] = {}
-        if node.name == "AggregateJoin":
-            plan, renamed = self._aggregate(node)
-        else:
-            plan = self.plan(node)
-        for one in reversed(chain):
-            expression = self.expression(one.expr, renamed)
-            plan = self.marked(plan)
-            if one.name == "Filter":
-                plan = Filter(expression, plan)
-                continue
-            variable = str(one.var)
-            if variable in self.bindings:
-                if isinstance(expression, Const):
-                    continue
-                raise Unsupported("an expression bound to a parameter")
-            if expression != Var(variable):
-                plan = Extend(variable, expression, plan)
-        return plan
+    def _filtered_by(self, conditions: Sequence[ast.Expression], plan: Plan) -> Plan:
+        return self._filtered(_all_of(conditions), plan) if conditions else plan
 
-    def _aggregate(self, node: Any) -> tuple[Plan, dict[str, str]]:
-        """The aggregate, and the variables by which rdflib names its keys and what is there twice:
-        name -> the one variable."""
-        child, keys = self._keys(node.p)
-        renamed: dict[str, str] = {}
-        aggregations = []
-        named: dict[tuple[object, ...], str] = {}
-        for one in node.A:
-            function, name = one.name.removeprefix("Aggregate_").upper(), str(one.res)
-            function = "GROUP_CONCAT" if function == "GROUPCONCAT" else function
-            if function == "SAMPLE" and str(one.vars) in keys:
-                # rdflib reads a group key through SAMPLE; it is the key itself.
-                renamed[name] = str(one.vars)
-                continue
-            argument = None if one.vars == "*" else self.expression(one.vars)
-            child = self.marked(child)
-            separator = str(one.separator) if one.separator is not None else " "
-            made = Aggregation(name, function, argument, bool(one.distinct), separator)
-            # Written twice (in the head and in HAVING), it is one.
-            first = named.setdefault((function, argument, made.distinct, separator), name)
-            if first == name:
-                aggregations.append(made)
-            else:
-                renamed[name] = first
-        free = tuple(key for key in keys if key not in self.bindings)
-        return Aggregate(free, tuple(aggregations), child, implicit=not keys), renamed
+    def _filtered(self, condition: ast.Expression, plan: Plan) -> Plan:
+        expression = self.expression(condition)
+        return Filter(expression, self.marked(plan))
 
-    def _keys(self, group: Any) -> tuple[Plan, list[str]]:
-        """What is grouped, and the names of the keys; rdflib binds an expression without a name
-        to None."""
-        node = group.p
-        unnamed: list[Any] = []
-        while node.name == "Extend" and node.var is None:
-            unnamed.append(node.expr)
-            node = node.p
-        child = self.plan(node)
-        keys: list[str] = []
-        for key in group.expr or ():
-            if isinstance(key, Variable):
-                keys.append(str(key))
-                continue
-            if key is not None or not unnamed:
-                raise Unsupported("GROUP BY an expression between named ones")
-            name = self.fresh()
-            expression = self.expression(unnamed.pop())
-            child = Extend(name, expression, self.marked(child))
-            keys.append(name)
-        return child, keys
-
-    def _order(self, node: Any) -> Plan:
-        child = self.plan(node.p)
-        keys = []
-        for one in node.expr:
-            keys.append((self.expression(one.expr), one.order == "DESC"))
-            child = self.marked(child)
-        return Order(tuple(keys), child)
+    def _extended(self, name: str, node: ast.Expression, plan: Plan) -> Plan:
+        expression = self.expression(node)
+        plan = self.marked(plan)
+        if name in self.bindings:
+            if isinstance(expression, Const):
+                return plan
+            raise Unsupported("an expression bound to a parameter")
+        return plan if expression == Var(name) else Extend(name, expression, plan)
 
     def _template(
-        self, triples: Any
+        self, triples: Sequence[ast.Triple]
     ) -> tuple[tuple[TemplatePosition, TemplatePosition, TemplatePosition], ...]:
         labels: dict[str, str] = {}
 
-        def place(term: Any) -> TemplatePosition:
-            if isinstance(term, BNode):
-                # rdflib names those of `[]` at random.
-                return Blank(labels.setdefault(str(term), f"b{len(labels)}"))
+        def place(term: ast.Place) -> TemplatePosition:
+            if isinstance(term, BlankNode):
+                return Blank(labels.setdefault(term.value, f"b{len(labels)}"))
             return self._term(term)
 
-        return tuple((place(s), place(p), place(o)) for s, p, o in triples)
+        found = []
+        for triple in triples:
+            assert isinstance(triple.predicate, NamedNode | Variable), "a template has no paths"
+            found.append((place(triple.subject), place(triple.predicate), place(triple.object)))
+        return tuple(found)
 
 
-def _length(node: Any) -> int | None:
-    # `get` of rdflib gives back the name of what is not there.
-    return int(node.length) if "length" in node and node.length is not None else None
-
-
-def _without_projection(node: Any) -> Any:
-    """The body of a CONSTRUCT or ASK under rdflib's projection, LIMIT and OFFSET kept."""
-    if node.name == "Project":
-        return node.p
-    if node.name == "Slice":
-        inner = _without_projection(node.p)
-        changed = CompValue("Slice", **node)
-        changed["p"] = inner
-        return changed
-    return node
-
-
-def _without_top(plan: Plan) -> Plan:
-    """What the projection of the head projects."""
-    while isinstance(plan, Slice | Distinct):
-        plan = plan.child
-    return plan.child if isinstance(plan, Project) else plan
+def _all_of(conditions: Sequence[ast.Expression]) -> ast.Expression:
+    return conditions[0] if len(conditions) == 1 else ast.Logical("&&", tuple(conditions))

@@ -1,20 +1,16 @@
-"""From rdflib's expressions to ours (SPARQL 1.1 §17), by the names of the functions in SPARQL."""
+"""From the expressions of a query's tree to those of plans (SPARQL 1.1 §17): operators in a row
+become binary ones."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
 
-from pyoxigraph import Literal
-from rdflib.plugins.sparql.parserutils import CompValue
-from rdflib.term import BNode, URIRef, Variable
-from rdflib.term import Literal as RdflibLiteral
+from pyoxigraph import Literal, NamedNode, Variable
 
+from ..sparql import ast
 from .expressions import Call, Const, Expression
 from .unsupported import Unsupported
 
-_ARGUMENTS = ("arg", "arg1", "arg2", "arg3", "text", "pattern", "start", "length", "replacement")
-"""Where rdflib keeps the arguments of a built-in call, in the order in which they are written."""
 _IN_A_ROW = 64
 _NAMES = {"ISURI": "ISIRI", "URI": "IRI"}
 _NOT_HERE = {
@@ -27,78 +23,54 @@ class ExpressionTranslation:
     """``term`` reads a variable or constant; ``exists`` a pattern, as the variable of its mark."""
 
     def __init__(
-        self, term: Callable[[Any], Expression], exists: Callable[[Any], Expression]
+        self,
+        term: Callable[[Variable | NamedNode | Literal], Expression],
+        exists: Callable[[ast.Group], Expression],
     ) -> None:
         self.term = term
         self.exists = exists
 
-    def of(self, node: Any, renamed: Mapping[str, Expression]) -> Expression:
-        """``node`` as an `Expression`, these variables under their other names."""
-
-        def go(node: Any) -> Expression:
-            if isinstance(node, Variable) and str(node) in renamed:
-                return renamed[str(node)]
-            if isinstance(node, Variable | URIRef | RdflibLiteral):
+    def of(self, node: ast.Expression) -> Expression:
+        """``node`` as an `Expression`."""
+        go = self.of
+        match node:
+            case Variable() | NamedNode() | Literal():
                 return self.term(node)
-            if isinstance(node, BNode) or not isinstance(node, CompValue):
-                raise Unsupported(f"the expression {node}")
-            match node.name:
-                case "ConditionalAndExpression" | "ConditionalOrExpression":
-                    operator = "&&" if "And" in node.name else "||"
-                    return _either(operator, [go(node.expr), *map(go, node.other)])
-                case "RelationalExpression":
-                    return relation(node)
-                case "AdditiveExpression" | "MultiplicativeExpression":
-                    steps = zip(node.op, node.other, strict=True)
-                    return _chain(go(node.expr), [(str(op), go(one)) for op, one in steps])
-                case "UnaryNot":
-                    return Call("!", (go(node.expr),))
-                case "UnaryMinus":
-                    return Call("NEGATE", (go(node.expr),))
-                case "UnaryPlus":
-                    return go(node.expr)
-                case "Builtin_EXISTS":
-                    return self.exists(node.graph)
-                case "Builtin_NOTEXISTS":
-                    return Call("!", (self.exists(node.graph),))
-                case "Function":
-                    arguments = tuple(go(one) for one in node.expr or ())
-                    return Call(f"<{node.iri}>", arguments)
-                case name if name.startswith("Builtin_"):
-                    return built_in(node)
-                case name:
-                    raise Unsupported(f"the expression {name}")
+            case ast.Logical(operator, operands):
+                return _either(operator, list(map(go, operands)))
+            case ast.Comparison(operator, left, right):
+                return Call(operator, (go(left), go(right)))
+            case ast.In(operand, options, negated):
+                return self._listed(go(operand), options, negated)
+            case ast.Arithmetic(first, rest):
+                return _chain(go(first), [(operator, go(one)) for operator, one in rest])
+            case ast.Unary("!", operand):
+                return Call("!", (go(operand),))
+            case ast.Unary("-", operand):
+                return Call("NEGATE", (go(operand),))
+            case ast.Unary(_, operand):
+                return go(operand)
+            case ast.Exists(group, negated):
+                found = self.exists(group)
+                return Call("!", (found,)) if negated else found
+            case ast.FunctionCall(iri, arguments):
+                return Call(str(iri), tuple(map(go, arguments)))
+            case ast.Call(name, arguments):
+                name = _NAMES.get(name, name)
+                if name in _NOT_HERE:
+                    raise Unsupported(_NOT_HERE[name])
+                return Call(name, tuple(map(go, arguments)))
+            case ast.Aggregate():
+                raise AssertionError("an aggregate has become a variable (`translate`)")
 
-        def built_in(node: Any) -> Expression:
-            name = str(node.name).removeprefix("Builtin_").upper()
-            name = _NAMES.get(name, name)
-            if name in _NOT_HERE:
-                raise Unsupported(_NOT_HERE[name])
-            arguments: list[Expression] = []
-            for place in (*_ARGUMENTS, "flags"):
-                # `get` of rdflib gives back the name of what is not there.
-                if place not in node or node[place] is None:
-                    continue
-                given = node[place]
-                # CONCAT and COALESCE keep a list; `()` is rdf:nil.
-                listed = given if isinstance(given, list) else [given]
-                if name in ("CONCAT", "COALESCE") and not isinstance(given, list):
-                    listed = []
-                arguments.extend(go(one) for one in listed)
-            return Call(name, tuple(arguments))
-
-        def relation(node: Any) -> Expression:
-            left, operator = go(node.expr), str(node.op)
-            if operator not in ("IN", "NOT IN"):
-                return Call(operator, (left, go(node.other)))
-            if not node.other or isinstance(node.other, URIRef):
-                # rdflib reads `()` as rdf:nil.
-                return Const(Literal(operator == "NOT IN"))
-            tests = [Call("=", (left, go(one))) for one in node.other]
-            found = _either("||", tests)
-            return found if operator == "IN" else Call("!", (found,))
-
-        return go(node)
+    def _listed(
+        self, operand: Expression, options: Sequence[ast.Expression], negated: bool
+    ) -> Expression:
+        """IN, which is ``=`` of each option (SPARQL 1.1 §17.4.1.9)."""
+        if not options:
+            return Const(Literal(negated))
+        found = _either("||", [Call("=", (operand, self.of(one))) for one in options])
+        return Call("!", (found,)) if negated else found
 
 
 def _either(operator: str, tests: Sequence[Expression]) -> Expression:

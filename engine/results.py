@@ -4,44 +4,35 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Final
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
 
-from pyoxigraph import Literal, NamedNode
-from rdflib import BNode, URIRef
-from rdflib import Literal as RdflibLiteral
-from rdflib import Variable as RdflibVariable
-from rdflib.namespace import RDF
-from rdflib.plugins.sparql.parserutils import CompValue
+from pyoxigraph import BlankNode, Literal, NamedNode, Variable
 
 from ..continuous.expressions import Const, Expression, Var
 from ..continuous.translate_expressions import ExpressionTranslation
 from ..continuous.unsupported import Unsupported
 from ..converters.to_samples import ID, ResultConverter, field_names, result_schema
 from ..languages.attached import attached
-from ..languages.csparql import algebra
+from ..languages.csparql import body_tree
 from ..languages.csparql.ast import ContinuousQuery, Form
-from ..languages.csparql.shape import query_shape
-from ..languages.errors import LanguageError
+from ..languages.errors import LanguageError, Span
 from ..languages.ssl.annotation import Content, Role, StreamAnnotation
 from ..matching.want import THING
 from ..ontology.units import Unit
 from ..ontology.vocabulary import Vocabulary
 from ..rdf.datatypes import NUMBERS
-from ..rdf.namespaces import RDF as RDF_NAMESPACE
-from ..rdf.namespaces import RDFS, XSD, local_name, shorten
+from ..rdf.namespaces import RDF, RDF_TYPE, RDFS, XSD, local_name, shorten
 from ..rdf.timed import DATATYPES, Kind
+from ..sparql import ast
+from ..sparql.scope import shown
 from ..streams.sample import LONGEST_NAME, TIME_FIELDS, Schema
 from ..streams.strings import StringPool
 from ..templates.patterns import patterns
 from .computed_kinds import kind_of, one_kind
 
-_AGGREGATE_KINDS = {
-    "Aggregate_Avg": Kind.DOUBLE,
-    "Aggregate_Sum": Kind.DOUBLE,
-    "Aggregate_Count": Kind.INTEGER,
-}
+_AGGREGATE_KINDS = {"AVG": Kind.DOUBLE, "SUM": Kind.DOUBLE, "COUNT": Kind.INTEGER}
 _KIND_OF_RANGE = {datatype.value: kind for kind, datatype in DATATYPES.items()}
 
 
@@ -99,26 +90,23 @@ class ResultForm:
 def result_form(query: ContinuousQuery, vocabulary: Vocabulary) -> ResultForm:
     """The form of ``query``'s results: types by features' ranges and by aggregates. Cost: found
     once for all instances of a template."""
-    return _form(algebra(query).algebra, query.form, query.sparql, vocabulary)
+    return _form(body_tree(query), vocabulary)
 
 
 @attached
-def _form(tree: CompValue, form: Form, sparql: str, vocabulary: Vocabulary) -> ResultForm:
-    if form is Form.ASK:
+def _form(tree: ast.Query, vocabulary: Vocabulary) -> ResultForm:
+    if tree.form is Form.ASK:
         return ResultForm(result_schema(ask=True), (), {})
     kinds_of = _kinds(tree, vocabulary)
-    if form is not Form.CONSTRUCT:
-        variables = [str(variable) for variable in tree.PV]
-        schema = result_schema(variables=variables, kinds=kinds_of)
-        shape = query_shape(sparql)
-        return ResultForm(
-            schema, (), {}, ordered=shape is not None and bool(shape.modifier("ORDER"))
-        )
+    if tree.form is not Form.CONSTRUCT:
+        schema = result_schema(variables=list(shown(tree)), kinds=kinds_of)
+        return ResultForm(schema, (), {}, ordered=bool(tree.order))
     predicates: dict[str, Kind | None] = {}
-    for _, predicate, object in tree.template or ():
-        if isinstance(predicate, URIRef):
-            kind = kinds_of.get(str(object)) if isinstance(object, RdflibVariable) else None
-            predicates.setdefault(str(predicate), kind)
+    for triple in tree.template or ():
+        if isinstance(triple.predicate, NamedNode):
+            object = triple.object
+            kind = kinds_of.get(object.value) if isinstance(object, Variable) else None
+            predicates.setdefault(triple.predicate.value, kind)
     units: dict[str, Unit] = {}
     for predicate in predicates:
         info = vocabulary.feature(predicate)
@@ -132,15 +120,14 @@ def _form(tree: CompValue, form: Form, sparql: str, vocabulary: Vocabulary) -> R
     return ResultForm(schema, tuple(predicates), units, _naming(tree, vocabulary))
 
 
-def template_of(query: ContinuousQuery) -> Sequence[tuple[Any, Any, Any]]:
+def template_of(query: ContinuousQuery) -> Sequence[ast.Triple]:
     """The triples of a CONSTRUCT head."""
-    return algebra(query).algebra.template or ()
+    return query.body.template or ()
 
 
 def check_head(query: ContinuousQuery, vocabulary: Vocabulary) -> None:
     """The results of ``query`` make samples, whose fields are known before the first; raises
     `LanguageError`, which says what to write instead."""
-    tree = algebra(query).algebra
     told = ""
     match query.form:
         case Form.ASK:
@@ -149,17 +136,17 @@ def check_head(query: ContinuousQuery, vocabulary: Vocabulary) -> None:
             told = "what DESCRIBE gives has no fields that are known beforehand"
             hint = "write CONSTRUCT { ?o <feature> ?value } with the features that are wanted"
         case Form.CONSTRUCT:
-            predicates = [predicate for _, predicate, _ in template_of(query)]
+            predicates = [triple.predicate for triple in template_of(query)]
             hint = "write the features that are wanted: CONSTRUCT { ?o <feature> ?value }"
             if not predicates:
                 told = "the head says nothing"
-            elif not all(isinstance(predicate, URIRef) for predicate in predicates):
+            elif not all(isinstance(predicate, NamedNode) for predicate in predicates):
                 told = "a predicate that is a variable gives no fields that are known beforehand"
             else:
                 told = _no_number(query, vocabulary)
                 hint = "write another predicate for it" if told else hint
         case Form.SELECT:
-            names = [str(variable) for variable in tree.PV]
+            names = list(shown(query.body))
             taken = [name for name in names if name in TIME_FIELDS]
             if not names:
                 told, hint = "the head has no variable", "write ASK to know whether there is any"
@@ -172,21 +159,22 @@ def check_head(query: ContinuousQuery, vocabulary: Vocabulary) -> None:
     if any(len(name) > LONGEST_NAME for name in names):
         told, hint = f"a field's name has at most {LONGEST_NAME} characters", "shorten it"
     if told:
-        shape = query_shape(query.sparql)
-        assert shape is not None, "parse_query refuses a text without WHERE"
-        raise LanguageError(told, query.source, shape.tokens[shape.start].span, hint)
+        start = query.body.span.start
+        raise LanguageError(told, query.source, Span(start, start + len(query.form)), hint)
 
 
 def _no_number(query: ContinuousQuery, vocabulary: Vocabulary) -> str:
     """What a head says of a feature whose values are numbers, and that can be none."""
-    names = _names(algebra(query).algebra, vocabulary)
-    for _, predicate, object in template_of(query):
-        info = vocabulary.feature(str(predicate))
+    names = _names(body_tree(query), vocabulary)
+    for triple in template_of(query):
+        assert isinstance(triple.predicate, NamedNode)
+        predicate, object = triple.predicate.value, triple.object
+        info = vocabulary.feature(predicate)
         if info is None or info.range not in NUMBERS:
             continue
-        is_text = isinstance(object, RdflibLiteral) and str(object.datatype) not in NUMBERS
-        if is_text or isinstance(object, URIRef | BNode) or object in names:
-            return f"the values of {shorten(str(predicate))} are numbers, {object.n3()} is none"
+        is_text = isinstance(object, Literal) and object.datatype.value not in NUMBERS
+        if is_text or isinstance(object, NamedNode | BlankNode) or object in names:
+            return f"the values of {shorten(predicate)} are numbers, {object} is none"
     return ""
 
 
@@ -196,14 +184,14 @@ def head_role(query: ContinuousQuery, vocabulary: Vocabulary, read: Iterable[Con
 
     ``read`` is what the streams contain.
     """
-    tree = algebra(query).algebra
     contents = list(read)
-    body = patterns(tree)
+    body = patterns(body_tree(query))
     sorts = set()
-    for subject in dict.fromkeys(subject for subject, _, _ in template_of(query)):
+    for subject in dict.fromkeys(triple.subject for triple in template_of(query)):
         own = [pattern for pattern in body if pattern.subject == subject]
-        named = {str(c) for pattern in own for c in pattern.classes if vocabulary.is_sort(str(c))}
-        features = {str(pattern.predicate) for pattern in own}
+        classes = {c.value for pattern in own for c in pattern.classes}
+        named = {name for name in classes if vocabulary.is_sort(name)}
+        features = {pattern.predicate.value for pattern in own}
         told = {
             role.sort
             for content in contents
@@ -216,117 +204,129 @@ def head_role(query: ContinuousQuery, vocabulary: Vocabulary, read: Iterable[Con
     return Role(sorts.pop() if len(sorts) == 1 else THING, None, ID)
 
 
-def _naming(tree: CompValue, vocabulary: Vocabulary) -> frozenset[str]:
+def _naming(tree: ast.Query, vocabulary: Vocabulary) -> frozenset[str]:
     """The predicates of a head whose objects are always IRIs: written so, or stand in the body
     where nothing else can."""
     names = _names(tree, vocabulary)
-    objects: dict[str, set[Any]] = defaultdict(set)
-    for _, predicate, object in tree.template or ():
-        objects[str(predicate)].add(object)
+    objects: dict[str, set[ast.Place]] = defaultdict(set)
+    for triple in tree.template or ():
+        if isinstance(triple.predicate, NamedNode):
+            objects[triple.predicate.value].add(triple.object)
     return frozenset(
         predicate
         for predicate, found in objects.items()
-        if all(isinstance(each, URIRef) or each in names for each in found)
+        if all(isinstance(each, NamedNode) or each in names for each in found)
     )
 
 
-def _names(tree: CompValue, vocabulary: Vocabulary) -> set[Any]:
+def _names(tree: ast.Query, vocabulary: Vocabulary) -> set[ast.Place | None]:
     """What can only be a name, and no literal, by where it stands in the body."""
-    names = set()
+    names: set[ast.Place | None] = set()
     for pattern in patterns(tree):
         names.add(pattern.subject)
-        info = vocabulary.feature(str(pattern.predicate))
-        if pattern.predicate == RDF.type or (info is not None and _is_class(info.range)):
+        info = vocabulary.feature(pattern.predicate.value)
+        if pattern.predicate == RDF_TYPE or (info is not None and _is_class(info.range)):
             names.add(pattern.object)
     return names
 
 
 def _is_class(range: str | None) -> bool:
-    return range is not None and not range.startswith((XSD, RDFS, RDF_NAMESPACE))
+    return range is not None and not range.startswith((XSD, RDFS, RDF))
 
 
-def _kinds(tree: CompValue, vocabulary: Vocabulary) -> dict[str, Kind]:
+def _kinds(tree: ast.Query, vocabulary: Vocabulary) -> dict[str, Kind]:
     """Kinds of the variables that are numbers or booleans: by the range of the feature whose
-    value they are, and by the aggregate that computes them."""
-    kinds: dict[str, Kind] = {}
-    said: dict[str, Kind | None] = {}
-    others: set[str] = set()
+    value they are, and by the expression or aggregate that computes them."""
+    nodes = list(ast.walk(replace(tree, template=None)))
+    said, others = _ranges(nodes, vocabulary)
+    kinds = {name: kind for name, kind in said.items() if kind is not None}
+    aggregates: dict[ast.Aggregate, Variable] = {}
+    named = [(name, _translated(one, aggregates)) for name, one in _computed(nodes)]
     made: dict[str, dict[int, Kind | None]] = defaultdict(dict)
-
-    def learn(node: Any) -> None:
-        if not isinstance(node, CompValue):
-            return
-        if node.name == "BGP":
-            for _, predicate, object in node.triples:
-                info = vocabulary.feature(str(predicate))
-                kind = _KIND_OF_RANGE.get((info.range if info else None) or "")
-                if not isinstance(object, RdflibVariable):
-                    continue
-                if info is not None and info.range is not None and kind is None:
-                    others.add(str(object))
-                if said.setdefault(str(object), kind) is not kind:
-                    # In a UNION the one may hold or the other: text fits both.
-                    kind = said[str(object)] = None
-                if kind is None:
-                    kinds.pop(str(object), None)
-                else:
-                    kinds[str(object)] = kind
-        elif node.name.startswith("Aggregate_"):
-            argument = kinds.get(str(node.vars))
-            kind = _AGGREGATE_KINDS.get(node.name, argument)
-            if node.name == "Aggregate_Sum" and argument is Kind.INTEGER:
-                kind = Kind.INTEGER
-            if kind is not None:
-                kinds[str(node.res)] = kind
-        elif node.name == "Extend":
-            try:
-                kind = kind_of(_EXPRESSIONS.of(node.expr, {}), kinds, others)
-            except Unsupported:
-                kind = None
-            made[str(node.var)][id(node)] = kind
-            kind = one_kind([*made[str(node.var)].values()])
-            if kind is not None:
-                kinds[str(node.var)] = kind
-
     # An alias is known when what it stands for is: once more until nothing new is learnt.
     before = -1
     while before < len(kinds):
         before = len(kinds)
-        _walk(tree, learn)
-    for name, found in made.items():
-        bound = [said[name]] if name in said else []
-        known = one_kind([*found.values(), *bound])
+        for aggregate, variable in aggregates.items():
+            known = _kind_of_aggregate(aggregate, kinds)
+            if known is not None:
+                kinds[variable.value] = known
+        for number, (name, expression) in enumerate(named):
+            found = None if expression is None else kind_of(expression, kinds, others)
+            made[name][number] = found
+            known = one_kind([*made[name].values()])
+            if known is not None:
+                kinds[name] = known
+    for name, kinds_of in made.items():
+        known = one_kind([*kinds_of.values(), *([said[name]] if name in said else [])])
         if known is None:
             # In a UNION the one may hold or the other: text fits both.
             kinds.pop(name, None)
         else:
             kinds[name] = known
-    for name in _names(tree, vocabulary):
+    for place in _names(tree, vocabulary):
         # A number in one branch of a UNION, a name in another.
-        kinds.pop(str(name), None)
+        if isinstance(place, Variable):
+            kinds.pop(place.value, None)
     return kinds
 
 
-def _term(node: Any) -> Expression:
-    if isinstance(node, RdflibVariable):
-        return Var(str(node))
-    if isinstance(node, RdflibLiteral) and node.datatype is not None:
-        return Const(Literal(str(node), datatype=NamedNode(str(node.datatype))))
-    return Const(Literal(str(node)))
+def _ranges(
+    nodes: Iterable[object], vocabulary: Vocabulary
+) -> tuple[dict[str, Kind | None], set[str]]:
+    """The kinds of objects by the ranges of features, and the objects that are something else."""
+    said: dict[str, Kind | None] = {}
+    others: set[str] = set()
+    for node in nodes:
+        if not isinstance(node, ast.Triple) or not isinstance(node.object, Variable):
+            continue
+        name, predicate = node.object.value, node.predicate
+        info = vocabulary.feature(predicate.value) if isinstance(predicate, NamedNode) else None
+        kind = _KIND_OF_RANGE.get((info.range if info else None) or "")
+        if info is not None and info.range is not None and kind is None:
+            others.add(name)
+        # In a UNION the one may hold or the other: text fits both.
+        if said.setdefault(name, kind) is not kind:
+            said[name] = None
+    return said, others
+
+
+def _computed(nodes: Iterable[object]) -> Iterable[tuple[str, ast.Expression]]:
+    for node in nodes:
+        if isinstance(node, ast.Bind | ast.Projected) and node.expression is not None:
+            yield node.variable.value, node.expression
+        elif isinstance(node, ast.Key) and node.alias is not None:
+            yield node.alias.value, node.expression
+
+
+def _translated(
+    expression: ast.Expression, aggregates: dict[ast.Aggregate, Variable]
+) -> Expression | None:
+    """An expression with a variable for each aggregate; None for what plans do not have."""
+
+    def change(node: object) -> Variable | None:
+        if not isinstance(node, ast.Aggregate):
+            return None
+        return aggregates.setdefault(node, Variable(f"__agg_{len(aggregates) + 1}__"))
+
+    try:
+        return _EXPRESSIONS.of(ast.rewritten(expression, change))
+    except Unsupported:
+        return None
+
+
+def _kind_of_aggregate(one: ast.Aggregate, kinds: Mapping[str, Kind]) -> Kind | None:
+    known = kinds.get(one.argument.value) if isinstance(one.argument, Variable) else None
+    if one.function == "SUM" and known is Kind.INTEGER:
+        return Kind.INTEGER
+    return _AGGREGATE_KINDS.get(one.function, known)
+
+
+def _term(term: Variable | NamedNode | Literal) -> Expression:
+    return Var(term.value) if isinstance(term, Variable) else Const(term)
 
 
 _EXPRESSIONS: Final = ExpressionTranslation(_term, lambda _: Const(Literal(True)))
-
-
-def _walk(node: Any, visit: Callable[[Any], None]) -> None:
-    if isinstance(node, CompValue):
-        for key, part in node.items():
-            if not key.startswith("_"):
-                _walk(part, visit)
-        visit(node)
-    elif isinstance(node, list | tuple):
-        for part in node:
-            _walk(part, visit)
 
 
 def _subject(roles: Sequence[Role]) -> Role:

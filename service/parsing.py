@@ -14,7 +14,7 @@ from typing import Final
 import anyio
 import anyio.to_thread
 
-from ..languages.csparql import algebra, parse_query, parse_template
+from ..languages.csparql import body_tree, parse_query, parse_template
 from ..languages.kpl import parse_kpl
 from ..languages.kpl.ast import Specification
 from ..languages.ssl import parse_ssl
@@ -89,7 +89,7 @@ async def parse_aside(parse: Callable[[str], object], text: str) -> None:
 
 def parse_registration(text: str) -> None:
     """Parse a template, and what registering it reads of it: for `parse_aside`."""
-    algebra(parse_template(text).query)
+    body_tree(parse_template(text).query)
 
 
 def count_words(text: str) -> int:
@@ -99,7 +99,7 @@ def count_words(text: str) -> int:
 
 def parse_continuous(text: str) -> None:
     """The same of a continuous query."""
-    patterns(algebra(parse_query(text)).algebra)
+    patterns(body_tree(parse_query(text)))
 
 
 def _check_words(text: str) -> None:

@@ -13,7 +13,7 @@ from typing import assert_never
 
 from pyoxigraph import BlankNode, Literal, NamedNode, Variable
 
-from ..languages.csparql import algebra, bind, required_parameters, term_text
+from ..languages.csparql import bind, body_tree, required_parameters, term_text
 from ..languages.csparql.ast import ContinuousQuery, Template
 from ..ontology.vocabulary import Vocabulary
 from ..rdf.dictionary import Term
@@ -57,7 +57,7 @@ def instantiate(
             f"{shorten(template.name)} takes {_counted(len(parameters))}, not {len(arguments)}",
             hint=f"write {_signature(template)}",
         )
-    stand = places(algebra(template.query).algebra, vocabulary)
+    stand = places(body_tree(template.query), vocabulary)
     required = required_parameters(template)
     bindings: dict[Variable, Term] = {}
     for index, (parameter, argument) in enumerate(zip(parameters, arguments, strict=True)):

@@ -11,15 +11,13 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from pyoxigraph import NamedNode, Store
-from rdflib import URIRef, Variable
-from rdflib.namespace import RDF
+from pyoxigraph import NamedNode, Store, Variable
 
-from ..languages.csparql import algebra
+from ..languages.csparql import body_tree
 from ..languages.csparql.ast import ContinuousQuery
 from ..matching.want import THING, Want
 from ..ontology.vocabulary import Vocabulary
-from ..rdf.namespaces import DYKNOW, shorten
+from ..rdf.namespaces import DYKNOW, RDF_TYPE, shorten
 from .instantiate import suggestion
 from .patterns import Pattern, head_subjects, patterns
 
@@ -69,7 +67,7 @@ def needs(
     Raises `NeedsError` for a variable predicate and for an unknown ``dyknow:`` predicate or
     class, unless the query names its streams itself.
     """
-    root = algebra(query).algebra
+    root = body_tree(query)
     reader = _Reader(query, vocabulary, is_static)
     found = [pattern for pattern in patterns(root) if reader.is_streamed(pattern)]
     wants = tuple(dict.fromkeys(reader.want(pattern) for pattern in found))
@@ -80,9 +78,9 @@ def open_predicates(query: ContinuousQuery) -> tuple[str, ...]:
     """Names of the variables in predicate positions that no binding fills."""
     bound = {variable.value for variable in query.bindings}
     names = dict.fromkeys(
-        str(pattern.predicate)
-        for pattern in patterns(algebra(query).algebra)
-        if isinstance(pattern.predicate, Variable) and str(pattern.predicate) not in bound
+        pattern.predicate.value
+        for pattern in patterns(body_tree(query))
+        if isinstance(pattern.predicate, Variable) and pattern.predicate.value not in bound
     )
     return tuple(names)
 
@@ -121,8 +119,8 @@ class _Reader:
     def iri(self, term: Any) -> str | None:
         """The IRI that a term is or is bound to."""
         if isinstance(term, Variable):
-            return self._bound.get(str(term))
-        return str(term) if isinstance(term, URIRef) else None
+            return self._bound.get(term.value)
+        return term.value if isinstance(term, NamedNode) else None
 
     def is_streamed(self, pattern: Pattern) -> bool:
         """The pattern is about a feature or event, so streams must bring it."""
@@ -131,11 +129,11 @@ class _Reader:
             if self._named_streams:
                 return False
             raise NeedsError(
-                f"the predicate ?{pattern.predicate} may be any feature, "
+                f"the predicate {pattern.predicate} may be any feature, "
                 "so the streams cannot be inferred",
                 "name them with FROM STREAM, or write the feature",
             )
-        if predicate == str(RDF.type):
+        if predicate == RDF_TYPE.value:
             self._check_class(pattern.object)
             return False
         known = self._vocabulary

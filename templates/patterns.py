@@ -1,103 +1,135 @@
-"""What the body of a query says, read off its algebra: patterns with the sorts of their subjects.
+"""What the body of a query says, read off its tree: patterns with the sorts of their subjects.
 
 `instantiate` asks where a parameter stands, `needs` which features of which objects are used.
-rdflib's algebra is a tree of `CompValue`; only basic graph patterns and expressions matter here.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import reduce
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
-from rdflib import URIRef
-from rdflib.namespace import RDF
-from rdflib.paths import InvPath, Path
-from rdflib.plugins.sparql.parserutils import CompValue
+from pyoxigraph import NamedNode, Variable
 
 from ..languages.attached import attached
+from ..rdf.namespaces import RDF_TYPE
+from ..sparql import ast
+from ..sparql.algebra import split
+from ..sparql.scope import shown
 
-Typing: TypeAlias = Mapping[Any, frozenset[Any]]
+Typing: TypeAlias = Mapping[ast.Place, frozenset[ast.Place]]
 """Subject -> the classes that every solution says it has."""
-
-_ROOTS = ("SelectQuery", "ConstructQuery", "AskQuery", "DescribeQuery")
 
 
 @dataclass(frozen=True, slots=True)
 class Pattern:
-    """A triple pattern in WHERE, in rdflib terms, and the classes required of its subject."""
+    """A triple pattern in WHERE, and the classes required of its subject. Inside a path, subjects
+    and objects have no names: None."""
 
-    subject: Any
-    predicate: Any
-    object: Any
-    classes: frozenset[Any]
+    subject: ast.Place | None
+    predicate: NamedNode | Variable
+    object: ast.Place | None
+    classes: frozenset[ast.Place]
 
 
 @attached
-def patterns(root: CompValue) -> tuple[Pattern, ...]:
-    """The triple patterns over the default graph, in reading order of the algebra.
+def patterns(query: ast.Query) -> tuple[Pattern, ...]:
+    """The triple patterns over the default graph, in the order in which they are joined.
 
     A property path is a pattern for each of its steps. What is in GRAPH is not of the streams
     and left out. ``classes`` are those of ``?o a S`` patterns that must hold along with the
-    pattern: not those in another branch of a UNION or in an OPTIONAL. Cost: found once a root.
+    pattern: not those in another branch of a UNION or in an OPTIONAL. Cost: found once a query.
     """
-    return tuple(_patterns(root, {}, top=True))
+    return tuple(_of_query(query, {}))
 
 
-def _patterns(node: CompValue, inherited: Typing, *, top: bool) -> Iterator[Pattern]:
-    if node.name in ("Graph", "GraphGraphPattern"):
-        return
-    if node.name == "Project" and not top:
-        # A sub-query is evaluated on its own; its variables are not those around it.
-        inherited = {}
-    classes = _joined(inherited, _required(node))
-    for subject, predicate, object in _triples(node):
-        for s, p, o in _steps(subject, predicate, object):
-            yield Pattern(s, p, o, classes.get(s, frozenset()))
-    for child in children(node):
-        yield from _patterns(child, classes, top=top and node.name in (*_ROOTS, "Project"))
+def _of_query(query: ast.Query, inherited: Typing) -> Iterator[Pattern]:
+    if query.where is not None:
+        yield from _of_group(query.where, inherited)
+    for part in (query.projection, query.keys, query.having, query.order):
+        for group in _existing(part):
+            yield from _of_group(group, inherited)
 
 
-def _required(node: CompValue) -> Typing:
-    """The classes that hold of a subject in each solution of ``node``."""
-    match node.name:
-        case "BGP" | "TriplesBlock":
-            found: dict[Any, frozenset[Any]] = {}
-            for subject, predicate, object in _triples(node):
-                if predicate == RDF.type:
-                    found[subject] = found.get(subject, frozenset()) | {object}
+def _of_group(
+    group: ast.Group, inherited: Typing, *, is_optional: bool = False
+) -> Iterator[Pattern]:
+    classes = _joined(inherited, _required(group))
+    parts, conditions = split(group)
+    existing = [inner for condition in conditions for inner in _existing(condition)]
+    tested = (found for inner in existing for found in _of_group(inner, classes))
+    if not is_optional:
+        yield from tested
+    for part in parts:
+        yield from _of_part(part, classes)
+    yield from tested
+
+
+def _of_part(part: ast.Element, classes: Typing) -> Iterator[Pattern]:
+    match part:
+        case ast.Triples(triples):
+            for triple in triples:
+                yield from _steps(triple, classes)
+        case ast.Group() | ast.Minus():
+            yield from _of_group(part if isinstance(part, ast.Group) else part.group, classes)
+        case ast.Optional(group):
+            yield from _of_group(group, classes, is_optional=True)
+        case ast.Union(groups):
+            for group in groups:
+                yield from _of_group(group, classes)
+        case ast.SubSelect(query):
+            # It is evaluated on its own; its variables are not those around it.
+            yield from _of_query(query, {})
+        case ast.Bind(expression, _):
+            for group in _existing(expression):
+                yield from _of_group(group, classes)
+        case ast.Graph() | ast.Values() | ast.Filter():
+            pass
+
+
+def _existing(node: object) -> Iterator[ast.Group]:
+    """The groups of EXISTS in an expression."""
+    waiting = [node]
+    while waiting:
+        one = waiting.pop()
+        if isinstance(one, ast.Exists):
+            yield one.group
+        else:
+            waiting.extend(reversed(list(ast.children(one))))
+
+
+def _required(group: ast.Group) -> Typing:
+    """The classes that hold of a subject in each solution of a group."""
+    return reduce(_joined, map(_required_by, group.elements), {})
+
+
+def _required_by(element: ast.Element) -> Typing:
+    match element:
+        case ast.Triples(triples):
+            found: dict[ast.Place, frozenset[ast.Place]] = {}
+            for triple in triples:
+                if triple.predicate == RDF_TYPE:
+                    known = found.get(triple.subject, frozenset())
+                    found[triple.subject] = known | {triple.object}
             return found
-        case "GroupGraphPatternSub":
-            blocks = (_required(part) for part in node.part if part.name == "TriplesBlock")
-            return reduce(_joined, blocks, {})
-        case "Join":
-            return _joined(_required(node.p1), _required(node.p2))
-        case "LeftJoin" | "Minus":
-            return _required(node.p1)
-        case "Union":
-            left, right = _required(node.p1), _required(node.p2)
-            return {subject: left[subject] & right[subject] for subject in left if subject in right}
-        case "Project":
-            return {s: c for s, c in _required(node.p).items() if s in node.PV}
-        case "Graph":
-            return {}
+        case ast.Group():
+            return _required(element)
+        case ast.Union(groups):
+            return reduce(_common, map(_required, groups))
+        case ast.SubSelect(query) if query.where is not None:
+            names = shown(query)
+            return {
+                subject: classes
+                for subject, classes in _required(query.where).items()
+                if isinstance(subject, Variable) and subject.value in names
+            }
         case _:
-            inner = node.p
-            return _required(inner) if isinstance(inner, CompValue) else {}
+            return {}
 
 
-def _triples(node: CompValue) -> Iterator[tuple[Any, Any, Any]]:
-    """The triple patterns of a node that holds some.
-
-    Inside EXISTS rdflib may leave the parse tree as it was: flat lists, three terms a pattern.
-    """
-    if node.name == "BGP":
-        yield from node.triples
-    elif node.name == "TriplesBlock":
-        for flat in node.triples:
-            terms = list(flat)
-            yield from zip(terms[::3], terms[1::3], terms[2::3], strict=True)
+def _common(left: Typing, right: Typing) -> Typing:
+    return {subject: left[subject] & right[subject] for subject in left if subject in right}
 
 
 def _joined(left: Typing, right: Typing) -> Typing:
@@ -107,48 +139,21 @@ def _joined(left: Typing, right: Typing) -> Typing:
     }
 
 
-def _steps(subject: Any, predicate: Any, object: Any) -> Iterator[tuple[Any, Any, Any]]:
-    """A pattern a predicate. Inside a path, subjects and objects have no names."""
-    if not isinstance(predicate, Path):
-        yield subject, predicate, object
+def _steps(triple: ast.Triple, classes: Typing) -> Iterator[Pattern]:
+    """A pattern a predicate."""
+    verb = triple.predicate
+    if isinstance(verb, NamedNode | Variable):
+        none: frozenset[ast.Place] = frozenset()
+        yield Pattern(triple.subject, verb, triple.object, classes.get(triple.subject, none))
         return
-    for step in _path_predicates(predicate):
-        yield (object if isinstance(predicate, InvPath) else None), step, None
+    subject = triple.object if isinstance(verb, ast.Inverse) else None
+    known = frozenset() if subject is None else classes.get(subject, frozenset())
+    for step in ast.walk(verb):
+        if isinstance(step, NamedNode):
+            yield Pattern(subject, step, None, known)
 
 
-def _path_predicates(path: Any) -> Iterator[Any]:
-    if isinstance(path, URIRef):
-        yield path
-    elif isinstance(path, Path):
-        # Sequences, alternatives and negations have args; inverses an arg; repetitions a path.
-        parts = vars(path).values()
-        for part in parts:
-            for inner in part if isinstance(part, list) else [part]:
-                yield from _path_predicates(inner)
-
-
-def children(node: CompValue) -> Iterator[CompValue]:
-    """The nodes directly below, expressions and the groups of EXISTS among them."""
-    for value in node.values():
-        yield from _nodes_in(value)
-
-
-def _nodes_in(value: Any) -> Iterator[CompValue]:
-    if isinstance(value, CompValue):
-        yield value
-    elif isinstance(value, Sequence) and not isinstance(value, str):
-        for item in value:
-            yield from _nodes_in(item)
-
-
-def everything(node: CompValue) -> Iterator[CompValue]:
-    """``node`` and all below it."""
-    yield node
-    for child in children(node):
-        yield from everything(child)
-
-
-def head_subjects(root: CompValue) -> tuple[Any, ...]:
+def head_subjects(query: ast.Query) -> tuple[ast.Place, ...]:
     """The subjects of a CONSTRUCT head, each once; empty for other forms."""
-    triples = root.template or []
-    return tuple(dict.fromkeys(subject for subject, _, _ in triples))
+    triples: Iterable[ast.Triple] = query.template or ()
+    return tuple(dict.fromkeys(triple.subject for triple in triples))

@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from enum import StrEnum
-from typing import Any
+from typing import Any, Final
 
-from rdflib import Literal, URIRef, Variable
-from rdflib.namespace import RDF
-from rdflib.plugins.sparql.parserutils import CompValue
+from pyoxigraph import Literal, NamedNode, Variable
 
 from ..languages.attached import attached
 from ..ontology.vocabulary import Vocabulary
 from ..rdf.datatypes import NUMBERS
-from .patterns import everything, patterns
+from ..rdf.namespaces import RDF_TYPE
+from ..sparql import ast
+from .patterns import patterns
 
-_ARITHMETIC = ("AdditiveExpression", "MultiplicativeExpression", "UnaryMinus", "UnaryPlus")
-_NUMERIC_CALLS = ("Builtin_ABS", "Builtin_CEIL", "Builtin_FLOOR", "Builtin_ROUND", "Builtin_STRLEN")
-_COUNTING = ("Aggregate_Count", "Aggregate_Sum", "Aggregate_Avg")
-_SAME_KIND = ("Aggregate_Min", "Aggregate_Max", "Aggregate_Sample")
+_NUMERIC_CALLS: Final = ("ABS", "CEIL", "FLOOR", "ROUND", "STRLEN")
+_COUNTING: Final = ("COUNT", "SUM", "AVG")
+_SAME_KIND: Final = ("MIN", "MAX", "SAMPLE")
 
 
 class Place(StrEnum):
@@ -36,19 +35,19 @@ def is_numeric(datatype: str | None) -> bool:
 
 
 @attached
-def places(root: CompValue, vocabulary: Vocabulary) -> dict[str, frozenset[Place]]:
+def places(query: ast.Query, vocabulary: Vocabulary) -> dict[str, frozenset[Place]]:
     """Variable name -> the restricting positions that it stands in, over the whole body.
 
     A number is due where a variable is calculated with, or compared with what is a number: a
     literal, a calculation, an aggregate, a feature whose range is numeric. Cost: found once.
     """
     found: dict[str, set[Place]] = {}
-    for pattern in patterns(root):
+    for pattern in patterns(query):
         _note(found, pattern.subject, Place.SUBJECT)
         _note(found, pattern.predicate, Place.PREDICATE)
-        if pattern.predicate == RDF.type:
+        if pattern.predicate == RDF_TYPE:
             _note(found, pattern.object, Place.SORT)
-    numbers = _Numbers(root, vocabulary)
+    numbers = _Numbers(query, vocabulary)
     for variable in numbers.demanded():
         _note(found, variable, Place.NUMBER)
     return {name: frozenset(kinds) for name, kinds in found.items()}
@@ -56,74 +55,76 @@ def places(root: CompValue, vocabulary: Vocabulary) -> dict[str, frozenset[Place
 
 def _note(found: dict[str, set[Place]], term: Any, place: Place) -> None:
     if isinstance(term, Variable):
-        found.setdefault(str(term), set()).add(place)
+        found.setdefault(term.value, set()).add(place)
 
 
 class _Numbers:
     """Which variables and expressions of a body are numbers."""
 
-    def __init__(self, root: CompValue, vocabulary: Vocabulary) -> None:
-        self._nodes = list(everything(root))
-        # rdflib renames what an aggregate query takes along: SAMPLE of a variable is the variable.
-        self._meant: dict[Any, Any] = {
-            node.res: node.vars for node in self._nodes if node.name == "Aggregate_Sample"
-        }
-        self._known: set[Any] = set()
-        for pattern in patterns(root):
-            info = (
-                vocabulary.feature(str(pattern.predicate))
-                if isinstance(pattern.predicate, URIRef)
-                else None
-            )
-            if info is not None and (is_numeric(info.range) or info.unit is not None):
+    def __init__(self, query: ast.Query, vocabulary: Vocabulary) -> None:
+        self._nodes = list(ast.walk(query))
+        self._known: set[Variable] = set()
+        for pattern in patterns(query):
+            predicate = pattern.predicate
+            info = vocabulary.feature(predicate.value) if isinstance(predicate, NamedNode) else None
+            is_number = info is not None and (is_numeric(info.range) or info.unit is not None)
+            if is_number and isinstance(pattern.object, Variable):
                 self._known.add(pattern.object)
         self._spread()
 
     def _spread(self) -> None:
-        """Numbers through BIND and aggregates, until nothing more is known."""
+        """Numbers through BIND, heads and aggregates, until nothing more is known."""
+        named = [
+            (node.variable, node.expression)
+            for node in self._nodes
+            if isinstance(node, ast.Bind | ast.Projected) and node.expression is not None
+        ]
+        named += [
+            (node.alias, node.expression)
+            for node in self._nodes
+            if isinstance(node, ast.Key) and node.alias is not None
+        ]
         before = -1
         while before != len(self._known):
             before = len(self._known)
-            for node in self._nodes:
-                if (node.name == "Extend" and self.is_number(node.expr)) or (
-                    node.name in _SAME_KIND and self.is_number(node.vars)
-                ):
-                    self._known.add(node.var if node.name == "Extend" else node.res)
-                elif node.name in _COUNTING:
-                    self._known.add(node.res)
+            self._known.update(name for name, expression in named if self.is_number(expression))
 
-    def is_number(self, expression: Any) -> bool:
-        if isinstance(expression, Literal):
-            return is_numeric(str(expression.datatype))
-        if isinstance(expression, CompValue):
-            return expression.name in (*_ARITHMETIC, *_NUMERIC_CALLS)
-        return expression in self._known or self._meant.get(expression) in self._known
+    def is_number(self, expression: ast.Expression) -> bool:
+        match expression:
+            case Literal():
+                return is_numeric(expression.datatype.value)
+            case Variable():
+                return expression in self._known
+            case ast.Arithmetic() | ast.Unary("-" | "+", _):
+                return True
+            case ast.Call(name, _):
+                return name in _NUMERIC_CALLS
+            case ast.Aggregate(function, argument):
+                if function in _COUNTING:
+                    return True
+                return function in _SAME_KIND and argument is not None and self.is_number(argument)
+            case _:
+                return False
 
-    def demanded(self) -> Iterable[Any]:
+    def demanded(self) -> Iterator[Variable]:
         """The variables that are calculated with or compared with numbers."""
         for node in self._nodes:
-            if node.name in _ARITHMETIC:
-                # A sign is around one operand, a sum or product around one and a list.
-                rest = node.other
-                operands = [node.expr, *(rest if isinstance(rest, list | tuple) else ())]
-                yield from map(self._variable, operands)
-            elif node.name == "RelationalExpression":
-                yield from map(self._variable, self._compared(node))
-            elif node.name in ("Aggregate_Sum", "Aggregate_Avg"):
-                yield self._variable(node.vars)
+            for operand in self._operands(node):
+                if isinstance(operand, Variable):
+                    yield operand
 
-    def _compared(self, node: CompValue) -> list[Any]:
-        left, right = node.expr, node.other
-        if isinstance(right, list | tuple):  # IN
-            return [left] if all(self.is_number(item) for item in right) else []
-        operands = []
-        if self.is_number(right):
-            operands.append(left)
-        if self.is_number(left):
-            operands.append(right)
-        return operands
-
-    def _variable(self, expression: Any) -> Any:
-        if isinstance(expression, Variable):
-            return self._meant.get(expression, expression)
-        return None
+    def _operands(self, node: Any) -> Iterable[ast.Expression]:
+        match node:
+            case ast.Arithmetic(first, rest):
+                return [first, *(one for _, one in rest)]
+            case ast.Unary("-" | "+", operand):
+                return [operand]
+            case ast.Comparison(_, left, right):
+                found = [left] if self.is_number(right) else []
+                return [*found, right] if self.is_number(left) else found
+            case ast.In(operand, options, _):
+                return [operand] if all(map(self.is_number, options)) else []
+            case ast.Aggregate("SUM" | "AVG", argument, _, _) if argument is not None:
+                return [argument]
+            case _:
+                return []

@@ -15,7 +15,7 @@ from functools import cached_property
 from pyoxigraph import NamedNode, Variable
 
 from ..converters.to_samples import ID, field_names
-from ..languages.csparql import algebra, required_parameters
+from ..languages.csparql import body_tree, required_parameters
 from ..languages.csparql.ast import ContinuousQuery, Form, Template
 from ..languages.ssl.annotation import Argument, PortAnnotation
 from ..matching.space import EventDescription
@@ -127,22 +127,26 @@ def event_transformation(
 
 
 def _predicates(query: ContinuousQuery) -> list[str]:
-    tree = algebra(query).algebra
-    found = dict.fromkeys(str(predicate) for _, predicate, _ in tree.template)
+    tree = body_tree(query)
+    found = dict.fromkeys(
+        triple.predicate.value
+        for triple in tree.template or ()
+        if isinstance(triple.predicate, NamedNode | Variable)
+    )
     return list(found)
 
 
 def _parameters(template: Template) -> tuple[str | None, frozenset[str]]:
     """The parameter that stands for the event's object, and those that stand for its classes."""
-    root = algebra(template.query).algebra
+    root = body_tree(template.query)
     names = {parameter.value for parameter in template.parameters}
-    subjects = [str(subject) for subject in head_subjects(root)]
+    subjects = [subject.value for subject in head_subjects(root)]
     own = next((name for name in subjects if name in names), None)
     sorts = {
-        str(found)
+        found.value
         for pattern in patterns(root)
-        if str(pattern.subject) in subjects
+        if pattern.subject is not None and pattern.subject.value in subjects
         for found in pattern.classes
-        if str(found) in names
+        if found.value in names
     }
     return own, frozenset(sorts)

@@ -1,5 +1,6 @@
 """Continuous queries in C-SPARQL and RSP-QL, event templates ([Events14 §III-IV], SPEC §5)."""
 
+from ...sparql.terms import term_text
 from .ast import (
     Aggregation,
     ContinuousQuery,
@@ -14,12 +15,19 @@ from .ast import (
     TimeWindow,
     Window,
 )
-from .body import algebra, bind, body_sparql, group_keys, nested_parameters, with_streams
+from .body import (
+    bind,
+    body_sparql,
+    body_tree,
+    body_with_rows,
+    group_keys,
+    nested_parameters,
+    with_streams,
+)
 from .functions import TIMESTAMP, VALID_TIME
 from .parser import parse_query, parse_template, required_parameters
 from .printer import format_query
 from .requests import parse_argument, parse_event_request
-from .terms import term_text
 
 __all__ = [
     "TIMESTAMP",
@@ -36,9 +44,10 @@ __all__ = [
     "Template",
     "TimeWindow",
     "Window",
-    "algebra",
     "bind",
     "body_sparql",
+    "body_tree",
+    "body_with_rows",
     "format_query",
     "group_keys",
     "nested_parameters",

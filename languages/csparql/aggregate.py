@@ -7,18 +7,21 @@ from typing import Final
 
 from pyoxigraph import Variable
 
+from ...sparql.ast import Expression
+from ...sparql.cursor import Cursor
+from ...sparql.expressions import ExpressionReader
+from ...sparql.tokens import Kind
 from ..errors import Span
 from .ast import Aggregation
-from .cursor import Cursor
-from .shape import constraint_end
-from .tokens import Kind
 
 FUNCTIONS: Final = ("AVG", "SUM", "COUNT", "MIN", "MAX")
 _EXAMPLE: Final = "write `AGGREGATE {(?avg, AVG, {?x}) FILTER (?avg > 100)}`"
 
 
 def read_aggregate(
-    at: Cursor, aggregations: list[Aggregation], filters: list[tuple[str, Span]]
+    at: ExpressionReader,
+    aggregations: list[Aggregation],
+    filters: list[tuple[Expression, Span]],
 ) -> None:
     """``{(?a, AVG, {?x}) FILTER (…)}`` behind AGGREGATE, in any order, into both lists."""
     at.expect_mark("{", _EXAMPLE)
@@ -36,14 +39,13 @@ def read_aggregate(
         raise at.error("the AGGREGATE clause aggregates nothing", close, _EXAMPLE)
 
 
-def _filter(at: Cursor) -> tuple[str, Span]:
+def _filter(at: ExpressionReader) -> tuple[Expression, Span]:
     at.take()
     start = at.here
     if start is None or at.is_mark("}", ")", "]"):
         raise at.due("a condition", "write `FILTER (?avg > 100)`")
-    at.index = constraint_end(at.tokens, at.index)
-    end = at.before.end
-    return at.source[start.start : end], Span(start.start, end)
+    condition = at.constraint()
+    return condition, Span(start.start, at.before.end)
 
 
 def _aggregation(at: Cursor) -> Aggregation:

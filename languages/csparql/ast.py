@@ -1,8 +1,7 @@
 """The AST of continuous queries and event templates ([Events14 §III-IV], SPEC §5).
 
-The header (REGISTER, streams, windows, AGGREGATE) is ours; the SPARQL in it is held as SPARQL:
-`sparql` is the text with our clauses blanked out, character for character, so that offsets in it
-are offsets in the source.
+The header (REGISTER, streams, windows, AGGREGATE) is ours; `ContinuousQuery.body` is the SPARQL in
+it, as `dyknow.sparql` reads it.
 """
 
 from __future__ import annotations
@@ -15,16 +14,9 @@ from typing import TypeAlias
 from pyoxigraph import Variable
 
 from ...rdf.dictionary import Term
+from ...sparql.ast import Expression, Query
+from ...sparql.ast import Form as Form
 from ..errors import Span
-
-
-class Form(StrEnum):
-    """The query form of the body."""
-
-    SELECT = "SELECT"
-    CONSTRUCT = "CONSTRUCT"
-    ASK = "ASK"
-    DESCRIBE = "DESCRIBE"
 
 
 class Dialect(StrEnum):
@@ -106,11 +98,10 @@ class ContinuousQuery:
     EVERY period in ns (None where absent), ``static`` the FROM graphs, ``static_named`` the FROM
     NAMED graphs, ``streams`` the FROM STREAM and FROM NAMED WINDOW clauses (empty where they are to
     be inferred), ``window`` the WINDOW clause (templates) which holds for every stream that is
-    inferred. ``aggregations`` and ``aggregate_filters`` (texts of the FILTER expressions, with
-    spans) are the paper's AGGREGATE clause; SPARQL 1.1 aggregates stand in ``sparql``, where
-    RSP-QL's ``WINDOW <name> {…}`` is written ``GRAPH <name> {…}``; ``window_variables`` are the
-    names of those of ``WINDOW ?w {…}``. ``bindings`` are the template arguments that were given as
-    terms.
+    inferred. ``aggregations`` and ``aggregate_filters`` (the conditions of its FILTERs, with their
+    spans) are the paper's AGGREGATE clause; SPARQL 1.1 aggregates stand in ``body``, where RSP-QL's
+    ``WINDOW <name> {…}`` is a graph; ``window_variables`` are the names of those of
+    ``WINDOW ?w {…}``. ``bindings`` are the template arguments that were given as terms.
     """
 
     name: str
@@ -122,8 +113,8 @@ class ContinuousQuery:
     streams: tuple[StreamClause, ...]
     window: Window | None
     aggregations: tuple[Aggregation, ...]
-    aggregate_filters: tuple[tuple[str, Span], ...]
-    sparql: str
+    aggregate_filters: tuple[tuple[Expression, Span], ...]
+    body: Query
     source: str
     bindings: Mapping[Variable, Term] = field(default_factory=dict)
     dialect: Dialect = Dialect.C_SPARQL

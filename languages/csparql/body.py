@@ -1,71 +1,96 @@
-"""The plain SPARQL 1.1 of a continuous query: what Oxigraph runs per window ([Events14 §III.A]).
+"""The plain SPARQL 1.1 of a continuous query: what is planned, or runs on Oxigraph a window
+([Events14 §III.A]).
 
-All of it is done by edits at offsets of the user's text, so what is not touched stays as written:
+It is made of the tree that the parser gave:
 
 - AGGREGATE becomes a sub-select with GROUP BY and HAVING (`SPEC §5`);
-- an alias in HAVING becomes its aggregate: both engines know no alias there and answer nothing;
+- an alias in HAVING or in a later expression of the head becomes what it stands for: SPARQL 1.1
+  defines no alias there (§18.2.4.4), C-SPARQL's texts use them;
 - a bound parameter is a VALUES row inside each group that uses it (a group does not see the
   bindings around it), and a group key, so that HAVING sees it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import Any, Final
 
-from pyoxigraph import BlankNode, Variable
+from pyoxigraph import BlankNode, Literal, NamedNode, Variable
 
 from ...rdf.dictionary import Term
 from ...rdf.namespaces import PREFIXES
+from ...sparql.ast import (
+    Aggregate,
+    Bind,
+    Element,
+    Exists,
+    Expression,
+    Form,
+    Graph,
+    Group,
+    Key,
+    Minus,
+    Optional,
+    Projected,
+    Query,
+    SubSelect,
+    Union,
+    Values,
+    children,
+    rewritten,
+    variables_of,
+    walk,
+)
+from ...sparql.printer import print_query
+from ...sparql.scope import head_variables
+from ..attached import attached
 from ..errors import Span
-from ..remembered import remembered
 from .ast import Aggregation, ContinuousQuery, StreamClause
-from .shape import Group, Shape, groups, query_shape
-from .syntax import translated
-from .terms import term_text
-from .tokens import Kind, Token, compact, tokenize
 
-if TYPE_CHECKING:
-    from rdflib.plugins.sparql.sparql import Query
-
-
-@dataclass(frozen=True, slots=True)
-class Edit:
-    """Replace ``text[start:end]``; an insertion where both are equal."""
-
-    start: int
-    end: int
-    text: str
-
-
-def apply_edits(text: str, edits: Sequence[Edit]) -> str:
-    """The text with disjoint edits made. Insertions at one place keep their order."""
-    parts: list[str] = []
-    position = 0
-    for edit in sorted(edits, key=lambda edit: (edit.start, edit.end)):
-        parts.append(text[position : edit.start])
-        parts.append(edit.text)
-        position = edit.end
-    parts.append(text[position:])
-    return "".join(parts)
+_LARGEST: Final = 4096
+"""Nodes of an expression with its aliases put in."""
+_HIGHEST: Final = 256
+_KNOWN: Final = 8
+"""Of so many ways to bind the parameters of a query its tree is remembered."""
 
 
 def bind(query: ContinuousQuery, arguments: Mapping[Variable, Term]) -> ContinuousQuery:
     """The query with template arguments given: recorded as terms, never pasted as text.
 
     Meaning: a join with the row of parameters. Raises `ValueError` for a variable that the query
-    does not use and for a blank node, which names nothing outside its own text.
+    does not use or assigns, and for a blank node, which names nothing outside its own text.
     """
-    known = {t.text[1:] for t in tokenize(query.sparql) if t.kind is Kind.VARIABLE}
-    known |= {name for text, _ in query.aggregate_filters for name in _variables(tokenize(text))}
+    known, assigned = _used_variables(query.body), _assigned_variables(query.body)
     for variable, term in arguments.items():
-        if variable.value not in known:
+        if variable.value not in known and not _is_filtered(query, variable.value):
             raise ValueError(f"the query does not use {variable}")
+        if variable.value in assigned:
+            raise ValueError(f"the query assigns {variable} itself")
         if isinstance(term, BlankNode):
             raise ValueError(f"{variable} is given a blank node, which names nothing here")
     return replace(query, bindings={**query.bindings, **arguments})
+
+
+@attached
+def _used_variables(body: Query) -> frozenset[str]:
+    return frozenset(variables_of(body))
+
+
+@attached
+def _assigned_variables(body: Query) -> frozenset[str]:
+    """The names of the variables of ``AS`` in WHERE."""
+    found: set[str] = set()
+    for node in walk(body.where):
+        if isinstance(node, Bind | Projected) and node.expression is not None:
+            found.add(node.variable.value)
+        elif isinstance(node, Key) and node.alias is not None:
+            found.add(node.alias.value)
+    return frozenset(found)
+
+
+def _is_filtered(query: ContinuousQuery, name: str) -> bool:
+    return any(name in variables_of(condition) for condition, _ in query.aggregate_filters)
 
 
 def with_streams(query: ContinuousQuery, streams: Sequence[str]) -> ContinuousQuery:
@@ -96,224 +121,263 @@ def stream_iri(name: str) -> str:
 def group_keys(query: ContinuousQuery) -> tuple[Variable, ...]:
     """The group keys of an AGGREGATE query: the other head variables and every bound parameter.
 
-    Empty for a query without AGGREGATE (SPARQL's GROUP BY says it, see `algebra`).
+    Empty for a query without AGGREGATE (SPARQL's GROUP BY says it, see `body_tree`).
     """
     if not query.aggregations:
         return ()
-    return tuple(map(Variable, _keys(query, _shape(query), [v.value for v in query.bindings])))
+    return tuple(map(Variable, _keys(query, [v.value for v in query.bindings])))
 
 
 def nested_parameters(query: ContinuousQuery) -> frozenset[Variable]:
     """Bound parameters used in a nested group or sub-query of WHERE.
 
     There a join with the row of parameters at the top is not enough, since SPARQL evaluates a
-    group without the bindings around it. `body_sparql` puts the row into the group itself.
+    group without the bindings around it. `body_tree` puts the row into the group itself.
     """
-    shape = _shape(query)
-    if not shape.has_where:
-        return frozenset()
-    inner = (g for g in groups_of(query.sparql) if g.open != shape.where_open)
-    names = {name for group in inner for name in group.names}
+    names: set[str] = set()
+    for part in parts_of(query.body):
+        if part.group is not query.body.where:
+            names |= part.names
     return frozenset(variable for variable in query.bindings if variable.value in names)
 
 
 def body_sparql(query: ContinuousQuery) -> str:
-    """The equivalent SPARQL 1.1 query, bindings as VALUES rows, FROM clauses taken away.
-
-    Cost: one pass over the tokens, which are remembered per source.
-    """
-    rows = {v.value: term_text(term) for v, term in query.bindings.items()}
-    return _body(query, rows, list(rows))
+    """The equivalent SPARQL 1.1 query, bindings as VALUES rows, FROM clauses taken away."""
+    rows = {variable.value: term for variable, term in query.bindings.items()}
+    return print_query(_rewritten(query, rows, list(rows)), query.prefixes)
 
 
-def algebra(query: ContinuousQuery) -> Query:
-    """rdflib's algebra of the query without the values of its bindings.
+def body_with_rows(query: ContinuousQuery) -> Query:
+    """The tree of `body_sparql`."""
+    rows = {variable.value: term for variable, term in query.bindings.items()}
+    return _rewritten(query, rows, list(rows))
+
+
+def body_tree(query: ContinuousQuery) -> Query:
+    """The equivalent SPARQL 1.1 query without the values of its bindings.
 
     Bound parameters are free variables there and group keys where the query groups, so every
-    instance of one template has the same algebra object. Do not change it.
+    instance of one template has the same tree. Raises `ValueError` where names of the head stand
+    for too much.
     """
-    return translated(bind_names(query, [variable.value for variable in query.bindings]))
+    names = tuple(variable.value for variable in query.bindings)
+    known = _trees(query.body)
+    key = (names, query.aggregations, query.aggregate_filters)
+    found = known.get(key)
+    if found is None:
+        found = _rewritten(query, {}, names)
+        while len(known) >= _KNOWN:
+            known.pop(next(iter(known), key), None)
+        found = known.setdefault(key, found)
+    return found
 
 
-def bind_names(query: ContinuousQuery, parameters: Sequence[str]) -> str:
-    """`body_sparql` with these parameters bound to no value yet: group keys, no VALUES rows."""
-    return _body(query, {}, parameters)
+@attached
+def _trees(_body: Query) -> dict[Any, Query]:
+    return {}
 
 
-def _shape(query: ContinuousQuery) -> Shape:
-    shape = query_shape(query.sparql)
-    if shape is None:
-        raise ValueError("the query has no WHERE; parse_query refuses such a text")
-    return shape
+# -- groups and the rows of parameters in them ---------------------------------------------------
 
 
-def _body(query: ContinuousQuery, rows: Mapping[str, str], parameters: Sequence[str]) -> str:
-    shape = _shape(query)
-    edits: list[Edit] = []
-    if shape.has_where:
-        edits += values_edits(shape, groups_of(query.sparql), rows, parameters)
-        if query.aggregations:
-            # The sub-select encloses the VALUES row, so its edit comes first at that place.
-            edits = [*_aggregate_edits(query, shape, parameters), *edits]
-        else:
-            edits += _grouping_edits(shape, parameters)
-        for group in groups_of(query.sparql):
-            if group.select is not None:
-                edits += _alias_edits(group.select)
-        edits += _alias_edits(shape)
-        if shape.is_short_construct and rows:
-            edits.append(template_edit(query.sparql, shape))
-    return prefix_lines(query) + compact(apply_edits(query.sparql, edits)) + "\n"
+@dataclass(frozen=True, slots=True)
+class Part:
+    """A group, or a sub-query of which the group is; the names of the variables of its own.
+
+    Those in nested groups are theirs, but not those in EXISTS, which sees the solutions of the
+    group it stands in. ``outer``: what a sub-query names beside its WHERE.
+    """
+
+    group: Group
+    names: frozenset[str]
+    outer: frozenset[str] = frozenset()
+    is_optional: bool = False
+    select: Query | None = None
+
+    def parameters(self, names: Sequence[str]) -> list[str]:
+        """Which of these parameters need a row in the group."""
+        # A filter directly in OPTIONAL sees what is around it; nowhere else it does.
+        own = frozenset() if self.is_optional else self.names
+        return [name for name in names if name in own or name in self.outer]
 
 
-def prefix_lines(query: ContinuousQuery) -> str:
-    """PREFIX lines for shared prefixes that the query uses without declaring them."""
-    declared = _declared(query.sparql)
-    used = query.prefixes.items()
-    return "".join(f"PREFIX {name}: <{iri}>\n" for name, iri in used if name not in declared)
+def parts_of(query: Query) -> Iterator[Part]:
+    """The groups of WHERE, outermost first, in reading order; those of EXISTS are left out."""
+    if query.where is not None:
+        yield from _parts(query.where)
 
 
-@remembered
-def groups_of(sparql: str) -> tuple[Group, ...]:
-    """The groups of a query's text: asked for a dozen times while it is registered."""
-    shape = query_shape(sparql)
-    return () if shape is None else tuple(groups(shape.tokens, shape.where_open))
+def _parts(
+    group: Group,
+    *,
+    is_optional: bool = False,
+    outer: frozenset[str] = frozenset(),
+    select: Query | None = None,
+) -> Iterator[Part]:
+    match group.elements:
+        case (SubSelect(query),) if query.where is not None:
+            yield from _parts(query.where, outer=_outside(query), select=query)
+            return
+    names: set[str] = set()
+    nested: list[tuple[Group, bool]] = []
+    for element in group.elements:
+        inner = list(_groups_in(element))
+        if not inner:
+            names.update(variables_of(element))
+        elif isinstance(element, Graph):
+            names.update(variables_of(element.name))
+        nested += inner
+    yield Part(group, frozenset(names), outer, is_optional, select)
+    for one, optional in nested:
+        yield from _parts(one, is_optional=optional)
 
 
-@remembered
-def _declared(sparql: str) -> frozenset[str]:
-    tokens = tokenize(sparql)
-    return frozenset(
-        name.text[:-1]
-        for word, name in pairwise(tokens)
-        if word.is_word("PREFIX") and name.kind is Kind.PREFIXED
-    )
+def _groups_in(element: Element) -> Iterator[tuple[Group, bool]]:
+    match element:
+        case Group():
+            yield element, False
+        case Optional(group):
+            yield group, True
+        case Minus(group) | Graph(_, group):
+            yield group, False
+        case Union(groups):
+            yield from ((group, False) for group in groups)
 
 
-def values_edits(
-    shape: Shape, found: Sequence[Group], rows: Mapping[str, str], parameters: Sequence[str]
-) -> list[Edit]:
-    """Insert a VALUES row into each group that uses a parameter, all of them into the first."""
-    edits: list[Edit] = []
-    tokens = shape.tokens
-    sub_select: Sequence[str] = ()
-    for group in found:
-        if group.select is not None:
-            # The row goes into the sub-query's own WHERE, which is the next group.
-            sub_select = [name for name in parameters if name in group.names]
-            edits += _grouping_edits(group.select, _uses(group.select, parameters))
-            continue
-        if group.open == shape.where_open:
-            names = list(rows)
-        else:
-            # A filter directly in OPTIONAL sees what is around it; nowhere else it does.
-            own = () if group.word == "OPTIONAL" else group.names
-            names = [name for name in rows if name in own or name in sub_select]
-        sub_select = ()
-        if names:
-            head = " ".join(f"?{name}" for name in names)
-            row = " ".join(rows[name] for name in names)
-            place = tokens[group.open].end
-            edits.append(Edit(place, place, f" VALUES ({head}) {{ ({row}) }}"))
-    return edits
+def _outside(select: Query) -> frozenset[str]:
+    """The names of the variables of a sub-query outside its WHERE."""
+    return frozenset(variables_of(replace(select, where=None)))
 
 
-def _uses(shape: Shape, parameters: Sequence[str]) -> list[str]:
-    used = _variables(shape.tokens[shape.start : shape.end])
+# -- rewriting -----------------------------------------------------------------------------------
+
+
+def _rewritten(
+    query: ContinuousQuery, rows: Mapping[str, Term], parameters: Sequence[str]
+) -> Query:
+    body = query.body
+    assert body.where is not None, "parse_query refuses a text without WHERE"
+    own = {id(part.group): part for part in parts_of(body)}
+    top = body.where
+
+    def change(node: Any) -> Any:
+        if isinstance(node, Exists):
+            return node
+        if isinstance(node, Query) and node is not body:
+            return _resolved(_grouped(rewritten_parts(node), _used(node, parameters)))
+        if isinstance(node, Group) and id(node) in own:
+            names = list(rows) if node is top else own[id(node)].parameters(list(rows))
+            elements = rewritten(node.elements, change)
+            if names:
+                return Group((_row(names, rows), *elements), node.span)
+            return replace(node, elements=elements)
+        return None
+
+    def rewritten_parts(node: Query) -> Query:
+        return replace(node, where=rewritten(node.where, change))
+
+    made = rewritten_parts(body)
+    if query.aggregations:
+        assert made.where is not None
+        made = replace(made, where=_aggregated(query, made.where, parameters))
+    else:
+        made = _resolved(_grouped(made, parameters))
+    return replace(made, is_short=body.is_short and not rows)
+
+
+def _row(names: Sequence[str], rows: Mapping[str, Term]) -> Values:
+    terms = tuple(rows[name] for name in names)
+    assert all(isinstance(term, NamedNode | Literal) for term in terms)
+    return Values(tuple(map(Variable, names)), (terms,))  # type: ignore[arg-type]
+
+
+def _used(query: Query, parameters: Sequence[str]) -> list[str]:
+    used = variables_of(query)
     return [name for name in parameters if name in used]
 
 
-def _grouping_edits(shape: Shape, parameters: Sequence[str]) -> list[Edit]:
+def _grouped(query: Query, parameters: Sequence[str]) -> Query:
     """Make the parameters group keys where the query groups at all."""
-    if not parameters or not shape.is_aggregated:
-        return []
-    group_by = shape.modifier("GROUP")
-    present = _variables(group_by)
-    missing = [name for name in parameters if name not in present]
-    if not missing:
-        return []
-    keys = " ".join(f"?{name}" for name in missing)
-    if group_by:
-        return [Edit(group_by[-1].end, group_by[-1].end, f" {keys}")]
-    place = shape.tokens[shape.where_close].end
-    return [Edit(place, place, f" GROUP BY {keys}")]
+    if not parameters or not query.is_aggregated:
+        return query
+    present = variables_of(query.keys)
+    missing = [Key(Variable(name)) for name in parameters if name not in present]
+    return replace(query, keys=(*query.keys, *missing)) if missing else query
 
 
-def _alias_edits(shape: Shape) -> list[Edit]:
-    """HAVING (?avg > 100) becomes HAVING ((AVG(?spd)) > 100); likewise in the head after it.
+def _resolved(query: Query) -> Query:
+    """HAVING (?avg > 100) becomes HAVING (AVG(?spd) > 100); likewise in the head after it.
 
-    rdflib and Oxigraph both know no alias in HAVING and silently answer nothing, and Oxigraph
-    none in a later expression of a grouped head.
+    An alias may use the aliases before it. Raises `ValueError` where that makes too much of it.
     """
-    aliases = shape.aliases()
-    if not aliases or not shape.is_aggregated:
-        return []
-    expressions: dict[str, str] = {}
-    edits: list[Edit] = []
-    for name, tokens in aliases.items():
-        # An alias may use the aliases before it.
-        edits += _replacements(tokens, expressions)
-        expressions[name] = f"({_substituted(tokens, expressions)})"
-    return edits + _replacements(shape.modifier("HAVING"), expressions)
+    if not query.is_aggregated:
+        return query
+    aliases: dict[str, Expression] = {}
+    sizes: dict[str, tuple[int, int]] = {}
+
+    def put_in(expression: Expression) -> Expression:
+        size, height = _measured(expression, sizes)
+        if size > _LARGEST or height > _HIGHEST:
+            raise ValueError("names in the head stand for each other too often")
+        return rewritten(expression, _by_name(aliases)) if aliases else expression
+
+    projection = []
+    for one in query.projection or ():
+        if one.expression is not None:
+            name = one.variable.value
+            size = _measured(one.expression, sizes)
+            aliases[name] = expression = put_in(one.expression)
+            sizes[name] = size
+            one = replace(one, expression=expression)
+        projection.append(one)
+    if not aliases:
+        return query
+    having = tuple(map(put_in, query.having))
+    return replace(query, projection=tuple(projection), having=having)
 
 
-def _replacements(tokens: Sequence[Token], expressions: Mapping[str, str]) -> list[Edit]:
-    return [
-        Edit(token.start, token.end, expressions[token.text[1:]])
-        for token in tokens
-        if token.kind is Kind.VARIABLE and token.text[1:] in expressions
-    ]
+def _measured(node: Any, sizes: Mapping[str, tuple[int, int]]) -> tuple[int, int]:
+    """The nodes and the height of a tree, with what its names stand for."""
+    if isinstance(node, Variable):
+        return sizes.get(node.value, (1, 1))
+    size, height = 1, 0
+    for child in children(node):
+        inner, level = _measured(child, sizes)
+        size, height = size + inner, max(height, level)
+    return size, height + 1
 
 
-def _substituted(tokens: Sequence[Token], expressions: Mapping[str, str]) -> str:
-    parts: list[str] = []
-    before: Token | None = None
-    for token in tokens:
-        # A literal and its datatype or language are one term.
-        joined = token.is_mark("^^") or token.kind is Kind.LANGUAGE
-        joined = joined or (before is not None and before.is_mark("^^"))
-        parts.append("" if joined or before is None else " ")
-        name = token.text[1:] if token.kind is Kind.VARIABLE else ""
-        parts.append(expressions.get(name, token.text))
-        before = token
-    return "".join(parts)
+def _by_name(terms: Mapping[str, Expression]) -> Any:
+    def change(node: Any) -> Any:
+        if isinstance(node, Aggregate | Exists):
+            return node
+        return terms.get(node.value) if isinstance(node, Variable) else None
+
+    return change
 
 
-def _aggregate_edits(query: ContinuousQuery, shape: Shape, parameters: Sequence[str]) -> list[Edit]:
-    """WHERE {P} becomes WHERE {{SELECT keys (F(?x) AS ?a) WHERE {P} GROUP BY … HAVING …}}."""
-    keys = " ".join(f"?{name}" for name in _keys(query, shape, parameters))
-    calls = {a.alias.value: _call(a) for a in query.aggregations}
-    projected = " ".join(f"({call} AS ?{alias})" for alias, call in calls.items())
-    expressions = {alias: f"({call})" for alias, call in calls.items()}
-    having = " ".join(
-        _substituted(tokenize(text), expressions) for text, _ in query.aggregate_filters
+def _aggregated(query: ContinuousQuery, where: Group, parameters: Sequence[str]) -> Group:
+    """{P} becomes {{SELECT keys (F(?x) AS ?a) WHERE {P} GROUP BY … HAVING …}}."""
+    names = _keys(query, parameters)
+    calls: dict[str, Expression] = {a.alias.value: _call(a) for a in query.aggregations}
+    projection = [Projected(Variable(name)) for name in names]
+    projection += [Projected(Variable(alias), call) for alias, call in calls.items()]
+    having = tuple(rewritten(c, _by_name(calls)) for c, _ in query.aggregate_filters)
+    select = Query(
+        Form.SELECT,
+        where,
+        projection=tuple(projection),
+        keys=tuple(Key(Variable(name)) for name in names),
+        having=having,
     )
-    opening = f" {{ SELECT {keys} {projected} WHERE {{"
-    ending = "} "
-    if keys:
-        ending += f"GROUP BY {keys} "
-    if having:
-        ending += f"HAVING {having} "
-    start, end = shape.tokens[shape.where_open].end, shape.tokens[shape.where_close].start
-    return [Edit(start, start, opening), Edit(end, end, f"{ending}}} ")]
+    return Group((Group((SubSelect(select),)),))
 
 
-def _call(aggregation: Aggregation) -> str:
-    return f"{aggregation.function}(?{aggregation.argument.value})"
+def _call(aggregation: Aggregation) -> Aggregate:
+    return Aggregate(aggregation.function, aggregation.argument)
 
 
-def _keys(query: ContinuousQuery, shape: Shape, parameters: Sequence[str]) -> list[str]:
+def _keys(query: ContinuousQuery, parameters: Sequence[str]) -> list[str]:
     aliases = {aggregation.alias.value for aggregation in query.aggregations}
-    head = [name for name in shape.head_variables() if name not in aliases]
+    head = [name for name in head_variables(query.body) if name not in aliases]
     return head + [name for name in parameters if name not in head]
-
-
-def template_edit(sparql: str, shape: Shape) -> Edit:
-    """CONSTRUCT WHERE {P} becomes CONSTRUCT {P} WHERE {P}: the short form bars VALUES."""
-    pattern = sparql[shape.tokens[shape.where_open].start : shape.tokens[shape.where_close].end]
-    word = shape.tokens[shape.start]
-    return Edit(word.end, word.end, f" {pattern}")
-
-
-def _variables(tokens: Sequence[Token]) -> set[str]:
-    return {token.text[1:] for token in tokens if token.kind is Kind.VARIABLE}

@@ -3,26 +3,27 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Sequence
 from itertools import pairwise
 
+from ...sparql.ast import Aggregate, Form, Query, variables_of, walk
+from ...sparql.scope import head_variables, visible
+from ...sparql.tokens import Kind, Token
 from ..errors import LanguageError, Span
 from ..hints import did_you_mean
-from .ast import Form
 from .clauses import ClauseReader, Clauses
-from .shape import Shape, bound_variables
-from .tokens import Kind, Token, tokenize
 
 
 class Check:
     """Variables: the head's are bound, AGGREGATE's fit in, a template's parameters are used."""
 
-    def __init__(self, reader: ClauseReader, found: Clauses, shape: Shape) -> None:
+    def __init__(self, reader: ClauseReader, found: Clauses, body: Query) -> None:
+        assert body.where is not None
         self.reader = reader
         self.found = found
-        self.shape = shape
-        self.bound = bound_variables(shape.tokens, shape.where_open)
-        self.head = shape.head_variables()
+        self.body = body
+        self.where = body.where
+        self.bound = set(visible(self.where))
+        self.head = head_variables(body)
         self.parameters = {token.text[1:] for token in found.parameters}
         self.aliases = {aggregation.alias.value for aggregation in found.aggregations}
 
@@ -30,43 +31,61 @@ class Check:
         if self.found.aggregations:
             self.check_aggregate()
         self.check_head()
+        self.check_aliases()
         self.check_parameters()
 
     def check_head(self) -> None:
         known = self.bound | self.aliases | self.parameters
-        known |= set(self.shape.aliases())
-        known |= {t.text[1:] for t in self.shape.modifier("VALUES") if t.kind is Kind.VARIABLE}
-        group_by = self.shape.modifier("GROUP")
-        known |= {name.text[1:] for word, name in pairwise(group_by) if word.is_word("AS")}
-        for name, token in self.head.items():
+        known |= {one.variable.value for one in self.body.projection or () if one.expression}
+        known |= set(variables_of(self.body.values))
+        known |= {key.alias.value for key in self.body.keys if key.alias is not None}
+        for name in self.head:
             # SPARQL shows a variable that nothing binds as unbound; where the name is nearly that
             # of another one, or a graph is to be made of it, it is a mistake.
-            shown = self.shape.form is Form.SELECT and not self.found.aggregations
+            shown = self.body.form is Form.SELECT and not self.found.aggregations
             if name not in known and not (shown and not did_you_mean(name, known)):
+                token = self._token(name, self.body.span)
                 raise self.reader.error(
                     f"`{token.text}` is not bound in the query", token, _near(name, known)
                 )
 
+    def check_aliases(self) -> None:
+        """An aggregate is over what WHERE binds: nothing else has a value in each row."""
+        aliases: set[str] = set()
+        for one in self.body.projection or ():
+            if one.expression is None:
+                continue
+            inside = (node for node in walk(one.expression) if isinstance(node, Aggregate))
+            for name in (name for node in inside for name in variables_of(node)):
+                if name in aliases - self.bound:
+                    raise LanguageError(
+                        f"`?{name}` is computed in the head, and no aggregate is taken of it",
+                        self.reader.source,
+                        one.span,
+                        "compute it in a sub-query",
+                    )
+            aliases.add(one.variable.value)
+
     def check_aggregate(self) -> None:
         """The AGGREGATE clause against head and WHERE."""
         source = self.reader.source
-        for word in ("GROUP", "HAVING", "VALUES"):
-            tokens = self.shape.modifier(word)
-            if tokens:
-                raise self.reader.error(
-                    f"{'GROUP BY' if word == 'GROUP' else word} and AGGREGATE in one query",
-                    tokens[0],
-                    "put VALUES inside WHERE"
-                    if word == "VALUES"
-                    else "say it one way or the other",
-                )
-        if self.shape.selects_all or self.shape.is_short_construct:
+        body = self.body
+        for word, there, hint in (
+            ("GROUP BY", body.keys, "say it one way or the other"),
+            ("HAVING", body.having, "say it one way or the other"),
+            ("VALUES", body.values, "put VALUES inside WHERE"),
+        ):
+            if there:
+                behind = (t for t in self.reader.tokens if t.start >= self.where.span.end)
+                first = next(t for t in behind if t.is_word(word.split()[0]))
+                raise self.reader.error(f"{word} and AGGREGATE in one query", first, hint)
+        if body.selects_all or body.is_short:
             raise self.reader.error(
                 "the head must name its variables, since AGGREGATE groups by them",
                 self.found.form,
                 "write `SELECT ?uav ?avg` or `CONSTRUCT {?uav dyknow:speed ?avg}`",
             )
-        filtered = {token.text[1:] for text, _ in self.found.filters for token in _variables(text)}
+        filtered = {name for condition, _ in self.found.filters for name in variables_of(condition)}
         seen: set[str] = set()
         for aggregation in self.found.aggregations:
             alias, argument = aggregation.alias.value, aggregation.argument.value
@@ -98,21 +117,19 @@ class Check:
 
     def check_filters(self) -> None:
         known = self.aliases | set(self.head) | self.parameters
-        for text, span in self.found.filters:
-            for token in _variables(text):
-                if token.text[1:] not in known:
-                    start = span.start + token.start
-                    raise LanguageError(
+        for condition, span in self.found.filters:
+            for name in variables_of(condition):
+                if name not in known:
+                    token = self._token(name, span)
+                    raise self.reader.error(
                         f"`{token.text}` is no aggregate and no variable of the head",
-                        self.reader.source,
-                        Span(start, start + len(token.text)),
+                        token,
                         "filter on an aggregate here, on other variables inside WHERE",
                     )
 
     def check_parameters(self) -> None:
-        tokens = self.shape.tokens[self.shape.where_open :]
+        tokens = [t for t in self.reader.tokens if t.start >= self.where.span.start]
         used = {token.text[1:] for token in tokens if token.kind is Kind.VARIABLE}
-        used |= {token.text[1:] for text, _ in self.found.filters for token in _variables(text)}
         for parameter in self.found.parameters:
             if parameter.text[1:] not in used:
                 raise self.reader.error(
@@ -128,8 +145,7 @@ class Check:
                     aggregation.span,
                     "give the aggregate another name",
                 )
-        everything = self.shape.tokens
-        for word, token in pairwise(everything):
+        for word, token in pairwise(self.reader.tokens):
             if word.is_word("AS") and token.text[1:] in self.parameters:
                 raise self.reader.error(
                     f"the parameter `{token.text}` is assigned in the body",
@@ -137,9 +153,10 @@ class Check:
                     "a parameter comes from the request; assign another variable",
                 )
 
-
-def _variables(text: str) -> Sequence[Token]:
-    return [token for token in tokenize(text) if token.kind is Kind.VARIABLE]
+    def _token(self, name: str, span: Span) -> Token:
+        """The first token of a variable in ``span``."""
+        inside = (t for t in self.reader.tokens if span.start <= t.start < span.end)
+        return next(t for t in inside if t.kind is Kind.VARIABLE and t.text[1:] == name)
 
 
 def _near(name: str, known: set[str]) -> str:

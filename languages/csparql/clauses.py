@@ -1,7 +1,9 @@
-"""The clauses around a SPARQL query, read from tokens ([Events14 §III.A, §IV.B], SPEC §5).
+"""The grammar of continuous queries: SPARQL's, with our clauses in it ([Events14 §III.A, §IV.B],
+SPEC §5).
 
-REGISTER, COMPUTE EVERY, FROM in all its forms, WINDOW, AGGREGATE and RSP-QL's stream operators are
-found outside all brackets; `Clauses.ours` lists the spans that are not SPARQL.
+REGISTER, COMPUTE EVERY, FROM in all its forms, WINDOW, AGGREGATE and RSP-QL's stream operators
+stand outside all brackets, but for ``WINDOW name {…}``; `Clauses.ours` lists the spans that are not
+SPARQL.
 """
 
 from __future__ import annotations
@@ -9,18 +11,21 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Final
 
-from ..errors import Span
+from pyoxigraph import NamedNode, Variable
+
+from ...sparql.ast import Expression, FunctionCall, Graph, Group, Query
+from ...sparql.parser import FORMS, QueryReader
+from ...sparql.tokens import Kind, Token
+from ..errors import LanguageError, Span
 from .aggregate import read_aggregate
 from .ast import Aggregation, StreamClause, StreamOperator, Window
-from .cursor import Cursor
 from .dataset import Dataset, read_from, stream_clauses
 from .durations import read_duration
-from .functions import QUERY_PREFIXES
-from .limits import check_length, check_tokens
-from .tokens import Kind, Token, closing
+from .functions import QUERY_PREFIXES, check_call
+from .groups import NamedGroup
+from .limits import LIMITS, check_length
 from .windows import read_window
 
-_FORMS: Final = ("SELECT", "CONSTRUCT", "ASK", "DESCRIBE")
 _OPERATORS: Final = tuple(StreamOperator)
 _BEGINNING: Final = "a query begins with `REGISTER STREAM name AS` or with `SELECT`"
 
@@ -40,20 +45,20 @@ class Clauses:
     dataset: Dataset = field(default_factory=Dataset)
     window: Window | None = None
     aggregations: list[Aggregation] = field(default_factory=list)
-    filters: list[tuple[str, Span]] = field(default_factory=list)
+    filters: list[tuple[Expression, Span]] = field(default_factory=list)
+    groups: list[NamedGroup] = field(default_factory=list)
     ours: list[Span] = field(default_factory=list)
     form: Token | None = None
     registered: StreamOperator | None = None
     written: StreamOperator | None = None
 
 
-class ClauseReader(Cursor):
-    """One pass over the tokens of a text; raises `LanguageError` where it stops."""
+class ClauseReader(QueryReader):
+    """One pass over a text; raises `LanguageError` where it stops."""
 
     def __init__(self, source: str) -> None:
         check_length(source)
-        super().__init__(source, QUERY_PREFIXES)
-        check_tokens(self.tokens, source)
+        super().__init__(source, QUERY_PREFIXES, LIMITS)
         self.found = Clauses()
 
     def mark_ours(self, first: Token) -> None:
@@ -62,20 +67,18 @@ class ClauseReader(Cursor):
 
     # -- in the order of a text ------------------------------------------------------------
 
-    def read(self) -> Clauses:
-        """All clauses; the form keyword and what is not ours stay for SPARQL."""
-        if not self.tokens:
+    def read(self) -> tuple[Clauses, Query]:
+        """All clauses, and the SPARQL among them."""
+        if self.here is None:
             raise self.error("the text is empty", None, _BEGINNING)
         self.prologue()
         if self.is_word("REGISTER"):
             self.register()
             self.prologue()
-        elif not self.is_word(*_FORMS):
+        elif not self.is_word(*FORMS):
             raise self.due("REGISTER, SELECT, CONSTRUCT, ASK or DESCRIBE", _BEGINNING)
-        self.form()
-        while self.here is not None:
-            self.clause()
-        return self.found
+        self.found.form = self.here
+        return self.found, self.query()
 
     def register(self) -> None:
         first = self.take()
@@ -131,15 +134,11 @@ class ClauseReader(Cursor):
             if not self.is_mark(")"):
                 self.expect_mark(",", "parameters are parted by commas")
         self.take()
+        self.given = frozenset(token.text[1:] for token in self.found.parameters)
 
-    def form(self) -> None:
-        """``SELECT``, ``CONSTRUCT`` …, and the stream operator of the head: ``SELECT ISTREAM``."""
-        if not self.is_word(*_FORMS):
-            raise self.due("SELECT, CONSTRUCT, ASK or DESCRIBE")
-        self.found.form = self.take()
-        after = self.index + self.is_word("DISTINCT", "REDUCED")
-        if after < len(self.tokens) and self.tokens[after].is_word(*_OPERATORS):
-            self.index = after
+    def after_form(self) -> None:
+        """The stream operator of the head: ``SELECT ISTREAM``, ``SELECT DISTINCT ISTREAM``."""
+        if self.is_word(*_OPERATORS):
             self.head_operator(self.take())
 
     def head_operator(self, word: Token) -> None:
@@ -154,21 +153,25 @@ class ClauseReader(Cursor):
         self.found.written = written
         self.mark_ours(word)
 
-    def clause(self) -> None:
-        """One clause of ours, or one token or bracket of SPARQL."""
-        here = self.take()
-        if here.is_mark("{", "(", "["):
-            self.index = closing(self.tokens, self.index - 1) + 1
-        elif here.is_word("FROM"):
-            read_from(self, self.found.dataset, self.found.every)
-            self.mark_ours(here)
-        elif here.is_word("AGGREGATE"):
-            read_aggregate(self, self.found.aggregations, self.found.filters)
-            self.mark_ours(here)
-        elif here.is_word("WINDOW"):
-            self.window_clause(here)
-        elif here.is_word("REGISTER"):
-            raise self.error("one text registers one query", here, "send the second on its own")
+    def clauses(self) -> None:
+        """Our clauses, where FROM may stand, and behind WHERE."""
+        while self.is_word("FROM", "AGGREGATE", "WINDOW", "REGISTER"):
+            first = self.take()
+            if first.is_word("FROM"):
+                read_from(self, self.found.dataset, self.found.every)
+                self.mark_ours(first)
+            elif first.is_word("AGGREGATE"):
+                read_aggregate(self, self.found.aggregations, self.found.filters)
+                self.mark_ours(first)
+            elif first.is_word("WINDOW"):
+                self.window_clause(first)
+            else:
+                raise self.error(
+                    "one text registers one query", first, "send the second on its own"
+                )
+
+    def more_clauses(self) -> None:
+        self.clauses()
 
     def window_clause(self, first: Token) -> None:
         here = self.here
@@ -182,6 +185,66 @@ class ClauseReader(Cursor):
             raise self.error("a second WINDOW clause", first, "one window holds for all streams")
         self.found.window = read_window(self, "WINDOW", self.found.every)
         self.mark_ours(first)
+
+    # -- in WHERE --------------------------------------------------------------------------
+
+    def where(self) -> Group:
+        if not self.is_word("WHERE") and not self.is_mark("{"):
+            if self.here is None:
+                raise self.error("the query has no WHERE", self.found.form, "write `WHERE { … }`")
+            raise self.misplaced()
+        return super().where()
+
+    def part(self) -> Graph | None:
+        """``WINDOW name {…}``: a graph whose triples are those of a named window."""
+        if not self.is_word("WINDOW"):
+            return None
+        word = self.take()
+        if self.is_mark("["):
+            raise self.error(
+                "the WINDOW clause stands inside a group", word, "write it behind the last `}`"
+            )
+        name = self.here
+        if name is None or name.kind not in (Kind.IRI, Kind.PREFIXED, Kind.VARIABLE):
+            raise self.error(
+                "the name of a window is due after WINDOW", name, "write `WINDOW :w { … }`"
+            )
+        return Graph(self.graph_name(), self.group(), is_window=True)
+
+    def graph_name(self) -> NamedNode | Variable:
+        word, name = self.before, self.here
+        found = super().graph_name()
+        if name is not None and word.is_word("GRAPH", "WINDOW"):
+            self.found.groups.append(NamedGroup(word, name))
+        return found
+
+    def begins_part(self, token: Token) -> bool:
+        return super().begins_part(token) or token.is_word("WINDOW")
+
+    def check_call(self, call: FunctionCall) -> None:
+        check_call(call, self.source)
+
+    def service(self) -> LanguageError:
+        return self.error(
+            "SERVICE is not allowed in a continuous query",
+            self.here,
+            "load the data into the ontology and name it with FROM",
+        )
+
+    def misplaced(self, hint: str = "") -> LanguageError:
+        if self.in_template and self.is_word("WINDOW"):
+            word = self.take()
+            name = "" if self.here is None else f" {self.here.text}"
+            return self.error(
+                f"`WINDOW{name}` in what is constructed",
+                word,
+                "triples are constructed without a window: write it inside WHERE",
+            )
+        if self.is_word("STREAM", "ON"):
+            hint = (
+                "name streams with `FROM STREAM <iri> […]` or `FROM NAMED WINDOW :w ON <iri> […]`"
+            )
+        return super().misplaced(hint)
 
     # -- when all is read ------------------------------------------------------------------
 

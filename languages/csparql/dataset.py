@@ -11,10 +11,10 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Final
 
+from ...sparql.cursor import Cursor
+from ...sparql.tokens import Token
 from ..errors import LanguageError, Span
 from .ast import StreamClause, Window
-from .cursor import Cursor
-from .tokens import Token
 from .windows import EXAMPLE, Every, read_window
 
 _NAMED_EXAMPLE: Final = "write `FROM NAMED WINDOW :w ON <stream> [RANGE PT5S STEP PT1S]`"

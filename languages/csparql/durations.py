@@ -7,11 +7,10 @@ from typing import Final
 from pyoxigraph import Literal
 
 from ...rdf.namespaces import XSD
+from ...sparql.cursor import Cursor
+from ...sparql.tokens import Kind, Token
 from ...streams.time import parse_duration
 from ..errors import LanguageError, Span
-from .cursor import Cursor
-from .terms import read_term
-from .tokens import Kind, Token
 
 _UNITS: Final = {
     "ns": 1,
@@ -83,8 +82,8 @@ def _xsd(at: Cursor, what: str) -> int:
 
 
 def _literal(at: Cursor, what: str) -> int:
-    start = at.take().start
-    term, at.index = read_term(at.tokens, at.index - 1, at.source, at.prefixes)
+    start = 0 if at.here is None else at.here.start
+    term = at.term()
     span = Span(start, at.before.end)
     if not isinstance(term, Literal) or term.datatype.value not in _DURATIONS:
         raise LanguageError(

@@ -9,12 +9,17 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from hashlib import blake2b
-from typing import assert_never
+from typing import Final, assert_never
 
 from ...rdf.namespaces import XSD
+from ...sparql.ast import Query, variables_of
+from ...sparql.scope import head_variables
+from ...sparql.terms import short_text
+from ...sparql.tokens import IRI, STRING, Kind, Token
 from ...streams.time import SECOND, format_duration, format_time
-from ..errors import LanguageError
+from ..errors import LanguageError, Span
 from .ast import (
     ContinuousQuery,
     CountWindow,
@@ -25,13 +30,9 @@ from .ast import (
     TimeWindow,
     Window,
 )
-from .body import Edit, apply_edits, groups_of, prefix_lines, template_edit, values_edits
-from .functions import check_functions
-from .groups import WINDOW
-from .shape import Shape, query_shape
-from .syntax import check_syntax
-from .terms import short_text
-from .tokens import Kind, compact, tokenize
+from .body import Part, parts_of
+from .clauses import ClauseReader
+from .parser import read
 
 _DIGITS = re.compile("[0-9]+")
 _FITTING: dict[bytes, bool] = {}
@@ -39,39 +40,87 @@ _FITTING: dict[bytes, bool] = {}
 _REMEMBERED = 1_000
 """Of so many ways to fill in a text it is remembered whether it can be read."""
 MOST_READ = 200
-"""A text of more tokens is not read for that: it takes up to a millisecond each."""
+"""A text of more tokens is not read for that."""
+# It begins where white space does: from within a long line of it, it would be looked for in vain
+# again and again.
+_BLANK_LINES: Final = r"(?<![ \t])[ \t]*(?:\r?\n[ \t]*)*\r?\n"
+_LINES: Final = re.compile(
+    rf"""
+    (?P<lines>{_BLANK_LINES})
+  | \#(?:[^\r\n\ \t]|[\ \t]+(?=[^\r\n\ \t]))*    # without the white space at its end
+  | {STRING} | {IRI}
+  | \\.                                         # in a name: a quote or # that begins nothing
+    """,
+    re.VERBOSE | re.DOTALL,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Edit:
+    """Replace ``text[start:end]``; an insertion where both are equal."""
+
+    start: int
+    end: int
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class _Text:
+    """The source of a query, its SPARQL with our clauses blanked out, and what is there."""
+
+    sparql: str
+    tokens: Sequence[Token]
+    body: Query
+    where: Span
+
+    @classmethod
+    def of(cls, query: ContinuousQuery) -> _Text:
+        reader, found, body = read(query.source)
+        assert body.where is not None, "parse_query refuses a text without WHERE"
+        ours = found.ours
+        tokens = [t for t in reader.tokens if not any(s.start <= t.start < s.end for s in ours)]
+        return cls(_blanked(query.source, ours), tokens, body, body.where.span)
+
+    def edited(self, edits: Sequence[Edit], start: int, end: int) -> str:
+        """A stretch of the SPARQL with the disjoint edits in it made; insertions at one place keep
+        their order."""
+        parts: list[str] = []
+        position = start
+        for edit in sorted(edits, key=lambda edit: (edit.start, edit.end)):
+            if start <= edit.start < end:
+                parts += (self.sparql[position : edit.start], edit.text)
+                position = edit.end
+        parts.append(self.sparql[position:end])
+        return "".join(parts)
 
 
 def format_query(query: ContinuousQuery) -> str:
     """Valid C-SPARQL or RSP-QL text of the query with its bindings and streams."""
-    shape = query_shape(query.sparql)
-    assert shape is not None, "parse_query refuses a text without WHERE"
+    text = _Text.of(query)
     terms = {
         variable.value: short_text(term, query.prefixes)
         for variable, term in query.bindings.items()
     }
-    head = shape.head_variables()
-    kept = head.keys() | query.window_variables
-    replaced = {name: text for name, text in terms.items() if name not in kept}
-    rows = {name: text for name, text in terms.items() if name in kept}
-    edits = _binding_edits(query.sparql, shape, rows, replaced)
-    if replaced and (len(shape.tokens) > MOST_READ or not _fits(query, edits, replaced)):
+    kept = head_variables(text.body).keys() | query.window_variables
+    replaced = {name: term for name, term in terms.items() if name not in kept}
+    rows = {name: term for name, term in terms.items() if name in kept}
+    edits = _binding_edits(text, rows, replaced)
+    if replaced and (len(text.tokens) > MOST_READ or not _fits(query, edits, replaced)):
         # A term cannot stand in every place of a variable (a projection, f:timestamp).
-        edits = _binding_edits(query.sparql, shape, terms, {})
-    body = apply_edits(query.sparql, [*edits, *_window_edits(query, shape)])
-    return _assembled(query, body, replaced)
+        edits, replaced = _binding_edits(text, terms, {}), {}
+    return _assembled(query, text, [*edits, *_window_edits(text)], replaced)
 
 
 def _fits(query: ContinuousQuery, edits: Sequence[Edit], terms: Mapping[str, str]) -> bool:
     """Whether the terms can stand where the edits put them. Terms that are written alike fit
     alike: of the many instances of a template few have to be read."""
     kinds = tuple((name, _DIGITS.sub("0", _kind(text))) for name, text in sorted(terms.items()))
-    told = repr((query.sparql, sorted(query.prefixes.items()), kinds))
+    told = repr((query.source, sorted(query.prefixes.items()), kinds))
     key = blake2b(told.encode(), digest_size=16).digest()
     if key not in _FITTING:
         if len(_FITTING) >= _REMEMBERED:
             _FITTING.clear()
-        _FITTING[key] = _is_sparql(apply_edits(query.sparql, edits), query)
+        _FITTING[key] = _is_query(query, edits)
     return _FITTING[key]
 
 
@@ -84,63 +133,95 @@ def _kind(text: str) -> str:
     return text.partition(":")[0] + ":" if ":" in text else text
 
 
-def _is_sparql(text: str, query: ContinuousQuery) -> bool:
+def _is_query(query: ContinuousQuery, edits: Sequence[Edit]) -> bool:
+    parts: list[str] = []
+    position = 0
+    for edit in sorted(edits, key=lambda edit: (edit.start, edit.end)):
+        parts += (query.source[position : edit.start], edit.text)
+        position = edit.end
+    parts.append(query.source[position:])
     try:
-        check_syntax(text, text)
-        check_functions(text, query.prefixes, "", text)
+        ClauseReader("".join(parts)).read()
     except LanguageError:
         return False
     return True
 
 
-def _binding_edits(
-    sparql: str, shape: Shape, rows: Mapping[str, str], replaced: Mapping[str, str]
-) -> list[Edit]:
+def _binding_edits(text: _Text, rows: Mapping[str, str], replaced: Mapping[str, str]) -> list[Edit]:
     edits = [
         Edit(token.start, token.end, replaced[token.text[1:]])
-        for token in shape.tokens[shape.where_open :]
-        if token.kind is Kind.VARIABLE and token.text[1:] in replaced
+        for token in text.tokens
+        if token.start >= text.where.start
+        and token.kind is Kind.VARIABLE
+        and token.text[1:] in replaced
     ]
     if rows:
-        edits += values_edits(shape, groups_of(sparql), rows, list(rows))
-        if shape.is_short_construct:
-            edits.append(template_edit(sparql, shape))
+        for part in parts_of(text.body):
+            edits += _row_edits(part, rows, is_top=part.group.span == text.where)
+        if text.body.is_short:
+            # The short form bars VALUES.
+            pattern = text.sparql[text.where.start : text.where.end]
+            place = text.body.span.start + len("CONSTRUCT")
+            edits.append(Edit(place, place, f" {pattern}"))
     return edits
 
 
-def _window_edits(query: ContinuousQuery, shape: Shape) -> list[Edit]:
-    """GRAPH back to WINDOW where the source has it."""
-    return [
-        Edit(token.start, token.start + len(WINDOW), WINDOW)
-        for token in shape.tokens
-        if token.is_word("GRAPH")
-        and query.source[token.start : token.start + len(WINDOW)].upper() == WINDOW
-    ]
+def _row_edits(part: Part, rows: Mapping[str, str], *, is_top: bool) -> list[Edit]:
+    """A VALUES row in a group that uses a parameter, and it as a key where a sub-query groups."""
+    edits: list[Edit] = []
+    names = list(rows) if is_top else part.parameters(list(rows))
+    if names:
+        head = " ".join(f"?{name}" for name in names)
+        row = " ".join(rows[name] for name in names)
+        place = part.group.span.start + 1
+        edits.append(Edit(place, place, f" VALUES ({head}) {{ ({row}) }}"))
+    select = part.select
+    if select is not None and select.is_aggregated:
+        used, present = variables_of(select), variables_of(select.keys)
+        keys = " ".join(f"?{name}" for name in rows if name in used and name not in present)
+        if keys and select.grouped is not None:
+            edits.append(Edit(select.grouped.end, select.grouped.end, f" {keys}"))
+        elif keys:
+            edits.append(Edit(part.group.span.end, part.group.span.end, f" GROUP BY {keys}"))
+    return edits
 
 
-def _assembled(query: ContinuousQuery, body: str, replaced: Mapping[str, str]) -> str:
+def _window_edits(text: _Text) -> list[Edit]:
+    """WINDOW in capitals."""
+    words = (token for token in text.tokens if token.is_word("WINDOW"))
+    return [Edit(token.start, token.end, "WINDOW") for token in words]
+
+
+def _assembled(
+    query: ContinuousQuery, text: _Text, edits: Sequence[Edit], replaced: Mapping[str, str]
+) -> str:
     """Header, head, FROM clauses, WHERE and modifiers, AGGREGATE, WINDOW, each on its lines."""
-    shape = query_shape(body)
-    assert shape is not None
-    tokens = shape.tokens
+    start, where = text.body.span.start, text.where
     lines = _register(query)
-    prologue = compact(prefix_lines(query) + body[: tokens[shape.start].start])
-    where = shape.where_open
-    if where and tokens[where - 1].is_word("WHERE"):
-        where -= 1
+    prologue = compact(_prefix_lines(query, text) + text.edited(edits, 0, start))
     lines += [prologue] if prologue else []
-    lines.append(_head(query, body, shape, tokens[where].start))
+    before = [t for t in text.tokens if t.start < where.start][-1]
+    end = before.start if before.is_word("WHERE") else where.start
+    lines.append(_head(query, text, edits, end))
     lines += [f"FROM <{iri}>" for iri in query.static]
     lines += [f"FROM NAMED <{iri}>" for iri in query.static_named]
     lines += [f"{_from(query, clause)} {_window(clause.window, query)}" for clause in query.streams]
-    lines.append("WHERE " + body[tokens[shape.where_open].start : tokens[shape.where_close].end])
-    modifiers = compact(body[tokens[shape.where_close].end :])
+    lines.append("WHERE " + text.edited(edits, where.start, where.end))
+    modifiers = compact(text.edited(edits, where.end, len(text.sparql)))
     lines += [modifiers] if modifiers else []
     if query.aggregations:
         lines.append(_aggregate(query, replaced))
     if query.window is not None and not query.streams:
         lines.append(f"WINDOW {_window(query.window, query)}")
     return "\n".join(lines) + "\n"
+
+
+def _prefix_lines(query: ContinuousQuery, text: _Text) -> str:
+    """PREFIX lines for shared prefixes that the query uses without declaring them."""
+    pairs = zip(text.tokens, text.tokens[1:], strict=False)
+    declared = {name.text[:-1] for word, name in pairs if word.is_word("PREFIX")}
+    used = query.prefixes.items()
+    return "".join(f"PREFIX {name}: <{iri}>\n" for name, iri in used if name not in declared)
 
 
 def _register(query: ContinuousQuery) -> list[str]:
@@ -160,19 +241,23 @@ def _registers_operator(query: ContinuousQuery) -> bool:
     return query.dialect is Dialect.RSP_QL and bool(query.name) and query.produces_stream
 
 
-def _head(query: ContinuousQuery, body: str, shape: Shape, end: int) -> str:
+def _head(query: ContinuousQuery, text: _Text, edits: Sequence[Edit], end: int) -> str:
     """The form and what stands before WHERE; the gaps that a blanked operator left are closed."""
-    tokens = shape.tokens
-    form = tokens[shape.start]
-    after = tokens[shape.start + 1]
+    tokens = [token for token in text.tokens if token.start >= text.body.span.start]
     operator = ""
     if query.operator is not StreamOperator.RSTREAM and not _registers_operator(query):
         operator = f" {query.operator}"
-    edits = [Edit(form.end, after.start, operator + _closed(body[form.end : after.start]))]
+    form, after = tokens[0], tokens[1]
+    gap = _closed(text.sparql[form.end : after.start])
+    closed = [Edit(form.end, after.start, gap)]
     if after.is_word("DISTINCT", "REDUCED"):
-        next = tokens[shape.start + 2]
-        edits.append(Edit(after.end, next.start, _closed(body[after.end : next.start])))
-    return compact(apply_edits(body[:end], edits)[form.start :])
+        gap = _closed(text.sparql[after.end : tokens[2].start])
+        closed.append(Edit(after.end, tokens[2].start, gap))
+    return compact(
+        text.edited(
+            [Edit(form.end, form.end, operator), *edits, *closed], text.body.span.start, end
+        )
+    )
 
 
 def _closed(gap: str) -> str:
@@ -218,11 +303,33 @@ def _aggregate(query: ContinuousQuery, replaced: Mapping[str, str]) -> str:
     parts = [
         f"(?{a.alias.value}, {a.function}, {{?{a.argument.value}}})" for a in query.aggregations
     ]
-    for text, _ in query.aggregate_filters:
-        edits = [
-            Edit(token.start, token.end, replaced[token.text[1:]])
-            for token in tokenize(text)
-            if token.kind is Kind.VARIABLE and token.text[1:] in replaced
-        ]
-        parts.append(f"FILTER {apply_edits(text, edits)}")
+    tokens = read(query.source)[0].tokens
+    for _, span in query.aggregate_filters:
+        text, position = "", span.start
+        for token in tokens:
+            if span.start <= token.start < span.end and token.kind is Kind.VARIABLE:
+                name = replaced.get(token.text[1:], token.text)
+                text += query.source[position : token.start] + name
+                position = token.end
+        parts.append(f"FILTER {text}{query.source[position : span.end]}")
     return f"AGGREGATE {{{' '.join(parts)}}}"
+
+
+def _blanked(source: str, spans: Sequence[Span]) -> str:
+    """The text with spaces for every character in ``spans``; line ends and offsets stay."""
+    parts: list[str] = []
+    position = 0
+    for span in sorted(spans, key=lambda span: span.start):
+        parts.append(source[position : span.start])
+        parts.append(re.sub(r"[^\r\n]", " ", source[span.start : span.end]))
+        position = span.end
+    parts.append(source[position:])
+    return "".join(parts)
+
+
+def compact(text: str) -> str:
+    """The text without the blank lines that blanked clauses leave; literals are not touched.
+
+    The text is one that the tokenizer takes. Cost: linear, and a part of that of tokens.
+    """
+    return _LINES.sub(lambda found: found[0] if found["lines"] is None else "\n", text).strip()

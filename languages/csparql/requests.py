@@ -8,11 +8,10 @@ from pyoxigraph import Variable
 
 from ...rdf.dictionary import Term
 from ...rdf.namespaces import DYKNOW, PREFIXES
-from ..errors import LanguageError, Span
+from ...sparql.cursor import Cursor
+from ...sparql.tokens import Kind
 from .ast import EventRequest
 from .limits import check_length
-from .terms import iri_text, read_term
-from .tokens import Kind, Token, tokenize
 
 _EXAMPLE = "write `dyknow:HighSpeedEvent(?o, dyknow:UAV, 100)`"
 
@@ -24,32 +23,26 @@ def parse_event_request(source: str, prefixes: Mapping[str, str] = PREFIXES) -> 
     Raises `LanguageError` with the place of what is no event name, no argument or no prefix.
     """
     check_length(source)
-    tokens = tokenize(source)
-    if not tokens or tokens[0].kind not in (Kind.IRI, Kind.PREFIXED, Kind.WORD):
-        found = f", not `{tokens[0].text}`" if tokens else ""
-        raise _error(f"the name of an event is due{found}", source, tokens, 0, _EXAMPLE)
-    if tokens[0].kind is Kind.WORD:
-        event = DYKNOW + tokens[0].text
-    else:
-        event = iri_text(tokens[0], source, prefixes)
-    if len(tokens) == 1 or not tokens[1].is_mark("("):
-        raise _error("`(` is due after the event's name", source, tokens, 1, _EXAMPLE)
+    at = Cursor(source, prefixes)
+    name = at.here
+    if name is None or name.kind not in (Kind.IRI, Kind.PREFIXED, Kind.WORD):
+        found = "" if name is None else f", not `{at.written(name)}`"
+        raise at.error(f"the name of an event is due{found}", name, _EXAMPLE)
+    at.take()
+    event = DYKNOW + name.text if name.kind is Kind.WORD else at.iri_of(name)
+    if not at.takes_mark("("):
+        raise at.error("`(` is due after the event's name", at.here, _EXAMPLE)
     arguments: list[Term | Variable] = []
-    index = 2
-    while index < len(tokens) and not tokens[index].is_mark(")"):
-        argument, index = read_term(tokens, index, source, prefixes)
-        arguments.append(argument)
-        if index < len(tokens) and tokens[index].is_mark(","):
-            index += 1
-            if tokens[index].is_mark(")"):
-                raise _error("an argument is due after `,`", source, tokens, index, _EXAMPLE)
-        elif not tokens[index].is_mark(")"):
-            raise _error(
-                f"`,` or `)` is due, not `{tokens[index].text}`", source, tokens, index, _EXAMPLE
-            )
-    if index + 1 < len(tokens):
-        text = tokens[index + 1].text
-        raise _error(f"`{text}` stands behind the request", source, tokens, index + 1)
+    while not at.is_mark(")"):
+        arguments.append(at.term())
+        if at.takes_mark(","):
+            if at.is_mark(")"):
+                raise at.error("an argument is due after `,`", at.here, _EXAMPLE)
+        elif not at.is_mark(")"):
+            raise at.due("`,` or `)`", _EXAMPLE)
+    at.take()
+    if at.here is not None:
+        raise at.error(f"`{at.written(at.here)}` stands behind the request", at.here)
     return EventRequest(event, tuple(arguments), source)
 
 
@@ -59,25 +52,14 @@ def parse_argument(text: str, prefixes: Mapping[str, str] = PREFIXES) -> Term | 
     Raises `LanguageError` if the text is not exactly one.
     """
     check_length(text)
-    tokens = tokenize(text)
-    if not tokens:
-        raise _error("an argument is due", text, tokens, 0, "write a term, or a variable: `?o`")
-    argument, index = read_term(tokens, 0, text, prefixes)
-    if index < len(tokens):
-        found = tokens[index].text
-        raise _error(
-            f"`{found}` stands behind the argument",
-            text,
-            tokens,
-            index,
+    at = Cursor(text, prefixes)
+    if at.at_end:
+        raise at.error("an argument is due", None, "write a term, or a variable: `?o`")
+    argument = at.term()
+    if at.here is not None:
+        raise at.error(
+            f"`{at.written(at.here)}` stands behind the argument",
+            at.here,
             'a text stands in quotes: `"two words"`',
         )
     return argument
-
-
-def _error(
-    message: str, source: str, tokens: tuple[Token, ...], index: int, hint: str = ""
-) -> LanguageError:
-    end = len(source.rstrip())
-    span = tokens[index].span if index < len(tokens) else Span(end, end)
-    return LanguageError(message, source, span, hint)

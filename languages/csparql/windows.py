@@ -10,13 +10,12 @@ from typing import Final, TypeAlias
 from pyoxigraph import Literal
 
 from ...rdf.namespaces import XSD
+from ...sparql.cursor import Cursor
+from ...sparql.tokens import Kind, Token
 from ...streams.time import parse_time
 from ..errors import LanguageError, Span
 from .ast import CountWindow, LandmarkWindow, TimeWindow, Window
-from .cursor import Cursor
 from .durations import read_duration
-from .terms import read_term
-from .tokens import Kind, Token
 
 EXAMPLE: Final = "write `[RANGE 5s STEP 1s]`"
 _COUNT_EXAMPLE: Final = "write `[TRIPLES 10 STEP 2]`"
@@ -95,9 +94,9 @@ def _step(at: Cursor, what: str, every: Every, opened: Token, example: str) -> i
 
 def _instant(at: Cursor) -> int:
     """``"2021-10-07T19:12:53Z"^^xsd:dateTime`` in ns; UTC where it says no zone."""
-    first = at.take()
-    term, at.index = read_term(at.tokens, at.index - 1, at.source, at.prefixes)
-    span = Span(first.start, at.before.end)
+    start = 0 if at.here is None else at.here.start
+    term = at.term()
+    span = Span(start, at.before.end)
     if not isinstance(term, Literal) or term.datatype.value != _DATE_TIME:
         raise LanguageError("a landmark is an xsd:dateTime", at.source, span, _LANDMARK_EXAMPLE)
     try:

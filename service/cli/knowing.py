@@ -8,8 +8,8 @@ from typing import Annotated, Any, Final
 
 import typer
 
-from ...languages.csparql.tokens import Kind, tokenize
 from ...rdf.namespaces import DYKNOW, PREFIXES, STREAM_SPACE, shorten
+from ...sparql.tokens import Kind, tokenize
 from ..client import Client
 from .events import STRATEGY
 from .output import DEFAULT_URL, Json, Url, connect, err, show_json, show_table, show_text

@@ -13,7 +13,7 @@ from urllib.parse import parse_qsl
 from fastapi import APIRouter, Query, Request, Response
 
 from ...ontology.errors import QueryRefused
-from ...ontology.query_guard import LONGEST_TEXT, check_bounds
+from ...ontology.query_guard import LONGEST_TEXT, query_form
 from ..context import Context, Service
 from ..isolation.messages import Failed, Refused, TooMuch, Truth, Written
 from ..isolation.serving import while_connected
@@ -124,8 +124,8 @@ def _text(parameters: list[tuple[str, str]]) -> str:
 
 
 async def _answer(service: Service, request: Request, text: str) -> Response:
-    form = check_bounds(text)
-    offered = {"select": RESULTS, "ask": BOOLEANS}.get(form or "ask", GRAPHS)
+    form = query_form(text)
+    offered = {"select": RESULTS, "ask": BOOLEANS}.get(form, GRAPHS)
     try:
         kind, not_acceptable = accepted(request, tuple(offered)), None
     except Problem as problem:

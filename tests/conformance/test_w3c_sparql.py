@@ -14,10 +14,12 @@ from pathlib import Path
 import pytest
 import w3c_sparql as w3c
 import w3c_table
-from pyoxigraph import BlankNode, Literal
+from pyoxigraph import BlankNode, Literal, NamedNode, Store
 from rdflib.compare import isomorphic
 from shared_data import needs
 from w3c_sparql import Case, Outcome
+
+from dyknow.sparql import LanguageError, parse_sparql, print_query
 
 pytestmark = needs(w3c.FOLDER)
 
@@ -52,6 +54,29 @@ def test_evaluation(case, semantics) -> None:
 @pytest.mark.parametrize("case", those(*w3c.SYNTAX) or [None])
 def test_syntax(case) -> None:
     assert w3c.is_parsed_rightly(case)
+
+
+@pytest.mark.parametrize("path", sorted(w3c.FOLDER.rglob("*.rq")) or [None], ids=str)
+def test_the_parser_takes_what_oxigraph_takes(path) -> None:
+    """And what it prints of it is SPARQL to Oxigraph, and the same query to itself."""
+    text = f"BASE <http://example.org/> {path.read_text(encoding='utf-8')}"
+    assert "<<" not in text
+    try:
+        query = parse_sparql(text, {})
+    except LanguageError:
+        with pytest.raises(SyntaxError):
+            read_by_oxigraph(text)
+        return
+    read_by_oxigraph(text)
+    printed = print_query(query)
+    read_by_oxigraph(printed)
+    assert parse_sparql(printed, {}) == query
+
+
+def read_by_oxigraph(text: str) -> None:
+    """Arguments that contradict each other are refused once the text is read."""
+    with pytest.raises(ValueError, match="default_graph"):
+        Store().query(text, use_default_graph_as_union=True, default_graph=NamedNode("urn:none"))
 
 
 def test_every_known_failure_is_a_test_that_runs() -> None:

@@ -12,9 +12,8 @@ from dyknow.continuous.expressions import Call, Const, Var
 from dyknow.converters.exact import _decoder
 from dyknow.engine.results import _form
 from dyknow.languages.attached import attached
-from dyknow.languages.csparql.ast import Form
-from dyknow.languages.csparql.syntax import translated
 from dyknow.ontology.ontology import Ontology
+from dyknow.sparql import parse_sparql
 from dyknow.streams.sample import Field, FieldType, Schema
 from dyknow.templates.patterns import patterns
 from dyknow.templates.places import places
@@ -56,14 +55,14 @@ def test_nothing_is_remembered_of_what_is_gone() -> None:
     assert len(work) == 0
 
 
-def test_what_is_read_off_an_algebra_does_not_hold_it() -> None:
+def test_what_is_read_off_a_query_does_not_hold_it() -> None:
     text = "SELECT ?o (AVG(?v) AS ?mean) WHERE { ?o a <urn:S> ; <urn:p> ?v } GROUP BY ?o"
-    query = translated.__wrapped__(text)  # type: ignore[attr-defined]
-    root = weakref.ref(query.algebra)
+    query = parse_sparql(text, {})
+    root = weakref.ref(query)
     vocabulary = Ontology.open().vocabulary
-    assert len(patterns(query.algebra)) == 2
-    assert places(query.algebra, vocabulary)
-    assert _form(query.algebra, Form.SELECT, text, vocabulary).schema.names
+    assert len(patterns(query)) == 2
+    assert places(query, vocabulary)
+    assert _form(query, vocabulary).schema.names
     del query
     gc.collect()
     assert root() is None

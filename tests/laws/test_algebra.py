@@ -79,8 +79,6 @@ def triples(elements: list, dictionary: TermDictionary) -> TimedTriples:
 def parsed(query, clauses: list[w.Clause], every: int | None, operator: str):
     """The product's query, with windows that its text cannot tell of (yet)."""
     sparql = q.show_query(query, f"FROM STREAM <{INPUTS[0]}> [RANGE 1ns STEP 1ns] ")
-    for accessor in q.ACCESSORS.values():
-        sparql = sparql.replace(accessor, "COALESCE")
     read = parse_query(f"REGISTER QUERY q AS {sparql}")
     span = read.streams[0].span
     windows = {w.Time: TimeWindow, w.Count: CountWindow, w.Landmark: LandmarkWindow}
@@ -96,7 +94,6 @@ def parsed(query, clauses: list[w.Clause], every: int | None, operator: str):
     variables = frozenset({"g"} if any(c.name is not None for c in clauses) else ())
     return replace(
         read,
-        sparql=q.show_query(query),
         streams=streams,
         every=every,
         operator=StreamOperator(operator),

@@ -12,6 +12,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -99,6 +100,21 @@ def served() -> Iterator[Served]:
         finally:
             process.terminate()
             reader.join()
+
+
+def test_eight_texts_at_once(served: Served) -> None:
+    """One after the other they took minutes, with nobody else's text parsed meanwhile."""
+    bombs = [bomb for bomb in texts() if "sums after <" in bomb.name]
+    with ThreadPoolExecutor(8) as pool:
+        answers = list(pool.map(lambda n: _sent(served, bombs[n % len(bombs)]), range(8)))
+    assert {answer.status_code for answer in answers} == {400}
+    assert served.process.poll() is None
+
+
+def _sent(served: Served, bomb: Bomb) -> httpx.Response:
+    with httpx.Client(base_url=served.http.base_url, trust_env=False, timeout=60) as http:
+        headers = {"Content-Type": bomb.kind}
+        return http.request(bomb.method, bomb.path, content=bomb.body, headers=headers)
 
 
 SHORT = {

@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
+from urllib.parse import quote
 
 DEEP: Final = 100_000
 SSL: Final = "stream s5 contains speed(UAV) = spd [km.h-1] for every UAV = id"
@@ -58,6 +59,11 @@ WHERES: Final = {
     "nodes": "?o dyknow:p " + nested("[ dyknow:p ", "]", "1"),
     "lists": "?o dyknow:p " + nested("(", ")", "1"),
     "negations": _filter("!" * 20_000 + "?v"),
+    # A scan that took `<1…2>` for an IRI did not see what stands in it.
+    "negations after <": _filter("?v<" + "!" * 40_000 + "1&&2>1"),
+    "sums after <": _filter("?v<" + "1+" * 10_000 + "1&&2>1"),
+    "fewer negations after <": _filter("?v<" + "!" * 2_000 + "1&&2>1"),
+    "fewer sums after <": _filter("?v<" + "1+" * 1_500 + "1&&2>1"),
     "calls": _filter(nested("ABS(", ")", "?v", 20_000) + " > 1"),
     "exists": nested("FILTER EXISTS { ?o ?p ?v ", "}", "", 10_000),
     "subselects": nested("{ SELECT * WHERE ", "}", "{ ?o ?p ?v }", 10_000),
@@ -85,6 +91,10 @@ def texts() -> Iterator[Bomb]:
     yield Bomb(
         "template: AGGREGATE", "POST", "/templates", TEXT, template("?o dyknow:speed ?v", aggregate)
     )
+    for sign, name in (("!", "negations"), ("1+", "sums")):
+        where = _filter("?v<" + sign * (7_000 // len(sign)) + "1&&2>1")
+        asked = f"/explain?query={quote(query(where))}"
+        yield Bomb(f"explain: {name} after <", "GET", asked, TEXT, "")
     event = "dyknow:HighSpeedEvent("
     for name, body in {
         "brackets": event + nested("(", ")") + ")",

@@ -7,15 +7,15 @@ argument safe, whatever the argument holds.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Final
 from urllib.parse import urljoin
 
-from pyoxigraph import BlankNode, Literal, NamedNode, Variable
+from pyoxigraph import BlankNode, Literal, NamedNode
 
-from ...rdf.dictionary import Term
-from ...rdf.namespaces import PREFIXES, XSD
-from ..errors import LanguageError, Span
+from ..rdf.dictionary import Term
+from ..rdf.namespaces import PREFIXES, XSD
+from .errors import LanguageError, Span
 from .tokens import Kind, Token
 
 _STRING_ESCAPES: Final = {
@@ -83,76 +83,13 @@ def string_text(token: Token, source: str) -> str:
 def _character(digits: str, token: Token, source: str) -> str:
     code = int(digits, 16)
     if code > 0x10FFFF or 0xD800 <= code <= 0xDFFF:
-        raise LanguageError(f"U+{digits} is no character", source, token.span)
+        raise LanguageError(
+            f"U+{digits} is no character", source, token.span, "write the escape of another one"
+        )
     return chr(code)
 
 
-def read_term(
-    tokens: Sequence[Token], index: int, source: str, prefixes: Mapping[str, str]
-) -> tuple[Term | Variable, int]:
-    """The term or variable that begins at ``index``, and the index after it."""
-    token = tokens[index]
-    match token.kind:
-        case Kind.VARIABLE:
-            return Variable(token.text[1:]), index + 1
-        case Kind.IRI | Kind.PREFIXED:
-            return NamedNode(iri_text(token, source, prefixes)), index + 1
-        case Kind.STRING:
-            return _literal(tokens, index, source, prefixes)
-        case Kind.NUMBER:
-            return _number(token.text), index + 1
-        case Kind.WORD if token.is_word("TRUE", "FALSE"):
-            return Literal(token.text.lower() == "true"), index + 1
-        case Kind.MARK if token.is_mark("+", "-") and index + 1 < len(tokens):
-            number = tokens[index + 1]
-            if number.kind is Kind.NUMBER and number.start == token.end:
-                return _number(token.text + number.text), index + 2
-        case Kind.BLANK:
-            raise LanguageError(
-                "a blank node names nothing outside its own text",
-                source,
-                token.span,
-                "give an IRI, or leave it a variable: `?o`",
-            )
-        case _:
-            pass
-    hint = "write an IRI, a prefixed name, a number, a string, true, false, or a variable"
-    if token.kind is Kind.WORD:
-        hint = f'write `dyknow:{token.text}` for a name, `"{token.text}"` for a text'
-    raise LanguageError(f"`{token.text}` is no term", source, token.span, hint)
-
-
-def _literal(
-    tokens: Sequence[Token], index: int, source: str, prefixes: Mapping[str, str]
-) -> tuple[Literal, int]:
-    text = string_text(tokens[index], source)
-    after = tokens[index + 1] if index + 1 < len(tokens) else None
-    if after is None:
-        return Literal(text), index + 1
-    if after.kind is Kind.LANGUAGE:
-        try:
-            return Literal(text, language=after.text[1:]), index + 2
-        except ValueError as error:
-            raise LanguageError(f"no language tag: {error}", source, after.span) from None
-    if after.is_mark("^"):
-        raise LanguageError(
-            "a datatype is joined with `^^`", source, after.span, 'write `"100"^^xsd:integer`'
-        )
-    if not after.is_mark("^^"):
-        return Literal(text), index + 1
-    name = tokens[index + 2] if index + 2 < len(tokens) else None
-    if name is None or name.kind not in (Kind.IRI, Kind.PREFIXED):
-        raise LanguageError(
-            "a datatype is due after `^^`", source, after.span, 'write `"100"^^xsd:integer`'
-        )
-    datatype = NamedNode(iri_text(name, source, prefixes))
-    try:
-        return Literal(text, datatype=datatype), index + 3
-    except ValueError as error:
-        raise LanguageError(f"no literal: {error}", source, name.span) from None
-
-
-def _number(text: str) -> Literal:
+def number(text: str) -> Literal:
     """SPARQL's three kinds of number: with an exponent, with a point, or neither."""
     name = "double" if "e" in text.lower() else "decimal" if "." in text else "integer"
     return Literal(text, datatype=NamedNode(XSD + name))

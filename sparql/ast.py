@@ -1,0 +1,398 @@
+"""The tree of a SPARQL 1.1 query ([SPARQL 1.1 §19.8]; rule numbers in brackets).
+
+Terms are those of pyoxigraph. Collections and ``[]`` are triples already, with blank nodes of their
+own. Operators in a row (``a + b + c``, ``||``, ``&&``) are one node, so that how deep a tree is
+follows from its brackets. Spans are offsets in the source and say nothing of the meaning: trees are
+equal without them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, fields, replace
+from enum import StrEnum
+from typing import Any, Final, TypeAlias, TypeVar
+
+from pyoxigraph import BlankNode, Literal, NamedNode, Variable
+
+from .errors import Span
+
+T = TypeVar("T")
+HERE: Final = Span(0, 0)
+"""The span of what stands in no source."""
+
+
+class Form(StrEnum):
+    """The query form of the body."""
+
+    SELECT = "SELECT"
+    CONSTRUCT = "CONSTRUCT"
+    ASK = "ASK"
+    DESCRIBE = "DESCRIBE"
+
+
+# -- paths ([88]-[96]): an IRI, or one of these --------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Inverse:
+    """``^path``."""
+
+    path: Path
+
+
+@dataclass(frozen=True, slots=True)
+class Sequence:
+    """``path/path``."""
+
+    parts: tuple[Path, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Alternative:
+    """``path|path``."""
+
+    parts: tuple[Path, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Repeated:
+    """``path*``, ``path+``, ``path?``; ``sign`` says which."""
+
+    path: Path
+    sign: str
+
+
+@dataclass(frozen=True, slots=True)
+class Negated:
+    """``!(iri|^iri)``: any step but these, along and against."""
+
+    forward: tuple[NamedNode, ...]
+    backward: tuple[NamedNode, ...]
+
+
+Path: TypeAlias = NamedNode | Inverse | Sequence | Alternative | Repeated | Negated
+PATHS: Final = (Inverse, Sequence, Alternative, Repeated, Negated)
+Place: TypeAlias = NamedNode | Literal | BlankNode | Variable
+
+
+@dataclass(frozen=True, slots=True)
+class Triple:
+    """A triple pattern, or a triple of a template."""
+
+    subject: Place
+    predicate: Path | Variable
+    object: Place
+
+
+# -- expressions ([110]-[128]): a variable, an IRI, a literal, or one of these -------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Logical:
+    """``a || b || …`` or ``a && b && …``."""
+
+    operator: str
+    operands: tuple[Expression, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """``a = b``, ``!=``, ``<``, ``<=``, ``>``, ``>=``."""
+
+    operator: str
+    left: Expression
+    right: Expression
+
+
+@dataclass(frozen=True, slots=True)
+class In:
+    """``a IN (b, …)``, ``a NOT IN (…)``."""
+
+    operand: Expression
+    options: tuple[Expression, ...]
+    negated: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Arithmetic:
+    """``a + b - c …`` or ``a * b / c …``, from left to right."""
+
+    first: Expression
+    rest: tuple[tuple[str, Expression], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Unary:
+    """``!a``, ``-a``, ``+a``."""
+
+    operator: str
+    operand: Expression
+
+
+@dataclass(frozen=True, slots=True)
+class Call:
+    """A built-in function, by its name in upper case."""
+
+    name: str
+    arguments: tuple[Expression, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class FunctionCall:
+    """A function by its IRI."""
+
+    iri: NamedNode
+    arguments: tuple[Expression, ...]
+    span: Span = field(default=HERE, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Exists:
+    """``EXISTS {…}``, ``NOT EXISTS {…}``."""
+
+    group: Group
+    negated: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Aggregate:
+    """``AVG(DISTINCT ?x)``; ``argument`` is None for ``COUNT(*)``."""
+
+    function: str
+    argument: Expression | None
+    distinct: bool = False
+    separator: str | None = None
+
+
+Expression: TypeAlias = (
+    Variable
+    | NamedNode
+    | Literal
+    | Logical
+    | Comparison
+    | In
+    | Arithmetic
+    | Unary
+    | Call
+    | FunctionCall
+    | Exists
+    | Aggregate
+)
+
+
+# -- patterns ([53]-[67]): what stands in a group, in this order ---------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """``{…}``; the only element of a group with a sub-query is that."""
+
+    elements: tuple[Element, ...]
+    span: Span = field(default=HERE, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Triples:
+    """Triple patterns up to the next part of a group."""
+
+    triples: tuple[Triple, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Filter:
+    condition: Expression
+
+
+@dataclass(frozen=True, slots=True)
+class Optional:
+    group: Group
+
+
+@dataclass(frozen=True, slots=True)
+class Union:
+    groups: tuple[Group, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Minus:
+    group: Group
+
+
+@dataclass(frozen=True, slots=True)
+class Graph:
+    """``GRAPH name {…}``; ``is_window``: RSP-QL's ``WINDOW name {…}``."""
+
+    name: NamedNode | Variable
+    group: Group
+    is_window: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Bind:
+    expression: Expression
+    variable: Variable
+
+
+@dataclass(frozen=True, slots=True)
+class Values:
+    """A table; None is UNDEF."""
+
+    variables: tuple[Variable, ...]
+    rows: tuple[tuple[NamedNode | Literal | None, ...], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class SubSelect:
+    query: Query
+
+
+Element: TypeAlias = (
+    Group | Triples | Filter | Optional | Union | Minus | Graph | Bind | Values | SubSelect
+)
+
+
+# -- queries ([1]-[28]) --------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Projected:
+    """``?v`` or ``(expression AS ?v)`` in a head."""
+
+    variable: Variable
+    expression: Expression | None = None
+    span: Span = field(default=HERE, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Key:
+    """What GROUP BY groups by; ``alias`` of ``(expression AS ?alias)``."""
+
+    expression: Expression
+    alias: Variable | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Order:
+    expression: Expression
+    descending: bool = False
+
+
+@dataclass(frozen=True, slots=True, weakref_slot=True)
+class Query:
+    """A query or sub-query without its FROM clauses.
+
+    ``modifier`` is DISTINCT, REDUCED or "". ``projection`` is None for ``*`` and where the form has
+    none, ``template`` for all but CONSTRUCT; ``is_short``: ``CONSTRUCT WHERE {…}``. ``where`` is
+    None only in a DESCRIBE.
+    """
+
+    form: Form
+    where: Group | None
+    modifier: str = ""
+    projection: tuple[Projected, ...] | None = None
+    template: tuple[Triple, ...] | None = None
+    is_short: bool = False
+    described: tuple[NamedNode | Variable, ...] = ()
+    keys: tuple[Key, ...] = ()
+    having: tuple[Expression, ...] = ()
+    order: tuple[Order, ...] = ()
+    limit: int | None = None
+    offset: int | None = None
+    values: Values | None = None
+    base: str = ""
+    """What IRI() resolves against; "" in sub-queries."""
+    span: Span = field(default=HERE, compare=False)
+    grouped: Span | None = field(default=None, compare=False)
+    """Where GROUP BY stands with its keys."""
+
+    @property
+    def selects_all(self) -> bool:
+        """``SELECT *``, ``DESCRIBE *``."""
+        if self.form is Form.DESCRIBE:
+            return not self.described
+        return self.form is Form.SELECT and self.projection is None
+
+    @property
+    def is_aggregated(self) -> bool:
+        """Whether the solutions are grouped: GROUP BY, HAVING or an aggregate."""
+        if self.keys or self.having:
+            return True
+        expressions = [p.expression for p in self.projection or () if p.expression is not None]
+        expressions += [order.expression for order in self.order]
+        return any(map(has_aggregate, expressions))
+
+
+NODES: Final = (
+    *(*PATHS, Triple, Logical, Comparison, In, Arithmetic, Unary, Call, FunctionCall, Exists),
+    *(Aggregate, Group, Triples, Filter, Optional, Union, Minus, Graph, Bind, Values, SubSelect),
+    *(Projected, Key, Order, Query),
+)
+
+
+_FIELDS: Final[dict[type, tuple[str, ...]]] = {
+    kind: tuple(one.name for one in fields(kind) if one.compare) for kind in NODES
+}
+"""The fields of each kind of node, without those that only say where it stands."""
+
+
+def children(node: Any) -> Iterator[Any]:
+    """The nodes and terms directly in a node or a tuple, in reading order."""
+    parts = node
+    if not isinstance(node, tuple):
+        parts = [getattr(node, name) for name in _FIELDS.get(type(node), ())]
+    for part in parts:
+        if isinstance(part, tuple):
+            yield from children(part)
+        elif isinstance(part, (*NODES, *_TERMS)):
+            yield part
+
+
+_TERMS: Final = (NamedNode, Literal, BlankNode, Variable)
+
+
+def walk(node: Any) -> Iterator[Any]:
+    """``node`` and all nodes and terms below it, in reading order."""
+    waiting = [node]
+    while waiting:
+        one = waiting.pop()
+        yield one
+        waiting.extend(reversed(list(children(one))))
+
+
+def variables_of(node: Any) -> dict[str, None]:
+    """The names of all variables in a node, each once, in reading order."""
+    return dict.fromkeys(one.value for one in walk(node) if isinstance(one, Variable))
+
+
+def has_aggregate(expression: Expression) -> bool:
+    """Whether an aggregate stands in an expression; those of EXISTS are not its own."""
+    waiting: list[Any] = [expression]
+    while waiting:
+        one = waiting.pop()
+        if isinstance(one, Aggregate):
+            return True
+        if not isinstance(one, Exists):
+            waiting.extend(children(one))
+    return False
+
+
+def rewritten(node: T, change: Callable[[Any], Any]) -> T:
+    """``node`` with each node and term for which ``change`` gives another one replaced by that;
+    where it gives None, the parts of the node are looked at."""
+    made = change(node)
+    if made is not None:
+        return made  # type: ignore[no-any-return]
+    if isinstance(node, tuple):
+        parts = tuple(rewritten(part, change) for part in node)
+        same = all(new is old for new, old in zip(parts, node, strict=True))
+        return node if same else parts  # type: ignore[return-value]
+    if not isinstance(node, NODES):
+        return node
+    changed = {}
+    for name in _FIELDS[type(node)]:
+        old = getattr(node, name)
+        new = rewritten(old, change)
+        if new is not old:
+            changed[name] = new
+    return replace(node, **changed) if changed else node

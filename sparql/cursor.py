@@ -1,0 +1,249 @@
+"""Steps over the tokens of a text: what is there, what is due, and what a name means.
+
+All readers of query texts and requests share it, so that each says alike what it misses and where.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+from pyoxigraph import Literal, NamedNode, Variable
+
+from ..rdf.dictionary import Term
+from .errors import LanguageError, Span
+from .terms import iri_text, number, string_text
+from .tokens import UNLIMITED, Kind, Lexer, Limits, Token
+
+_TERMS: Final = frozenset({Kind.IRI, Kind.PREFIXED, Kind.VARIABLE, Kind.STRING, Kind.NUMBER})
+_DATATYPE: Final = 'write `"100"^^xsd:integer`'
+
+
+class Cursor:
+    """A place in the tokens of ``source``, and the prefixes and base declared before it.
+
+    ``tokens`` are those that were read so far, ``prefixes`` at first those that need no
+    declaration.
+    """
+
+    def __init__(
+        self, source: str, prefixes: Mapping[str, str], limits: Limits = UNLIMITED
+    ) -> None:
+        self.source = source
+        self.limits = limits
+        self.lexer = Lexer(source, limits)
+        self.tokens: list[Token] = []
+        self.index = 0
+        self.prefixes: dict[str, str] = dict(prefixes)
+        self.base = ""
+        self.here = self._read()
+        """The token that is next; None at the end."""
+
+    def _read(self) -> Token | None:
+        if self.index == len(self.tokens):
+            token = self.lexer.next()
+            if token is None:
+                return None
+            self.tokens.append(token)
+        return self.tokens[self.index]
+
+    # -- errors ----------------------------------------------------------------------------
+
+    def error(self, message: str, at: Token | None, hint: str = "") -> LanguageError:
+        """An error at a token, or at the end of the text."""
+        end = len(self.source.rstrip())
+        span = Span(end, end) if at is None else at.span
+        return LanguageError(message, self.source, span, hint)
+
+    def due(self, what: str, hint: str = "") -> LanguageError:
+        """The error that ``what`` is not here."""
+        here = self.here
+        if here is None:
+            return self.error(f"{what} is due, but the text ends", None, hint)
+        return self.error(f"{what} is due, not `{self.written(here)}`", here, hint)
+
+    def misplaced(self, hint: str = "") -> LanguageError:
+        """The error that no rule of SPARQL goes on here; brackets that do not match come first."""
+        here = self.here
+        while self.lexer.next() is not None:
+            pass
+        if here is None:
+            end = self.before.end if self.index else 0
+            message, missing = "the query ends too early", "something is still missing"
+            return LanguageError(message, self.source, Span(end, end), hint or missing)
+        before = self.tokens[self.index - 1] if self.index else None
+        if not hint:
+            hint = "the text before it is understood; look at what should follow there"
+            if before is not None and {here.kind, before.kind} <= _TERMS:
+                hint = "is a `.` missing before it, to end the triple?"
+            elif here.is_mark("}"):
+                hint = "something is missing before the `}`: is a triple incomplete?"
+        return self.error(f"`{_shown(self.written(here))}` cannot stand here", here, hint)
+
+    def written(self, token: Token) -> str:
+        """A token as the text has it."""
+        return self.source[token.start : token.end]
+
+    # -- steps -----------------------------------------------------------------------------
+
+    @property
+    def at_end(self) -> bool:
+        return self.here is None
+
+    @property
+    def before(self) -> Token:
+        """The token that was taken last."""
+        return self.tokens[self.index - 1]
+
+    def is_word(self, *words: str) -> bool:
+        here = self.here
+        return here is not None and here.is_word(*words)
+
+    def is_mark(self, *marks: str) -> bool:
+        here = self.here
+        return here is not None and here.kind is Kind.MARK and here.text in marks
+
+    def take(self) -> Token:
+        here = self.here
+        if here is None:
+            raise self.error("the text ends too early", None)
+        self.index += 1
+        self.here = self._read()
+        return here
+
+    def operator(self) -> Token | None:
+        """The next token where an operator is due: ``<`` is less-than there, and begins no IRI."""
+        here = self.here
+        if here is not None and here.kind is Kind.IRI:
+            here = self.here = self.tokens[self.index] = self.lexer.operator_at(here)
+        return here
+
+    def takes_word(self, *words: str) -> bool:
+        """Takes one of these words if it is here."""
+        found = self.is_word(*words)
+        if found:
+            self.take()
+        return found
+
+    def takes_mark(self, *marks: str) -> bool:
+        found = self.is_mark(*marks)
+        if found:
+            self.take()
+        return found
+
+    def expect_mark(self, mark: str, hint: str) -> Token:
+        if not self.is_mark(mark):
+            raise self.due(f"`{mark}`", hint)
+        return self.take()
+
+    # -- names and terms -------------------------------------------------------------------
+
+    def iri(self, after: str) -> Token:
+        here = self.here
+        if here is None or here.kind not in (Kind.IRI, Kind.PREFIXED):
+            hint = "no space may follow `<`" if self.is_mark("<") else "write `<http://…>`"
+            raise self.due(f"an IRI after {after}", hint)
+        return self.take()
+
+    def variable(self, what: str, hint: str) -> Token:
+        here = self.here
+        if here is None or here.kind is not Kind.VARIABLE:
+            raise self.due(what, hint)
+        return self.take()
+
+    def iri_of(self, token: Token) -> str:
+        """What an IRI or prefixed name means by the declarations read so far."""
+        return iri_text(token, self.source, self.prefixes, self.base)
+
+    def term(self) -> Term | Variable:
+        """The term or variable that is here; a blank node is refused.
+
+        A sign belongs to the number that it touches.
+        """
+        token = self.here
+        if token is None:
+            raise self.due("a term", "write an IRI, a number, a text in quotes, or a variable")
+        match token.kind:
+            case Kind.VARIABLE:
+                return Variable(self.take().text[1:])
+            case Kind.IRI | Kind.PREFIXED:
+                return NamedNode(self.iri_of(self.take()))
+            case Kind.STRING:
+                return self._literal()
+            case Kind.NUMBER:
+                return number(self.take().text)
+            case Kind.WORD if token.is_word("TRUE", "FALSE"):
+                return Literal(self.take().text.lower() == "true")
+            case Kind.MARK if self.is_signed_number():
+                return number(self.take().text + self.take().text)
+            case Kind.BLANK:
+                raise self.error(
+                    "a blank node names nothing outside its own text",
+                    token,
+                    "give an IRI, or leave it a variable: `?o`",
+                )
+            case _:
+                pass
+        hint = "write an IRI, a prefixed name, a number, a string, true, false, or a variable"
+        if token.kind is Kind.WORD:
+            hint = f'write `dyknow:{token.text}` for a name, `"{token.text}"` for a text'
+        raise self.error(f"`{token.text}` is no term", token, hint)
+
+    def is_signed_number(self) -> bool:
+        """Whether a sign is here that belongs to a number ([150]-[155])."""
+        here = self.here
+        if here is None or not here.is_mark("+", "-"):
+            return False
+        after = self.source[here.end : here.end + 2]
+        return after[:1].isdecimal() or (after[:1] == "." and after[1:].isdecimal())
+
+    def _literal(self) -> Literal:
+        """[129] RDFLiteral."""
+        text = string_text(self.take(), self.source)
+        after = self.here
+        if after is None:
+            return Literal(text)
+        if after.kind is Kind.LANGUAGE:
+            self.take()
+            try:
+                return Literal(text, language=after.text[1:])
+            except ValueError as error:
+                raise self.error(f"no language tag: {error}", after) from None
+        if after.is_mark("^"):
+            raise self.error("a datatype is joined with `^^`", after, _DATATYPE)
+        if not after.is_mark("^^"):
+            return Literal(text)
+        self.take()
+        name = self.here
+        if name is None or name.kind not in (Kind.IRI, Kind.PREFIXED):
+            raise self.error("a datatype is due after `^^`", after, _DATATYPE)
+        datatype = NamedNode(self.iri_of(self.take()))
+        try:
+            return Literal(text, datatype=datatype)
+        except ValueError as error:
+            raise self.error(f"no literal: {error}", name) from None
+
+    def prologue(self) -> None:
+        """PREFIX and BASE ([4]-[6]); they may stand on both sides of REGISTER."""
+        while self.is_word("PREFIX", "BASE"):
+            word = self.take()
+            if word.is_word("BASE"):
+                self.base = iri_text(self.iri("BASE"), self.source, {}, self.base)
+                continue
+            name = self.here
+            if (
+                name is None
+                or name.kind is not Kind.PREFIXED
+                or name.text.find(":") < len(name.text) - 1
+            ):
+                raise self.due("a prefix like `dyknow:`", "write `PREFIX dyknow: <http://…>`")
+            self.take()
+            iri = self.here
+            if iri is None or iri.kind is not Kind.IRI:
+                raise self.due("the IRI of the prefix", f"write `PREFIX {name.text} <http://…>`")
+            self.take()
+            self.prefixes[name.text[:-1]] = iri_text(iri, self.source, {}, self.base)
+
+
+def _shown(word: str) -> str:
+    return word if len(word) <= 40 else word[:40] + "…"

@@ -1,0 +1,339 @@
+"""Expressions of SPARQL 1.1 ([107]-[128]), read by precedence.
+
+Contract: what nests is bounded. Brackets are (`tokens.Lexer`), ``!`` in a row are, and the height
+of the tree is: each operator in a row is one higher, since readers make binary operators of them.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from pyoxigraph import Literal, NamedNode, Variable
+
+from .ast import (
+    Aggregate,
+    Arithmetic,
+    Call,
+    Comparison,
+    Exists,
+    Expression,
+    FunctionCall,
+    Group,
+    In,
+    Logical,
+    Unary,
+)
+from .cursor import Cursor
+from .errors import Span
+from .terms import string_text
+from .tokens import Kind, Token
+
+COMPARISONS: Final = ("=", "!=", "<", ">", "<=", ">=")
+AGGREGATES: Final = ("COUNT", "SUM", "MIN", "MAX", "AVG", "SAMPLE", "GROUP_CONCAT")
+MOST_IN_A_ROW: Final = 64
+"""Of so many ``||`` or ``&&`` each is one higher; more of them are halved."""
+_MANY: Final = 1 << 20
+# [121] BuiltInCall: name -> least and most arguments.
+FUNCTIONS: Final = {
+    **dict.fromkeys(("RAND", "NOW", "UUID", "STRUUID"), (0, 0)),
+    "BNODE": (0, 1),
+    **dict.fromkeys(
+        (
+            *("STR", "LANG", "DATATYPE", "IRI", "URI", "ABS", "CEIL", "FLOOR", "ROUND", "STRLEN"),
+            *("UCASE", "LCASE", "ENCODE_FOR_URI", "YEAR", "MONTH", "DAY", "HOURS", "MINUTES"),
+            *("SECONDS", "TIMEZONE", "TZ", "MD5", "SHA1", "SHA256", "SHA384", "SHA512", "BOUND"),
+            *("ISIRI", "ISURI", "ISBLANK", "ISLITERAL", "ISNUMERIC"),
+        ),
+        (1, 1),
+    ),
+    **dict.fromkeys(
+        (
+            *("LANGMATCHES", "CONTAINS", "STRSTARTS", "STRENDS", "STRBEFORE", "STRAFTER"),
+            *("STRLANG", "STRDT", "SAMETERM"),
+        ),
+        (2, 2),
+    ),
+    "IF": (3, 3),
+    "REGEX": (2, 3),
+    "SUBSTR": (2, 3),
+    "REPLACE": (3, 4),
+    "CONCAT": (0, _MANY),
+    "COALESCE": (0, _MANY),
+}
+
+
+class ExpressionReader(Cursor):
+    """Reads expressions; `height` is that of the one that was read last."""
+
+    height = 0
+    aggregates = False
+    """Whether an aggregate may stand here."""
+
+    def group(self) -> Group:
+        """[53] GroupGraphPattern."""
+        raise NotImplementedError
+
+    def check_call(self, call: FunctionCall) -> None:
+        """Raise `LanguageError` for a function by its IRI that is not known."""
+
+    def expression(self) -> Expression:
+        """[110] Expression."""
+        return self._logical("||")
+
+    def _logical(self, operator: str) -> Expression:
+        """[111] ConditionalOrExpression, [112] ConditionalAndExpression."""
+        operands = [self._logical("&&") if operator == "||" else self._relational()]
+        height = self.height
+        while self._is_operator(operator):
+            self.take()
+            operands.append(self._logical("&&") if operator == "||" else self._relational())
+            height = max(height, self.height)
+        if len(operands) == 1:
+            return operands[0]
+        steps = len(operands) - 1
+        self._rise(height + min(steps, MOST_IN_A_ROW + steps.bit_length()))
+        return Logical(operator, tuple(operands))
+
+    def _relational(self) -> Expression:
+        """[114] RelationalExpression."""
+        left = self._additive()
+        operator = self.operator()
+        if operator is None:
+            return left
+        height = self.height
+        if operator.is_mark(*COMPARISONS):
+            self.take()
+            right = self._additive()
+            self.height = max(height, self.height)
+            return Comparison(operator.text, left, right)
+        negated = operator.is_word("NOT")
+        if not negated and not operator.is_word("IN"):
+            return left
+        self.take()
+        if negated and not self.takes_word("IN"):
+            raise self.misplaced("write `?x NOT IN (…)`")
+        options = self._listed()
+        self.height = max(height, self.height)
+        return In(left, options, negated)
+
+    def _additive(self) -> Expression:
+        """[116] AdditiveExpression."""
+        first = self._multiplicative()
+        rest: list[tuple[str, Expression]] = []
+        height = self.height
+        while self._is_operator("+", "-"):
+            sign = self.take().text
+            rest.append((sign, self._multiplicative()))
+            height = max(height, self.height) + 1
+            self._rise(height)
+        return Arithmetic(first, tuple(rest)) if rest else first
+
+    def _multiplicative(self) -> Expression:
+        """[117] MultiplicativeExpression."""
+        first = self._unary()
+        rest: list[tuple[str, Expression]] = []
+        height = self.height
+        while self._is_operator("*", "/"):
+            sign = self.take().text
+            rest.append((sign, self._unary()))
+            height = max(height, self.height) + 1
+            self._rise(height)
+        return Arithmetic(first, tuple(rest)) if rest else first
+
+    def _is_operator(self, *marks: str) -> bool:
+        here = self.operator()
+        return here is not None and here.kind is Kind.MARK and here.text in marks
+
+    def _rise(self, height: int) -> None:
+        """The tree is so high now. Raises `LanguageError` where that is too much."""
+        self.height = height
+        if height > self.limits.operators:
+            raise self.error(
+                f"more than {self.limits.operators} operators stand in each other",
+                self.before,
+                "ask with several queries, one after the other",
+            )
+
+    def _unary(self) -> Expression:
+        """[118] UnaryExpression; of ``!`` any number, as SPARQL 1.2 has it."""
+        if self.is_signed_number():
+            # The sign is the number's own ([131], [132]).
+            self.height = 0
+            return _constant(self.term())
+        if self.is_mark("+", "-"):
+            sign = self.take()
+            operand = self._primary()
+            self._rise(self.height + 1)
+            return Unary(sign.text, operand)
+        signs = 0
+        while self.is_mark("!"):
+            token = self.take()
+            signs += 1
+            if signs > self.limits.negations:
+                message = f"more than {self.limits.negations} negations after each other"
+                raise self.error(message, token)
+        found = self._primary()
+        for _ in range(signs):
+            found = Unary("!", found)
+        if signs:
+            self._rise(self.height + signs)
+        return found
+
+    def _primary(self) -> Expression:
+        """[119] PrimaryExpression."""
+        here = self.here
+        self.height = 0
+        if here is None:
+            raise self.misplaced()
+        if here.is_mark("("):
+            self.take()
+            found = self._logical("||")
+            self.expect(")")
+            return found
+        match here.kind:
+            case Kind.IRI | Kind.PREFIXED:
+                return self._iri_or_function()
+            case Kind.WORD if not here.is_word("TRUE", "FALSE"):
+                return self.built_in()
+            case Kind.VARIABLE | Kind.STRING | Kind.NUMBER | Kind.WORD:
+                return _constant(self.term())
+            case _:
+                raise self.misplaced()
+
+    def bracketted(self) -> Expression:
+        """[120] BrackettedExpression."""
+        self.expect("(")
+        found = self.expression()
+        self.expect(")")
+        return found
+
+    def expect(self, mark: str) -> Token:
+        """A mark that alone can stand here."""
+        if not self.is_mark(mark):
+            raise self.misplaced()
+        return self.take()
+
+    def _iri_or_function(self) -> Expression:
+        """[128] iriOrFunction."""
+        token = self.take()
+        iri = NamedNode(self.iri_of(token))
+        if not self.is_mark("("):
+            return iri
+        found = FunctionCall(iri, self._listed(), token.span)
+        self.check_call(found)
+        return found
+
+    def function_call(self) -> FunctionCall:
+        """[70] FunctionCall."""
+        found = self._iri_or_function()
+        if not isinstance(found, FunctionCall):
+            raise self.misplaced("a function is called with its arguments in brackets")
+        return found
+
+    def _listed(self) -> tuple[Expression, ...]:
+        """[72] ExpressionList, [71] ArgList."""
+        self.expect("(")
+        found: list[Expression] = []
+        height = 0
+        while not self.is_mark(")"):
+            found.append(self.expression())
+            height = max(height, self.height)
+            if self.is_mark(")"):
+                break
+            self.expect(",")
+            if self.is_mark(")"):
+                raise self.misplaced()
+        self.take()
+        self.height = height
+        return tuple(found)
+
+    def built_in(self) -> Expression:
+        """[121] BuiltInCall."""
+        here = self.here
+        name = "" if here is None or here.kind is not Kind.WORD else here.text.upper()
+        if here is None or not (
+            name in FUNCTIONS or name in AGGREGATES or name in ("EXISTS", "NOT")
+        ):
+            raise self.misplaced()
+        if name in ("EXISTS", "NOT"):
+            self.take()
+            if name == "NOT" and not self.takes_word("EXISTS"):
+                raise self.misplaced("write `NOT EXISTS {…}`, or `!` before a condition")
+            before, self.aggregates = self.aggregates, False
+            found = Exists(self.group(), name == "NOT")
+            self.aggregates = before
+            self.height = 0
+            return found
+        if name in AGGREGATES:
+            if not self.aggregates:
+                raise self.misplaced(
+                    "an aggregate stands in the head, in HAVING or in ORDER BY, in no other one"
+                )
+            return self._aggregate(self.take())
+        token = self.take()
+        arguments = self._listed()
+        least, most = FUNCTIONS[name]
+        if not least <= len(arguments) <= most:
+            counted = str(least) if least == most else f"{least} to {most}"
+            plural = "" if counted == "1" else "s"
+            raise self.error(
+                f"`{token.text}` takes {counted} argument{plural}, not {len(arguments)}", token
+            )
+        if name == "BOUND" and not isinstance(arguments[0], Variable):
+            raise self.error("`BOUND` takes a variable", token, "write `BOUND(?x)`")
+        return Call(name, arguments)
+
+    def _aggregate(self, word: Token) -> Aggregate:
+        """[127] Aggregate."""
+        name = word.text.upper()
+        self.expect("(")
+        distinct = self.takes_word("DISTINCT")
+        self.aggregates = False
+        argument: Expression | None = None
+        if name == "COUNT" and self.is_mark("*"):
+            self.take()
+            self.height = 0
+        else:
+            argument = self.expression()
+        self.aggregates = True
+        separator = None
+        if name == "GROUP_CONCAT" and self.takes_mark(";"):
+            if not self.takes_word("SEPARATOR"):
+                raise self.misplaced("write `; SEPARATOR = ', '`")
+            self.expect("=")
+            if self.here is None or self.here.kind is not Kind.STRING:
+                raise self.misplaced("write `; SEPARATOR = ', '`")
+            separator = string_text(self.take(), self.source)
+        self.expect(")")
+        return Aggregate(name, argument, distinct, separator)
+
+    def constraint(self) -> Expression:
+        """[69] Constraint."""
+        self.height = 0
+        if self.is_mark("("):
+            return self.bracketted()
+        here = self.here
+        if here is not None and here.kind in (Kind.IRI, Kind.PREFIXED):
+            return self.function_call()
+        return self.built_in()
+
+    def aliased(self) -> tuple[Expression, Variable, Span]:
+        """``(expression AS ?v)``, and where it stands."""
+        opened = self.expect("(")
+        found = self.expression()
+        if not self.takes_word("AS"):
+            raise self.misplaced("write `(expression AS ?name)`")
+        name = self.named_variable()
+        closed = self.expect(")")
+        return found, name, Span(opened.start, closed.end)
+
+    def named_variable(self) -> Variable:
+        """[108] Var."""
+        if self.here is None or self.here.kind is not Kind.VARIABLE:
+            raise self.misplaced()
+        return Variable(self.take().text[1:])
+
+
+def _constant(term: object) -> Variable | NamedNode | Literal:
+    assert isinstance(term, Variable | NamedNode | Literal)
+    return term

@@ -1,0 +1,100 @@
+"""Which variables a pattern binds, and may so be seen around it (SPARQL 1.1 §18.2.1)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from pyoxigraph import Variable
+
+from .ast import (
+    Aggregate,
+    Bind,
+    Element,
+    Exists,
+    Expression,
+    Filter,
+    Form,
+    Graph,
+    Group,
+    Minus,
+    Optional,
+    Query,
+    SubSelect,
+    Triple,
+    Triples,
+    Union,
+    Values,
+    children,
+    variables_of,
+)
+
+
+def visible(element: Element) -> dict[str, None]:
+    """The names of the variables that an element of a group binds, in reading order."""
+    found: dict[str, None] = {}
+    match element:
+        case Triples(triples):
+            found.update(_of_triples(triples))
+        case Group(elements):
+            for one in elements:
+                found.update(visible(one))
+        case Optional(group):
+            return visible(group)
+        case Union(groups):
+            for one in groups:
+                found.update(visible(one))
+        case Graph(name, group):
+            if isinstance(name, Variable):
+                found[name.value] = None
+            found.update(visible(group))
+        case Bind(_, variable):
+            found[variable.value] = None
+        case Values(variables, _):
+            found.update((variable.value, None) for variable in variables)
+        case SubSelect(query):
+            return dict.fromkeys(shown(query))
+        case Filter() | Minus():
+            pass
+    return found
+
+
+def _of_triples(triples: Iterable[Triple]) -> dict[str, None]:
+    places = (place for t in triples for place in (t.subject, t.predicate, t.object))
+    return {place.value: None for place in places if isinstance(place, Variable)}
+
+
+def shown(query: Query) -> tuple[str, ...]:
+    """The names of the variables that a SELECT shows, each once; none of the other forms."""
+    if query.form is not Form.SELECT:
+        return ()
+    if query.projection is None:
+        found = {} if query.where is None else visible(query.where)
+        if query.values is not None:
+            found = found | visible(query.values)
+        return tuple(found)
+    return tuple(dict.fromkeys(one.variable.value for one in query.projection))
+
+
+def ungrouped(expression: Expression) -> dict[str, None]:
+    """The names of the variables of an expression that stand in no aggregate and no EXISTS."""
+    found: dict[str, None] = {}
+    waiting: list[object] = [expression]
+    while waiting:
+        one = waiting.pop()
+        if isinstance(one, Variable):
+            found[one.value] = None
+        elif not isinstance(one, Aggregate | Exists):
+            waiting.extend(reversed(list(children(one))))
+    return found
+
+
+def head_variables(query: Query) -> dict[str, None]:
+    """The names of the variables that a head uses and does not define, in reading order."""
+    projection = query.projection or ()
+    defined = {one.variable.value for one in projection if one.expression is not None}
+    used: dict[str, None] = {}
+    for one in projection:
+        used.update(variables_of(one.expression or one.variable))
+    used.update(variables_of(query.template or ()))
+    used.update(variables_of(query.described))
+    return {name: None for name in used if name not in defined}

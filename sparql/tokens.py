@@ -1,0 +1,237 @@
+"""The tokens of SPARQL 1.1 (its §19.8), with offsets, read one after the other.
+
+The parser decides what ``<`` means: an IRI begins there unless an operator is due
+(`Lexer.operator_at`). So a text has one reading, and nothing else of it is read twice.
+White space and comments are no tokens. Code point escapes (``\\u0041``, §19.2) are resolved here in
+names, in IRIs and strings by `terms`.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Final
+
+from .errors import LanguageError, Span
+
+
+class Kind(StrEnum):
+    """What a token is; the names are those of SPARQL's grammar where it has one."""
+
+    IRI = "IRI"
+    STRING = "string"
+    VARIABLE = "variable"
+    BLANK = "blank node"
+    LANGUAGE = "language tag"
+    PREFIXED = "prefixed name"
+    NUMBER = "number"
+    WORD = "word"
+    MARK = "mark"
+
+
+@dataclass(frozen=True, slots=True)
+class Token:
+    """A token and where it stands; ``text`` is as written, but for code point escapes in names."""
+
+    kind: Kind
+    text: str
+    start: int
+    end: int
+
+    @property
+    def span(self) -> Span:
+        return Span(self.start, self.end)
+
+    def is_word(self, *words: str) -> bool:
+        """True for one of these keywords (given in upper case), in any case."""
+        return self.kind is Kind.WORD and self.text.upper() in words
+
+    def is_mark(self, *marks: str) -> bool:
+        return self.kind is Kind.MARK and self.text in marks
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """How large a text may be: what is larger would keep its readers busy, or nest too deeply.
+
+    ``patterns``: triple patterns; each step and each alternative of a path is one. ``operators``:
+    how high the tree of an expression is. ``parts``: groups in braces, FILTER, BIND and VALUES.
+    ``hint`` says what to do instead.
+    """
+
+    tokens: int = 1 << 20
+    depth: int = 64
+    patterns: int = 1 << 20
+    operators: int = 1 << 20
+    parts: int = 1 << 20
+    negations: int = 64
+    hint: str = ""
+
+
+UNLIMITED: Final = Limits()
+"""But for what nests: readers recurse."""
+
+# [164] PN_CHARS_BASE, [165] PN_CHARS_U, [167] PN_CHARS, and what VARNAME [166] has besides.
+_BASE: Final = (
+    r"A-Za-z\u00c0-\u00d6\u00d8-\u00f6\u00f8-\u02ff\u0370-\u037d\u037f-\u1fff\u200c-\u200d"
+    r"\u2070-\u218f\u2c00-\u2fef\u3001-\ud7ff\uf900-\ufdcf\ufdf0-\ufffd\U00010000-\U000effff"
+)
+_MORE: Final = r"0-9\u00b7\u0300-\u036f\u203f-\u2040"
+_UNICODE: Final = r"\\u[0-9A-Fa-f]{4}|\\U[0-9A-Fa-f]{8}"
+_FIRST: Final = rf"(?:[{_BASE}_0-9]|{_UNICODE})"
+_NEXT: Final = rf"(?:[{_BASE}_{_MORE}\-]|{_UNICODE})"
+_PLX: Final = r"(?:%[0-9A-Fa-f]{2}|\\[_~.\-!$&'()*+,;=/?#@%])"  # [169]-[173]
+_PREFIX: Final = rf"(?:[{_BASE}]|{_UNICODE})(?:{_NEXT}|\.+(?={_NEXT}))*"  # [168] PN_PREFIX
+_LOCAL: Final = (  # [169] PN_LOCAL
+    rf"(?:{_FIRST}|:|{_PLX})(?:{_NEXT}|:|{_PLX}|\.+(?={_NEXT}|:|{_PLX}))*"
+)
+IRI: Final = rf'<(?:[^<>"{{}}|^`\\\x00-\x20]|{_UNICODE})*>'  # [139] IRIREF
+STRING: Final = r"""(?:\"\"\"(?:"{0,2}(?:[^"\\]|\\.))*\"\"\"  # [159] long strings
+      |'''(?:'{0,2}(?:[^'\\]|\\.))*'''                # [158]
+      |"(?:[^"\\\r\n]|\\[^\r\n])*"                    # [157]
+      |'(?:[^'\\\r\n]|\\[^\r\n])*')                   # [156]
+"""
+_TOKEN: Final = re.compile(
+    rf"""
+    (?P<skip>[\ \t\r\n\f\ufeff]+|\#[^\r\n]*)
+  | (?P<IRI>{IRI})
+  | (?P<STRING>{STRING})
+  | (?P<VARIABLE>[?$]{_FIRST}(?:[{_BASE}_{_MORE}]|{_UNICODE})*)          # [143] VAR1, VAR2
+  | (?P<BLANK>_:{_FIRST}(?:{_NEXT}|\.+(?={_NEXT}))*)                     # [142] BLANK_NODE_LABEL
+  | (?P<LANGUAGE>@[A-Za-z]+(?:-[A-Za-z0-9]+)*)                           # [145] LANGTAG
+  | (?P<PREFIXED>(?:{_PREFIX})?:(?:{_LOCAL})?)                           # [140], [141]
+  | (?P<NUMBER>[0-9]+\.[0-9]*[eE][+-]?[0-9]+                             # [146]-[148]
+      |[0-9]*\.[0-9]+(?:[eE][+-]?[0-9]+)?
+      |[0-9]+[eE][+-]?[0-9]+|[0-9]+)
+  | (?P<WORD>[A-Za-z_]\w*)
+  | (?P<MARK>\^\^|&&|\|\||!=|<=|>=|[{{}}()\[\].,;=<>!+\-*/|^?])
+    """,
+    re.VERBOSE | re.DOTALL,
+)
+_NAMES: Final = frozenset({Kind.VARIABLE, Kind.BLANK, Kind.PREFIXED})
+_ESCAPES: Final = re.compile(r"\\u([0-9A-Fa-f]{4})|\\U([0-9A-Fa-f]{8})")
+_CLOSING: Final = {"{": "}", "(": ")", "[": "]"}
+_PARTS: Final = ("FILTER", "BIND", "VALUES")
+
+
+class Lexer:
+    """The tokens of ``source``, each when it is asked for.
+
+    Brackets match and are at most ``limits.depth`` deep. Raises `LanguageError` for a character
+    that begins no token, a string that is not closed, brackets that do not match, and for more
+    tokens than allowed. Cost: linear.
+    """
+
+    def __init__(self, source: str, limits: Limits) -> None:
+        self.source = source
+        self.limits = limits
+        self.position = 0
+        self.brackets: list[Token] = []
+        self.number = 0
+        self.parts = 0
+
+    def next(self) -> Token | None:
+        """The next token; None at the end of the text."""
+        source = self.source
+        while self.position < len(source):
+            match = _TOKEN.match(source, self.position)
+            if match is None:
+                raise self._no_token(self.position)
+            self.position = match.end()
+            group = str(match.lastgroup)
+            if group == "skip":
+                continue
+            kind = Kind[group]
+            token = Token(kind, match[0], match.start(), match.end())
+            if kind in _NAMES and "\\" in token.text:
+                token = self._resolved(token)
+            self._count(token)
+            return token
+        if self.brackets:
+            token = self.brackets[-1]
+            due = _CLOSING[token.text]
+            raise self._error(f"`{token.text}` is not closed", token, f"a `{due}` is missing")
+        return None
+
+    def operator_at(self, token: Token) -> Token:
+        """``token`` where an operator is due: ``<`` begins no IRI there. It is the last token."""
+        if token.kind is not Kind.IRI:
+            return token
+        mark = "<=" if self.source.startswith("<=", token.start) else "<"
+        self.position = token.start + len(mark)
+        return Token(Kind.MARK, mark, token.start, self.position)
+
+    def _count(self, token: Token) -> None:
+        limits = self.limits
+        self.number += 1
+        if self.number > limits.tokens:
+            message = f"the text has more than {limits.tokens} words and signs"
+            raise LanguageError(message, self.source, Span(0, 0), limits.hint)
+        if token.is_mark("{") or token.is_word(*_PARTS):
+            self.parts += 1
+            if self.parts > limits.parts:
+                message = f"more than {limits.parts} groups, FILTER, BIND and VALUES"
+                raise self._error(message, token, "ask with several queries")
+        if token.kind is not Kind.MARK:
+            return
+        if token.text in _CLOSING:
+            self.brackets.append(token)
+            if len(self.brackets) > limits.depth:
+                raise self._error(f"brackets are nested more than {limits.depth} deep", token)
+        elif token.text in "})]":
+            if not self.brackets or _CLOSING[self.brackets[-1].text] != token.text:
+                raise self._no_match(token)
+            self.brackets.pop()
+
+    def _resolved(self, token: Token) -> Token:
+        """A name with its code point escapes resolved; each stands for a character of a name."""
+        text = _ESCAPES.sub(lambda m: _character(m[1] or m[2]), token.text)
+        match = _TOKEN.fullmatch(text)
+        if match is None or match.lastgroup != token.kind.name or _ESCAPES.search(text):
+            raise self._error(
+                f"`{token.text}` is no name",
+                token,
+                "an escape in a name stands for a character that a name may have",
+            )
+        return Token(token.kind, text, token.start, token.end)
+
+    def _error(self, message: str, token: Token, hint: str = "") -> LanguageError:
+        return LanguageError(message, self.source, token.span, hint)
+
+    def _no_token(self, position: int) -> LanguageError:
+        source = self.source
+        character = source[position]
+        span = Span(position, position + 1)
+        if character in "\"'":
+            end = source.find("\n", position)
+            span = Span(position, len(source) if end < 0 else end)
+            hint = f"end it with `{character}`"
+            return LanguageError("the string is not closed", source, span, hint)
+        printable = character.isprintable()
+        message = f"`{character}` has no meaning here" if printable else "a stray character"
+        return LanguageError(message, source, span)
+
+    def _no_match(self, token: Token) -> LanguageError:
+        if not self.brackets:
+            return self._error(
+                f"`{token.text}` closes nothing", token, "remove it, or open it before"
+            )
+        opened = self.brackets[-1]
+        line = self.source.count("\n", 0, opened.start) + 1
+        due = _CLOSING[opened.text]
+        hint = f"the `{opened.text}` of line {line} is still open"
+        return self._error(f"`{token.text}` where `{due}` is due", token, hint)
+
+
+def _character(digits: str) -> str:
+    """The character of an escape; one that no name has where there is none."""
+    code = int(digits, 16)
+    is_none = code > 0x10FFFF or 0xD800 <= code <= 0xDFFF or code == 0x5C
+    return " " if is_none else chr(code)
+
+
+def tokenize(source: str, limits: Limits = UNLIMITED) -> tuple[Token, ...]:
+    """The tokens of a text without expressions, where ``<`` begins an IRI."""
+    lexer = Lexer(source, limits)
+    return tuple(iter(lexer.next, None))
