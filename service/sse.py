@@ -381,10 +381,8 @@ class Feeds:
             del self._feeds[feed.name]
 
     def review(self) -> None:
-        """Wake the clients of streams that were removed, have failed or have switched.
-
-        Called at each tick.
-        """
+        """Wake the clients of streams that were removed, have failed or switched. Called at each
+        tick."""
         failures, self._failures = self._failures, self._engine.failures
         for feed in tuple(self._feeds.values()):
             if not self._is_removed(feed):

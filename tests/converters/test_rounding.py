@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 import pyarrow as pa
 import pytest
-from hypothesis import example, given
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from dyknow.converters.arrow import bytes_of_table, decode_arrow
@@ -39,6 +39,7 @@ DOUBLES = st.floats(allow_nan=False, allow_infinity=False).map(repr)
 NUMBERS = INTEGERS | TINY | DOUBLES | st.sampled_from(["null", "0", "-0.0", "0e-400", "5E-324"])
 
 
+@settings(deadline=None)
 @given(st.lists(st.tuples(NUMBERS, NUMBERS), min_size=1, max_size=40))
 @example([("9007199254740993", "1")])
 @example([("1", "9007199254740992"), ("1e-400", "1e300")])
@@ -54,6 +55,7 @@ def test_it_is_as_defined(rows: list[tuple[str, str]]) -> None:
     assert rounded(*rows) == (Rounded(len(lost), *lost[0]) if lost else None)
 
 
+@settings(deadline=None)
 @given(st.lists(st.integers(-(2**63), 2**63 - 1) | st.none(), min_size=1, max_size=40))
 def test_integers_of_arrow_are_as_those_of_json(values: list[int | None]) -> None:
     zeros = pa.array([0.0] * len(values))
