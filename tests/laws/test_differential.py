@@ -12,7 +12,7 @@ it: the test of the table fails when an entry applies no more.
 
 import os
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path as FilePath
 
 import pytest
@@ -89,8 +89,7 @@ def all_of(case: Case, expected: Answer, folder: FilePath) -> Iterator[Differenc
     try:
         found = product_answer(case, folder)
     except Exception as error:  # noqa: BLE001
-        met = frozenset().union(*expected.met.values())
-        yield Difference(None, "an answer", f"{type(error).__name__}: {error}", met)
+        yield Difference(None, "an answer", f"{type(error).__name__}: {error}")
     else:
         yield from differences(case, expected, found)
 
@@ -152,10 +151,6 @@ def example(
     )
 
 
-def met(name: str) -> Callable[[Case, Difference], bool]:
-    return lambda case, difference: name in difference.met
-
-
 def has(kind: Callable[[object], bool]) -> Callable[[Case, Difference], bool]:
     return lambda case, difference: any(map(kind, parts_of(case.query)))
 
@@ -181,20 +176,6 @@ LISTED: tuple[Listed, ...] = (
             (("?v", None),),
             Filter(Term(str(typed("boolean", "false")[0]))),
             values=typed("integer", "1"),
-        ),
-    ),
-    Listed(
-        "temporary, differ.found 10: ROUND adds a half in double precision",
-        met("hard to round"),
-        example((("?x", Call("ROUND", (V,))),), values=HUGE[-4:-3]),
-    ),
-    Listed(
-        "temporary, differ.found 11: DSTREAM under report close never tells the last departure",
-        lambda case, difference: case.operator == "DSTREAM" and case.report == "close",
-        replace(
-            example((("?v", None),), values=typed("integer", "1")),
-            operator="DSTREAM",
-            report="close",
         ),
     ),
 )
