@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import fields, is_dataclass, replace
 from typing import Any
 
-from differential_drawing import Case
+from differential_cases import Case
 from differential_queries import (
     Aggregate,
     Call,
