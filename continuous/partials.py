@@ -87,16 +87,22 @@ def parts_of(
     column: ObjectColumn,
     skip: NDArray[np.bool_] | None,
     terms: TermValues,
+    *,
+    by_value: bool = False,
 ) -> Iterator[Part]:
     """The rows but those in ``skip``, each kind of number once. A null that is not skipped is an
-    error."""
+    error.
+
+    ``by_value``: the `Key` of a number follows from the number alone, so that a row that is taken
+    away later has the key it had when it was added, whatever rows come with it.
+    """
     if column.null is not None:
         failed = column.null if skip is None else column.null & ~skip
         if failed.any():
             yield Part(None, subjects[failed], column.values[failed], column=ERRORS)
         skip = column.null if skip is None else column.null | skip
     if column.kind.is_number:
-        yield from _number_parts(column.kind, subjects, column.values, skip)
+        yield from _number_parts(column.kind, subjects, column.values, skip, by_value)
         return
     rows = np.arange(len(subjects)) if skip is None else np.flatnonzero(~skip)
     if column.kind is Kind.BOOLEAN:
@@ -108,7 +114,8 @@ def parts_of(
         part = ObjectColumn(Kind.TERM, column.values[at])
         if Sort.INTEGER <= sort <= Sort.DOUBLE:
             kind = Kind(sort)
-            yield from _number_parts(kind, subjects[at], terms.typed(part, kind).values, None)
+            values = terms.typed(part, kind).values
+            yield from _number_parts(kind, subjects[at], values, None, by_value)
         elif sort in LONG:
             kind = Kind.INTEGER if sort == Sort.LONG_INTEGER else Kind.DECIMAL
             yield _single(kind, subjects[at], terms.exact(part, range(len(at))))
@@ -121,8 +128,9 @@ def _number_parts(
     subjects: NDArray[np.int32],
     values: NDArray[Any],
     skip: NDArray[np.bool_] | None,
+    by_value: bool,
 ) -> Iterator[Part]:
-    """Rows of one kind; decimals as mantissas of one scale, if they have one."""
+    """Rows of one kind; decimals as mantissas of one scale, if they have one and may share it."""
     if kind is Kind.INTEGER:
         yield Part((kind, 0), subjects, values, skip)
     elif kind is not Kind.DECIMAL:
@@ -139,7 +147,7 @@ def _number_parts(
         if skip is not None:
             rows = np.flatnonzero(~skip)
             subjects, values = subjects[rows], values[rows]
-        found = decimals.mantissas(values)
+        found = None if by_value else decimals.mantissas(values)
         if found is not None:
             yield Part((kind, found.scale), subjects, found.values)
         else:

@@ -204,7 +204,7 @@ class SlidingPartial:
         """Rows of the pane that is being read, but those in ``skip``."""
         if self._distinct and not self._wants_extremes:
             return
-        for part in parts_of(subjects, column, skip, terms):
+        for part in parts_of(subjects, column, skip, terms, by_value=self._distinct):
             if part.key is not None and not part.single:
                 self._of(part.key).fold(part, groups)
             elif not self._distinct:
@@ -243,7 +243,7 @@ class SlidingPartial:
         touched: Touched,
     ) -> None:
         """Rows of their own: added (1) or taken away (-1)."""
-        for part in parts_of(subjects, column, None, terms):
+        for part in parts_of(subjects, column, None, terms, by_value=True):
             present = slice(None) if part.skip is None else ~part.skip
             at = groups.groups(part.subjects[present])
             touched.reserve(groups.used)
@@ -263,7 +263,7 @@ class SlidingPartial:
         """Extremes of rows that do not expire, instead of those held so far."""
         for numbers in self._kinds.values():
             numbers.release()
-        for part in parts_of(subjects, column, None, terms):
+        for part in parts_of(subjects, column, None, terms, by_value=True):
             if part.key is not None and not part.single:
                 present = slice(None) if part.skip is None else ~part.skip
                 at = groups.groups(part.subjects[present])

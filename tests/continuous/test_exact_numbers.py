@@ -360,3 +360,18 @@ def test_a_quotient_is_the_same_in_columns_and_alone() -> None:
         wanted = decimals.quotient(Fraction(a, 10**scale), Fraction(b))
         assert not known[0] or decimals.of_code(float(code[0])) == wanted
         assert abs(Fraction(wanted) - Fraction(a, b * 10**scale)) <= abs(Fraction(a, b)) / 10**14
+
+
+def test_decimals_leave_a_set_window_as_they_came() -> None:
+    """Each is added beside other rows than those with which it is taken away."""
+    stream, p = "http://d.example/s", NamedNode("http://d.example/p")
+    query = (
+        f"REGISTER QUERY q AS SELECT (MAX(?v) AS ?most) (SUM(?v) AS ?sum) "
+        f"FROM STREAM <{stream}> [RANGE 5s STEP 1s] WHERE {{ ?o <{p.value}> ?v }}"
+    )
+    said = [(37, "a", "-1.5"), (37, "b", "0.0"), (93, "b", "2.25")]
+    triples = [
+        (t * 10**9, NamedNode(f"http://d.example/{o}"), p, decimal(text)) for t, o, text in said
+    ]
+    *_, last = evaluate(query, {stream: triples}, semantics="set")
+    assert last.solutions == [{"most": decimal("2.25"), "sum": decimal("2.25")}]
