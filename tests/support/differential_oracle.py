@@ -1,7 +1,7 @@
 """What a case must give: a fresh Oxigraph store a window, and windows from their definition.
 
 Written from SPEC sections 1 and 5 and docs/semantics.md (Windows, Bag and set), without the
-product's code. Over 400 lines: windows, the store of a window and the comparison are one definition.
+product's code. Over 400 lines: windows, a window's store and the comparison are one definition.
 """
 
 import math

@@ -8,6 +8,7 @@ lines: one short function for each operator and aggregate.
 """
 
 import math
+import struct
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
@@ -70,7 +71,7 @@ def written(value: Number) -> Literal:
         return literal("integer", str(int(value.value)))
     if value.kind == "decimal":
         return literal("decimal", decimal_text(Fraction(value.value)))
-    double = float(value.value)
+    double = single(value.kind, float(value.value))
     if math.isnan(double):
         return literal(value.kind, "NaN")
     if math.isinf(double):
@@ -92,6 +93,16 @@ def as_double(value: Number) -> float:
         return float(value.value)
     except OverflowError:
         return math.inf if value.value > 0 else -math.inf
+
+
+def single(kind: str, value: float) -> float:
+    """A float in single precision, a double as it is."""
+    if kind != "float" or not math.isfinite(value):
+        return value
+    try:
+        return float(struct.unpack("f", struct.pack("f", value))[0])
+    except OverflowError:
+        return math.copysign(math.inf, value)
 
 
 # Effective boolean value (SPARQL 1.1, 17.2.2).
@@ -132,7 +143,8 @@ def order(left: Term, right: Term) -> int | None:
 def compare_numbers(a: Number, b: Number) -> int | None:
     if a.exact and b.exact:
         return (a.value > b.value) - (a.value < b.value)
-    x, y = as_double(a), as_double(b)
+    kind = max(a.kind, b.kind, key=KINDS.index)
+    x, y = single(kind, as_double(a)), single(kind, as_double(b))
     return None if math.isnan(x) or math.isnan(y) else (x > y) - (x < y)
 
 
