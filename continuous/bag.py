@@ -84,7 +84,7 @@ class _Rewriter:
         return ast.Graph(Variable(f"{HIDDEN}{self.patterns}"), ast.Group((pattern,)))
 
     def place(self, term: ast.Place) -> ast.Place:
-        """A term of a pattern. A blank node is a variable that nobody sees: one in two graphs."""
+        """A term of a pattern. A blank node becomes a hidden variable: it stands in two graphs."""
         if not isinstance(term, BlankNode):
             return term
         return self.nodes.setdefault(term.value, Variable(f"{HIDDEN}node_{len(self.nodes)}"))

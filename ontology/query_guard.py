@@ -18,7 +18,7 @@ from .turtle import ALL_PREFIXES
 
 LONGEST_TEXT: Final = 8 * 1024
 """Bytes of UTF-8."""
-LIMITS: Final = Limits(patterns=64)
+LIMITS: Final = Limits(patterns=64, operators=128)
 """64 triple patterns: each step of a property path counts as one; brackets 64 deep."""
 
 QueryForm: TypeAlias = OneOf["select", "construct", "describe", "ask"]

@@ -236,7 +236,7 @@ class ExpressionReader(Cursor):
         found: list[Expression] = []
         height = 0
         while not self.is_mark(")"):
-            found.append(self.expression())
+            found.append(self._logical("||"))
             height = max(height, self.height)
             if self.is_mark(")"):
                 break

@@ -45,7 +45,7 @@ _GEOSPARQL: Final = "http://www.opengis.net/def/function/geosparql/"
 
 
 def check_call(call: FunctionCall, source: str) -> None:
-    """Raise `LanguageError` for a function that nobody has, or an accessor's wrong arguments."""
+    """Raise `LanguageError` for an unknown function, or for an accessor's wrong arguments."""
     iri = call.iri.value
     name = source[call.span.start : call.span.end]
     if iri in ACCESSORS:

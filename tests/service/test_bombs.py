@@ -19,7 +19,7 @@ from typing import Any
 
 import httpx
 import pytest
-from bombs import NDJSON, SSL, TEXT, WINDOWS, Bomb, documents, evaluations, texts
+from bombs import NDJSON, SPARQL, SSL, TEXT, WINDOWS, Bomb, documents, evaluations, query, texts
 
 PATIENCE = 5.0
 """Seconds within which others are answered while a bomb is dealt with: of a machine that does other
@@ -100,6 +100,16 @@ def served() -> Iterator[Served]:
         finally:
             process.terminate()
             reader.join()
+
+
+@pytest.mark.parametrize("open", ["(", "ABS("])
+def test_what_is_as_deep_as_allowed_is_answered(served: Served, open: str) -> None:
+    """The bound is reached before Python's own, which counts the frames of the server, too."""
+    where = f"?o dyknow:speed ?v . FILTER({open * 60}?v{')' * 60} > 1)"
+    asked = Bomb("", "POST", "/sparql", SPARQL, f"SELECT * {{ {where} }}", (200,))
+    served.shoot(asked)
+    name = "deep" if open == "(" else "deeper"
+    served.shoot(Bomb("", "POST", "/queries", TEXT, query(where, name), (201,)))
 
 
 def test_eight_texts_at_once(served: Served) -> None:
