@@ -82,6 +82,12 @@ def open_recording(
     """
     path = Path(path)
     name = path.name.lower().removesuffix(".gz")
+    if path.is_fifo():
+        raise WireError(
+            None,
+            f"{path.name} is a pipe, and a recording is read several times",
+            "write it to a file first: then its rows are counted and sorted by time",
+        )
     pools = {} if pools is None else pools
     times = TimeReader(time_unit, abstract_unit)
     if name.endswith(".csv"):

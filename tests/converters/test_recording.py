@@ -1,6 +1,7 @@
 """Recorded tables: types and times inferred, what is refused, and the example."""
 
 import gzip
+import os
 from pathlib import Path
 
 import numpy as np
@@ -231,3 +232,12 @@ def test_ndjson_nested_deeply(tmp_path):
     with pytest.raises(WireError, match="nested too deeply") as caught:
         open_recording(path)
     assert caught.value.line == 2
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
+def test_a_pipe_is_refused_at_once(tmp_path):
+    """It was waited for a second time, for ever."""
+    pipe = tmp_path / "a.csv"
+    os.mkfifo(pipe)
+    with pytest.raises(WireError, match="is a pipe"):
+        open_recording(pipe)

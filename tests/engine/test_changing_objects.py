@@ -255,7 +255,7 @@ def test_removal(engine):
     engine.remove_kpl("cars_in_sight", cascade=True)
     engine.remove_kpl("operator", cascade=True)
     assert [view.name for view in engine.streams()] == ["status"]
-    assert engine.ontology.query_rows("SELECT * { ?u a :ComputationalUnit }")[1] == []
+    assert engine.ontology.query_rows("SELECT * { ?u :instantiationOf ?of }")[1] == []
 
 
 def test_it_survives_a_restart(tmp_path, processes):

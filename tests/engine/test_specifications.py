@@ -1,6 +1,7 @@
 """Specifications applied ([Introspection15 §3.2]): start, share, stop, refuse, keep."""
 
 import gc
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -104,6 +105,18 @@ def test_the_mirror_of_listing_1_is_listing_2(listing):
     (how,) = ask(listing, f"{fusion} dyknow-o:hasSynchronization/dyknow-o:instantiationOf ?how")
     assert how["how"] == "synchronize"
     assert listing.ontology.validate().conforms
+
+
+def test_matching_gives_listing_1_before_anything_runs(listing):
+    text = listing.match("dyknow:GeoLocation", sort="dyknow:Human").specification
+    assert types(listing) == []
+    (printed,) = parse_specification(listing_1()).insertions
+    assert parse_specification(text).insertions == (replace(printed, name=None),)
+    view = listing.apply_specification(text)
+    assert len(view.started) == 8
+    again = listing.match("dyknow:GeoLocation", sort="dyknow:Human", strategy="cost")
+    assert again.cost == 0
+    assert listing.apply_specification(again.specification).started == ()
 
 
 def test_removing_what_was_inserted_releases_its_inputs(listing):
