@@ -11,17 +11,32 @@ from pydantic import Field
 
 from ...engine.commands import Annotate, Describe
 from ...engine.describing import DescribedStream, DescribedTransformation
+from ...engine.turtle_annotations import format_annotations
+from ...engine.turtle_descriptions import read_annotations
 from ...languages.ssl.ast import StreamDeclaration
 from ..context import Context, Service
+from ..isolation.serving import while_connected
 from ..listing import listed
 from ..models import AnnotationModel, ContentsIn, schema_of, text_schema
-from ..negotiation import JSON, TEXT, accepted, content_type, json_value, utf8
-from ..parsing import MOST_CONTENTS, MOST_DECLARATIONS, check_length, read_ssl, too_long
+from ..negotiation import JSON, TEXT, TURTLE, accepted, content_type, json_value, utf8
+from ..parsing import (
+    MOST_CONTENTS,
+    MOST_DECLARATIONS,
+    check_length,
+    check_number,
+    read_ssl,
+    too_long,
+)
 from ..problems import Problem, responses
 
 router = APIRouter(tags=["annotations"])
 
 EXAMPLE = "stream s1 contains altitude(Aircraft) = alt [ft] for every Aircraft = icao24"
+LISTING = """@prefix : <http://www.dyknow.eu/ontology#> .
+@prefix dyknow: <http://www.ida.liu.se/dyknow/> .
+:s1 a :Stream ; :hasAnnotation [ :hasOutputAnnotation [ :describesFeature dyknow:altitude ;
+  :hasName "alt" ; :hasArguments ( [ :describesSort dyknow:Aircraft ; :hasIdField "icao24" ] ) ] ] .
+"""
 DESCRIBED = {
     "stream": "s1",
     "contents": [
@@ -38,6 +53,7 @@ BODY = {
         "required": True,
         "content": {
             TEXT: text_schema("declarations in SSL", EXAMPLE),
+            TURTLE: text_schema("annotations as Listing 3 has them", LISTING),
             JSON: {
                 "schema": {
                     "anyOf": [
@@ -69,7 +85,7 @@ async def annotate(request: Request, service: Context) -> list[AnnotationModel]:
     All of it takes effect, or none. What is said of a stream replaces what was said before. In
     JSON names may be IRIs that SSL has no words for: 404 for a feature that is not known.
     """
-    kind = content_type(request, (TEXT, JSON))
+    kind = content_type(request, (TEXT, JSON, TURTLE))
     body = await request.body()
     check_length(body)
     quotas = service.gate.quotas
@@ -82,6 +98,13 @@ async def annotate(request: Request, service: Context) -> list[AnnotationModel]:
         quotas.check_transformations(others)
         found = await service.do(Annotate(text))
         return [AnnotationModel.of(annotation) for annotation in found]
+    if kind == TURTLE:
+        turtle, documents = utf8(body), service.isolation.documents
+        read = await while_connected(
+            request, lambda: documents.run(lambda: read_annotations(turtle, documents))
+        )
+        check_number(read)
+        return await _describe(service, read)
     described: ContentsIn | list[ContentsIn] = await json_value(body, Described)
     several = described if isinstance(described, list) else [described]
     if sum(len(each.contents or ()) for each in several) > MOST_CONTENTS:
@@ -107,12 +130,17 @@ async def _describe(
 @router.get(
     "/annotations",
     response_model=list[AnnotationModel],
-    responses={200: {"content": {TEXT: {"schema": {"type": "string"}}}}, **responses(406)},
+    responses={
+        200: {"content": {kind: {"schema": {"type": "string"}} for kind in (TEXT, TURTLE)}},
+        **responses(406),
+    },
 )
 async def list_annotations(request: Request, service: Context) -> Response:
-    """All annotations; as SSL for ``Accept: text/plain``."""
-    kind = accepted(request, (JSON, TEXT))
+    """All annotations; as SSL for ``Accept: text/plain``, or Turtle. Each can be sent again."""
+    kind = accepted(request, (JSON, TEXT, TURTLE))
     found = service.engine.annotations()
     if kind == TEXT:
         return PlainTextResponse("".join(f"{each.source.rstrip()}\n" for each in found))
+    if kind == TURTLE:
+        return Response(format_annotations(found), media_type=TURTLE)
     return await listed(found, AnnotationModel.of)

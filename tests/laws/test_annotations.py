@@ -11,6 +11,8 @@ from hypothesis import strategies as st
 from dyknow.engine.describing import Describer
 from dyknow.engine.engine import Engine
 from dyknow.engine.errors import BadArguments
+from dyknow.engine.turtle_annotations import format_annotations
+from dyknow.engine.turtle_descriptions import read_annotations
 from dyknow.languages.ssl import (
     Content,
     Role,
@@ -79,6 +81,16 @@ def through_json(
     return describer.transformation(described).annotation
 
 
+def through_turtle(
+    annotation: StreamAnnotation | SourceAnnotation | TransformationAnnotation,
+) -> StreamAnnotation | SourceAnnotation | TransformationAnnotation:
+    (described,) = read_annotations(format_annotations([annotation]))
+    describer = Describer(VOCABULARY)
+    if isinstance(annotation, StreamAnnotation):
+        return describer.stream(described)
+    return describer.transformation(described).annotation
+
+
 def without_source(annotation: object) -> object:
     return {name: getattr(annotation, name) for name in annotation.__slots__ if name != "source"}
 
@@ -90,6 +102,7 @@ def test_a_stream_annotation_is_read_back_from_text_and_json(wanted: StreamAnnot
     except BadArguments:
         assume(False)
     assert without_source(written) == without_source(wanted)
+    assert through_turtle(wanted) == written
     assert read_text(written.source) == written
     assert format_annotation(read_text(written.source), VOCABULARY) == written.source
 
@@ -112,5 +125,6 @@ def test_a_transformation_is_read_back_from_text_and_json(text: str) -> None:
     said = read_text(text)
     written = through_json(said)
     assert without_source(written) == without_source(said)
+    assert through_turtle(said) == written
     assert without_source(read_text(written.source)) == without_source(said)
     assert format_annotation(read_text(written.source), VOCABULARY) == written.source

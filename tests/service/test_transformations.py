@@ -324,6 +324,15 @@ def test_what_is_shown_of_annotations_can_be_sent_again(http: httpx.Client) -> N
     again = http.post("/annotations", content=text, headers={"Content-Type": "text/plain"})
     assert again.status_code == 201, again.text
     assert http.get("/annotations", headers={"Accept": "text/plain"}).text == text
+    turtle = http.get("/annotations", headers={"Accept": "text/turtle"}).text
+    http.post("/annotations", json=contents("s1"))
+    again = http.post("/annotations", content=turtle, headers={"Content-Type": "text/turtle"})
+    assert again.status_code == 201, again.text
+    assert http.get("/annotations", headers={"Accept": "text/turtle"}).text == turtle
+    empty = http.post(
+        "/annotations", content="<s:a> <s:b> <s:c> .", headers={"Content-Type": "text/turtle"}
+    )
+    assert (empty.status_code, "annotates no :Stream" in empty.text) == (400, True)
 
 
 def test_the_quality_of_a_stream_decides(http: httpx.Client) -> None:
