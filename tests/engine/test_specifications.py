@@ -268,12 +268,15 @@ def test_policy(engine):
         '<stream name="speeds"/></cu>'
     )
     apply(engine, made)
-    subscription = engine.subscribe("speeds", "any change")
+    # A policy of a specification is of the whole stream, that of a subscription of each object.
+    assert engine.subscribe("speeds", "any change").stream != "seldom"
+    engine.unsubscribe("subscription1")
+    subscription = engine.subscribe("speeds", "any change", keyed=False)
     assert subscription.stream == "seldom"
     feed(engine, "speeds", [(t, {"id": "u", "spd": float(t // 3)}) for t in range(1, 7)])
     # `any change` compares values and valid times.
     assert len(samples(engine, "seldom")) == 6
-    assert "subscription1" in refused(engine, removals='<cu name="seldom"/>').message
+    assert "subscription2" in refused(engine, removals='<cu name="seldom"/>').message
     engine.unsubscribe(subscription.id)
     apply(engine, removals='<cu type="policy"/>')
     assert types(engine) == []
