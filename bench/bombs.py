@@ -26,6 +26,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
@@ -154,6 +155,18 @@ def _again(address: str, shots: Sequence[tuple[str, Shot]], _: int) -> list[tupl
     return shots_of(address, shots)
 
 
+def at_once(address: str) -> list[tuple[str, Thrown]]:
+    """Eight texts that hide operators behind a less-than, by as many senders."""
+    bombs = [bomb for bomb in tests.texts() if "sums after <" in bomb.name]
+    shots = [Shot(b.method, b.path, b.kind, b.body.encode()) for b in (bombs * 8)[:8]]
+
+    def thrown() -> Counter[str]:
+        with ThreadPoolExecutor(len(shots)) as senders:
+            return Counter(senders.map(partial(throw, address), shots))
+
+    return [("eight texts", thrown)]
+
+
 def large(address: str, client: httpx.Client) -> dict[str, Row]:
     """The rows of heavy.py."""
 
@@ -200,6 +213,7 @@ def rows_of(address: str, client: httpx.Client, quick: bool) -> dict[str, Row]:
     rows = small(address) | large(address, client)
     if quick:
         del rows["closure"]  # which takes as long as it may
+    rows["eight texts at once"] = lambda _: at_once(address)
     rows["slow bodies and heads"] = lambda _: slow_bodies(address)
     for name in turns.BOMBS:
         rows[f"windows: {name}"] = partial(window, client, name)

@@ -30,6 +30,7 @@ _STRING_ESCAPES: Final = {
 }
 _STRING_ESCAPE: Final = re.compile(r"\\(u[0-9A-Fa-f]{4}|U[0-9A-Fa-f]{8}|.)", re.DOTALL)
 _IRI_ESCAPE: Final = re.compile(r"\\(?:u([0-9A-Fa-f]{4})|U([0-9A-Fa-f]{8}))")
+_ABSOLUTE: Final = re.compile(r"[A-Za-z][A-Za-z0-9+.\-]*:")
 _PLAIN_INTEGER: Final = re.compile(r"0|[1-9][0-9]*")
 _PLAIN_LOCAL: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_\-]*")
 
@@ -49,7 +50,8 @@ def iri_text(token: Token, source: str, prefixes: Mapping[str, str], base: str =
     """The IRI that an IRI or prefixed-name token means."""
     if token.kind is Kind.IRI:
         raw = _IRI_ESCAPE.sub(lambda m: _character(m[1] or m[2], token, source), token.text[1:-1])
-        text = urljoin(base, raw) if base else raw
+        # `urljoin` drops a `?` or `#` at the end.
+        text = raw if not base or _ABSOLUTE.match(raw) else urljoin(base, raw)
     else:
         prefix, _, local = token.text.partition(":")
         if prefix not in prefixes:
@@ -98,9 +100,8 @@ def number(text: str) -> Literal:
 def term_text(term: Term) -> str:
     """The term as SPARQL text, in full. Raises `ValueError` for a blank node.
 
-    rdflib and Oxigraph both read it back unchanged. Two traps are avoided: rdflib resolves
-    ``\\uXXXX`` before it looks for strings, even behind an escaped backslash, and takes up to
-    eight digits; so an escaped backslash is never followed by a bare ``u``.
+    Readers that resolve ``\\uXXXX`` before they look for strings (SPARQL 1.1 §19.2) read it back
+    unchanged, too: an escaped backslash is never followed by a bare ``u``.
     """
     match term:
         case NamedNode():

@@ -57,6 +57,12 @@ def test_where_a_term_is_due_it_begins_an_iri() -> None:
     assert triple("?v<urn:a>?w").predicate == NamedNode("urn:a")
 
 
+def test_an_absolute_iri_is_as_written_whatever_the_base() -> None:
+    query = parse_sparql("BASE <http://b.example/x/> ASK { <http://a.example/?> <y> <z:#> }", {})
+    found = [node.value for node in walk(query) if isinstance(node, NamedNode)]
+    assert found == ["http://a.example/?", "http://b.example/x/y", "z:#"]
+
+
 def test_less_or_equal_is_one_sign() -> None:
     assert condition("?v<=1&&?w>=2") == Logical(
         "&&", (Comparison("<=", V, ONE), Comparison(">=", W, TWO))
