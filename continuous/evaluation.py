@@ -20,18 +20,10 @@ from ..rdf.dictionary import Term
 from ..rdf.timed import Kind, ObjectColumn, split_term
 from ..streams.sample import Mask
 from . import decimals
-from .columns import (
-    LONG,
-    Sort,
-    TermValues,
-    canonical,
-    coalesce,
-    either,
-    exact_column,
-    scattered,
-)
+from .columns import TermValues, coalesce, either, exact_column, scattered
 from .expressions import INFIX, Call, Const, Expression, Var, variables
 from .foreign import ask
+from .literals import LONG, Sort, canonical
 from .timestamps import LATEST
 
 _Part: TypeAlias = tuple[NDArray[np.int64], list[ObjectColumn]]

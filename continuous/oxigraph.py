@@ -23,7 +23,8 @@ from ..sparql.terms import term_text
 from ..streams.time import format_time
 from .asking import NOTHING, Found, Kept, Table
 from .bag import HIDDEN, copy_graph, counting
-from .columns import TermValues, canonical, term_column
+from .columns import TermValues, term_column
+from .literals import canonical
 from .logical import DEFAULT
 from .results import Solutions, WindowResult
 from .sources import StaticSide, distinct_ids
