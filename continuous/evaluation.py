@@ -335,13 +335,16 @@ class _Rows:
         sorts = [self.terms.sorts(c.values) for c in (a, b) if c.kind is Kind.TERM]
         other = np.zeros(self.rows, np.bool_)
         for one in sorts:
-            other |= (one == Sort.OTHER) | (one == Sort.ILL_TYPED)
+            other |= (one == Sort.OTHER) | (equality & (one == Sort.ILL_TYPED))
         if a.kind is b.kind:
             same = a.values == b.values
             doubtful = other & ~same
             if not equality:
                 text = (sorts[0] == Sort.STRING) & (sorts[1] == Sort.STRING)
                 doubtful = other | text
+                for one in sorts:
+                    # What is ill-typed has no order, nor has a node.
+                    doubtful &= (one != Sort.ILL_TYPED) & (one != Sort.NODE)
         else:
             same, doubtful = np.zeros(self.rows, np.bool_), other
         if null is not None:
