@@ -28,6 +28,7 @@ from .literals import canonical
 from .logical import DEFAULT
 from .results import Solutions, WindowResult
 from .sources import StaticSide, distinct_ids
+from .standard import standard
 from .translate import Graphs
 from .unsupported import Unsupported
 
@@ -58,7 +59,7 @@ class OxigraphWindows:
         self.graphs = graphs or Graphs()
         self.query = _restricted(query, self.graphs)
         self.sparql = print_query(self.query, prefixes)
-        self._text = _Text(self.query)
+        self._text = _Text(standard(self.query))
         self.distinct = distinct
         self.static = static
         self.terms = terms
@@ -76,7 +77,7 @@ class OxigraphWindows:
         if self.distinct:
             return None
         try:
-            return _Text(counting(self.query))
+            return _Text(standard(counting(self.query)))
         except Unsupported as unsupported:
             self.merges = str(unsupported)
             return None
