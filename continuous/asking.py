@@ -13,6 +13,7 @@ from typing import Protocol
 from pyoxigraph import Quad, QueryBoolean, QuerySolutions, QueryTriples, Store, Triple
 
 from ..rdf.dictionary import Term
+from .standard_functions import FUNCTIONS
 
 _NUMBERS = count()
 
@@ -61,7 +62,7 @@ class DirectAsking:
         store = Store()
         store.extend(kept.quads)
         store.extend(content)
-        found = store.query(sparql)
+        found = store.query(sparql, custom_functions=FUNCTIONS)
         match found:
             case QueryBoolean():
                 return bool(found)

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from ..rdf.timed import Kind, ObjectColumn
 from ..streams.sample import Mask
-from .columns import Pairs, Sort, TermValues, bits, decoded
+from .columns import Pairs, TermValues, bits, decoded
+from .literals import Sort
 from .seen import SeenPairs
 
 

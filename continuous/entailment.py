@@ -24,8 +24,9 @@ from ..rdf.dictionary import Named, TermTable
 from ..rdf.namespaces import RDF_TYPE, XSD, shorten
 from ..rdf.timed import Kind, ObjectColumn, TripleRows, make_literal
 from .background import Background
-from .columns import Sort, TermValues
+from .columns import TermValues
 from .expressions import Const
+from .literals import Sort
 from .logical import AnyScan, Closure, Plan, Scan, TypeScan, walk
 
 

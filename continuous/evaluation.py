@@ -20,18 +20,10 @@ from ..rdf.dictionary import Term
 from ..rdf.timed import Kind, ObjectColumn, split_term
 from ..streams.sample import Mask
 from . import decimals
-from .columns import (
-    LONG,
-    Sort,
-    TermValues,
-    canonical,
-    coalesce,
-    either,
-    exact_column,
-    scattered,
-)
+from .columns import TermValues, coalesce, either, exact_column, scattered
 from .expressions import INFIX, Call, Const, Expression, Var, variables
 from .foreign import ask
+from .literals import LONG, Sort, canonical
 from .timestamps import LATEST
 
 _Part: TypeAlias = tuple[NDArray[np.int64], list[ObjectColumn]]
@@ -343,13 +335,16 @@ class _Rows:
         sorts = [self.terms.sorts(c.values) for c in (a, b) if c.kind is Kind.TERM]
         other = np.zeros(self.rows, np.bool_)
         for one in sorts:
-            other |= (one == Sort.OTHER) | (one == Sort.ILL_TYPED)
+            other |= (one == Sort.OTHER) | (equality & (one == Sort.ILL_TYPED))
         if a.kind is b.kind:
             same = a.values == b.values
             doubtful = other & ~same
             if not equality:
                 text = (sorts[0] == Sort.STRING) & (sorts[1] == Sort.STRING)
                 doubtful = other | text
+                for one in sorts:
+                    # What is ill-typed has no order, nor has a node.
+                    doubtful &= (one != Sort.ILL_TYPED) & (one != Sort.NODE)
         else:
             same, doubtful = np.zeros(self.rows, np.bool_), other
         if null is not None:

@@ -12,10 +12,11 @@ from pyoxigraph import Literal
 
 from ..rdf.dictionary import NO_TERM
 from ..rdf.timed import Kind, ObjectColumn
-from .columns import LONG, Relation, Sort, TermValues, first_rows, key_codes, take_or_null
+from .columns import Relation, TermValues, first_rows, key_codes, take_or_null
 from .evaluation import evaluate
 from .expressions import Expression
 from .kernels import Groups
+from .literals import LONG, Sort
 from .logical import Aggregate, Aggregation
 from .ordering import sort_keys
 from .partials import Partial

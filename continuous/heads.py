@@ -11,8 +11,9 @@ from pyoxigraph import BlankNode, NamedNode
 
 from ..rdf.dictionary import Ids
 from ..rdf.timed import Kind, ObjectColumn, TimedTriples, TripleRows, split_term
-from .columns import Relation, Sort, TermValues, concatenate, first_rows, key_codes
+from .columns import Relation, TermValues, concatenate, first_rows, key_codes
 from .expressions import Const, Var
+from .literals import Sort
 from .logical import Ask, Blank, Construct, Head, Select, TemplatePosition
 from .results import Solutions, WindowResult
 

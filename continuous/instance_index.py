@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..rdf.timed import Kind, ObjectColumn
-from .columns import LONG, Relation, TermValues, as_terms, bits, decoded
+from .columns import Relation, TermValues, as_terms, bits, decoded
 from .instance_kernel import fired, least_of
 from .instance_terms import Terms
+from .literals import LONG
 from .parameters import Joint
 
 Rows: TypeAlias = NDArray[np.int64]

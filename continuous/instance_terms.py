@@ -11,7 +11,8 @@ from pyoxigraph import Literal, NamedNode
 
 from ..rdf.dictionary import Term, TermDictionary
 from ..rdf.timed import DATATYPES, Kind, ObjectColumn, split_term
-from .columns import bits, canonical, decoded, decoded_terms
+from .columns import bits, decoded, decoded_terms
+from .literals import canonical
 
 _BLOCK = 4096
 """As many terms wait to be encoded: long lists of them keep the garbage collector busy."""

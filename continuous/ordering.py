@@ -20,8 +20,9 @@ from ..rdf.datatypes import INTEGERS
 from ..rdf.dictionary import Term
 from ..rdf.namespaces import XSD
 from ..rdf.timed import Kind, ObjectColumn
-from .columns import LONG, Sort, TermValues
+from .columns import TermValues
 from .decimals import of_code
+from .literals import LONG, Sort
 
 SortKey = NDArray[np.int64] | NDArray[np.float64]
 _BLANK, _IRI, _NAN, _NUMBER, _STRING, _OTHER = 1, 2, 3, 4, 5, 6

@@ -23,10 +23,12 @@ from ..sparql.terms import term_text
 from ..streams.time import format_time
 from .asking import NOTHING, Found, Kept, Table
 from .bag import HIDDEN, copy_graph, counting
-from .columns import TermValues, canonical, term_column
+from .columns import TermValues, term_column
+from .literals import canonical
 from .logical import DEFAULT
 from .results import Solutions, WindowResult
 from .sources import StaticSide, distinct_ids
+from .standard import standard
 from .translate import Graphs
 from .unsupported import Unsupported
 
@@ -57,7 +59,7 @@ class OxigraphWindows:
         self.graphs = graphs or Graphs()
         self.query = _restricted(query, self.graphs)
         self.sparql = print_query(self.query, prefixes)
-        self._text = _Text(self.query)
+        self._text = _Text(standard(self.query))
         self.distinct = distinct
         self.static = static
         self.terms = terms
@@ -75,7 +77,7 @@ class OxigraphWindows:
         if self.distinct:
             return None
         try:
-            return _Text(counting(self.query))
+            return _Text(standard(counting(self.query)))
         except Unsupported as unsupported:
             self.merges = str(unsupported)
             return None

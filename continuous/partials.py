@@ -19,19 +19,11 @@ from numpy.typing import NDArray
 from ..rdf.dictionary import Term
 from ..rdf.timed import Kind, ObjectColumn
 from . import decimals
-from .columns import (
-    LONG,
-    NeedsOxigraph,
-    Sort,
-    TermValues,
-    either,
-    exact_column,
-    scattered,
-    term_column,
-)
+from .columns import NeedsOxigraph, TermValues, either, exact_column, scattered, term_column
 from .decimals import Mantissas
 from .exact import At
 from .kernels import Groups, RowFold, mirrored
+from .literals import LONG, Sort
 from .singles import Number, Singles, extreme, summed
 
 SAFE = 2**62

@@ -47,7 +47,7 @@ EQUAL, UNEQUAL, LESS, LESS_EQUAL, GREATER, GREATER_EQUAL = 6, 7, 8, 9, 10, 11
 AND, OR, NOT, NEGATE = 12, 13, 14, 15
 
 LONGS = 9
-"""`columns.Sort`: from here on no term is told from another by its id alone."""
+"""`literals.Sort`: from here on no term is told from another by its id alone."""
 OVERSPENT = -2
 """The answer of `match` that has looked at more rows than it may."""
 DOUBTFUL = -1

@@ -24,8 +24,9 @@ from ..rdf.dictionary import Named
 from ..rdf.namespaces import RDF_TYPE
 from ..rdf.timed import Kind, ObjectColumn
 from .budget import BudgetExceeded
-from .columns import Relation, TermValues, canonical, decoded, decoded_terms
+from .columns import Relation, TermValues, decoded, decoded_terms
 from .expressions import Call, Const, Expression, Var, postorder, variables
+from .literals import canonical
 from .logical import Plan, Position, TypeScan, outputs
 from .pattern_kernels import BY_OBJECT, BY_SLOT, BY_SUBJECT, BY_TRIPLE, LOST
 from .pattern_match import CONSTANT, DOUBTFUL, OVERSPENT, VARIABLE, match

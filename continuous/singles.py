@@ -21,7 +21,7 @@ from pyoxigraph import Literal
 
 from ..rdf.timed import Kind, make_literal
 from . import decimals
-from .columns import exact_literal
+from .literals import exact_literal
 
 Number: TypeAlias = Decimal | float
 """An INTEGER or DECIMAL, a FLOAT or DOUBLE."""

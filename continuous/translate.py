@@ -17,8 +17,8 @@ from ..rdf.namespaces import RDF_TYPE
 from ..sparql import ast
 from ..sparql.algebra import split
 from ..sparql.scope import shown, visible
-from .columns import canonical
 from .expressions import Const, Expression, Var
+from .literals import canonical
 from .logical import (
     DEFAULT,
     Aggregate,

@@ -26,6 +26,7 @@ from pyoxigraph import (
     serialize,
 )
 
+from ...continuous.standard_functions import FUNCTIONS
 from ...languages.errors import LanguageError
 from ...languages.specification import parse_specification
 from ...languages.specification.markup import NAMESPACE
@@ -150,7 +151,7 @@ class Worker:
         store = Store()
         store.extend(self._kept.get(work.key, ()))
         store.extend(_quads(work.content))
-        found = store.query(work.text)
+        found = store.query(work.text, custom_functions=FUNCTIONS)
         if isinstance(found, QueryBoolean):
             return Truth(bool(found))
         budget = _Budget(work.rows, work.size)

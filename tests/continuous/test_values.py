@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from pyoxigraph import Literal, NamedNode
 
-from dyknow.continuous.columns import canonical
 from dyknow.continuous.evaluate import evaluate
+from dyknow.continuous.literals import canonical
 from dyknow.rdf.namespaces import DYKNOW, XSD
 
 X = "http://d.example/x"

@@ -389,7 +389,7 @@ def same_key(wanted: Key, given: Key, any_kind: bool) -> bool:
         return True
     if wanted[0] != "number" or given[0] != "number" or "NaN" in (wanted[2], given[2]):
         return False
-    if wanted[1] != given[1] and not any_kind:
+    if wanted[1] != given[1]:
         return False
     if any(isinstance(key[2], float) and math.isinf(key[2]) for key in (wanted, given)):
         return bool(wanted[2] == given[2])
