@@ -14,6 +14,8 @@ from typing import Any, TypeGuard
 
 from pyoxigraph import BlankNode, DefaultGraph, Literal, NamedNode, Quad, Triple, Variable
 
+from ..languages.csparql import body_with_rows
+from ..languages.csparql.ast import ContinuousQuery
 from ..rdf.dictionary import Term
 from ..rdf.namespaces import RDF_TYPE, XSD
 from ..rdf.timed import TimedTriples, TripleRows, from_terms
@@ -42,13 +44,13 @@ class OxigraphWindows:
     can touch (chosen once a version of the background), then Oxigraph's; under bag semantics a
     look-up a triple more, and twice the store where triples are equal. Memory: one such store.
     Blank nodes that the query makes are called by ``seed`` and the window. Oxigraph reads the text
-    where it evaluates it, in the service another process (`asking`); ``prefixes`` are for people.
+    where it evaluates it, in the service another process (`asking`). Nothing is printed before a
+    window, or `explain`, needs it: most queries are evaluated in columns.
     """
 
     def __init__(
         self,
-        query: ast.Query,
-        prefixes: Mapping[str, str],
+        query: ContinuousQuery,
         static: StaticSide,
         terms: TermValues,
         graphs: Graphs | None = None,
@@ -57,19 +59,37 @@ class OxigraphWindows:
         seed: str = "",
     ) -> None:
         self.graphs = graphs or Graphs()
-        self.query = _restricted(query, self.graphs)
-        self.sparql = print_query(self.query, prefixes)
-        self._text = _Text(standard(self.query))
+        self.asked = query
         self.distinct = distinct
         self.static = static
         self.terms = terms
-        self.predicates, self.classes = named(query)
-        self._label = (
-            f"q{hashlib.blake2b(f'{self.sparql} {seed}'.encode(), digest_size=8).hexdigest()}"
-        )
+        self.seed = seed
         self._version: int | None = None
         self._quads: dict[Quad, None] = {}
         self._kept = NOTHING
+
+    @cached_property
+    def query(self) -> ast.Query:
+        """What is asked, with the terms of parameters."""
+        return _restricted(body_with_rows(self.asked), self.graphs)
+
+    @cached_property
+    def sparql(self) -> str:
+        """The same as text, with the prefixes of the source."""
+        return print_query(self.query, self.asked.prefixes)
+
+    @cached_property
+    def _text(self) -> _Text:
+        return _Text(standard(self.query))
+
+    @cached_property
+    def _label(self) -> str:
+        told = f"{self.sparql} {self.seed}".encode()
+        return f"q{hashlib.blake2b(told, digest_size=8).hexdigest()}"
+
+    @cached_property
+    def _named(self) -> tuple[frozenset[NamedNode] | None, frozenset[NamedNode] | None]:
+        return named(self.query)
 
     @cached_property
     def counting(self) -> _Text | None:
@@ -152,7 +172,7 @@ class OxigraphWindows:
         version = background.version
         if version != self._version:
             self._version = version
-            copied = background.copy(self.predicates, self.classes)
+            copied = background.copy(*self._named)
             self._quads = dict.fromkeys(
                 Quad(q.subject, q.predicate, _value(q.object), _DEFAULT) for q in copied
             )

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 from pyoxigraph import Literal
 
-from ..languages.csparql import body_tree, body_with_rows, group_keys
+from ..languages.csparql import body_tree, group_keys
 from ..languages.csparql.ast import ContinuousQuery
 from ..languages.errors import Span
 from ..rdf.dictionary import Term
@@ -40,11 +40,11 @@ from .windows import Schedule
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """A query as the tree that is planned and as the one with the terms of its parameters, with
-    what the translation has to know of it."""
+    """A query as the tree that is planned, with what the translation has to know of it; ``asked``
+    is the query that Oxigraph would be asked."""
 
     tree: ast.Query
-    asked: ast.Query
+    asked: ContinuousQuery
     graphs: Graphs
 
     @classmethod
@@ -52,7 +52,7 @@ class Reading:
         """``query`` over these windows; raises ``ValueError`` where it makes no SPARQL."""
         asked = _with_rows_only(query)
         graphs = Graphs(schedule.named, query.static_named, query.window_variables)
-        return cls(body_tree(asked), body_with_rows(asked), graphs)
+        return cls(body_tree(asked), asked, graphs)
 
     def translated(self, bindings: Mapping[str, Term]) -> Query:
         """The logical plan with these terms put in; raises as `translate`."""
@@ -93,7 +93,6 @@ class Solver:
         self._seed = f"{query.source} {bound}"
         self.oxigraph = OxigraphWindows(
             reading.asked,
-            query.prefixes,
             static,
             self.terms,
             reading.graphs,
