@@ -1,8 +1,8 @@
 """What a program before the rules of instants did and wrote: run once with the code of c17d4bb.
 
-``python tests/support/directory_of_before.py TARGET`` writes ``TARGET/before_instants.tar.xz``: data
-directories and, in ``expected.json``, what the engine told when it wrote them. The archive is a
-fixture of tests/engine/test_directory_of_before.py and is never made anew: this script only shows
+``python tests/support/directory_of_before.py TARGET`` writes ``TARGET/before_instants.tar.xz``:
+data directories and, in ``expected.json``, what the engine told when it wrote them. The archive is
+a fixture of tests/engine/test_directory_of_before.py and is never made anew: this script only shows
 how it came to be. `told` is used by the test, too.
 """
 
@@ -42,8 +42,8 @@ PAIRS = f"""REGISTER STREAM pairs AS SELECT ?a ?b ?v ?w
 FROM STREAM <{IRI}radar.trdf> [RANGE 1s STEP 1s]
 WHERE {{ ?a dyknow:speed ?v . ?b dyknow:speed ?w FILTER (?v < ?w) }}"""
 COUNTS = f"""REGISTER STREAM counts AS SELECT (COUNT(?v) AS ?n) (SUM(?v) AS ?sum)
-FROM STREAM <{IRI}radar.trdf> [RANGE 2s STEP 1s] FROM STREAM <{IRI}late_radar.trdf> [RANGE 2s STEP 1s]
-WHERE {{ ?o dyknow:speed ?v }}"""
+FROM STREAM <{IRI}radar.trdf> [RANGE 2s STEP 1s] FROM STREAM <{IRI}late_radar.trdf> [RANGE 2s STEP
+1s] WHERE {{ ?o dyknow:speed ?v }}"""
 TURNS = f"""REGISTER STREAM turns AS SELECT ?o ?v ?h
 FROM STREAM <{IRI}radar.trdf> [RANGE 2s STEP 1s] FROM STREAM <{IRI}arrivals.trdf> [RANGE 2s STEP 1s]
 WHERE {{ ?o dyknow:speed ?v . ?o dyknow:heading ?h }}"""
