@@ -37,7 +37,7 @@ class Chain(Adaptation):
         assert policy.period is not None
         self._period = policy.period
         self._delay = policy.max_delay
-        self._known = TIME_MIN
+        self._known = self._newest = TIME_MIN
         self._last: tuple[int, int] | None = None
         """Available and valid time of the last sample sent."""
         self._held: SampleBatch | None = None
@@ -55,7 +55,7 @@ class Chain(Adaptation):
         why = np.concatenate((np.full(held, KEPT, np.int8), reasons)) if held else reasons
         at = everything.available.copy()
         rows, times = self._turns(everything, held, why, at)
-        last = int(batch.available[-1])
+        last = self._newest = int(batch.available[-1])
         self._known = max(self._known, last - 1)
         self._end_of_chain(everything, why, at, rows, self._known)
         return self._send(everything, why, at, rows, times, last)
@@ -67,6 +67,7 @@ class Chain(Adaptation):
         return self._settle()
 
     def end(self) -> list[SampleBatch]:
+        self._known = max(self._known, self._newest)
         return self._settle(ended=True)
 
     def _settle(self, ended: bool = False) -> list[SampleBatch]:
