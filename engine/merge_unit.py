@@ -189,7 +189,7 @@ class MergeUnit(ComputationalUnit):
         for feed in self._feeds[source]:
             made = feed.made(batch)
             if len(made):
-                self.output.offer(made.with_available(self.output.stamps_at(made.available)))
+                self.output.emit(made.with_available(self.output.stamps_at(made.available)))
 
     def progress(self, source: StreamGenerator, watermark: int) -> None:
         # The fastest input is how far the stream is: what comes behind it is stamped later.

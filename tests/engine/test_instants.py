@@ -160,3 +160,17 @@ def test_the_rdf_of_samples_of_an_instant_is_their_own(engine):
     assert len(set(nodes)) == 3
     assert nodes[1] == f"{nodes[0]}.1"
     assert ['"1"' in found[1], '"2"' in found[2]] == [True, True]
+
+
+def test_two_equal_results_of_a_unit_are_two_samples():
+    """They differ in a field of the source that the subscription does not carry."""
+    engine = Engine()
+    engine.declare(StreamDeclaration("radar", (*FIELDS, Field("beam", FieldType.FLOAT)), 0))
+    engine.annotate("stream radar contains speed(UAV) = v for every UAV = id")
+    engine.subscribe_to_feature("dyknow:speed", sort="dyknow:UAV")
+    generator = engine.generator("radar")
+    rows = [{"valid": 5, "available": 5, "id": "a", "v": 1.0, "beam": float(k)} for k in (1, 2)]
+    body = "\n".join(map(json.dumps, rows)).encode()
+    engine.publish("radar", decode_ndjson(body, generator.schema, generator.stream.pools), 0)
+    (view,) = engine.subscriptions()
+    assert history(engine, view.stream) == [(5, "a", 1.0)] * 2
