@@ -1,8 +1,8 @@
 """Recorded tables as streams: CSV, packed CSV, NDJSON and Arrow, for ``dyknow replay``.
 
 The valid time is the time column. The available time is the ``available`` column if there is one,
-else the valid time made strictly increasing in the table's order (SPEC §1): a tie or a step back
-becomes available a nanosecond after the row before.
+else the valid time. A row with a step back becomes available with the row before it; rows of one
+time are one instant (SPEC §1).
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from ..streams.sample import (
     column_from_values,
 )
 from ..streams.strings import StringPool
-from ..streams.time import TIME_MAX, TIME_MIN
+from ..streams.time import TIME_MIN
 from .arrow import arrow_field_type, column_from_arrow, read_arrow, times_from_arrow
 from .csv_table import CHUNK, column_from_cells, read_csv
 from .errors import EmptyTable, WireError
@@ -56,7 +56,7 @@ class Recording:
         last = TIME_MIN
         for batch in self.read():
             if not self._has_available:
-                batch = batch.with_available(increasing(batch.valid, last))
+                batch = batch.with_available(running_maximum(batch.valid, last))
             if len(batch):
                 last = int(batch.available[-1])
                 yield Incoming(batch, False)
@@ -312,18 +312,6 @@ def _make_pools(schema: Schema, pools: dict[str, StringPool]) -> None:
             pools.setdefault(f.name, StringPool())
 
 
-def increasing(times: Times, last: int) -> Times:
-    """``max(time, one before + 1)`` for each: the least strictly increasing times above ``last``.
-
-    ``last`` `TIME_MIN` is none before. Raises `WireError` at the end of 64-bit time.
-    """
-    if not len(times):
-        return times
-    if int(times.max()) > TIME_MAX - len(times) or last > TIME_MAX - len(times):
-        raise WireError(None, "the recording reaches the end of 64-bit time")
-    steps = np.arange(len(times), dtype=np.int64)
-    first = last + 1 if last > TIME_MIN else TIME_MIN + len(times)
-    # a[i] - i never falls when a is strictly increasing: a running maximum of the differences.
-    return (
-        np.maximum.accumulate(np.maximum(times, TIME_MIN + len(times)) - steps).clip(first) + steps
-    )
+def running_maximum(times: Times, last: int) -> Times:
+    """``max(time, one before)`` for each: the least times from ``last`` on that do not decrease."""
+    return np.maximum.accumulate(np.maximum(times, last))

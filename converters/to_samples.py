@@ -41,6 +41,8 @@ ANSWER: Final = "answer"
 
 class TripleConverter:
     """The inverse of `SampleConverter` for the same annotation: triples of one τ are one sample.
+    Where a feature has several of one τ, which is an instant of several samples, those of one valid
+    time and one subject (or node) are a sample.
 
     Subject -> id field, object -> field, in names as `objects.object_name` writes them; τ becomes
     the available time, the valid time is kept. What comes back, exactly: every sample that gave a
@@ -50,7 +52,7 @@ class TripleConverter:
 
     Triples that the annotation does not speak of are left out. Raises `ConversionError` at once for
     an annotation whose triples cannot be told apart (one feature twice of objects that may be the
-    same), and in `convert` when triples of one τ contradict each other.
+    same), and in `convert` when triples of one sample contradict each other.
 
     Cost: numpy per column, a name per distinct new object.
     """
@@ -86,17 +88,26 @@ class TripleConverter:
     def convert(self, triples: TimedTriples) -> SampleBatch:
         """The samples that the triples stand for, by available time."""
         parts: list[_Part] = []
+        several: list[Times] = []
         for content, back in zip(self._contents, self._conversions, strict=True):
-            if len(content.roles) > 1:
-                parts.extend(self._nary(content, back, triples))
-            else:
-                parts.extend(self._unary(content, back, triples))
+            convert = self._nary if len(content.roles) > 1 else self._unary
+            own = list(convert(content, back, triples))
+            parts += own
+            told = [part.time for part in own if part.field == content.field]
+            if told:
+                times, counts = np.unique(np.concatenate(told), return_counts=True)
+                several.append(times[counts > 1])
         if not parts:
             return empty_batch(self._schema, self._pools)
-        available = np.unique(np.concatenate([part.time for part in parts]))
-        building = _Building(self._schema, available)
-        for part in parts:
-            building.put(part, self._pools, triples.dictionary, self._namespace)
+        samples, rows = np.unique(
+            np.concatenate([_keys(part, np.concatenate(several)) for part in parts]),
+            axis=0,
+            return_inverse=True,
+        )
+        building = _Building(self._schema, samples[:, 0].copy())
+        ends = np.cumsum([len(part.time) for part in parts])[:-1]
+        for part, own_rows in zip(parts, np.split(rows.reshape(-1), ends), strict=True):
+            building.put(part, own_rows, self._pools, triples.dictionary, self._namespace)
         return building.batch(self._pools)
 
     def _unary(
@@ -110,9 +121,12 @@ class TripleConverter:
                 chosen = chosen & (table.subject == _find(triples, constant))
             rows = np.flatnonzero(chosen)
             if len(rows):
-                yield _Part(table, rows, content.field, objects.take(rows), back)
+                subjects = table.subject[rows]
+                has_id = role is not None and role.id_field is not None
+                of = subjects if has_id else None
+                yield _Part(table, rows, content.field, objects.take(rows), of, back)
                 if role is not None and role.id_field is not None:
-                    yield _Part(table, rows, role.id_field, _terms(table.subject[rows]))
+                    yield _Part(table, rows, role.id_field, _terms(subjects), of)
 
     def _nary(
         self, content: Content, back: Conversion | None, triples: TimedTriples
@@ -132,7 +146,8 @@ class TripleConverter:
             for table, objects in _tables_of(triples, predicate):
                 rows = np.flatnonzero(objects.present & np.isin(table.subject, known))
                 if len(rows):
-                    yield _Part(table, rows, field, objects.take(rows), change)
+                    nodes_of = table.subject[rows]
+                    yield _Part(table, rows, field, objects.take(rows), nodes_of, change)
 
 
 class Solved(Protocol):
@@ -207,7 +222,7 @@ def field_names(predicates: Iterable[str]) -> dict[str, str]:
 class ResultConverter:
     """Results of a continuous query -> samples of its output stream.
 
-    Valid time is the window's end; available times count up from the one that the caller gives.
+    Valid time is the window's end; all are available at the time that the caller gives.
     CONSTRUCT: a wide row is a solution and becomes a sample (``id``, then a field a predicate);
     triples that come in several tables are joined by subject where no field would get two values.
     SELECT: a row is a sample. IRIs in ``namespace`` are written as their local name.
@@ -241,10 +256,10 @@ class ResultConverter:
             if field.type is FieldType.STRING:
                 pools.setdefault(field.name, StringPool())
 
-    def convert(self, result: Result, available_from: int) -> SampleBatch:
+    def convert(self, result: Result, available: int) -> SampleBatch:
         """The samples of a window's result."""
         if result.triples is not None:
-            return self.triples(result.triples, result.end, available_from)
+            return self.triples(result.triples, result.end, available)
         solved = result.solutions
         if solved is not None:
             return self.table(
@@ -252,13 +267,11 @@ class ResultConverter:
                 solved.columns,
                 solved.dictionary,
                 result.end,
-                available_from,
+                available,
                 len(solved),
             )
         answer = np.array([bool(result.answer)], np.bool_)
-        return self._stamped(
-            {ANSWER: Column(FieldType.BOOLEAN, answer)}, 1, result.end, available_from
-        )
+        return self._stamped({ANSWER: Column(FieldType.BOOLEAN, answer)}, 1, result.end, available)
 
     def table(
         self,
@@ -266,7 +279,7 @@ class ResultConverter:
         columns: Mapping[str, ObjectColumn],
         dictionary: TermDictionary,
         valid: int,
-        available_from: int,
+        available: int,
         length: int | None = None,
     ) -> SampleBatch:
         """Samples from the columns of a SELECT table; unbound is no_value."""
@@ -281,9 +294,9 @@ class ResultConverter:
             else _nothing(field, length, self._pools)
             for field in self.schema.fields
         }
-        return self._stamped(found, length, valid, available_from)
+        return self._stamped(found, length, valid, available)
 
-    def triples(self, triples: TimedTriples, valid: int, available_from: int) -> SampleBatch:
+    def triples(self, triples: TimedTriples, valid: int, available: int) -> SampleBatch:
         """Samples from the triples of a CONSTRUCT head."""
         tables = [table for table in triples.tables if len(table) and table.objects]
         batches = [self._rows(table, triples.dictionary) for table in tables]
@@ -292,7 +305,7 @@ class ResultConverter:
         batch = concatenate(batches)
         if len(batches) > 1:
             batch = _join_subjects(batch)
-        return self._stamped(batch.columns, len(batch), valid, available_from)
+        return self._stamped(batch.columns, len(batch), valid, available)
 
     def _rows(self, table: TripleRows, dictionary: TermDictionary) -> SampleBatch:
         found: dict[str, ObjectColumn] = {ID: _terms(table.subject)}
@@ -319,15 +332,15 @@ class ResultConverter:
         return field_column(field, objects, dictionary, pool, self._namespace)
 
     def _stamped(
-        self, columns: Mapping[str, Column], length: int, valid: int, available_from: int
+        self, columns: Mapping[str, Column], length: int, valid: int, available: int
     ) -> SampleBatch:
-        available = np.arange(available_from, available_from + length, dtype=np.int64)
-        batch = SampleBatch(available, np.full(length, valid, np.int64), columns)
+        times = np.full(length, available, np.int64)
+        batch = SampleBatch(times, np.full(length, valid, np.int64), columns)
         if self._keep_order or length < 2:
             return batch
         keys = [key for field in self.schema.fields for key in self._keys(field, columns)]
         order = np.lexsort(keys[::-1])
-        return batch.take(order).with_available(available)
+        return batch.take(order)
 
     def _keys(self, field: Field, columns: Mapping[str, Column]) -> list[np.ndarray]:
         """What to order a field by: presence, then value."""
@@ -366,7 +379,7 @@ def _ranked(texts: Sequence[str]) -> Ids:
 class _Part:
     """Values of one field at some rows of a table."""
 
-    __slots__ = ("back", "field", "objects", "time", "valid")
+    __slots__ = ("back", "field", "objects", "of", "time", "valid")
 
     def __init__(
         self,
@@ -374,17 +387,31 @@ class _Part:
         rows: np.ndarray,
         field: str,
         objects: ObjectColumn,
+        of: Ids | None,
         back: Conversion | None = None,
     ) -> None:
         self.time: Times = table.time[rows]
         self.valid: Times = table.valid[rows]
         self.field = field
         self.objects = objects
+        self.of = of
+        """The subjects or nodes that tell samples of one instant apart; None: nothing does."""
         self.back = back
 
 
+def _keys(part: _Part, several: Times) -> np.ndarray:
+    """Which sample each row is of, as (τ, valid time, subject): the latter where there are several
+    samples of one τ. Shape ``(n, 3)``."""
+    keys = np.zeros((len(part.time), 3), np.int64)
+    keys[:, 0] = part.time
+    is_shared = np.isin(part.time, several)
+    keys[is_shared, 1] = part.valid[is_shared]
+    keys[is_shared, 2] = -1 if part.of is None else part.of[is_shared]
+    return keys
+
+
 class _Building:
-    """Samples being put together, one row an available time."""
+    """Samples being put together, one row each."""
 
     def __init__(self, schema: Schema, available: Times) -> None:
         count = len(available)
@@ -398,11 +425,12 @@ class _Building:
     def put(
         self,
         part: _Part,
+        rows: np.ndarray,
         pools: Mapping[str, StringPool],
         dictionary: TermDictionary,
         namespace: str,
     ) -> None:
-        """Add a part; raises `ConversionError` if it contradicts what is there."""
+        """Add a part to the samples ``rows``; raises `ConversionError` if it contradicts them."""
         field = self._schema.get(part.field)
         assert field is not None
         objects = part.objects
@@ -417,7 +445,6 @@ class _Building:
                 values = np.where(np.isclose(values, whole, rtol=1e-12, atol=1e-9), whole, values)
             objects = ObjectColumn(Kind.DOUBLE, values, read.null)
         column = field_column(field, objects, dictionary, pools.get(field.name), namespace)
-        rows = np.searchsorted(self._available, part.time)
         self._set(self._valid, self._begun, rows, part.valid, "valid", np.ones(len(rows), np.bool_))
         self._set(
             self._values[field.name],
@@ -448,7 +475,7 @@ class _Building:
             raise ConversionError(
                 f"triples at τ = {time} give {name!r} two values",
                 field=name,
-                hint="available times are unique within a stream: these are triples of several",
+                hint="these are triples of several samples, and nothing tells them apart",
             )
 
     def batch(self, pools: Mapping[str, StringPool]) -> SampleBatch:

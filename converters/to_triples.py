@@ -6,11 +6,12 @@ up columns. docs/conversion.md shows the triples of s1-s7.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 from pyoxigraph import NamedNode
 
 from ..languages.ssl.annotation import Content, Role, StreamAnnotation
@@ -19,7 +20,8 @@ from ..ontology.vocabulary import Vocabulary
 from ..rdf.dictionary import Ids, Named, TermDictionary
 from ..rdf.namespaces import DYKNOW, RDF, local_name
 from ..rdf.timed import Kind, ObjectColumn, TimedTriples, TripleRows
-from ..streams.sample import Field, FieldType, Mask, SampleBatch, Schema
+from ..streams.instants import places_in_instants
+from ..streams.sample import Field, FieldType, Mask, SampleBatch, Schema, Times
 from ..streams.time import format_time
 from .errors import ConversionError
 from .objects import ObjectTable, object_iri
@@ -92,15 +94,26 @@ class SampleConverter:
                 subject = roles[0] if roles else _stream(annotation, dictionary, namespace)
                 self._add(subject, content.roles, column)
 
-    def convert(self, batch: SampleBatch) -> TimedTriples:
-        """The timed triples that the samples stand for."""
+    @property
+    def makes_nodes(self) -> bool:
+        """Whether features of several objects make nodes, which have names."""
+        return bool(self._nodes)
+
+    def convert(self, batch: SampleBatch, names: Sequence[str] | None = None) -> TimedTriples:
+        """The timed triples that the samples stand for.
+
+        ``names`` (`node_names`) name the nodes that n-ary features make of the samples; without
+        them the batch holds its instants whole.
+        """
         tables: list[TripleRows] = []
         for table in self._tables:
             rows = table.rows(batch)
             if len(rows):
                 tables.append(rows)
+        if self._nodes and names is None:
+            names = node_names(batch.available, places_in_instants(batch.available))
         for node in self._nodes:
-            tables.extend(node.tables(batch))
+            tables.extend(node.tables(batch, names or ()))
         return TimedTriples(self.dictionary, tuple(tables))
 
     def _add(self, subject: _Subject, roles: tuple[Role, ...], column: _Column) -> None:
@@ -149,6 +162,14 @@ def node_stem(annotation: StreamAnnotation, position: int, namespace: str) -> st
     """
     feature = local_name(annotation.contents[position].feature)
     return object_iri(f"{annotation.stream}/{feature}.{position}/", namespace)
+
+
+def node_names(available: Times, places: NDArray[np.int64]) -> list[str]:
+    """How the nodes of samples are told apart: by available time, in an instant by place (from
+    0).
+    """
+    times = zip(available.tolist(), places.tolist(), strict=True)
+    return [format_time(time) + (f".{place}" if place else "") for time, place in times]
 
 
 @dataclass(frozen=True, slots=True)
@@ -257,7 +278,7 @@ class _Node:
     stem: str
     dictionary: TermDictionary
 
-    def tables(self, batch: SampleBatch) -> list[TripleRows]:
+    def tables(self, batch: SampleBatch, names: Sequence[str]) -> list[TripleRows]:
         kept = batch.columns[self.column.field].present
         arguments = []
         for role in self.roles:
@@ -269,9 +290,9 @@ class _Node:
         if not len(chosen):
             return []
         arguments = [ids[kept] for ids in arguments]
-        # The stem's slashes stand for themselves; only the time is added.
+        # The stem's slashes stand for themselves; only the name is added.
         nodes = self.dictionary.transient_ids(
-            NamedNode(f"{self.stem}{format_time(time)}") for time in chosen.available.tolist()
+            NamedNode(f"{self.stem}{names[row]}") for row in np.flatnonzero(kept).tolist()
         )
         time, valid = chosen.available, chosen.valid
         objects = {self._predicate(VALUE): self.column.objects(chosen, kept)}

@@ -24,7 +24,7 @@ from ..streams.time import MICROSECOND, MILLISECOND, TIME_MAX, TIME_MIN
 from .csv_table import CHUNK
 from .errors import WireError
 from .names import distinct, valid_name
-from .recording import Recording, increasing
+from .recording import Recording, running_maximum
 
 _TIMES: Final = ("timestamp", "timestamp_sample")
 _MAGIC: Final = b"ULog\x01\x12\x35"
@@ -54,8 +54,8 @@ def open_ulog(path: Path | str, *, utc: bool = False) -> FlightLog:
 
     With ``utc`` they are moved to UTC by the first time that a satellite receiver told. Streams
     are called by their topic, further instances by ``topic_1``, ``topic_2`` …; elements of arrays
-    are fields ``q_0``, ``q_1`` …. What is not finite is no_value. A topic's available times are
-    made strictly increasing as those of a table.
+    are fields ``q_0``, ``q_1`` …. What is not finite is no_value. A topic's available times do
+    not decrease, as those of a table.
 
     Raises `WireError` for what is no log, damaged or cut off, or when pyulog is not installed;
     `OSError` when the file cannot be read. Memory: the whole log, twice.
@@ -210,7 +210,7 @@ def _batch(
         if column.type is FieldType.FLOAT and values.dtype.kind == "u":
             notes.append(f"{name}.{key} is a float: not all of its integers fit signed 64 bits")
         columns[distinct(short, columns)] = column
-    return SampleBatch(increasing(available, TIME_MIN), valid, columns)
+    return SampleBatch(running_maximum(available, TIME_MIN), valid, columns)
 
 
 def _times(name: str, times: Any, shift: int) -> Times:

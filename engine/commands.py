@@ -31,6 +31,7 @@ from ..ontology.errors import OntologyError, QueryRefused
 from ..ontology.ontology import PreparedOntology
 from ..ontology.reading import TextFormat
 from ..streams.pauses import STRAIGHT, Pauses
+from ..streams.rules import UNIQUE_TIMES
 from ..streams.sample import Schema
 from ..streams.strings import StringPool
 from ..streams.time import SECOND, TIME_MAX, format_duration, format_time
@@ -159,16 +160,19 @@ class Begin(Command, frozen=True, tag="begin"):
     """The life of an engine begins at ``now`` (ns), by a ``program``. The first of all commands.
 
     Of its ``epoch`` the ids of events are. ``processes``: the modules of the user-written ones
-    that the program has, by their names.
+    that the program has, by their names. ``rules`` (`Rules.version`) are those of the commands that
+    follow; programs that wrote none had the first ones.
     """
 
     epoch: str
     now: int
     program: str
     processes: dict[str, str] = {}
+    rules: int = UNIQUE_TIMES
 
     def apply(self, engine: Engine) -> None:
         engine.epoch = self.epoch
+        engine.rules.version = self.rules
 
 
 class Refused(Command, frozen=True, tag="refused"):

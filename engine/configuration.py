@@ -17,6 +17,7 @@ from ..languages.kpl import format_policy
 from ..rdf.namespaces import DYKNOW
 from ..streams.fluent import Retention
 from ..streams.generator import StreamGenerator
+from ..streams.rules import Rules
 from ..streams.sample import FieldType, Schema
 from ..streams.strings import StringPool
 from ..streams.time import HOUR
@@ -96,6 +97,8 @@ class Configuration:
         busy_time: BusyTime | None = None,
         behind: Behind | None = None,
     ) -> None:
+        self.rules = Rules()
+        """Those of all its streams."""
         self.streams: dict[str, StreamGenerator] = {}
         self.units: dict[str, ComputationalUnit] = {}
         self.readers: dict[str, Reader] = {}
@@ -212,6 +215,7 @@ class Configuration:
             retention=retention or RETENTION,
             pools=pools,
             first=self._removed.pop(name, 0) + 1,
+            rules=self.rules,
         )
         self.streams[name] = generator
         self.namespaces[name] = namespace

@@ -148,7 +148,7 @@ class ConfigurationProcess:
 
     def receive(self, source: StreamGenerator, batch: SampleBatch) -> None:
         """Samples of the sets."""
-        self.known = int(batch.available[-1])
+        self.known = max(self.known, source.promise_after(batch) - 1)
         for time, labels in sets_of(batch):
             if isinstance(labels, str):
                 self.counters.note(labels, time)
@@ -171,7 +171,7 @@ class ConfigurationProcess:
     def resumed(self, source: StreamGenerator) -> None:
         """Sets go on."""
         last = source.stream.last_available
-        self.known = NOTHING_KNOWN if last is None else last
+        self.known = NOTHING_KNOWN if last is None else last - 1 + source.rules.gap
 
     def idleness_changed(self, source: StreamGenerator) -> None:
         """It reads nothing else that could go on meanwhile."""

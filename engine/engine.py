@@ -12,9 +12,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
 
+import numpy as np
+
 from ..continuous.budget import UNLIMITED, Budget
 from ..converters.objects import object_iri
-from ..converters.to_triples import SampleConverter
+from ..converters.to_triples import SampleConverter, node_names
 from ..converters.wire import Incoming
 from ..languages.csparql import parse_argument, parse_event_request
 from ..languages.csparql.ast import EventRequest, Template
@@ -27,6 +29,7 @@ from ..ontology.reading import TextFormat
 from ..rdf.dictionary import TermDictionary
 from ..rdf.namespaces import DYKNOW, PREFIXES, shorten
 from ..streams.generator import StreamGenerator
+from ..streams.instants import places_in_instants
 from ..streams.sample import SampleBatch
 from ..streams.time import SECOND, TIME_MIN
 from ..templates.library import (
@@ -137,6 +140,8 @@ class Engine:
         self.behind = Behind(turns)
         """Units whose windows take long, if there are ``turns`` for them."""
         self._configuration = Configuration(self._changed, first_reserved, busy_time, self.behind)
+        self.rules = self._configuration.rules
+        """The rules of commands; recovery changes them."""
         self._manager = SemanticsManager(self.ontology, self._subscribers)
         self.intake = Intake(self._configuration)
         self._idleness = Idleness()
@@ -498,9 +503,11 @@ class Engine:
         if converter is None or not len(batch):
             return [""] * len(batch)
         lines: list[list[str]] = [[] for _ in range(len(batch))]
-        row_of = {time: row for row, time in enumerate(batch.available.tolist())}
-        for time, subject, predicate, object in converter.convert(batch):
-            lines[row_of[time]].append(f"{subject} {predicate} {object} .")
+        names = node_names(batch.available, places_in_instants(batch.available))
+        # Rows stand for times, since samples of one instant share theirs.
+        numbered = batch.with_available(np.arange(len(batch)))
+        for row, subject, predicate, object in converter.convert(numbered, names):
+            lines[row].append(f"{subject} {predicate} {object} .")
         return ["\n".join(triples) for triples in lines]
 
     # -- templates ---------------------------------------------------------------------------

@@ -7,7 +7,7 @@ form of a unit goes past it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NoReturn, TypeAlias
 
 import numpy as np
@@ -64,11 +64,15 @@ class Answers:
 
     Where the output has fields, an answer must have just these, each of its type. Where it is
     *open*, the first answer decides them: bool, int, float and str become BOOLEAN, INTEGER, FLOAT
-    and STRING. Law: the stream is the same however the answers were cut into offers.
+    and STRING. Of a source a row that repeats an earlier one is a duplicate. Law: the stream is the
+    same however the answers were cut into offers.
     """
 
-    def __init__(self, output: StreamGenerator, on_report: OnReport = unheard) -> None:
+    def __init__(
+        self, output: StreamGenerator, on_report: OnReport = unheard, *, is_source: bool = False
+    ) -> None:
         self._output = output
+        self._take: Callable[[SampleBatch], object] = output.offer if is_source else output.emit
         self._on_report = on_report
         self._reports: list[Report] = []
         self._schema: Schema | None = None if output.is_open else output.schema
@@ -134,7 +138,7 @@ class Answers:
         made = [row for row in rows if row is not None]
         if made:
             schema = self._decided()
-            self._output.offer(batch_from_rows(schema, made, self._output.stream.pools))
+            self._take(batch_from_rows(schema, made, self._output.stream.pools))
         self._pass_on()
 
     def _heard(self, answer: object) -> object:
@@ -196,7 +200,7 @@ class Answers:
                     name: _encoded(column, pools[name]) if column.pool is not None else column
                     for name, column in batch.columns.items()
                 }
-                self._output.offer(SampleBatch(batch.available, batch.valid, columns))
+                self._take(SampleBatch(batch.available, batch.valid, columns))
         self._pass_on()
 
     def _decided(self) -> Schema:

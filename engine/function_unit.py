@@ -74,7 +74,7 @@ class FunctionUnit(ComputationalUnit):
         for field, output in self._carried:
             columns[output] = batch.columns[field].take(present)
         result = SampleBatch(batch.available[present], batch.valid[present], columns)
-        self.output.offer(result)
+        self.output.emit(result)
 
     def _objects(self, batch: SampleBatch) -> Times:
         """A number for each sample's object, or tuple of objects of an n-ary feature."""

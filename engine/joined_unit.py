@@ -2,8 +2,8 @@
 ([DyKnow10 Def. 5.10, 5.11, 5.34]).
 
 For each tuple of ``join(f1 … fn)``, in order, ``(s_j, i_j) = f(t_j, samples_j, i_{j-1})``, where
-i_0 is no_value (None). `FunctionUnit` in unit.py is another thing: a vectorized function of the
-samples of one stream.
+i_0 is no_value (None); of a single input for each sample. `FunctionUnit` in unit.py is another
+thing: a vectorized function of the samples of one stream.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 
 from ..streams.generator import StreamGenerator
-from ..streams.joining import Join
+from ..streams.joining import Join, OneByOne
 from ..streams.sample import SampleBatch
 from ..streams.single import Sample
 from ..streams.tuples import TupleBatch
@@ -64,7 +64,7 @@ class FunctionProcess(ComputationalUnit):
         # A stream that is given twice is joined once: last_avail is the same for both.
         self._index = {source: i for i, source in enumerate(self.sources)}
         self._place = tuple(self._index[source] for source in self.inputs)
-        self._join = Join(len(self._index))
+        self._join = Join(len(self._index)) if len(self._index) > 1 else OneByOne()
         self._answers = Answers(self.output, on_report)
         self._state: Any = None
         self._instance: Instance[Callable[..., Any]] = Instance(implementation.make)
@@ -82,6 +82,7 @@ class FunctionProcess(ComputationalUnit):
         batch = self.in_time(source, batch, self._join.decided(input))
         if len(batch):
             self._apply(self._join.push(input, batch))
+            self._apply(self._join.advance(input, source.promise_after(batch)))
 
     def resume(self, source: StreamGenerator) -> None:
         super().resume(source)

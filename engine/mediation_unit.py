@@ -83,6 +83,7 @@ class MediationUnit(ComputationalUnit):
             self._note_sets(batch)
         for label in self._read_by.get(source, ()):
             self._kernel.push(label, batch)
+            self._kernel.advance(label, source.promise_after(batch))
         self._on_news(self)
 
     def _note_sets(self, batch: SampleBatch) -> None:
@@ -95,6 +96,8 @@ class MediationUnit(ComputationalUnit):
             times.append(time)
             sets.append(labels[-1:] if self._select else labels)
         self._kernel.push_members(times, sets)
+        if times:
+            self._kernel.advance_members(times[-1] + self.output.rules.gap)
         self._is_news = True
 
     def progress(self, source: StreamGenerator, watermark: int) -> None:
@@ -152,7 +155,7 @@ class MediationUnit(ComputationalUnit):
         self._kernel.promised = self._promised()
         made = self._kernel.take()
         if made is not None:
-            self.output.offer(made)
+            self.output.emit(made)
         self._disconnect()
         self.output.advance(self._kernel.reached + 1)
         if self._kernel.has_ended and not self.output.is_ended:

@@ -56,10 +56,10 @@ class MergeInput:
 class MergeUnit(ComputationalUnit):
     """Passes on the samples of its inputs under one name each: the objects and the value.
 
-    A sample keeps its times; where another stream has been ahead of it, it is available right
-    after what was passed on last, since available times increase. `switch` changes the inputs:
-    of a new one what is available later than the last sample passed on (by the time it brought)
-    follows, out of the history it keeps, and nothing else.
+    A sample keeps its times; where another stream has been ahead of it, it is available with what
+    was passed on last. `switch` changes the inputs: of a new one what is available later than the
+    last instant passed on (by the time it brought) follows, out of the history it keeps, and
+    nothing else; of one that is taken up again what follows its last sample.
 
     Law (tests/laws): of a single source each sample is passed on once, in order, with its times;
     whatever the switches, none is passed on twice. Cost: numpy per batch, a look-up per sample and
@@ -85,8 +85,9 @@ class MergeUnit(ComputationalUnit):
         """When, by the clock, each input began, and after which available time."""
         self._place = TIME_MIN
         """How far what was lost last had been."""
-        self._left: dict[StreamGenerator, int] = {}
-        """How far inputs were that were left, while nothing else has begun in their stead."""
+        self._left: dict[StreamGenerator, tuple[int, int]] = {}
+        """How far inputs were that were left, and the number of the last sample, while nothing else
+        has begun in their stead."""
         self.arrivals: dict[StreamGenerator, Arrivals] = {}
         """When each input spoke, by the clock."""
         self.delivered = TIME_MIN
@@ -115,7 +116,7 @@ class MergeUnit(ComputationalUnit):
             self._place = max((self._reached[source] for source in lost), default=self._place)
             after = self._place
         for source in lost:
-            self._left[source] = self._reached[source]
+            self._left[source] = self._reached[source], source.stream.last_number
             self._leave(source)
         new = [source for source in wanted if source not in self._feeds]
         begins = {source: self._left.pop(source, None) for source in new}
@@ -129,25 +130,29 @@ class MergeUnit(ComputationalUnit):
                     _Feed(part, self._dictionary, self._value, self.output) for part in parts
                 ]
             if source in begins:
-                place = begins[source]
-                forgotten |= self._begin(source, after if place is None else place, history)
+                place, number = begins[source] or (after, None)
+                forgotten |= self._begin(source, place, number, history)
         self.inputs = self.sources = tuple(self._feeds)
         return forgotten
 
-    def _begin(self, source: StreamGenerator, after: int, history: bool) -> bool:
-        """Read a source after ``after``, or without ``history`` what comes. Returns whether some
-        of it is forgotten."""
+    def _begin(
+        self, source: StreamGenerator, after: int, number: int | None, history: bool
+    ) -> bool:
+        """Read a source after the instant ``after``, or after sample ``number`` of it, or without
+        ``history`` what comes. Returns whether some of it is forgotten."""
         stream = source.stream
         self.arrivals[source] = Arrivals(self._clock())
         if not history and stream.last_available is not None:
             after = stream.last_available
             self.delivered = max(self.delivered, after)
         self._reached[source] = after
+        if number is not None and history:
+            after -= 1  # that instant may go on
         self._begun[source] = self._clock(), after
         forgotten = False
         if history and stream.first_available is not None:
             forgotten = TIME_MIN < after < stream.first_available and stream.first_number > 1
-            for segment in stream.since(0):
+            for segment in stream.since(0 if number is None else number + 1):
                 batch = segment.batch
                 if batch.available[-1] > after:
                     self.receive(source, batch)
@@ -184,7 +189,7 @@ class MergeUnit(ComputationalUnit):
         for feed in self._feeds[source]:
             made = feed.made(batch)
             if len(made):
-                self.output.offer(made.with_available(self.output.stamps_at(made.available)))
+                self.output.emit(made.with_available(self.output.stamps_at(made.available)))
 
     def progress(self, source: StreamGenerator, watermark: int) -> None:
         # The fastest input is how far the stream is: what comes behind it is stamped later.

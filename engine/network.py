@@ -226,7 +226,9 @@ class Network:
         pools = self._configuration.stream(declaration.key).stream.pools
         return MediationUnit(
             *identity,
-            kernel=Mediation(OBJECT_FIELD if is_aggregate else None, pools),
+            kernel=Mediation(
+                OBJECT_FIELD if is_aggregate else None, pools, self._configuration.rules
+            ),
             feature=process.pattern.label.feature,
             select=not is_aggregate,
             stream_of=stream_of,
@@ -266,7 +268,7 @@ def _past(life: StreamGenerator, policy: Policy) -> Past:
     segments = life.stream.since(0)
     if policy.is_default:
         return Past(life, [segment.batch for segment in segments], life.ends_at)
-    adaptation = adapt(policy)
+    adaptation = adapt(policy, rules=life.rules)
     batches = [made for segment in segments for made in adaptation.push(segment.batch)]
     return Past(life, [*batches, *adaptation.end()], life.ends_at)
 

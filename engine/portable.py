@@ -16,6 +16,7 @@ import numpy as np
 
 from ..ontology.ontology import Ontology
 from ..streams.generator import Counters, StreamGenerator
+from ..streams.rules import UNIQUE_TIMES
 from ..streams.sample import Column, Field, FieldType, SampleBatch, Schema, concatenate
 from ..streams.strings import StringPool
 from .checkpoint import Outside
@@ -59,7 +60,7 @@ class Portable(msgspec.Struct):
     that are needed, by their names; ``unkept``: those that remember what is not in the state.
     ``waiting``: what was accepted and could not be done again. ``ids``: those of ``standing``, then
     those that would be given next. ``waiting_ids``: those of ``waiting``, and ``waiting_after``:
-    behind how many of ``standing`` each was accepted."""
+    behind how many of ``standing`` each was accepted. ``rules``: those that held."""
 
     format: int
     now: int
@@ -73,6 +74,7 @@ class Portable(msgspec.Struct):
     ids: list[str] = []
     waiting_ids: list[str] = []
     waiting_after: list[int] = []
+    rules: int = UNIQUE_TIMES
 
 
 class PortableHead(msgspec.Struct):
@@ -111,6 +113,7 @@ def portable_of(
         [*unnamed, *engine.next_ids],
         [id for id, _, _ in waiting],
         [after for _, after, _ in waiting],
+        engine.rules.version,
     )
 
 
@@ -128,6 +131,7 @@ def engine_from(
         ontology=Ontology.of_quads(portable.quads),
         **outside.given(),
     )
+    engine.rules.version = portable.rules
     lost = []
     there = {each.name: each for each in engine.published()}
     for kept in portable.streams:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from ..continuous.evaluator import ContinuousEvaluator
 from ..continuous.results import WindowResult
 from ..converters.to_samples import ResultConverter
@@ -17,9 +19,9 @@ from .window_unit import WindowUnit
 class Answer:
     """The results of a query as samples of ``output``.
 
-    A result becomes available right after its window's end, which is its valid time; after the
-    results before it, where windows end closer together than they have solutions: available times
-    are unique. ``hear`` is told the result of each window as the query gave it.
+    The samples of a result are one instant, right after its window's end, which is their valid time
+    (by `UNIQUE_TIMES` they are 1 ns apart, and after those of the window before). ``hear`` is told
+    the result of each window as the query gave it.
     """
 
     def __init__(
@@ -40,8 +42,11 @@ class Answer:
             self.hear(result)
         batch = self.results.convert(result, max(result.end, self._sent) + 1)
         if len(batch):
+            if self.output.rules.gap:
+                steps = np.arange(len(batch), dtype=np.int64)
+                batch = batch.with_available(batch.available + steps)
             self._sent = int(batch.available[-1])
-            self.output.offer(batch)
+            self.output.emit(batch)
 
 
 class QueryUnit(WindowUnit):

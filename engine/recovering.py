@@ -19,6 +19,7 @@ from ..journal.directory import DataDirectory
 from ..journal.errors import JournalDamaged
 from ..journal.log import Log
 from ..ontology.ontology import Ontology
+from ..streams.rules import INSTANTS
 from .checkpoint import CheckpointError, Outside, engine_of
 from .commands import (
     DEFINING,
@@ -122,7 +123,7 @@ class Recovering:
                 engine.tell_not_restored(told(name, module))
         if not self.found.is_continued:
             known = gone | origins(self._outside.processes)
-            begin = Begin(secrets.token_hex(4), now, self._program, known)
+            begin = Begin(secrets.token_hex(4), now, self._program, known, INSTANTS)
             self._log.append(written(begin))
             begin.apply(engine)
         return engine
@@ -183,7 +184,8 @@ class Recovering:
         ontology = None if store is None else Ontology.copied(store)
         if not self._log.position:
             known = origins(self._outside.processes)
-            self._log.append(written(Begin(secrets.token_hex(4), now, self._program, known)))
+            begin = Begin(secrets.token_hex(4), now, self._program, known, INSTANTS)
+            self._log.append(written(begin))
             self._log.commit()
             if store is not None:
                 self.found.notes.append(
@@ -207,6 +209,7 @@ class Recovering:
             ontology=ontology,
             **self._outside.given(),
         )
+        first.apply(engine)
         return engine, 1
 
     def _after_queries(self, position: int) -> int:

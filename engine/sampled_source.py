@@ -62,7 +62,7 @@ class SampledSource:
         self.without_room = 0
         self._next = start
         self._behind = behind
-        self._answers = Answers(output, on_report)
+        self._answers = Answers(output, on_report, is_source=True)
         self._runner = runner
         self._instance: Instance[Callable[..., Any]] = Instance(
             lambda: implementation.make(parameters)

@@ -27,4 +27,4 @@ class SelectionUnit(ComputationalUnit):
         ids, present = self._objects.ids(batch.columns[self._id_field])
         chosen = (ids == self._object.ids[0]) & present
         if bool(chosen.any()):
-            self.output.offer(batch.take(chosen))
+            self.output.emit(batch.take(chosen))

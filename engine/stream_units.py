@@ -79,8 +79,11 @@ class AdaptationUnit(PolicyUnit):
         self.policy = policy
         self.keys = tuple(keys)
         on_drop = None if violations is None else violations.dropped
+        rules = self.output.rules
         self._adaptation: Adaptation | KeyedAdapting = (
-            KeyedAdapting(policy, keys, on_drop) if keys else adapt(policy, on_drop)
+            KeyedAdapting(policy, keys, on_drop, rules=rules)
+            if keys
+            else adapt(policy, on_drop, rules=rules)
         )
 
     @property
@@ -90,6 +93,7 @@ class AdaptationUnit(PolicyUnit):
 
     def process(self, source: StreamGenerator, batch: SampleBatch) -> None:
         self._offer(self._adaptation.push(batch))
+        self._offer(self._adaptation.advance(source.promise_after(batch)))
 
     def progress(self, source: StreamGenerator, watermark: int) -> None:
         self._offer(self._adaptation.advance(watermark))
@@ -103,7 +107,7 @@ class AdaptationUnit(PolicyUnit):
         for batch in batches:
             # Samples of several objects may have to be sent at one time.
             stamps = self.output.stamps_at(batch.available) if self.keys else batch.available
-            self.output.offer(batch.with_available(stamps))
+            self.output.emit(batch.with_available(stamps))
 
 
 class TupleUnit(PolicyUnit):
@@ -160,6 +164,7 @@ class TupleUnit(PolicyUnit):
             timely = self.in_time(source, batch, self._kernel.decided(place))
             if len(timely):
                 self._offer(self._kernel.push(place, timely))
+                self._offer(self._kernel.advance(place, source.promise_after(timely)))
 
     def resume(self, source: StreamGenerator) -> None:
         super().resume(source)
@@ -198,7 +203,7 @@ class TupleUnit(PolicyUnit):
                 for batch, source in zip(made.inputs, self.inputs, strict=True)
             )
             whole = TupleBatch(made.available, made.valid, inputs, made.rows)
-            self.output.offer(whole.flatten(names, self.inner_times))
+            self.output.emit(whole.flatten(names, self.inner_times))
 
     @property
     def open_inputs(self) -> list[str]:
@@ -255,4 +260,4 @@ class ObjectSelectionUnit(ComputationalUnit):
         assert column.pool is not None
         chosen = (column.values == column.pool.find(self._object)) & column.present
         if bool(chosen.any()):
-            self.output.offer(batch.take(chosen))
+            self.output.emit(batch.take(chosen))

@@ -75,7 +75,7 @@ class SynchronizationUnit(ComputationalUnit):
         arity = 0 if first is None else len(keys[first])
         # Two ids are one key; of more, the first ones are numbered before the next is added.
         self._numberings = [Numbering() for _ in range(arity - 2)]
-        self._join = KeyedJoin([bool(own) for own in keys])
+        self._join = KeyedJoin([bool(own) for own in keys], self.output.rules)
         self.incomplete = 0
         """Samples that lack a value; of a stream that is given twice counted for each input."""
 
@@ -100,7 +100,7 @@ class SynchronizationUnit(ComputationalUnit):
             if len(samples):
                 self._offer(self._join.push(place, samples, keys))
             # What was left out has been there too.
-            self._offer(self._join.advance(place, int(batch.available[-1]) + 1))
+            self._offer(self._join.advance(place, source.promise_after(batch)))
         self._promise()
 
     def resume(self, source: StreamGenerator) -> None:
@@ -131,7 +131,7 @@ class SynchronizationUnit(ComputationalUnit):
         if tuples is not None:
             made = tuples.flatten([tuple(batch.columns) for batch in tuples.inputs])
             columns = {name: made.columns[name] for name in self.output.schema.names}
-            self.output.offer(SampleBatch(made.available, made.valid, columns))
+            self.output.emit(SampleBatch(made.available, made.valid, columns))
 
     def _samples(self, place: int, batch: SampleBatch) -> tuple[SampleBatch, Column | None]:
         """What an input gives to the output, where no value is missing, and the keys of that."""

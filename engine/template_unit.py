@@ -168,7 +168,7 @@ class TemplateUnit(WindowUnit):
             for name, count in (("instances", len(self._instances)), ("answered", answered))
         }
         times = np.array([self._sent], np.int64)
-        self.output.offer(SampleBatch(times, np.array([end], np.int64), columns))
+        self.output.emit(SampleBatch(times, np.array([end], np.int64), columns))
 
 
 class InstanceUnit(ComputationalUnit):

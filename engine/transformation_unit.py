@@ -212,7 +212,7 @@ class TransformationUnit(ComputationalUnit):
         ]
         if parts:
             whole = concatenate(parts)
-            self.output.offer(whole.take(np.argsort(whole.available, kind="stable")))
+            self.output.emit(whole.take(np.argsort(whole.available, kind="stable")))
         self._answers.offer_batches(())
 
     # -- the code ----------------------------------------------------------------------------

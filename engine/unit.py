@@ -349,7 +349,7 @@ class ComputationalUnit(ABC):
         for side in self.late_streams_of(source):
             came = max(self._before, min(decided, TIME_MAX - 1) + 1)
             moments = np.full(len(late), came, np.int64)
-            side.offer(late.with_available(side.stamps_at(moments)))
+            side.emit(late.with_available(side.stamps_at(moments)))
         return batch.take(kept)
 
     def cut_off(self, reason: str) -> None:

@@ -26,11 +26,11 @@ _LATE: Final = "late"
 class Violations:
     """The violations of one policy; ``open`` makes the stream when it is needed.
 
-    A sample is available when it was decided that the original is not passed on (or right after,
-    since available times are unique), and valid when that was. ``reason`` is the kind of
-    constraint, ``arrived`` the available time (ns) of the original. Of one stream's subscription
-    the fields of the original follow, under their names (with ``_`` behind where those are taken);
-    of a synchronization ``input`` says which it was, and ``sample`` has its values as JSON.
+    A sample is available when it was decided that the original is not passed on, and valid when
+    that was. ``reason`` is the kind of constraint, ``arrived`` the available time (ns) of the
+    original. Of one stream's subscription the fields of the original follow, under their names
+    (with ``_`` behind where those are taken); of a synchronization ``input`` says which it was, and
+    ``sample`` has its values as JSON.
 
     Cost: O(n) numpy a batch of one stream's; Python per sample of a synchronization's.
     """
@@ -90,7 +90,7 @@ class Violations:
 
     def _offer(self, at: Times, valid: Times, columns: dict[str, Column]) -> None:
         stream = self.stream
-        stream.offer(SampleBatch(stream.stamps_at(at), valid, columns))
+        stream.emit(SampleBatch(stream.stamps_at(at), valid, columns))
 
     @staticmethod
     def _text(codes: np.ndarray, pool: StringPool) -> Column:

@@ -16,9 +16,10 @@ from ..continuous.budget import Quarantined
 from ..continuous.evaluator import ContinuousEvaluator
 from ..continuous.flows import Flow
 from ..continuous.shared_windows import SharedWindows
-from ..converters.to_triples import SampleConverter
+from ..converters.to_triples import SampleConverter, node_names
 from ..languages.ssl.annotation import Content
 from ..streams.generator import StreamGenerator
+from ..streams.instants import Places
 from ..streams.sample import SampleBatch
 from ..streams.time import format_time
 from .behind import Overwhelmed, Task, Turns, Went
@@ -52,6 +53,8 @@ class WindowUnit(ComputationalUnit):
         """How many samples it has read."""
         self.triples = 0
         """How many triples these stood for."""
+        self._places: dict[StreamGenerator, Places] = {}
+        """Of the inputs whose samples are nodes in RDF."""
         self._put_by: deque[tuple[str, tuple[Any, ...]]] = deque()
         """What inputs have said since the unit is behind."""
         self._task: Task | None = None
@@ -130,8 +133,12 @@ class WindowUnit(ComputationalUnit):
         if not len(batch):
             return
         self.samples += len(batch)
-        for converter in self._converters[source.name]:
-            converted = converter.convert(batch)
+        converters, names = self._converters[source.name], None
+        if any(converter.makes_nodes for converter in converters):
+            places = self._places.setdefault(source, Places())
+            names = node_names(batch.available, places.of(batch.available))
+        for converter in converters:
+            converted = converter.convert(batch, names)
             self.triples += len(converted)
             self.evaluator.push(source.name, converted)
 

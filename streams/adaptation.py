@@ -10,8 +10,8 @@ Four ways to adapt, by what a policy asks for:
 - `Chain` (chain.py): ``sample every`` passes on the samples of one grid, in order;
 - `Approximating` (approximation.py): ``use most recent`` makes the samples of a grid.
 
-What is decided when: after a batch whose last available time is T all is *known* up to T, after a
-watermark w up to w - 1, after the end everything.
+What is decided when: after a batch whose last available time is T all is *known* up to T - 1, since
+more samples of that instant may come, after a watermark w up to w - 1, after the end everything.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from .constraints import differs
 from .policy import AnyChange, ChangeBy, Constraint, Order, Policy, PolicyCounters
+from .rules import Rules
 from .sample import FieldType, Mask, SampleBatch, Times, concatenate
 from .saturating import earlier
 from .time import TIME_MAX, TIME_MIN
@@ -57,12 +58,15 @@ class Adaptation(ABC):
     Contract: batches come in order of available time, watermarks and the end between them.
 
     Law: what is sent and dropped does not depend on how the input was cut into batches; it is
-    maximal among what satisfies the policy. The sent samples have strictly increasing available
-    times, and after a watermark w none is sent with an available time < w.
+    maximal among what satisfies the policy. The available times of sent samples do not decrease,
+    and after a watermark w none is sent with an available time < w.
     """
 
-    def __init__(self, policy: Policy, on_drop: OnDrop | None = None) -> None:
+    def __init__(
+        self, policy: Policy, on_drop: OnDrop | None = None, rules: Rules | None = None
+    ) -> None:
         self.policy = policy
+        self._rules = Rules() if rules is None else rules
         self.counters = PolicyCounters()
         self._on_drop = on_drop
 
@@ -118,9 +122,13 @@ class Filtering(Adaptation):
     Cost: O(n) numpy; ``change by d`` O(n) Python. Memory: the last sample sent.
     """
 
-    def __init__(self, policy: Policy, on_drop: OnDrop | None = None) -> None:
-        super().__init__(policy, on_drop)
+    def __init__(
+        self, policy: Policy, on_drop: OnDrop | None = None, rules: Rules | None = None
+    ) -> None:
+        super().__init__(policy, on_drop, rules)
         self._passes_all = policy.is_default
+        self.kept: Times | None = None
+        """Which rows of the last batch were sent; None: all."""
         self._greatest: int | None = None
         self._last: SampleBatch | None = None
         self._numbers: dict[str, Any] | None = None
@@ -149,6 +157,7 @@ class Filtering(Adaptation):
         if isinstance(self.policy.change, AnyChange):
             self._drop_unchanged(batch, reasons)
         kept = np.flatnonzero(reasons == KEPT)
+        self.kept = None if len(kept) == len(batch) else kept
         if len(kept) == len(batch):
             return batch
         self._drop(batch, reasons, batch.available)

@@ -60,9 +60,9 @@ class Approximating(Adaptation):
         self.counters.received += len(batch)
         if not len(batch):
             return []
-        known = int(batch.available[-1])
-        batch = self._usable(batch, known)
-        return self._make_until(self._last_decided(known), batch)
+        last = int(batch.available[-1])
+        batch = self._usable(batch, last)
+        return self._make_until(self._last_decided(last - 1), batch)
 
     def advance(self, watermark: int) -> list[SampleBatch]:
         if watermark == TIME_MIN:

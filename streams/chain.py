@@ -7,6 +7,7 @@ import numpy as np
 
 from .adaptation import CODES, KEPT, Adaptation, OnDrop, Reasons, joined, own
 from .policy import Constraint, Policy
+from .rules import Rules
 from .sample import Mask, SampleBatch, Times
 from .saturating import later, leaving, since
 from .time import TIME_MAX, TIME_MIN
@@ -19,22 +20,24 @@ _NOTHING: Times = np.empty(0, np.int64)
 class Chain(Adaptation):
     """Passes on the samples valid at v, v + s, v + 2s … where v is the first admissible one.
 
-    Each is sent as soon as it is there and its turn has come; of several whose turn comes at once
-    each a ns after the one before. One that is ahead of its turn is held, the first of each valid
-    time; when the expected one cannot come any more within its delay, the chain is at its end for
-    good: the definition admits no sample after a gap (the policy `use most recent` bridges gaps).
-    With ``max delay oo`` the expected one is awaited for ever.
+    Each is sent as soon as it is there and its turn has come; several whose turn comes at once are
+    one instant (by `UNIQUE_TIMES` they leave 1 ns apart). One that is ahead of its turn is held,
+    the first of each valid time; when the expected one cannot come any more within its delay, the
+    chain is at its end for good: the definition admits no sample after a gap (the policy `use most
+    recent` bridges gaps). With ``max delay oo`` the expected one is awaited for ever.
 
     Cost: O(n) numpy for samples in turn, O(n log n) for others, n those that are held or come.
     Memory: what is held, one sample a valid time; with a finite delay what came within it.
     """
 
-    def __init__(self, policy: Policy, on_drop: OnDrop | None = None) -> None:
-        super().__init__(policy, on_drop)
+    def __init__(
+        self, policy: Policy, on_drop: OnDrop | None = None, rules: Rules | None = None
+    ) -> None:
+        super().__init__(policy, on_drop, rules)
         assert policy.period is not None
         self._period = policy.period
         self._delay = policy.max_delay
-        self._known = TIME_MIN
+        self._known = self._newest = TIME_MIN
         self._last: tuple[int, int] | None = None
         """Available and valid time of the last sample sent."""
         self._held: SampleBatch | None = None
@@ -52,15 +55,19 @@ class Chain(Adaptation):
         why = np.concatenate((np.full(held, KEPT, np.int8), reasons)) if held else reasons
         at = everything.available.copy()
         rows, times = self._turns(everything, held, why, at)
-        self._known = int(batch.available[-1])
+        last = self._newest = int(batch.available[-1])
+        self._known = max(self._known, last - 1)
         self._end_of_chain(everything, why, at, rows, self._known)
-        return self._send(everything, why, at, rows, times, self._known)
+        return self._send(everything, why, at, rows, times, last)
 
     def advance(self, watermark: int) -> list[SampleBatch]:
-        self._known = max(self._known, watermark - 1 if watermark > TIME_MIN else TIME_MIN)
+        if watermark - 1 <= self._known:
+            return []
+        self._known = watermark - 1
         return self._settle()
 
     def end(self) -> list[SampleBatch]:
+        self._known = max(self._known, self._newest)
         return self._settle(ended=True)
 
     def _settle(self, ended: bool = False) -> list[SampleBatch]:
@@ -97,7 +104,9 @@ class Chain(Adaptation):
         fresh, behind, turn = fresh[on_grid], behind[on_grid], turn[on_grid]
         wanted = np.arange(1, len(fresh) + 1, dtype=np.uint64)
         # The last may have been sent later than it came, after others that came with it.
-        crowded = len(fresh) > 0 and int(batch.available[fresh[0]]) <= self._last[0]
+        crowded = len(fresh) > 0 and (
+            int(batch.available[fresh[0]]) < self._last[0] + self._rules.gap
+        )
         if held or crowded or bool((behind | (turn != wanted)).any()):
             rows, times = self._out_of_turn(batch, held, fresh, behind, why, at)
         else:
@@ -125,7 +134,7 @@ class Chain(Adaptation):
             over = np.flatnonzero(batch.available[ready] > later(batch.valid[ready], self._delay))
             ready = ready[: over[0] if len(over) else None]
         # Each has a moment left: the one before kept its deadline, which is a period earlier.
-        moments = leaving(batch.available[ready], sent_at)
+        moments = leaving(batch.available[ready], sent_at, self._rules.gap)
         ready = ready[: len(moments)]
         if len(ready):
             self._last = int(moments[-1]), int(batch.valid[ready[-1]])

@@ -35,8 +35,8 @@ def after(
     available: int, content: Content, next_available: int, then: Content, policy: Policy
 ) -> tuple[Constraint, str] | None:
     """What two consecutive samples break."""
-    if next_available <= available:
-        return Constraint.AVAILABLE, f"available at {next_available}, not after {available}"
+    if next_available < available:
+        return Constraint.AVAILABLE, f"available at {next_available}, before {available}"
     step = then[0] - content[0]
     if policy.period is not None and step != policy.period:
         return Constraint.PERIOD, f"valid at {then[0]}, {step} after the one before"

@@ -88,7 +88,8 @@ _END = attrgetter("end")
 
 
 class FluentStream:
-    """Samples ordered by available time, unique and strictly increasing, the last ones kept.
+    """Samples ordered by available time, those of one instant by sequence number; the last ones
+    kept.
 
     Contract: `append` takes only what continues the order (`StreamGenerator` sees to that).
     Numbers of samples are ``first``, ``first + 1`` … over the life of the stream, gap-free.
@@ -267,10 +268,10 @@ class FluentStream:
         if not len(batch):
             return None
         available = batch.available
-        if (self._last_available is not None and available[0] <= self._last_available) or (
-            len(available) > 1 and not bool((available[1:] > available[:-1]).all())
+        if (self._last_available is not None and available[0] < self._last_available) or (
+            len(available) > 1 and not bool((available[1:] >= available[:-1]).all())
         ):
-            raise ValueError("available times of a stream are unique and increasing (Def. 4.1)")
+            raise ValueError("available times of a stream do not decrease (Def. 4.1)")
         number = self._next
         run = _run(number, batch)
         self._gather(run)
@@ -312,7 +313,9 @@ class FluentStream:
         return self._part(self._first, self._number(time, "right"))
 
     def last_avail(self, time: int) -> SampleBatch:
-        """Def. 5.5 last_avail(f, t): a batch of one, or empty for no_sample."""
+        """Def. 5.5 last_avail(f, t): a batch of one, or empty for no_sample. Of an instant the
+        sample with the greatest number.
+        """
         end = self._number(time, "right")
         return self._part(end - 1, end)
 
@@ -355,7 +358,7 @@ class FluentStream:
         return self._part(0, 0) if found is None else self._part(found, found + 1)
 
     def prev(self, available: int) -> SampleBatch:
-        """Def. 5.7 prev(f, s): the sample before the one available at ``available``.
+        """Def. 5.7 prev(f, s): the last sample before those available at ``available``.
 
         A batch of one, or empty for no_sample.
         """
@@ -363,12 +366,14 @@ class FluentStream:
         return self._part(end - 1, end)
 
     def availtimes(self) -> Times:
-        """Def. 5.8 availtimes(f): the available times of the kept samples, increasing."""
+        """Def. 5.8 availtimes(f): the available times of the kept samples, each once,
+        increasing.
+        """
         times = [run.batch.available for run in self._runs]
         if not times:
             return np.empty(0, np.int64)
         times[0] = times[0][self._first - self._runs[0].first :]
-        return np.concatenate(times)
+        return np.unique(np.concatenate(times))
 
     def newest(self, count: int) -> SampleBatch:
         """The last ``count`` kept samples (all, if fewer are kept)."""
@@ -378,13 +383,15 @@ class FluentStream:
         self, start: int | None, end: int | None, *, most: int | None = None, newest: bool = False
     ) -> SampleBatch:
         """The kept samples with available time in the closed interval; None is unbounded. At
-        ``most`` so many: the oldest of them, or the ``newest``."""
+        ``most`` the ``newest`` so many of them; or the oldest so many, and the rest of the last
+        instant of these, so that the next piece begins after it."""
         first = self._first if start is None else self._number(start, "left")
         after = self._next if end is None else self._number(end, "right")
         if most is not None and newest:
             first = max(first, after - most)
-        elif most is not None:
-            after = min(after, first + most)
+        elif most is not None and after - first > most:
+            (last,) = self._part(first + most - 1, first + most).available.tolist()
+            after = self._number(last, "right")
         return self._part(first, after)
 
     def number_before(self, time: int) -> int:

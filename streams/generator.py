@@ -6,7 +6,8 @@ times, holds back what may still be overtaken within the declared lateness, coun
 exactly once, keeps history, and hands the stream on to its subscribers together with a
 *watermark*.
 
-Contract of a watermark ``w``: every sample that comes later has available time ≥ ``w``.
+Contract of a watermark ``w``: every sample that comes later has available time ≥ ``w``. So after a
+sample available at T more samples of that instant may come until the watermark is greater than T.
 """
 
 from __future__ import annotations
@@ -17,9 +18,13 @@ from typing import Protocol
 
 import numpy as np
 
+from .constraints import Content, contents
 from .fluent import FluentStream, Retention
+from .instants import repeated
+from .rules import Rules
 from .sample import (
     Field,
+    Mask,
     SampleBatch,
     SampleError,
     Schema,
@@ -91,12 +96,14 @@ class StreamGenerator:
     stream is not waited for, by the clock of whoever calls `fall_idle`; None: it always is.
     ``ahead`` (ns): how far ahead of the clock a sample may be stamped that comes from outside;
     the service judges it (`engine/intake`), the generator takes what it is offered.
+    ``rules`` are those of all streams of an engine.
 
     Law (tests/laws): the stream, its counters and its watermark do not depend on how the offered
     samples were cut into batches; they equal the sample-by-sample definition.
 
-    Cost: O(n log n) a batch only when it is out of order, else O(n) numpy. Memory: the history's
-    retention plus what is pending within the lateness.
+    Cost: O(n) numpy a batch in strict order, O(n log n) one with equal times or out of order; where
+    the last instant goes on in another batch, Python for each row of it. Memory: the history's
+    retention, what is pending within the lateness, and the rows of an instant that goes on.
     """
 
     def __init__(
@@ -110,8 +117,10 @@ class StreamGenerator:
         retention: Retention | None = None,
         pools: dict[str, StringPool] | None = None,
         first: int = 1,
+        rules: Rules | None = None,
     ) -> None:
         self.name = name
+        self.rules = Rules() if rules is None else rules
         self.stream = FluentStream(schema, retention, pools, first)
         self.lateness = lateness
         self.idle = idle
@@ -132,6 +141,8 @@ class StreamGenerator:
         """Whether another stream takes its place and says all of it anew."""
         self._greatest: int | None = None
         self._pending: SampleBatch | None = None
+        self._taken: set[Content] | None = None
+        """The rows of the last instant, if that has gone on in another batch."""
         self.on_followed: Callable[[bool], None] | None = None
         """Told before the first subscription (True), and when the last has ended (False)."""
         self._receivers: list[Receiver] = []
@@ -175,6 +186,7 @@ class StreamGenerator:
         for receiver in self._receivers:
             self._known_fields.setdefault(receiver, self.schema.names)
         self.stream.widen(schema)
+        self._taken = None
         if self._pending is not None:
             self._pending = widened(self._pending, schema, self.stream.pools)
         if self.late_stream is not None:
@@ -250,13 +262,23 @@ class StreamGenerator:
             self._greatest = int(self._pending.available[-1])
 
     def offer(self, batch: SampleBatch, now: int | None = None) -> int:
-        """Take a process's samples; returns how many were accepted (all of them).
+        """Take a sender's samples; returns how many were accepted (all of them).
 
-        With ``now`` (ns) the samples are stamped with it on arrival; otherwise they bring their
-        own available times, in any order within the lateness; what comes later than that, or
-        before a watermark, is counted as late and not used; `late_stream` gets it. Raises
-        `SampleError`, taking nothing, when stamping would pass the end of 64-bit time.
+        With ``now`` (ns) the samples are stamped with it on arrival, all with one instant, which is
+        later than that of every earlier batch. Otherwise they bring their own available times, in
+        any order within the lateness; what comes later than that, or before a watermark, is counted
+        as late and not used; `late_stream` gets it. A row equal to one already taken is counted as
+        a duplicate and not used, as long as its available time is not late. Raises `SampleError`,
+        taking nothing, when stamping would pass the end of 64-bit time.
         """
+        return self._offer(batch, now, distinct=True)
+
+    def emit(self, batch: SampleBatch) -> None:
+        """Take what a unit has made, with the available times that it gives. Two equal samples are
+        two samples (SPEC §4: bag, not set)."""
+        self._offer(batch, None, distinct=self.rules.gap > 0)
+
+    def _offer(self, batch: SampleBatch, now: int | None, *, distinct: bool) -> int:
         if not len(batch):
             return 0
         stamps = None if now is None else self._stamps(len(batch), now)
@@ -269,13 +291,19 @@ class StreamGenerator:
         self.counters.accepted += len(batch)
         if stamps is not None:
             self._release(batch.with_available(stamps))
+            if not self.rules.gap:
+                self._announce(min(int(stamps[-1]), TIME_MAX - 1) + 1)
             return len(batch)
-        kept = self._admit(batch)
+        kept = self._admit(batch, distinct=distinct)
         if len(kept):
             self._pending = kept if self._pending is None else concatenate([self._pending, kept])
             self._pending = _in_order(self._pending)
         self._flush_until(self._due())
         return len(batch)
+
+    def promise_after(self, batch: SampleBatch) -> int:
+        """The watermark that ``batch``, the last one, implies by itself."""
+        return int(batch.available[-1]) + self.rules.gap
 
     def advance(self, watermark: int) -> None:
         """Promise that every later sample has available time ≥ ``watermark``.
@@ -327,11 +355,13 @@ class StreamGenerator:
 
     def stamps_at(self, moments: Times) -> Times:
         """Available times for samples that come to be at ``moments`` (ns, in order): each its own,
-        or right after the one before it, since they are unique; none before the watermark."""
-        last = self.stream.last_available
-        least = TIME_MIN if last is None else min(last, TIME_MAX - 1) + 1
+        but none before the watermark or the sample before it."""
+        last, gap = self.stream.last_available, self.rules.gap
+        least = TIME_MIN if last is None else min(last, TIME_MAX - gap) + gap
         if self.watermark is not None:
             least = max(least, self.watermark)
+        if not gap:
+            return np.maximum(moments, least)
         if moments[0] >= least and _increases(moments):
             return moments
         count = len(moments)
@@ -366,31 +396,33 @@ class StreamGenerator:
         self.adopt(Schema(fields), pools)
 
     def _stamps(self, count: int, now: int) -> Times:
-        """``count`` available times from ``now`` on, unique and after every earlier one."""
+        """The available times of ``count`` samples that come ``now``, after every earlier one."""
         last = self.stream.last_available
         start = now if last is None else max(now, last + 1)
         if self._pending is not None:
             start = max(start, int(self._pending.available[-1]) + 1)
         if self.watermark is not None:  # a clock that is set back breaks no promise
             start = max(start, self.watermark)
-        if start > TIME_MAX - count:
+        gap = self.rules.gap
+        if start > TIME_MAX - max(1, count * gap):
             raise SampleError("the stream's available times have reached the end of 64-bit time")
-        return np.arange(start, start + count, dtype=np.int64)
+        return start + gap * np.arange(count, dtype=np.int64)
 
     def _due(self) -> int:
         """Pending samples up to this available time can no longer be overtaken."""
         greatest = TIME_MIN if self._greatest is None else self._greatest
         return max(TIME_MIN, greatest - self.lateness)
 
-    def _admit(self, batch: SampleBatch) -> SampleBatch:
+    def _admit(self, batch: SampleBatch, *, distinct: bool) -> SampleBatch:
         """Drop and count what is late or a duplicate, each judged by all samples before it."""
         available = batch.available
         before = TIME_MIN if self._greatest is None else self._greatest
         first = int(available[0])
+        in_order = _increases if distinct else _never_falls
         if (
             (self._greatest is None or first > before)
             and (self.watermark is None or first >= self.watermark)
-            and _increases(available)
+            and in_order(available)
         ):  # the common case: nothing is late, nothing can be there already
             self._greatest = int(available[-1])
             return batch
@@ -403,21 +435,45 @@ class StreamGenerator:
         late = available < limit
         if self.watermark is not None:
             late |= available < self.watermark
-        first_of_its_time = np.zeros(len(batch), np.bool_)
-        on_time = np.flatnonzero(~late)
-        _, earliest = np.unique(available[on_time], return_index=True)
-        first_of_its_time[on_time[earliest]] = True
+        if bool(late.any()):
+            self.counters.late += int(late.sum())
+            if self.late_stream is not None:
+                self._pass_late(self.late_stream, batch.take(late), greatest[:-1][late])
+            batch = batch.take(~late)
+        if not distinct or not len(batch):
+            return batch
+        again = self._has_taken_time(batch) if self.rules.gap else self._is_duplicate(batch)
+        count = int(np.count_nonzero(again))
+        self.counters.duplicate += count
+        return batch.take(~again) if count else batch
+
+    def _is_duplicate(self, batch: SampleBatch) -> Mask:
+        """Which rows equal one of the last instant, of what is pending, or before them."""
+        last = self.stream.last_available
+        if last is None or not bool((goes_on := batch.available == last).any()):
+            return repeated(self.pending, batch)
+        if self._taken is None:
+            self._taken = set(contents(self.stream.between(last, last)))
+        found = np.zeros(len(batch), np.bool_)
+        rows = np.flatnonzero(goes_on)
+        for row, content in zip(rows.tolist(), contents(batch.take(rows)), strict=True):
+            found[row] = content in self._taken
+            self._taken.add(content)
+        if len(rows) < len(batch):
+            found[~goes_on] = repeated(self.pending, batch.take(~goes_on))
+        return found
+
+    def _has_taken_time(self, batch: SampleBatch) -> Mask:
+        """Which rows have the available time of another, by `UNIQUE_TIMES`."""
+        taken = np.ones(len(batch), np.bool_)
+        _, earliest = np.unique(batch.available, return_index=True)
+        taken[earliest] = False
         known = [] if self._pending is None else [self._pending.available]
         if self.stream.last_available is not None:
             known.append(np.array([self.stream.last_available], np.int64))
         if known:
-            first_of_its_time &= ~np.isin(available, np.concatenate(known))
-        kept = first_of_its_time & ~late
-        self.counters.late += int(late.sum())
-        if self.late_stream is not None and bool(late.any()):
-            self._pass_late(self.late_stream, batch.take(late), greatest[:-1][late])
-        self.counters.duplicate += int((~late & ~first_of_its_time).sum())
-        return batch if bool(kept.all()) else batch.take(kept)
+            taken |= np.isin(batch.available, np.concatenate(known))
+        return taken
 
     def _pass_late(self, side: StreamGenerator, batch: SampleBatch, reached: Times) -> None:
         """Late samples go on with their valid times and values. Each is available when it came, in
@@ -425,7 +481,7 @@ class StreamGenerator:
         watermark where that is further (`stamps_at`)."""
         if self.watermark is not None:
             reached = np.maximum(reached, self.watermark)
-        side.offer(batch.with_available(side.stamps_at(reached)))
+        side.emit(batch.with_available(side.stamps_at(reached)))
 
     def _flush_until(self, due: int) -> None:
         """Release the pending samples with available time ≤ ``due``, then say so."""
@@ -444,6 +500,8 @@ class StreamGenerator:
             self._release(pending.take(slice(0, count)))
 
     def _release(self, batch: SampleBatch) -> None:
+        if batch.available[-1] != self.stream.last_available:
+            self._taken = None
         self.stream.append(batch)
         self.counters.used += len(batch)
         self._greatest = (
@@ -487,8 +545,12 @@ def _increases(available: Times) -> bool:
     return len(available) < 2 or bool((available[1:] > available[:-1]).all())
 
 
+def _never_falls(available: Times) -> bool:
+    return bool((available[1:] >= available[:-1]).all())
+
+
 def _in_order(batch: SampleBatch) -> SampleBatch:
     """``batch`` by available time."""
-    if _increases(batch.available):
+    if _never_falls(batch.available):
         return batch
     return batch.take(np.argsort(batch.available, kind="stable"))

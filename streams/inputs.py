@@ -1,9 +1,10 @@
 """What a process with several inputs knows of each: samples that wait, and up to when it knows all.
 
 Every online process sees, per input, batches in order of available time, watermarks and the end.
-After a batch everything is known up to and including its last available time, after a watermark
-``w`` up to ``w - 1``, after the end for ever. `Join` and `Synchronization` proceed to the least of
-what their inputs know, so how pushes to different inputs interleave changes nothing.
+After a batch everything is known up to before its last available time, at which more may come,
+after a watermark ``w`` up to ``w - 1``, after the end for ever. `Join` and `Synchronization`
+proceed to the least of what their inputs know, so how pushes to different inputs interleave changes
+nothing.
 """
 
 from __future__ import annotations
@@ -28,13 +29,14 @@ class Input:
     O(batches taken). Memory: what waits.
     """
 
-    __slots__ = ("_waiting", "begun", "ended_at", "known", "like")
+    __slots__ = ("_last", "_waiting", "begun", "ended_at", "known", "like")
 
     def __init__(self) -> None:
         self.begun = False
         self.known = NOTHING_KNOWN
         self.ended_at: int | None = None
         self.like: SampleBatch | None = None
+        self._last = NOTHING_KNOWN
         self._waiting: deque[SampleBatch] = deque()
 
     @property
@@ -45,8 +47,8 @@ class Input:
     def push(self, batch: SampleBatch, after: int = NOTHING_KNOWN) -> None:
         """The next samples. An empty batch only tells the fields.
 
-        Raises `ValueError`, and takes nothing, where the batch begins at or before what is known
-        of this input or at or before ``after``, up to which the process has given its output.
+        Raises `ValueError`, and takes nothing, where a sample is available at or before what is
+        known of this input or at or before ``after``, up to which the process has given its output.
         """
         if self.like is None:
             # Indices, not a slice: a view would keep the first batch in memory for ever.
@@ -57,11 +59,12 @@ class Input:
         if first <= self.known or first <= after:
             raise ValueError(
                 f"a sample available at {first} comes after what was known up to "
-                f"{max(self.known, after)}: available times of an input increase (Def. 4.1)"
+                f"{max(self.known, after)}: available times of an input do not decrease (Def. 4.1)"
             )
         self._waiting.append(batch)
         self.begun = True
-        self.known = int(batch.available[-1])
+        self._last = int(batch.available[-1])
+        self.known = max(self.known, self._last - 1)
         self.ended_at = None
 
     def advance(self, watermark: int) -> None:
@@ -78,6 +81,7 @@ class Input:
         """No sample follows, unless a later push continues the input."""
         self.begun = True
         if self.ended_at is None:
+            self.known = max(self.known, self._last)
             self.ended_at = self.known + 1
 
     def take(self, known: int) -> list[SampleBatch]:

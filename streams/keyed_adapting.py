@@ -15,7 +15,9 @@ from .adaptation import Adaptation, Filtering, OnDrop, joined
 from .adapting import adapt
 from .numbering import Numbering, Numbers, TextNumbering, paired
 from .policy import Policy, PolicyCounters
+from .rules import Rules
 from .sample import Column, SampleBatch
+from .tuples import Rows
 
 
 class KeyedAdapting:
@@ -25,16 +27,24 @@ class KeyedAdapting:
     Contract: as of `Adaptation`; each of ``keys`` is a field of text or integers.
 
     Law: for each object the samples sent and dropped are those that `adapt` gives for the samples
-    of this object, while time passes for all; together they are in order of available time, of
-    which several may be equal.
+    of this object, while time passes for all. Together they are in order of available time; those
+    of one instant as they came, or, where samples are held back or made, by object.
 
     Cost: O(n log n) numpy and one `push` for each object of a batch; where samples are held back or
     made, also one `advance` for each object there is. Memory: an `Adaptation` for each object, for
     as long as it lives.
     """
 
-    def __init__(self, policy: Policy, keys: Sequence[str], on_drop: OnDrop | None = None) -> None:
+    def __init__(
+        self,
+        policy: Policy,
+        keys: Sequence[str],
+        on_drop: OnDrop | None = None,
+        *,
+        rules: Rules | None = None,
+    ) -> None:
         self.policy = policy
+        self._rules = rules
         self._on_drop = on_drop
         self._keys = tuple(keys)
         self._names = [_FieldNumbering() for _ in keys]
@@ -65,15 +75,19 @@ class KeyedAdapting:
         numbers = self._numbers(batch)
         order = np.argsort(numbers, kind="stable")
         objects, starts = np.unique(numbers[order], return_index=True)
-        sent: list[SampleBatch] = []
+        sent: list[tuple[int, SampleBatch]] = []
+        kept: list[Rows] = []
         for number, rows in zip(objects.tolist(), np.split(order, starts[1:]), strict=True):
             if number not in self._objects:
-                self._objects[number] = adapt(self.policy, self._on_drop)
-            sent += self._objects[number].push(batch.take(rows))
-        if self._waits:
-            known = int(batch.available[-1])
-            sent += [part for each in self._objects.values() for part in each.advance(known)]
-        return _in_order(sent)
+                self._objects[number] = adapt(self.policy, self._on_drop, rules=self._rules)
+            adaptation = self._objects[number]
+            sent += [(number, part) for part in adaptation.push(batch.take(rows))]
+            if isinstance(adaptation, Filtering):
+                kept.append(rows if adaptation.kept is None else rows[adaptation.kept])
+        if not self._waits:
+            chosen = np.sort(np.concatenate(kept))
+            return [batch.take(chosen)] if len(chosen) else []
+        return _in_order(sent + self._asked(lambda each: each.advance(int(batch.available[-1]))))
 
     def advance(self, watermark: int) -> list[SampleBatch]:
         """Every later sample has available time ≥ ``watermark``; gives what can be sent."""
@@ -84,7 +98,12 @@ class KeyedAdapting:
         return self._of_all(lambda each: each.end())
 
     def _of_all(self, ask: Callable[[Adaptation], list[SampleBatch]]) -> list[SampleBatch]:
-        return _in_order([part for each in self._objects.values() for part in ask(each)])
+        return _in_order(self._asked(ask))
+
+    def _asked(
+        self, ask: Callable[[Adaptation], list[SampleBatch]]
+    ) -> list[tuple[int, SampleBatch]]:
+        return [(number, part) for number, each in self._objects.items() for part in ask(each)]
 
     def _numbers(self, batch: SampleBatch) -> Numbers:
         """A number of its object for each sample."""
@@ -116,10 +135,11 @@ class _FieldNumbering:
         return numbers
 
 
-def _in_order(batches: Sequence[SampleBatch]) -> list[SampleBatch]:
-    """All samples as one batch, in order of available time."""
-    filled = [batch for batch in batches if len(batch)]
+def _in_order(parts: Sequence[tuple[int, SampleBatch]]) -> list[SampleBatch]:
+    """The samples of objects as one batch, in order of available time, then of objects."""
+    filled = [(number, batch) for number, batch in parts if len(batch)]
     if len(filled) < 2:
-        return filled
-    whole = joined(filled)
-    return [whole.take(np.argsort(whole.available, kind="stable"))]
+        return [batch for _, batch in filled]
+    whole = joined([batch for _, batch in filled])
+    numbers = np.repeat([number for number, _ in filled], [len(batch) for _, batch in filled])
+    return [whole.take(np.lexsort((numbers, whole.available)))]

@@ -17,6 +17,7 @@ from .inputs import NOTHING_KNOWN
 from .joining import Joining
 from .latest import Latest
 from .numbering import Numbering, Numbers
+from .rules import Rules
 from .sample import Column, SampleBatch, Times, concatenate
 from .saturating import leaving
 from .tuples import Rows, TupleBatch
@@ -36,8 +37,8 @@ class KeyedJoin(Joining):
     there. A keyed sample whose key is no_value is left out, and counted in ``keyless``.
 
     Tuples leave in order of t, those of one t in the order of the inputs that they came by. A
-    tuple is available at t, or right after the one before where that is taken (where 64-bit time
-    ends none leaves); it is valid at the greatest of its samples' valid times.
+    tuple is available at t (by `UNIQUE_TIMES` at the least free time from t on); it is valid at the
+    greatest of its samples' valid times.
 
     Law: whatever the batches, watermarks and interleaving, the tuples given are those of the
     definition with t ≤ `known`. An input that has not begun (no sample, watermark or end) holds
@@ -49,8 +50,9 @@ class KeyedJoin(Joining):
     nothing else of the history. An object is never forgotten.
     """
 
-    def __init__(self, keyed: Sequence[bool]) -> None:
+    def __init__(self, keyed: Sequence[bool], rules: Rules | None = None) -> None:
         super().__init__(len(keyed))
+        self._rules = Rules() if rules is None else rules
         self.keyless = 0
         """Samples without a key that were left out, of those available by `known`."""
         self._is_keyed = tuple(keyed)
@@ -74,7 +76,7 @@ class KeyedJoin(Joining):
         """Samples of ``input`` in order; the tuples they decide, None for none.
 
         ``keys`` are the integer keys of a keyed input, None of a constant one. Raises `ValueError`
-        where available times do not increase; then nothing is taken.
+        where available times decrease; then nothing is taken.
         """
         if (keys is not None) is not self._is_keyed[input]:
             raise ValueError(f"input {input} is {'keyed' if keys is None else 'constant'}")
@@ -118,7 +120,7 @@ class KeyedJoin(Joining):
             if not self._brings[i]:
                 moments.rows[i] = np.searchsorted(new.batch.available, moments.times, "right") - 1
         moments = self._complete(moments)
-        available = leaving(moments.times, self._left)
+        available = leaving(moments.times, self._left, self._rules.gap)
         if not len(available):
             return None
         if len(available) < len(moments.times):
@@ -157,8 +159,9 @@ class KeyedJoin(Joining):
             return None
         if len(news) == 1:
             ((input, new),) = news.items()
-            rows = {input: np.arange(len(new.batch))}
-            return _Moments(new.batch.available, new.objects, rows)
+            times = new.batch.available
+            if bool((times[1:] > times[:-1]).all()):
+                return _Moments(times, new.objects, {input: np.arange(len(times))})
         times = np.concatenate([new.batch.available for new in news.values()])
         objects = np.concatenate([new.objects for new in news.values()])
         counts = [len(new.batch) for new in news.values()]

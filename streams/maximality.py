@@ -166,7 +166,7 @@ def _next_free(times: list[int]) -> list[int]:
     free = list(times)
     for i in reversed(range(len(times))):
         following = times[i] + 1
-        if i + 1 < len(times) and times[i + 1] == following:
+        if i + 1 < len(times) and times[i + 1] <= following:
             free[i] = free[i + 1]
         else:
             free[i] = following

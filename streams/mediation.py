@@ -14,6 +14,7 @@ from typing import Final
 import numpy as np
 
 from .inputs import NOTHING_KNOWN, Input
+from .rules import Rules
 from .sample import Column, FieldType, SampleBatch, SampleError, Times
 from .strings import StringPool
 from .time import TIME_MAX, TIME_MIN
@@ -25,10 +26,10 @@ _FAR: Final = 2**62
 class Mediation:
     """One stream of the streams of the objects in a set that changes.
 
-    Samples go out in order of available time, those of one moment in the order of their labels.
-    Available times are unique, so a sample that finds its own taken is available right after the
-    one before it. With ``tag`` a text field of that name, where the samples have none, says whose
-    sample it is. Text is encoded with ``pools`` (by field; made where one lacks).
+    Samples go out in order of available time, those of one instant in the order of their labels (by
+    `UNIQUE_TIMES` each at the least free time from its own on). With ``tag`` a text field of that
+    name, where the samples have none, says whose sample it is. Text is encoded with ``pools`` (by
+    field; made where one lacks).
 
     What is decided when: all up to the least of what is known of the set and of the streams of
     the objects in it; of an object that has left, up to when it did. A stream that is not there
@@ -40,13 +41,19 @@ class Mediation:
     object that held it up the last time still does. Memory: what waits, and the sets that it needs.
     """
 
-    def __init__(self, tag: str | None = None, pools: dict[str, StringPool] | None = None) -> None:
+    def __init__(
+        self,
+        tag: str | None = None,
+        pools: dict[str, StringPool] | None = None,
+        rules: Rules | None = None,
+    ) -> None:
+        self._rules = Rules() if rules is None else rules
         self._tag = tag
         self._pools = {} if pools is None else pools
         # The sets that may still hold for a sample to come, and since when each does.
         self._since: list[int] = [TIME_MIN]
         self._sets: list[frozenset[str]] = [frozenset()]
-        self._members_known = NOTHING_KNOWN
+        self._members_known = self._members_last = NOTHING_KNOWN
         self._members_ended = False
         self.wanted: frozenset[str] = frozenset()
         """The objects whose samples may still be needed."""
@@ -82,11 +89,17 @@ class Mediation:
         )
 
     def push_members(self, available: Sequence[int], sets: Sequence[Labels]) -> None:
-        """The next label sets, with increasing available times."""
+        """The next label sets, whose available times do not decrease; of an instant the last
+        holds.
+        """
         self._members_ended = False
         for time, labels in zip(available, sets, strict=True):
-            self._members_known = time
-            if frozenset(labels) != self._sets[-1]:
+            self._members_last = time
+            self._members_known = max(self._members_known, time - 1)
+            if self._since[-1] == time:
+                self._sets[-1] = frozenset(labels)
+                self.wanted = frozenset[str]().union(*self._sets)
+            elif frozenset(labels) != self._sets[-1]:
                 self._since.append(time)
                 self._sets.append(frozenset(labels))
                 self.wanted |= self._sets[-1]
@@ -98,6 +111,7 @@ class Mediation:
     def end_members(self) -> None:
         """The set does not change any more."""
         self._members_ended = True
+        self._members_known = max(self._members_known, self._members_last)
 
     def resume_members(self) -> None:
         """The set had ended, and goes on: it is waited for again."""
@@ -233,7 +247,7 @@ class Mediation:
         available = np.concatenate([batch.available for _, batch in parts])
         # Parts stand in the order of labels, so the stable sort orders ties by label.
         order = np.argsort(available, kind="stable")
-        available = self._unique(available[order])
+        available = self._spaced(available[order])
         valid = np.concatenate([batch.valid for _, batch in parts])[order]
         columns = {}
         if self._tag is not None and all(name != self._tag for name, _ in fields):
@@ -246,11 +260,16 @@ class Mediation:
             columns[name] = self._column(name, kind, own).take(order)
         return SampleBatch(available, valid, columns)
 
-    def _unique(self, available: Times) -> Times:
-        """``available``, which do not decrease, each after the one before and the last before it.
+    def _spaced(self, available: Times) -> Times:
+        """``available``, which do not decrease, each at least the gap of the rules after the one
+        before, and the first after the last before it.
 
         Raises `SampleError` where none is left: the end of 64-bit time.
         """
+        if not self._rules.gap:
+            available = np.maximum(available, max(self._last, TIME_MIN))
+            self._last = int(available[-1])
+            return available
         count = len(available)
         start = self._last + 1
         if start <= int(available[0]) and bool((available[1:] > available[:-1]).all()):

@@ -13,6 +13,7 @@ import numpy as np
 
 from .adaptation import CODES, KEPT, Adaptation, OnDrop, Reasons, joined, own, repeats
 from .policy import AnyChange, Constraint, Order, Policy
+from .rules import Rules
 from .sample import SampleBatch, Times
 from .saturating import later
 from .time import TIME_MAX, TIME_MIN
@@ -25,18 +26,20 @@ _AVAILABLE = CODES[Constraint.AVAILABLE]
 class Reordering(Adaptation):
     """Sends samples in order of (valid, available) time, each at its latest moment.
 
-    Available times are unique, so the latest moments of held samples are
-    ``L_i = min(v_i + d, L_{i+1} - 1)``. A sample is sent at L_i once all is known up to L_i. One
-    for which no moment is left is dropped; so is one that belongs before the last sent. In strict
-    order the newest sample of a valid time replaces the others, equal ones too: what repeats
-    (``any change``) is judged among those that are sent, one after the other.
+    The latest moment of a sample is ``L_i = v_i + d`` (by `UNIQUE_TIMES` ``min(v_i + d, L_{i+1} -
+    1)``, and one for which no moment is left is dropped). It is sent at L_i once all is known up to
+    L_i. One that belongs before the last sent is dropped. In strict order the newest sample of a
+    valid time replaces the others, equal ones too: what repeats (``any change``) is judged among
+    those that are sent, one after the other.
 
     Cost: O(n log n) numpy a batch; where latest moments meet (equal valid times that come up to
     the last moment, or the end of 64 bits) O(held) a sample. Memory: what came within the delay.
     """
 
-    def __init__(self, policy: Policy, on_drop: OnDrop | None = None) -> None:
-        super().__init__(policy, on_drop)
+    def __init__(
+        self, policy: Policy, on_drop: OnDrop | None = None, rules: Rules | None = None
+    ) -> None:
+        super().__init__(policy, on_drop, rules)
         assert policy.max_delay is not None
         self._delay = policy.max_delay
         self._strict = policy.order is Order.STRICT
@@ -49,7 +52,7 @@ class Reordering(Adaptation):
         self.counters.received += len(batch)
         if not len(batch):
             return []
-        self._known = int(batch.available[-1])
+        self._known = max(self._known, int(batch.available[-1]) - 1)
         reasons = self._inadmissible(batch)
         admitted = batch if bool((reasons == KEPT).all()) else batch.take(reasons == KEPT)
         everything = admitted if self._held is None else joined([self._held, admitted])
@@ -74,7 +77,7 @@ class Reordering(Adaptation):
         return self._send(everything, order, moments, sent)
 
     def advance(self, watermark: int) -> list[SampleBatch]:
-        return self._flush(max(self._known, watermark - 1 if watermark > TIME_MIN else TIME_MIN))
+        return self._flush(watermark - 1) if watermark - 1 > self._known else []
 
     def end(self) -> list[SampleBatch]:
         sent = self._flush(TIME_MAX)
@@ -113,9 +116,9 @@ class Reordering(Adaptation):
         return order
 
     def _moments(self, batch: SampleBatch, order: Times) -> Times:
-        """L_i of the rows in ``order``: min over j ≥ i of (v_j + d - (j - i))."""
+        """L_i of the rows in ``order``: min over j ≥ i of (v_j + d - (j - i) * gap)."""
         deadlines = later(batch.valid[order], self._delay)
-        if not len(order) or bool(np.all(deadlines[1:] > deadlines[:-1])):
+        if not len(order) or not self._rules.gap or bool(np.all(deadlines[1:] > deadlines[:-1])):
             return deadlines
         if int(deadlines[0]) < TIME_MIN + len(order):  # no room to count down in 64 bits
             least, moments = TIME_MAX + 1, []
@@ -136,8 +139,10 @@ class Reordering(Adaptation):
             first, last_valid = int(batch.valid[order[0]]), int(last.valid[0])
             if first < last_valid or (self._strict and first == last_valid):
                 return False
-            if int(moments[0]) <= int(last.available[0]):
+            if int(moments[0]) < int(last.available[0]) + self._rules.gap:
                 return False
+        if not self._rules.gap:
+            return True
         begins = np.ones(len(moments), np.bool_)
         begins[1:] = moments[1:] != moments[:-1] + 1
         starts = np.flatnonzero(begins)
@@ -148,14 +153,14 @@ class Reordering(Adaptation):
         """The same sample by sample: rows in sending order, their moments, how many are sent."""
         valid, available = batch.valid.tolist(), batch.available.tolist()
         deadlines: list[int] = later(batch.valid, self._delay).tolist()
-        held = 0 if self._held is None else len(self._held)
+        held, gap = 0 if self._held is None else len(self._held), self._rules.gap
         queue = [(valid[row], available[row], row) for row in range(held)]
         sent: list[int] = []
         times: list[int] = []
         last_valid = None if self._last is None else int(self._last.valid[0])
 
         def first_moment() -> int:
-            return min(deadlines[row] - place for place, (_, _, row) in enumerate(queue))
+            return min(deadlines[row] - place * gap for place, (_, _, row) in enumerate(queue))
 
         def send_until(known: int) -> None:
             nonlocal last_valid
@@ -166,7 +171,8 @@ class Reordering(Adaptation):
 
         def is_repeated(row: int) -> bool:
             """Whether the sample that would leave before ``row`` says the same."""
-            before = [other for v, a, other in queue if (v, a) < (valid[row], available[row])]
+            own = (valid[row], available[row], row)
+            before = [other for v, a, other in queue if (v, a, other) < own]
             before = before or sent
             if before:
                 return bool(repeats(batch.take(np.array([before[-1], row])), None)[1])

@@ -31,8 +31,9 @@ class Counterexample:
 
 
 def satisfies(stream: SampleBatch, policy: Policy) -> Counterexample | None:
-    """Def. 5.37 (and Def. 4.1: available times increase): the first sample that breaks it, or
-    None. Cost: O(n) Python."""
+    """Def. 5.37 (and Def. 4.1: available times do not decrease): the first sample that breaks
+    it, or None. Cost: O(n) Python.
+    """
     rows = _rows(stream)
     for row, (available, content) in enumerate(rows):
         problem = alone(available, content[0], policy)

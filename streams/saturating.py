@@ -28,9 +28,12 @@ def since(times: Times, start: int) -> np.ndarray[tuple[int], np.dtype[np.uint64
     return times.astype(np.uint64) - base
 
 
-def leaving(due: Times, previous: int) -> Times:
-    """L_k = max(due_k, L_{k-1} + 1), after one that left at ``previous``; cut where time ends."""
+def leaving(due: Times, previous: int, gap: int = 1) -> Times:
+    """L_k = max(due_k, L_{k-1} + gap), after one that left at ``previous``; cut where time ends.
+    ``gap`` is 0 or 1."""
     count = len(due)
+    if not gap:
+        return np.maximum.accumulate(np.maximum(due, max(previous, TIME_MIN)))
     if not count or previous >= TIME_MAX:
         return due[:0]
     if previous >= TIME_MIN:

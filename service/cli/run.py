@@ -13,7 +13,7 @@ from pyoxigraph import Literal, NamedNode
 from ...continuous.evaluate import Explained, TimedTerm, Window, evaluate
 from ...converters.recording import open_recording
 from ...converters.time_order import in_time_order
-from ...converters.to_triples import SampleConverter
+from ...converters.to_triples import SampleConverter, node_names
 from ...languages.errors import LanguageError
 from ...languages.ssl import check_ssl, parse_ssl
 from ...languages.ssl.annotation import StreamAnnotation
@@ -24,7 +24,8 @@ from ...ontology.units import Unit
 from ...ontology.vocabulary import Vocabulary
 from ...rdf.dictionary import TermDictionary
 from ...rdf.namespaces import local_name, shorten
-from ...rdf.timed import TimedTriples
+from ...rdf.timed import TimedTriples, TripleRows
+from ...streams.instants import Places
 from ...streams.time import format_time, parse_duration
 from ..negotiation import ONTOLOGY_FORMATS, TURTLE
 from ..triples_file import TripleWriter, holds_graphs, read_timed_graphs, read_timed_triples
@@ -266,8 +267,13 @@ def _samples(
             dictionary,
             units=_units(annotation, vocabulary),
         )
-        tables = [converter.convert(incoming.batch).tables for incoming in recording]
-        found[iri] = TimedTriples(dictionary, tuple(table for part in tables for table in part))
+        tables: list[TripleRows] = []
+        places = Places()
+        for incoming in recording:
+            available = incoming.batch.available
+            names = node_names(available, places.of(available)) if converter.makes_nodes else None
+            tables += converter.convert(incoming.batch, names).tables
+        found[iri] = TimedTriples(dictionary, tuple(tables))
     return found
 
 

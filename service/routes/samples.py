@@ -41,7 +41,11 @@ class Asked:
     valid_to: Time = None
     limit: Annotated[
         int | None,
-        Query(ge=1, description="the newest so many; with `from` or `valid_from` the oldest"),
+        Query(
+            ge=1,
+            description="the newest so many; with `from` or `valid_from` the oldest; with `from` "
+            "also the rest of their last instant",
+        ),
     ] = None
     at: Annotated[Time, Query(description="most_recent_at: the latest valid by then")] = None
     before: Annotated[Time, Query(description="before: all that are valid by then")] = None

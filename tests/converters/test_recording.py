@@ -92,9 +92,9 @@ def test_times(table, cell, unit, time):
     assert [row[1] for row in rows(recording)] == [time]
 
 
-def test_available_times_increase_over_ties_and_steps_back(table):
+def test_rows_of_one_time_are_an_instant_and_a_step_back_joins_it(table):
     recording = open_recording(table("time,x\n5,1\n5,2\n4,3\n6,4\n"), time_unit="ns")
-    assert [row[:2] for row in rows(recording)] == [(5, 5), (6, 5), (7, 4), (8, 6)]
+    assert [row[:2] for row in rows(recording)] == [(5, 5), (5, 5), (5, 4), (6, 6)]
     assert rows(recording) == rows(recording)
 
 
@@ -209,7 +209,7 @@ def test_the_example_is_what_its_readme_says():
     assert len(batch) == recording.rows == 8256
     assert len(set(batch.columns["icao24"].tolist())) == 30
     assert (batch.valid[-1] - batch.valid[0]) / SECOND == 299
-    assert np.all(batch.available[1:] > batch.available[:-1])
+    assert np.all(batch.available[1:] >= batch.available[:-1])
     fastest: dict = {}
     pairs = zip(
         batch.columns["icao24"].tolist(), batch.columns["groundspeed"].tolist(), strict=True

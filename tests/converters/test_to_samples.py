@@ -67,9 +67,9 @@ def test_construct_is_ordered_by_subject_text_then_values():
     batch = converter.triples(found, 100, 7)
     assert list(batch.rows()) == [
         (7, 100, {"id": "http://x.org/a", "speed": 4.0}),
-        (8, 100, {"id": "uav10", "speed": 2.0}),
-        (9, 100, {"id": "uav2", "speed": 1.0}),
-        (10, 100, {"id": "uav2", "speed": 3.0}),
+        (7, 100, {"id": "uav10", "speed": 2.0}),
+        (7, 100, {"id": "uav2", "speed": 1.0}),
+        (7, 100, {"id": "uav2", "speed": 3.0}),
     ]
     # A later window brings a name that comes before: ranks are made anew.
     again = converter.triples(triples(("a", SPEED, number(1)), ("uav2", SPEED, number(1))), 101, 11)
@@ -147,8 +147,8 @@ def test_a_table_goes_column_by_column():
     )
     rows = [
         (5, 9, {"o": "a", "n": None, "flag": True}),
-        (6, 9, {"o": "b", "n": 2.0, "flag": True}),
-        (7, 9, {"o": "x", "n": None, "flag": False}),
+        (5, 9, {"o": "b", "n": 2.0, "flag": True}),
+        (5, 9, {"o": "x", "n": None, "flag": False}),
     ]
     converter = ResultConverter(schema, {})
     assert list(converter.convert(Result(9, solutions=solved), 5).rows()) == rows
@@ -206,10 +206,15 @@ def test_triples_of_one_time_must_agree():
     converter = TripleConverter(ANNOTATION, SCHEMA, {})
     with pytest.raises(ConversionError, match="τ = 9 give 'spd' two values"):
         converter.convert(triples(("a", SPEED, number(1)), ("a", SPEED, number(2))))
-    with pytest.raises(ConversionError, match="give 'id' two values"):
-        converter.convert(triples(("a", SPEED, number(1)), ("b", SPEED, number(1))))
     same = converter.convert(triples(("a", SPEED, number(1)), ("a", SPEED, number(1))))
     assert list(same.rows()) == [(9, 9, {"id": "a", "spd": 1.0})]
+
+
+def test_an_instant_of_several_objects_is_several_samples():
+    converter = TripleConverter(ANNOTATION, SCHEMA, {})
+    both = converter.convert(triples(("b", SPEED, number(1)), ("a", SPEED, number(2))))
+    assert sorted(each["id"] for _, _, each in both.rows()) == ["a", "b"]
+    assert both.available.tolist() == [9, 9]
 
 
 def test_other_triples_are_left_out():

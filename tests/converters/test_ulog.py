@@ -53,7 +53,7 @@ def test_valid_is_when_it_was_sensed_and_available_when_it_was_published(write):
     first, second, third = rows(recording)
     assert first[:2] == (1000 * US, 900 * US)
     assert second[:2] == (2000 * US, 2000 * US)  # nobody told when it was sensed
-    assert third[:2] == (2000 * US + 1, 1950 * US)  # a tie becomes available just after
+    assert third[:2] == (2000 * US, 1950 * US)  # of the same instant
     assert first[2] == {
         "q_0": 0.5,
         "q_1": None,

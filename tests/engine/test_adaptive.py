@@ -1186,7 +1186,7 @@ def test_one_object_is_selected(world):
     world.engine.end("a")
     world.say_all("b", 6, [("uav1", 6), ("uav2", -1)])
     assert [(who, value) for _, who, value in world.received(id)] == [
-        ("uav1", value) for value in (0, 1, 2, 2, 3, 4, 5, 6)
+        ("uav1", value) for value in (0, 1, 2, 3, 4, 5, 6)
     ]
     assert len(world.ask("?x :instantiationOf :selectObject")) == 1
 

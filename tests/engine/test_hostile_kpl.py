@@ -78,6 +78,7 @@ def test_a_sample_behind_the_clock_is_late_and_counted(engine):
     assert view.failure is None
     assert view.counters["late"] == 1
     engine.tick(103 * MS)
+    engine.end("b")
     assert content(engine, "j[o]")[-1] == (102, 1.0, 3.0)
 
 
@@ -205,6 +206,7 @@ def test_a_foreach_declared_late_is_what_it_would_have_been(engine):
     publish(engine, "who", (0, "one"), (9, "one two"))
     publish(engine, "a", (1, 1.0), (2, 2.0), (10, 3.0))
     engine.add_kpl("foreach x in members { strmgen q[x] = join(p[x]) }")
+    publish(engine, "a", (11, 4.0))  # no more of 10
     assert [row[0] for row in content(engine, "q[one]")] == [1, 2, 10]
 
 
@@ -223,6 +225,7 @@ def test_an_instance_follows_its_input_into_its_second_life(engine):
     publish(engine, "other", (0, "x"))
     publish(engine, "one", (0, "x"), (3, ""), (10, "x"))
     publish(engine, "moves", (1, "x", 1.0), (4, "x", 4.0), (11, "x", 11.0))
+    publish(engine, "moves", (12, "y", 0.0))  # no more of 11
     assert [row[0] for row in content(engine, "speed[x]")][-1:] == [11]
 
 

@@ -169,11 +169,11 @@ def test_objects_that_streams_were_put_together_by(engine: Engine) -> None:
     def come_and_go(number: int) -> None:
         unit = f'<cu name="both{number}" type="synchronize">{streams}</cu>'
         ApplySpecification(SPECIFICATION.format(unit, "").encode()).apply(engine)
-        for stream in "st":
+        for place, stream in enumerate("st", 1):
             rows = [{"valid": number, "id": f"u{number}.{k}", "v": 1.0} for k in range(20)]
             body = "\n".join(map(json.dumps, rows)).encode()
-            Publish(stream, "ndjson", body, number * SECOND).apply(engine)
-            Tick(number * SECOND + 1).apply(engine)
+            Publish(stream, "ndjson", body, number * SECOND + 10 * place).apply(engine)
+            Tick(number * SECOND + 10 * place + 1).apply(engine)
         assert engine.generator(f"both{number}").stream.last_number >= 19
         assert terms(engine) >= 20
         unit = f'<cu name="both{number}"/>'

@@ -30,6 +30,7 @@ from dyknow.journal.log import Log
 from dyknow.journal.segment import walk
 from dyknow.streams.fluent import Retention
 from dyknow.streams.generator import Counters
+from dyknow.streams.rules import INSTANTS
 from dyknow.streams.sample import Field, FieldType
 from dyknow.streams.time import FOREVER, HOUR
 
@@ -118,6 +119,7 @@ EXAMPLES = [
     c.ChangeTransformation("t", 2.0, 0.5),
     c.RemoveTransformation("t"),
     c.Begin("3f2a91c1", 0, "dyknow 0.1.0, Python 3.11.7, 0123", {"Smooth": "my_units"}),
+    c.Begin("3f2a91c2", 0, "dyknow 0.2.0, Python 3.11.7, 0123", rules=INSTANTS),
     c.TellUnkept("Smooth", "self.lock is a lock and cannot be pickled (…)"),
     c.Tick(8, (Reading("pos", 7, error="UnitBlocked: it did not come back", is_blocked=True),)),
 ]

@@ -22,7 +22,14 @@ from dyknow.streams.policy import (
     SampleEvery,
     SynchronizationPolicy,
 )
-from dyknow.streams.sample import Field, FieldType, SampleBatch, Schema, batch_from_rows
+from dyknow.streams.sample import (
+    Column,
+    Field,
+    FieldType,
+    SampleBatch,
+    Schema,
+    batch_from_rows,
+)
 from dyknow.streams.synchronization import Synchronization
 from dyknow.streams.tuple_definition import TupleInput, prove_join, prove_states
 
@@ -33,14 +40,14 @@ EDGES = st.integers(LEAST, LEAST + 9) | st.integers(GREATEST - 9, GREATEST) | st
 
 
 def batch_of(samples):
-    return SampleBatch(
-        np.array([a for a, _ in samples], np.int64), np.array([v for _, v in samples], np.int64), {}
-    )
+    """Samples (t_a, t_v, number)."""
+    available, valid, number = np.array(samples, np.int64).reshape(-1, 3).T.copy()
+    return SampleBatch(available, valid, {"k": Column(FieldType.INTEGER, number)})
 
 
 @st.composite
 def streams(draw, times=SMALL, monotone=False, most=8):
-    available = sorted(draw(st.sets(times, max_size=most)))
+    available = sorted(draw(st.lists(times, max_size=most)))
     valid = [draw(times) for _ in available]
     return list(zip(available, sorted(valid) if monotone else valid, strict=True))
 
@@ -55,12 +62,13 @@ def feedings(draw, inputs, last=None):
     for i, stream in enumerate(inputs):
         cuts = draw(st.lists(st.integers(0, len(stream)), max_size=4))
         bounds = sorted({0, len(stream), *cuts})
+        numbered = [(a, v, k) for k, (a, v) in enumerate(stream)]
         told = []
         for low, high in pairwise(bounds):
             if draw(st.booleans()):
                 floor = stream[low - 1][0] if low else LEAST
                 told.append(("advance", draw(st.integers(floor, stream[low][0]))))
-            told.append(("push", stream[low:high]))
+            told.append(("push", numbered[low:high]))
         if last is not None and last[i] is not None:
             told.append(("advance", last[i]))
         queues.append([*told, ("end", None)])
@@ -88,10 +96,9 @@ def named(batches, streams):
     for batch in batches:
         places = []
         for i, one in enumerate(batch.inputs):
-            where = {a: k for k, (a, _) in enumerate(streams[i])}
-            places.append([where[a] for a in one.available.tolist()])
-            for a, v in zip(one.available.tolist(), one.valid.tolist(), strict=True):
-                assert streams[i][where[a]] == (a, v)
+            places.append(one.columns["k"].values.tolist() if one.columns else [])
+            for k, a, v in zip(places[i], one.available.tolist(), one.valid.tolist(), strict=True):
+                assert streams[i][k] == (a, v)
         for available, valid, rows in batch.tuples():
             chosen = tuple(None if k is None else places[i][k] for i, k in enumerate(rows))
             result.append((available, valid, chosen))
@@ -164,9 +171,9 @@ def check_synchronization(data, inputs, monotone, policy, twin, watermarks):
         expected = [] if known is None else [s for s in states if s[0] <= known]
         assert count == len(expected)
     rows = [
-        (a, one.input, next(k for k, s in enumerate(inputs[one.input]) if s[0] == a), why)
+        (a, one.input, k, one.constraint.value)
         for one in told
-        for a, why in zip(one.at.tolist(), [one.constraint.value] * len(one.at), strict=True)
+        for a, k in zip(one.at.tolist(), one.batch.columns["k"].values.tolist(), strict=True)
     ]
     assert set(rows) == late
     assert len(rows) == len(late)

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from mediation_definition import held, merged
 
 from dyknow.streams.mediation import Mediation
+from dyknow.streams.rules import UNIQUE_TIMES, Rules
 from dyknow.streams.sample import Column, FieldType, SampleBatch, SampleError
 from dyknow.streams.strings import StringPool
 
@@ -16,9 +17,9 @@ TIMES = st.integers(0, 14)
 
 
 def definition(members, streams):
-    """Each sample of an object that is in the set last available then, in order; moved where its
-    available time is taken. ``members``: [(time, set)], ``streams``: {label: [(time, value)]}."""
+    """Each sample of an object that is in the set last available then, in order.
 
+    ``members``: [(time, set)], ``streams``: {label: [(time, value)]}."""
     return merged(
         (time, label, value)
         for label, samples in streams.items()
@@ -29,10 +30,12 @@ def definition(members, streams):
 
 @st.composite
 def worlds(draw):
-    times = sorted(draw(st.sets(TIMES, max_size=5)))
+    times = sorted(draw(st.lists(TIMES, max_size=5)))
     members = [(t, draw(st.sets(st.sampled_from(LABELS)))) for t in times]
     streams = {
-        label: [(t, draw(st.sampled_from("xyz"))) for t in sorted(draw(st.sets(TIMES, max_size=6)))]
+        label: [
+            (t, draw(st.sampled_from("xyz"))) for t in sorted(draw(st.lists(TIMES, max_size=6)))
+        ]
         for label in LABELS
     }
     return members, streams
@@ -153,9 +156,13 @@ def test_members_that_come_later_take_from_then_on():
     mediation.push_members([1], [("a",)])
     mediation.push("a", batch_of([(1, "x"), (2, "y"), (5, "z")], pool))
     first = mediation.take()
+    assert first is None  # another set may come at 1
+    mediation.advance_members(2)
+    first = mediation.take()
     assert first is not None
     assert first.available.tolist() == [1]  # up to 1 the set is known
     mediation.push_members([4], [()])
+    mediation.advance_members(5)
     second = mediation.take()
     assert second is not None
     assert second.available.tolist() == [2]  # 5 is not in the set any more
@@ -175,6 +182,7 @@ def test_an_object_that_left_is_waited_for_up_to_then():
     mediation.advance_members(20)
     assert mediation.take() is None  # b may have said something before 5
     mediation.advance("b", 5)
+    mediation.advance("a", 8)
     made = mediation.take()
     assert made is not None
     assert made.available.tolist() == [1, 7]
@@ -189,6 +197,7 @@ def test_what_is_said_anew_is_not_said_twice():
     mediation.forget("a")
     mediation.attach("a")
     mediation.push("a", batch_of([(2, "x"), (8, "z")], pool))
+    mediation.advance("a", 9)
     mediation.advance_members(20)
     made = mediation.take()
     assert made is not None
@@ -196,8 +205,8 @@ def test_what_is_said_anew_is_not_said_twice():
 
 
 @pytest.mark.parametrize("end", [-(2**63), 2**63 - 2])
-def test_times_are_unique_at_the_ends_of_64_bits(end):
-    mediation = Mediation()
+def test_unique_times_at_the_ends_of_64_bits(end):
+    mediation = Mediation(rules=Rules(UNIQUE_TIMES))
     pool = StringPool()
     mediation.push_members([end], [("a", "b")])
     for label in ("a", "b"):

@@ -22,7 +22,9 @@ def samples_of(batch):
 
 
 class Definition:
-    """Def. 5.5-5.8 word for word, over a set of samples (t_a, t_v, v)."""
+    """Def. 5.5-5.8 word for word, over a set of samples (t_a, t_v, v), where v is the sequence
+    number: (t_a, v) is the unique available time of the paper (SPEC §1).
+    """
 
     def __init__(self, samples):
         self.samples = set(samples)
@@ -31,7 +33,7 @@ class Definition:
         return {s for s in self.samples if s[0] <= t}
 
     def last_avail(self, t):
-        return max(self.avail(t), key=lambda s: s[0], default=NO_SAMPLE)
+        return max(self.avail(t), key=lambda s: (s[0], s[2]), default=NO_SAMPLE)
 
     def before(self, t, tq):
         return {s for s in self.avail(tq) if s[1] <= t}
@@ -43,7 +45,7 @@ class Definition:
 
     def prev(self, sample):
         earlier = {s for s in self.samples if s[0] < sample[0]}
-        return max(earlier, key=lambda s: s[0], default=NO_SAMPLE)
+        return max(earlier, key=lambda s: (s[0], s[2]), default=NO_SAMPLE)
 
     def availtimes(self):
         return {s[0] for s in self.samples}
@@ -55,13 +57,17 @@ TIMES = st.integers(-5, 20) | st.integers(-(2**63), 2**63 - 1)
 @st.composite
 def streams(draw):
     """Samples of a fluent stream and the batches it was appended in."""
-    available = sorted(draw(st.sets(TIMES, max_size=12)))
+    available = sorted(draw(st.lists(TIMES, max_size=12)))
     samples = [(t, draw(TIMES), i) for i, t in enumerate(available)]
     cuts = sorted(draw(st.lists(st.integers(0, len(samples)), max_size=4)))
     stream = FluentStream(SCHEMA)
     for start, end in zip([0, *cuts], [*cuts, len(samples)], strict=True):
         stream.append(make(samples[start:end]))
     return samples, stream
+
+
+def in_order(samples):
+    return sorted(samples, key=lambda s: (s[0], s[2]))
 
 
 def one(batch):
@@ -83,7 +89,7 @@ def test_a_fluent_stream_answers_as_defined(drawn, t, tq):
         assert one(stream.prev(sample[0])) == defined.prev(sample)
     expected = [s for s in samples if t <= s[0] <= tq]
     assert samples_of(stream.between(t, tq)) == expected
-    assert samples_of(stream.between(None, tq)) == sorted(defined.avail(tq))
+    assert samples_of(stream.between(None, tq)) == in_order(defined.avail(tq))
 
 
 @given(streams(), streams())
@@ -223,7 +229,7 @@ def long_streams(draw):
     count = sum(sizes)
     random = np.random.default_rng(draw(st.integers(0, 2**32)))
     noise = draw(st.sampled_from([0, 3, 500]))
-    available = np.cumsum(random.integers(1, 4, count))
+    available = np.cumsum(random.integers(draw(st.integers(0, 1)), 4, count))
     valid = available - random.integers(0, noise + 1, count)
     samples = [(int(a), int(v), i) for i, (a, v) in enumerate(zip(available, valid, strict=True))]
     kept = Retention(draw(st.sampled_from([40, 300, 100_000])), draw(st.sampled_from([None, 200])))
@@ -244,12 +250,12 @@ def test_long_histories_answer_as_defined_however_they_were_put_together(drawn, 
     samples, stream, handed = drawn
     defined = Definition(samples)
     assert samples_of(stream.all()) == samples
-    assert stream.availtimes().tolist() == [s[0] for s in samples]
+    assert stream.availtimes().tolist() == sorted({s[0] for s in samples})
     for batch, then in handed:  # what was handed out never changes
         assert samples_of(batch) == then
     for t, tq in times:
         assert one(stream.last_avail(t)) == defined.last_avail(t)
-        assert samples_of(stream.avail(t)) == sorted(defined.avail(t))
+        assert samples_of(stream.avail(t)) == in_order(defined.avail(t))
         assert set(samples_of(stream.before(t, tq))) == defined.before(t, tq)
         assert one(stream.most_recent_at(t, tq)) == defined.most_recent_at(t, tq)
         assert one(stream.prev(t)) == defined.prev((t,))
@@ -278,8 +284,9 @@ class Recorder:
         self.ends = 0
 
     def receive(self, source, batch):
-        for sample in samples_of(batch):
-            assert not self.samples or sample[0] > self.samples[-1][0]
+        for available, valid, values in batch.rows():
+            sample = (available, valid, *values.values())
+            assert not self.samples or sample[0] >= self.samples[-1][0]
             assert self.watermark is None or sample[0] >= self.watermark
             self.samples.append(sample)
 
@@ -309,7 +316,7 @@ class OneByOne:
         promised = -(2**63) if self.watermark is None else self.watermark
         if available < max(horizon, promised):
             self.late += 1
-        elif any(available == other[0] for other in (*self.stream, *self.pending)):
+        elif sample in (*self.stream, *self.pending):
             self.duplicate += 1
         else:
             self.pending.append(sample)
@@ -321,20 +328,29 @@ class OneByOne:
         """Release what nothing can overtake: up to a time that has been, or before a promise."""
         due = [s for s in self.pending if s[0] < watermark or (closed and s[0] == watermark)]
         self.pending = [s for s in self.pending if s not in due]
-        self.stream.extend(sorted(due))
+        self.stream.extend(sorted(due, key=lambda s: s[0]))
         self.watermark = watermark if self.watermark is None else max(self.watermark, watermark)
 
     def end(self):
-        self.stream.extend(sorted(self.pending))
+        self.stream.extend(sorted(self.pending, key=lambda s: s[0]))
         self.pending = []
         if self.stream:
             last = self.stream[-1][0]
             self.watermark = last if self.watermark is None else max(self.watermark, last)
 
 
+MIXED = Schema((Field("x", FieldType.FLOAT), Field("name", FieldType.STRING)))
 STEPS = st.lists(
     st.one_of(
-        st.lists(st.integers(0, 25) | st.sampled_from([-(2**63), -(2**63) + 2]), max_size=6),
+        st.lists(
+            st.tuples(
+                st.integers(0, 25) | st.sampled_from([-(2**63), -(2**63) + 2]),
+                st.integers(0, 1),
+                st.sampled_from([0.0, -0.0, 1.5, None]),
+                st.sampled_from(["a", "b", None]),
+            ),
+            max_size=6,
+        ),
         st.tuples(st.just("advance"), st.integers(0, 25)),
         st.just("end"),
     ),
@@ -342,10 +358,10 @@ STEPS = st.lists(
 )
 
 
-@given(STEPS, st.integers(0, 8))
+@given(STEPS, st.integers(0, 8), st.sampled_from([1, 3, 100]))
 @LIMITS
-def test_a_generator_equals_its_sample_by_sample_definition(steps, lateness):
-    generator = StreamGenerator("s", SCHEMA, lateness=lateness)
+def test_a_generator_equals_its_sample_by_sample_definition(steps, lateness, kept):
+    generator = StreamGenerator("s", MIXED, lateness=lateness, retention=Retention(kept))
     defined, recorder, number = OneByOne(lateness), Recorder(), 0
     generator.subscribe(recorder)
     for step in steps:
@@ -353,17 +369,20 @@ def test_a_generator_equals_its_sample_by_sample_definition(steps, lateness):
             case "end":
                 generator.end()
                 defined.end()
-            case ("advance", watermark):
+            case ("advance", int(watermark)):
                 generator.advance(watermark)
                 defined.promise(watermark)
-            case times:
-                samples = [(t, 0, number + i) for i, t in enumerate(times)]
-                number += len(times)
-                assert generator.offer(make(samples)) == len(samples)
+            case samples:
+                rows = [(a, v, {"x": x, "name": name}) for a, v, x, name in samples]
+                number += len(rows)
+                # Each batch has a pool of its own, as it has when it comes.
+                assert generator.offer(batch_from_rows(MIXED, rows)) == len(samples)
                 for sample in samples:
                     defined.offer(sample)
         counters = generator.counters
-        assert samples_of(generator.stream.all()) == defined.stream == recorder.samples
+        assert recorder.samples == defined.stream
+        history = [(a, v, *values.values()) for a, v, values in generator.stream.all().rows()]
+        assert history == defined.stream[len(defined.stream) - len(history) :]
         assert generator.watermark == defined.watermark == recorder.watermark
         assert (counters.late, counters.duplicate) == (defined.late, defined.duplicate)
         assert (counters.used, counters.pending) == (len(defined.stream), len(defined.pending))
@@ -393,9 +412,13 @@ def test_samples_stamped_on_arrival_are_never_late(offers):
     for now, count, tick in offers:
         if tick:
             generator.advance(now)
+        before = len(recorder.samples)
         generator.offer(make([(7, 0, i) for i in range(count)]), now)
         taken += count
         if count:
             assert generator.stream.last_available >= now
+            # The whole batch is one instant, after those of all batches before it.
+            assert {s[0] for s in recorder.samples[before:]} == {generator.stream.last_available}
+            assert not before or recorder.samples[before - 1][0] < recorder.samples[before][0]
+            assert generator.watermark == generator.stream.last_available + 1
     assert generator.counters.used == taken == len(recorder.samples)
-    assert np.all(np.diff(generator.stream.availtimes()) > 0)

@@ -39,9 +39,11 @@ def test_a_grid_of_monotone_inputs_leaves_when_all_have_passed_it():
     policy = SynchronizationPolicy(SampleEvery(10), 100, Duration(0, 20), approximation=RECENT)
     sync = Synchronization(policy, [True, True])
     assert sync.push(0, make((1, 0), (12, 11), (25, 24))) == []
-    assert shown(sync.push(1, make((2, 0), (22, 21)))) == [(2, 0, (0, 0)), (22, 10, (0, 0))]
+    assert shown(sync.push(1, make((2, 0), (22, 21)))) == [(2, 0, (0, 0))]
+    assert shown(sync.advance(1, 23)) == [(22, 10, (0, 0))]
     assert sync.known == 22
-    assert shown(sync.push(1, make((25, 25)))) == [(25, 20, (11, 0))]
+    assert shown(sync.push(1, make((25, 25)))) == []
+    assert shown([*sync.advance(0, 26), *sync.advance(1, 26)]) == [(25, 20, (11, 0))]
     assert sync.counters.complete == sync.counters.states
 
 
@@ -59,6 +61,7 @@ def test_a_value_is_chosen_when_the_state_leaves():
     sync = Synchronization(policy, [False, False])
     sync.push(0, make((10, 10)))
     sync.push(1, make((11, 3), (14, 9)))
+    sync.advance(1, 15)
     # The sample valid at 3 is too late to make a state; the one valid at 9 makes one just in time,
     # and is there when the state for 10, which began before, leaves.
     assert shown(sync.advance(0, 100)) == [(14, 9, (None, 9))]
@@ -70,7 +73,8 @@ def test_what_comes_after_its_state_left_is_told():
     told = []
     policy = SynchronizationPolicy(SampleEvery(10), 5, Duration(0, 100))
     sync = Synchronization(policy, [False], told.append)
-    assert shown(sync.push(0, make((0, 0), (3, 0), (17, 10)))) == [(0, 0, (0,)), (15, 10, (None,))]
+    states = [*sync.push(0, make((0, 0), (3, 0), (17, 10))), *sync.advance(0, 18)]
+    assert shown(states) == [(0, 0, (0,)), (15, 10, (None,))]
     assert [(one.constraint, one.at.tolist()) for one in told] == [
         (Constraint.AVAILABLE, [3]),
         (Constraint.DELAY, [17]),
@@ -93,7 +97,7 @@ def test_a_grid_does_not_begin_before_what_is_known():
         sync = Synchronization(SynchronizationPolicy(SampleEvery(2), delay), [False])
         sync.advance(0, 20)
         assert sync.known == 19
-        assert shown(sync.push(0, make((20, 3)))) == states
+        assert shown([*sync.push(0, make((20, 3))), *sync.advance(0, 21)]) == states
     sync = Synchronization(SynchronizationPolicy(SampleEvery(2), 5), [False])
     assert shown([*sync.push(0, make((20, 3))), *sync.advance(0, 23)]) == [(21, 16, (None,))]
 
@@ -102,7 +106,8 @@ def test_a_very_old_first_sample_makes_no_flood_of_states():
     policy = SynchronizationPolicy(SampleEvery(1), 5, approximation=RECENT)
     now = 10**18
     sync = Synchronization(policy, [True], limit=1000)
-    assert shown(sync.push(0, make((now, 3)))) == [(now, now - 5, (3,))]
+    sync.push(0, make((now, 3)))
+    assert shown(sync.advance(0, now + 1)) == [(now, now - 5, (3,))]
 
 
 def test_too_many_states_at_once_are_refused():
@@ -115,7 +120,7 @@ def test_too_many_states_at_once_are_refused():
 def test_chunks_are_small():
     policy = SynchronizationPolicy(SampleEvery(1), 0, Duration(0))
     batches = Synchronization(policy, [True]).push(0, make((0, 0), (150_000, 150_000)))
-    assert [len(b) for b in batches] == [65_536, 65_536, 150_001 - 2 * 65_536]
+    assert [len(b) for b in batches] == [65_536, 65_536, 150_000 - 2 * 65_536]
 
 
 @pytest.mark.parametrize("change", [SampleEvery(50), AnyChange()])

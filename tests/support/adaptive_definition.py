@@ -80,6 +80,10 @@ class Subscription:
     _reached: int = LONG_AGO
     _begun: bool = False
     _places: int = 0
+    _left: tuple[str, int] | None = None
+    """What was read last and how many samples it had, while nothing else has begun in its stead:
+    its next sample is known by its number, as its instant may go on.
+    """
 
     # -- what happens ------------------------------------------------------------------------
 
@@ -150,6 +154,8 @@ class Subscription:
             self.sources[name] = removed
             self._rematch(without={name})
             del self.sources[name]
+        if self._left is not None and self._left[0] == name:
+            self._left = None
         self._since.pop(name, None)
 
     def annotate(self, name, factor):
@@ -250,6 +256,8 @@ class Subscription:
     def _switch(self, chosen):
         self.path.append((self.now, chosen))
         is_new = chosen != self.reading
+        if is_new and self.reading is not None:
+            self._left = self.reading, len(self.sources[self.reading].samples)
         self.reading = chosen
         if chosen is None:
             return
@@ -264,7 +272,13 @@ class Subscription:
             self._reached = source.samples[-1][0] if source.samples else LONG_AGO
         self._begun = True
         self._begun_after = self._reached
-        self._deliver([sample for sample in source.samples if sample[0] > self._reached])
+        name, count = self._left or (None, 0)
+        self._left = None
+        if name == chosen:
+            self._begun_after -= 1
+            self._deliver(source.samples[count:])
+        else:
+            self._deliver([sample for sample in source.samples if sample[0] > self._reached])
 
     def _deliver(self, samples):
         for available, value in samples:

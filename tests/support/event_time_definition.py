@@ -33,14 +33,15 @@ class Stream:
         if available < limit:
             # It came when the stream had got so far.
             note_late(self.late, max(self.greatest, self.watermark), number)
-        elif available not in {known for known, _ in [*self.pending, *self.taken]}:
+        elif sample not in [*self.pending, *self.taken]:
             self.pending.append(sample)
             self.greatest = available if self.greatest is None else max(self.greatest, available)
             self.release(self.greatest - self.lateness)
 
     def release(self, until):
         """Nothing can be overtaken any more that is available by then."""
-        due = sorted(sample for sample in self.pending if sample[0] <= until)
+        due = [sample for sample in self.pending if sample[0] <= until]
+        due.sort(key=lambda sample: sample[0])  # those of an instant stay as they came
         self.pending = [sample for sample in self.pending if sample[0] > until]
         self.taken += due
         for reader in self.readers:
@@ -119,6 +120,5 @@ class Reader:
 
 
 def note_late(noted, came, number):
-    """Available times are unique: a late sample is available when it came, or right after the one
-    before."""
-    noted.append((max(came, noted[-1][0] + 1) if noted else came, number))
+    """A late sample is available when it came, and not before the one before it."""
+    noted.append((max(came, noted[-1][0]) if noted else came, number))

@@ -1,7 +1,8 @@
 """join and state synchronization straight from their definitions, in plain Python integers.
 
 [DyKnow10 Def. 5.5, 5.6, 5.11], SPEC §1. Slow on purpose; shares nothing with the product. A stream
-is a list of (t_a, t_v) in order of t_a; a sample is named by its index in that list.
+is a list of (t_a, t_v) in order of t_a; a sample is named by its index in that list, its sequence
+number. Samples of one t_a are one instant; of these the one with the greatest number is the last.
 """
 
 LEAST, GREATEST = -(2**63), 2**63 - 1
@@ -10,13 +11,13 @@ LEAST, GREATEST = -(2**63), 2**63 - 1
 def last_avail(stream, t):
     """Def. 5.6: the sample with the greatest available time <= t, or None."""
     rows = [k for k, (a, _) in enumerate(stream) if a <= t]
-    return max(rows, key=lambda k: stream[k][0], default=None)
+    return max(rows, key=lambda k: (stream[k][0], k), default=None)
 
 
 def most_recent_at(stream, t, tq):
     """Def. 5.6: of those available at tq and valid at most at t, the most recent, or None."""
     rows = [k for k, (a, v) in enumerate(stream) if a <= tq and v <= t]
-    return max(rows, key=lambda k: (stream[k][1], stream[k][0]), default=None)
+    return max(rows, key=lambda k: (stream[k][1], stream[k][0], k), default=None)
 
 
 def join(streams):

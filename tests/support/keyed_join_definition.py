@@ -1,20 +1,19 @@
 """join object by object straight from its definition, in plain Python integers.
 
 Slow on purpose; shares nothing with the product. A stream is a list of (t_a, t_v, key) in order of
-t_a, where the key None is no_value; a sample is named by its index in that list.
+t_a, where the key None is no_value; a sample is named by its index in that list. One tuple an
+object and instant, with the last sample of each input.
 """
-
-GREATEST = 2**63 - 1
 
 
 def last_avail(stream, t, key=None):
-    """The sample with the greatest available time <= t, of those with ``key`` if there is one."""
+    """The last sample with available time <= t, of those with ``key`` if there is one."""
     rows = [k for k, (a, _, own) in enumerate(stream) if a <= t and key in (None, own)]
-    return max(rows, key=lambda k: stream[k][0], default=None)
+    return max(rows, key=lambda k: (stream[k][0], k), default=None)
 
 
 def keyed_join(streams, keyed):
-    """[(t, available, valid, (sample of each))]."""
+    """[(t, valid, (sample of each))]."""
     if not any(keyed):
         objects = {None}
         bring = range(len(streams))
@@ -26,7 +25,7 @@ def keyed_join(streams, keyed):
         for t, _, key in streams[i]:
             if key in objects:
                 moments.setdefault((t, key), i)  # inputs come in order: this is the first of them
-    given, left = [], None
+    given = []
     for t, key in sorted(moments, key=lambda moment: (moment[0], moments[moment])):
         rows = [
             last_avail(stream, t, key if each else None)
@@ -34,9 +33,6 @@ def keyed_join(streams, keyed):
         ]
         if None in rows:
             continue
-        left = t if left is None else max(t, left + 1)
-        if left > GREATEST:
-            break
         valid = max(stream[k][1] for stream, k in zip(streams, rows, strict=True))
-        given.append((t, left, valid, tuple(rows)))
+        given.append((t, valid, tuple(rows)))
     return given

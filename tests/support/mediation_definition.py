@@ -28,10 +28,7 @@ def within(life, times):
 
 
 def merged(samples):
-    """(time, label, value) by time, then by label, with its available time before it: moved where
-    that is taken."""
-    given, last = [], None
-    for time, label, value in sorted(samples):
-        last = time if last is None else max(time, last + 1)
-        given.append((last, time, label, value))
-    return given
+    """(available, valid, label, value) of (time, label, value): by time, then by label, then in the
+    order of each stream."""
+    ordered = sorted(samples, key=lambda sample: sample[:2])
+    return [(time, time, label, value) for time, label, value in ordered]

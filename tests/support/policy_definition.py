@@ -14,9 +14,11 @@ Sample = tuple[int, int, object]
 
 
 def satisfies(stream: list[Sample], policy: Policy) -> bool:
-    """Def. 5.37, and the unique available times of Def. 4.1."""
+    """Def. 5.37, and the order of Def. 4.1: those of one available time stand in order of
+    sequence.
+    """
     times = [ta for ta, _, _ in stream]
-    if any(a >= b for a, b in pairwise(times)):
+    if any(a > b for a, b in pairwise(times)):
         return False
     pairs = list(pairwise(stream))
     if isinstance(policy.change, AnyChange) and any(a[1:] == b[1:] for a, b in pairs):
@@ -58,7 +60,7 @@ def most_recent_at(stream: list[Sample], time: int, query: int) -> Sample | None
     if not before:
         return None
     newest = max(s[1] for s in before)
-    return max((s for s in before if s[1] == newest), key=lambda s: s[0])
+    return [s for s in before if s[1] == newest][-1]
 
 
 def extend(stream: list[Sample], policy: Policy, horizon: int) -> list[Sample]:
