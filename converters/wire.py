@@ -61,7 +61,14 @@ class BatchLimits:
             )
 
     def check_fields(self, names: Collection[str]) -> None:
-        """Raises `WireError` for more fields of an open stream, and for what none can be called."""
+        """Raises `WireError` for an open stream's fields: none, too many, or one that cannot be
+        called so."""
+        if not names:
+            raise WireError(
+                None,
+                "the first sample decides the fields, and this one has none",
+                "send it with its values, or declare the fields: PUT /streams/{name}",
+            )
         if len(names) > self.fields:
             raise WireError(
                 None, f"a sample has at most {self.fields} fields", "publish to several streams"

@@ -12,7 +12,7 @@ from dyknow.converters.arrow import decode_arrow, encode_arrow
 from dyknow.converters.bad_lines import mixed_times
 from dyknow.converters.errors import WireError
 from dyknow.converters.ndjson import decode_ndjson
-from dyknow.converters.wire import BOM
+from dyknow.converters.wire import BOM, BatchLimits
 from dyknow.engine.engine import Engine
 from dyknow.engine.errors import DyknowError
 from dyknow.engine.views import StreamDeclaration
@@ -28,6 +28,7 @@ SCHEMA = Schema((Field("id", FieldType.STRING), Field("n", FieldType.INTEGER)))
 
 ENGINE = Engine(epoch="e1")
 KEEPER = Keeper(ENGINE, None, {})
+LIMITED = BatchLimits(10_000, 1 << 20, 1 << 30)
 NUMBERS = itertools.count()
 """Each example has streams of its own in one engine, which takes longer to make than all else."""
 
@@ -104,7 +105,7 @@ def line_by_line(name, body):
             return accepted, WireError, number
         generator = ENGINE.accepting(name)
         try:
-            incoming = decode_ndjson(line, generator.schema, generator.stream.pools)
+            incoming = decode_ndjson(line, generator.schema, generator.stream.pools, LIMITED)
         except WireError:
             return accepted, WireError, number
         if stamped not in (None, incoming.stamped):
@@ -123,7 +124,7 @@ def cut(data, places):
 
 
 def live(name, parts, make=LiveLines, together=1 << 20):
-    samples = make(ENGINE, KEEPER, name, lambda: 100)
+    samples = make(ENGINE, KEEPER, name, lambda: 100, LIMITED)
     try:
         with patch("dyknow.service.live._TOGETHER", together):
             for part in parts:
@@ -153,6 +154,8 @@ def state(name):
 )
 # A byte order mark within the body begins what has come, and is no part of it all the same.
 @example(good(1) + b"\n" + BOM + good(3), [], True, "declared")
+# What decides the fields has some.
+@example(b'{"valid": 1}\n' + good(3), [], False, "open")
 def test_lines_are_published_as_one_by_one(body, places, bytewise, before):
     bytewise = bytewise and len(body) < 2000
     parts = [body[i : i + 1] for i in range(len(body))] if bytewise else cut(body, places)

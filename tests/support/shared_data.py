@@ -1,6 +1,6 @@
 """Where the recordings and benchmarks of others are: beside the project, in no clone of it.
 
-`shared/data` beside the checkout, or the folder that DYKNOW_DATA names (a worktree elsewhere).
+`shared/data` beside the checkout, or the folder that DYKNOW_TEST_DATA names (a worktree elsewhere).
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 DATA = Path(
-    os.environ.get("DYKNOW_DATA") or Path(__file__).parents[3] / "shared" / "data"
+    os.environ.get("DYKNOW_TEST_DATA") or Path(__file__).parents[3] / "shared" / "data"
 ).resolve()
 
 
