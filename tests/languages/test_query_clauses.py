@@ -4,10 +4,9 @@ What is printed and what is refused, with its place, are golden cases (tests/cas
 are in tests/laws/test_query_texts.py.
 """
 
-from pathlib import Path
-
 import pytest
 from pyoxigraph import NamedNode, Variable
+from shared_data import DATA
 
 from dyknow.languages.csparql import (
     TIMESTAMP,
@@ -38,7 +37,7 @@ MS = 1_000_000
 SECOND = 1000 * MS
 DAY = 86_400 * SECOND
 EX = "http://example.org/"
-CITYBENCH = Path(__file__).parents[3] / "shared" / "data" / "citybench" / "queries"
+CITYBENCH = DATA / "citybench" / "queries"
 
 RSP_QL = """PREFIX : <http://example.org/>
 REGISTER ISTREAM :out COMPUTE EVERY PT2S AS

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from shared_data import DATA
 from typer.testing import CliRunner
 
 from dyknow.engine.processes import PROCESSES
@@ -31,7 +32,7 @@ def speed_est(time, samples, state):
         return None, sample.value
     return dyknow.Sample(sample.valid, {"value": sample.value - state}), sample.value
 """
-LOG = Path(__file__).parents[3] / "shared" / "data" / "px4" / "sample.ulg"
+LOG = DATA / "px4" / "sample.ulg"
 PX4 = """source imu sensor_combined
 source attitude vehicle_attitude
 source position vehicle_local_position
@@ -101,7 +102,11 @@ def test_prove_a_flight_log(tmp_path: Path) -> None:
     done = CliRunner().invoke(app, ["kpl", "prove", str(tmp_path / "px4.kpl"), str(LOG), "--json"])
     assert done.exit_code == 0, done.stderr
     proofs = [json.loads(line) for line in done.stdout.splitlines()]
-    assert [proof["stream"] for proof in proofs] == ["imu50", "ordered", "states"]
+    assert [proof["stream"] for proof in proofs] == [
+        *("imu50", "ordered", "states"),
+        *(f"{name}[uav1] with monotone order" for name in ("imu", "attitude", "position")),
+        "state[uav1]",
+    ]
     assert all(proof["holds"] and proof["sent"] > 600 for proof in proofs)
 
 
