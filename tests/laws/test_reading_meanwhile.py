@@ -42,7 +42,7 @@ class Part:
     def go(self):
         if not self.is_over:
             self._may_go.release()
-            assert self._has_paused.acquire(timeout=20)
+            assert self._has_paused.acquire(timeout=120)
 
     def finish(self):
         while not self.is_over:

@@ -136,7 +136,7 @@ def test_nobody_waits_for_what_is_prepared(monkeypatch: pytest.MonkeyPatch) -> N
             target=ontology.mirror, args=([Triple(own("s"), RDF_TYPE, own("Stream"))], [])
         )
         change.start()
-        change.join(20)
+        change.join(120)
         waited.append(change.is_alive())
 
     def noted(work: object) -> object:

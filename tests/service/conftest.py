@@ -78,13 +78,13 @@ def url(
 @pytest.fixture
 def http(url: str) -> Iterator[httpx.Client]:
     """Plain HTTP, as a client written from the documentation would speak it."""
-    with httpx.Client(base_url=url, trust_env=False, timeout=20) as client:
+    with httpx.Client(base_url=url, trust_env=False, timeout=120) as client:
         yield client
 
 
 @pytest.fixture
 def client(url: str) -> Iterator[Client]:
-    with Client(url, timeout=20) as client:
+    with Client(url, timeout=120) as client:
         yield client
 
 

@@ -46,7 +46,7 @@ def settings() -> Settings:
 
 @pytest.fixture
 def admin(url: str) -> Iterator[Client]:
-    with Client(url, token=ADMIN, timeout=20) as client:
+    with Client(url, token=ADMIN, timeout=120) as client:
         yield client
 
 
@@ -56,7 +56,7 @@ def open_http() -> Iterator[httpx.Client]:
     settings = Settings(port=0, trusted_hosts="dyknow.example, *.below.example")
     with (
         running(create_app(Engine(epoch="e1"), settings, lambda: 0), settings) as url,
-        httpx.Client(base_url=url, trust_env=False, timeout=20) as client,
+        httpx.Client(base_url=url, trust_env=False, timeout=120) as client,
     ):
         yield client
 
@@ -64,7 +64,7 @@ def open_http() -> Iterator[httpx.Client]:
 def raw(url: str, request: bytes) -> bytes:
     """What comes back for bytes on a connection, until it is closed."""
     parts = urlsplit(url)
-    with socket.create_connection((parts.hostname, parts.port), timeout=20) as connection:
+    with socket.create_connection((parts.hostname, parts.port), timeout=120) as connection:
         connection.sendall(request)
         connection.shutdown(socket.SHUT_WR)
         received = b""
@@ -285,7 +285,7 @@ def test_event_streams_are_counted_by_token(engine: Engine, clock: Clock) -> Non
     settings = Settings(port=0, tokens=SecretStr(LINES), sse_clients_each=1)
     with (
         running(create_app(engine, settings, clock), settings) as url,
-        httpx.Client(base_url=url, trust_env=False, timeout=20) as http,
+        httpx.Client(base_url=url, trust_env=False, timeout=120) as http,
         http.stream("GET", "/status/events", headers=bearer(READ)) as first,
     ):
         assert first.status_code == 200
@@ -599,7 +599,7 @@ def test_an_address_that_is_cut_off_is_no_failure(url: str) -> None:
     """A connection that is reset while its request comes leaves the service as it was."""
     parts = urlsplit(url)
     for _ in range(20):
-        with socket.create_connection((parts.hostname, parts.port), timeout=20) as connection:
+        with socket.create_connection((parts.hostname, parts.port), timeout=120) as connection:
             linger = struct.pack("ii", 1, 0)
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, linger)
             connection.sendall(b"GET /streams HTTP/1.1\r\nHost: localhost\r\n")

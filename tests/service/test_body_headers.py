@@ -65,7 +65,7 @@ def test_every_route_refuses_bodies_that_it_would_misread(http: httpx.Client) ->
 )
 def test_it_is_refused_before_it_is_there(http: httpx.Client, samples: str, coding: str) -> None:
     parts = urlsplit(str(http.base_url))
-    with socket.create_connection((parts.hostname, parts.port), timeout=20) as connection:
+    with socket.create_connection((parts.hostname, parts.port), timeout=120) as connection:
         connection.sendall(
             f"POST {samples} HTTP/1.1\r\nHost: localhost\r\n{coding}\r\n"
             "Expect: 100-continue\r\n\r\n".encode()

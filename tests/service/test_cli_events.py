@@ -84,7 +84,7 @@ def test_a_signal_gives_up_what_is_followed(url: str, speeds: Client, name: str)
         assert len(speeds.requests()) == 1
         process.send_signal(getattr(signal, name))
         assert "stopped" in process.stderr.read()
-        assert process.wait(20) == 0
+        assert process.wait(120) == 0
     assert speeds.requests() == []
 
 

@@ -289,7 +289,7 @@ def test_what_comes_and_goes_leaves_nothing(
     sizes = []
     with (
         running(app, settings) as url,
-        httpx.Client(base_url=url, trust_env=False, timeout=20) as http,
+        httpx.Client(base_url=url, trust_env=False, timeout=120) as http,
     ):
         using = Using(http, clock)
         for number in range(ROUNDS):

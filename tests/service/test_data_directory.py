@@ -587,7 +587,7 @@ def test_a_backup_of_a_service_that_takes_samples_and_forgets_is_whole(tmp_path)
     acknowledged = []
     with (
         running(create_app(recorded, settings, lambda: SECOND), settings) as url,
-        httpx.Client(base_url=url, trust_env=False, timeout=20) as http,
+        httpx.Client(base_url=url, trust_env=False, timeout=120) as http,
     ):
         http.put("/streams/s5", json={"fields": {"n": "integer"}}).raise_for_status()
         for i in range(4):

@@ -45,7 +45,7 @@ def _service(engine: Engine, settings: Settings, clock: Clock) -> Any:
         def __enter__(self) -> httpx.Client:
             self._running = running(create_app(engine, settings, clock), settings)
             url = self._running.__enter__()
-            self._http = httpx.Client(base_url=url, trust_env=False, timeout=30)
+            self._http = httpx.Client(base_url=url, trust_env=False, timeout=120)
             return self._http
 
         def __exit__(self, *error: object) -> None:

@@ -137,7 +137,7 @@ def test_so_many_may_wait_and_no_more() -> None:
 
     def wait(worker: Worker) -> Any:
         begun.append(worker.pid)
-        release.wait(20)
+        release.wait(120)
         return worker.call(job("ASK {}"), 1000)
 
     async def scenario() -> None:

@@ -156,7 +156,7 @@ def test_a_unit_that_ends_the_program_fails_and_its_publisher_does_not(
     text += "compunit out Leave(pos)\nstrmgen p = place\nstrmgen left = Leave(p)\nstream s = left"
     with (
         running(create_app(engine, settings, clock), settings) as url,
-        httpx.Client(base_url=url, trust_env=False, timeout=20) as http,
+        httpx.Client(base_url=url, trust_env=False, timeout=120) as http,
     ):
         answer = http.post("/kpl", content=text, headers=TEXT)
         assert answer.status_code == 201, answer.text

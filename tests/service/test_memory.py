@@ -252,7 +252,7 @@ def _shorten(service: Service) -> None:
 
 def test_reading_and_removing_go_on(service: tuple[str, Service]) -> None:
     url, inside = service
-    with Client(url, timeout=20) as client, httpx.Client(base_url=url, trust_env=False) as http:
+    with Client(url, timeout=120) as client, httpx.Client(base_url=url, trust_env=False) as http:
         client.put_stream("s", FIELDS)
         client.publish("s", [{"valid": 1, "id": "u", "speed": 1.0}])
         _shorten(inside)
@@ -302,7 +302,7 @@ def test_units_are_removed_and_not_inserted(service: tuple[str, Service]) -> Non
         )
 
     with (
-        Client(url, timeout=20) as client,
+        Client(url, timeout=120) as client,
         httpx.Client(base_url=url, trust_env=False, headers={"Content-Type": "text/xml"}) as http,
     ):
         client.put_stream("s", FIELDS)
@@ -325,7 +325,7 @@ def test_nothing_is_left_of_what_is_refused(
     service: tuple[str, Service], path: str, kind: dict[str, str]
 ) -> None:
     url, inside = service
-    with Client(url, timeout=20) as client:
+    with Client(url, timeout=120) as client:
         client.put_stream("s", FIELDS)
         client.publish("s", [{"valid": 1, "id": "u", "speed": 1.0}])
         texts = inside.engine.accepting("s").stream.pools["id"]
@@ -339,7 +339,7 @@ def test_nothing_is_left_of_what_is_refused(
 
 def test_a_live_body_ends_with_what_was_taken(service: tuple[str, Service]) -> None:
     url, inside = service
-    with Client(url, timeout=20) as client:
+    with Client(url, timeout=120) as client:
         client.put_stream("s", FIELDS)
 
         def lines() -> Iterator[bytes]:
@@ -364,8 +364,8 @@ def test_a_service_that_is_filled_has_a_way_back(engine: Engine, clock: Clock, w
     settings = Settings(port=0, tick=0.02, memory_limit=limit)
     with (
         running(create_app(engine, settings, clock), settings) as url,
-        httpx.Client(base_url=url, trust_env=False, timeout=20) as http,
-        Client(url, timeout=20) as client,
+        httpx.Client(base_url=url, trust_env=False, timeout=120) as http,
+        Client(url, timeout=120) as client,
     ):
         client.put_stream("s", {"text": "string"})
         for number in itertools.count():

@@ -67,7 +67,7 @@ def http(settings: Settings) -> Iterator[httpx.Client]:
     try:
         with (
             running(create_app(engine, settings, lambda: 10**18), settings) as url,
-            httpx.Client(base_url=url, trust_env=False, timeout=30) as client,
+            httpx.Client(base_url=url, trust_env=False, timeout=120) as client,
         ):
             fields = {"id": "string", "spd": "float"}
             client.put("/streams/s5", json={"fields": fields}).raise_for_status()

@@ -112,7 +112,7 @@ def test_bodies_under_way_are_counted(service_url: tuple[Service, httpx.Client])
     def body() -> Iterator[bytes]:
         yield b'{"valid": 1, '
         with httpx.Client(base_url=http.base_url, trust_env=False) as other:
-            limit = time.monotonic() + 20
+            limit = time.monotonic() + 120
             while not seen or not seen[-1]["dyknow_bodies_bytes"][""]:
                 seen.append(families(other))
                 assert time.monotonic() < limit
@@ -127,7 +127,7 @@ def test_bodies_under_way_are_counted(service_url: tuple[Service, httpx.Client])
 
 def test_the_loop_and_its_ticks_are_measured(service_url: tuple[Service, httpx.Client]) -> None:
     _, http = service_url
-    limit = time.monotonic() + 20
+    limit = time.monotonic() + 120
     while families(http)["dyknow_event_loop_lag_seconds_count"][""] < 3:
         assert time.monotonic() < limit
     found = families(http)
@@ -151,7 +151,7 @@ def test_a_request_has_one_id_everywhere(
     assert given.json()["instance"] == "urn:dyknow:request:me-1%2Fx%3A2"
     (refused,) = told(records, "refused")
     assert (refused["request"], refused["status"]) == ("me-1/x:2", 404)
-    limit = time.monotonic() + 20
+    limit = time.monotonic() + 120
     while not told(records, "request"):  # it is written when the answer has been sent
         assert time.monotonic() < limit
     assert [line["request"] for line in told(records, "request")] == ["me-1/x:2"]
@@ -217,7 +217,7 @@ def test_json_lines_are_json(capsys: pytest.CaptureFixture[str], logger: logging
 
 def test_not_ready_for_every_reason_there_is(service_url: tuple[Service, httpx.Client]) -> None:
     service, http = service_url
-    limit = time.monotonic() + 20
+    limit = time.monotonic() + 120
     while http.get("/readyz").status_code == 503:  # it has just been started
         assert time.monotonic() < limit
     assert http.get("/readyz").json()["reasons"] == []
@@ -283,7 +283,7 @@ def test_a_client_that_leaves_within_its_body_is_no_failure(
         gone.sendall(
             b"POST /streams/s5/samples HTTP/1.1\r\nHost: localhost\r\nContent-Length: 99\r\n\r\n{"
         )
-    limit = time.monotonic() + 20
+    limit = time.monotonic() + 120
     while not told(records, "client left"):
         assert time.monotonic() < limit
         http.get("/healthz")

@@ -39,7 +39,7 @@ END = "</insertions></specification>"
 def fresh(settings: Settings, clock: Clock) -> Iterator[Client]:
     """Another service, of which nobody knows anything."""
     app = create_app(Engine(epoch="e2"), settings, clock)
-    with running(app, settings) as url, Client(url, timeout=30) as client:
+    with running(app, settings) as url, Client(url, timeout=120) as client:
         yield client
 
 

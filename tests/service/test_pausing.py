@@ -92,7 +92,7 @@ def test_others_have_the_turn_while_it_does_something_apart() -> None:
 
     def work() -> None:
         with pausing.apart():
-            assert may.wait(20)
+            assert may.wait(120)
         after.append(1)
 
     pausing.allow(0)
@@ -100,7 +100,7 @@ def test_others_have_the_turn_while_it_does_something_apart() -> None:
     assert not task.go_on()
     assert not task.is_ready
     may.set()
-    assert ready.wait(20)
+    assert ready.wait(120)
     # It is not its turn.
     assert task.is_ready
     assert not after
@@ -125,7 +125,7 @@ def test_to_the_end_of_the_window_that_is_half_done() -> None:
 
     def work() -> None:
         with pausing.apart():
-            may.wait(20)
+            may.wait(120)
         pausing.breathe()
         closed.append(1)
 
@@ -494,7 +494,7 @@ def test_nobody_waits_for_what_is_not_taken_as_the_log_takes_nothing(
     monkeypatch.setattr(recorded, "go_on", when_there_is_room)
     with (
         served(recorded) as url,  # type: ignore[attr-defined]
-        httpx.Client(base_url=url, trust_env=False, timeout=20) as http,
+        httpx.Client(base_url=url, trust_env=False, timeout=120) as http,
     ):
         counting(http)
         is_full.set()

@@ -29,7 +29,7 @@ class Slow(Disk):
         self.may.set()
 
     def write(self, file: int, data: bytes, start: int) -> None:
-        assert self.may.wait(20)
+        assert self.may.wait(120)
         super().write(file, data, start)
 
 
@@ -63,7 +63,7 @@ def read(url: str, count: int, **headers: str) -> list[tuple[str, int]]:
         f"{url}/streams/s/events",
         params={} if headers else {"since": "start"},
         headers=headers,
-        timeout=10,
+        timeout=120,
         trust_env=False,
     ) as answer:
         kind = ""
@@ -94,7 +94,7 @@ def test_all_who_come_back_together_go_on_where_they_were(url: str, http: httpx.
     for thread in threads:
         thread.start()
     for thread in threads:
-        thread.join(20)
+        thread.join(120)
     assert told == {last: [("sample", k) for k in range(last + 1, 21)] for last in had}
 
 
@@ -104,7 +104,7 @@ def test_what_is_not_kept_yet_is_shown_to_nobody(url: str, http: httpx.Client, d
     disk.may.clear()
     publisher = threading.Thread(target=publish, args=(http, 4, 6))
     publisher.start()
-    with httpx.Client(base_url=url, trust_env=False, timeout=10) as other:
+    with httpx.Client(base_url=url, trust_env=False, timeout=120) as other:
         while other.get("/streams/s").json()["last"] < 5:
             assert publisher.is_alive()
     told: list[list[tuple[str, int]]] = []
@@ -113,6 +113,6 @@ def test_what_is_not_kept_yet_is_shown_to_nobody(url: str, http: httpx.Client, d
     follower.join(0.5)
     assert told == []
     disk.may.set()
-    publisher.join(20)
-    follower.join(20)
+    publisher.join(120)
+    follower.join(120)
     assert told == [[("sample", k) for k in range(1, 6)]]

@@ -127,7 +127,7 @@ def test_a_body_that_is_too_slow_need_not_come_to_its_deadline(
 ) -> None:
     monkeypatch.setattr(slow_bodies, "GRACE", SOON)
     # It has ten times as long as this test, and looks at the waiting often enough.
-    settings = Settings(port=0, body_timeout=10 * LONG, body_rate=1_000_000)
+    settings = Settings(port=0, body_timeout=120 * LONG, body_rate=1_000_000)
     with running(create_app(engine, settings, clock), settings) as url, connected(url) as slow:
         httpx.put(f"{url}/streams/s", json={"fields": FIELDS}, trust_env=False)
         slow.sendall(head("POST", "/streams/s/samples", "Content-Length: 1000") + b"{")

@@ -134,7 +134,7 @@ def test_what_another_thread_changes_under_a_lock_is_whole_and_free_in_a_copy():
     def look():
         # In a thread of its own, as a state is pickled in one.
         found = []
-        thread = threading.Thread(target=lambda: found.append(lock.acquire(timeout=20)))
+        thread = threading.Thread(target=lambda: found.append(lock.acquire(timeout=120)))
         thread.start()
         thread.join()
         return found, list(values)
@@ -167,7 +167,7 @@ def test_it_ends_with_the_thread_that_asked():
         os._exit(0)
     copy = int(os.read(reader, 100))
     os.waitpid(child, 0)
-    until = time.monotonic() + 30
+    until = time.monotonic() + 120
     while is_running(copy):
         assert time.monotonic() < until
         time.sleep(0.01)

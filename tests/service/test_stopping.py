@@ -19,13 +19,10 @@ from dataclasses import dataclass, field
 import httpx
 import pytest
 from sse_clients import Reader, connect, read_all
-
-from dyknow.service.server import GRACE
+from waiting import PATIENCE
 
 COMMAND = "from dyknow.service.cli import main; main()"
 LINE = {"Content-Type": "application/x-ndjson"}
-BOUND = GRACE + 5
-"""Seconds, with some for a machine that does much else."""
 
 
 @dataclass
@@ -83,7 +80,7 @@ class Publisher(threading.Thread):
         self.taken: list[int] = []
         """The numbers of the batches that were acknowledged."""
         self.others: list[int] = []
-        self._connection = http.client.HTTPConnection(address, timeout=20)
+        self._connection = http.client.HTTPConnection(address, timeout=120)
         self._number = number
 
     def run(self) -> None:
@@ -112,17 +109,17 @@ def wait_until_refused(address: str) -> None:
 def test_under_load_all_that_was_acknowledged_is_delivered_and_the_status_is_0() -> None:
     with serving() as service:
         readers = [Reader(service.url, "/streams/s/events") for _ in range(3)]
-        live = socket.create_connection(service.address.split(":"), timeout=20)
+        live = socket.create_connection(service.address.split(":"), timeout=120)
         head = "POST /streams/s/samples/live HTTP/1.1\r\nHost: localhost\r\n"
         head += "Content-Type: application/x-ndjson\r\nTransfer-Encoding: chunked\r\n\r\n"
         line = b'{"valid": 1, "n": 7}\n'
         live.sendall(head.encode() + b"%x\r\n%b\r\n" % (len(line), line))
         # A body that never comes to its end, and a client that takes nothing.
-        stuck = socket.create_connection(service.address.split(":"), timeout=20)
+        stuck = socket.create_connection(service.address.split(":"), timeout=120)
         stuck.sendall(
             b"POST /streams/s/samples HTTP/1.1\r\nHost: localhost\r\nContent-Length: 50\r\n\r\n{"
         )
-        half = socket.create_connection(service.address.split(":"), timeout=20)
+        half = socket.create_connection(service.address.split(":"), timeout=120)
         half.sendall(
             b"POST /streams/s/samples HTTP/1.1\r\nHost: localhost\r\nContent-Length: 20\r\n\r\n{"
         )
@@ -132,16 +129,15 @@ def test_under_load_all_that_was_acknowledged_is_delivered_and_the_status_is_0()
             one.start()
         while min(len(one.taken) for one in publishers) < 20:
             time.sleep(0.01)
-        begun = time.monotonic()
         service.process.send_signal(signal.SIGTERM)
         wait_until_refused(service.address)
         half.sendall(b'"valid": 9, "n": 9}')
         assert b" 202 " in half.recv(4096).split(b"\r\n")[0]
         read_all(readers)
         for one in publishers:
-            one.join(20)
-        assert service.process.wait(BOUND) == 0
-        assert time.monotonic() - begun < BOUND
+            one.join(120)
+        # It would wait for ever if it waited for the bodies, or for who takes nothing.
+        assert service.process.wait(PATIENCE) == 0
         answer = live.recv(65536)
         assert b" 503 " in answer.split(b"\r\n")[0]
         assert b'"accepted":1' in answer
@@ -163,22 +159,20 @@ def test_under_load_all_that_was_acknowledged_is_delivered_and_the_status_is_0()
 
 @pytest.mark.parametrize("second", [signal.SIGTERM, signal.SIGINT])
 def test_a_second_signal_ends_it_at_once(second: signal.Signals) -> None:
-    with serving(DYKNOW_DRAIN="60") as service:
+    with serving(DYKNOW_DRAIN="3600") as service:
         reader = Reader(service.url, "/streams/s/events")
         service.process.send_signal(signal.SIGINT)
         with httpx.Client(base_url=service.url, trust_env=False) as client:
             while client.get("/readyz").status_code == 200:
                 time.sleep(0.01)
-        begun = time.monotonic()
         service.process.send_signal(second)
-        assert service.process.wait(20) == 1
-        assert time.monotonic() - begun < GRACE
+        assert service.process.wait(PATIENCE) == 1  # and not after an hour
         read_all([reader])
     assert "Traceback" not in service.log()
 
 
 def test_it_drains_first_not_ready_and_still_taking_requests() -> None:
-    with serving(DYKNOW_DRAIN="1.5") as service:
+    with serving(DYKNOW_DRAIN="8") as service:
         with httpx.Client(base_url=service.url, trust_env=False) as client:
             service.process.send_signal(signal.SIGTERM)
             while (answer := client.get("/readyz")).status_code == 200:
@@ -187,4 +181,4 @@ def test_it_drains_first_not_ready_and_still_taking_requests() -> None:
             batch = client.post("/streams/s/samples", content='{"valid": 1, "n": 1}', headers=LINE)
             assert batch.status_code == 202
             assert client.get("/healthz").status_code == 200
-        assert service.process.wait(BOUND) == 0
+        assert service.process.wait(PATIENCE) == 0

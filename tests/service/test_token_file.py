@@ -67,7 +67,7 @@ def service(
     app = create_app(engine, settings, clock)
     with (
         running(app, settings) as url,
-        httpx.Client(base_url=url, trust_env=False, timeout=20) as http,
+        httpx.Client(base_url=url, trust_env=False, timeout=120) as http,
     ):
         yield app.state.service, http
 
@@ -166,7 +166,7 @@ def test_streams_and_sessions_of_a_revoked_token_end(
 
     def follow(name: str, headers: dict[str, str]) -> None:
         try:
-            with httpx.Client(base_url=http.base_url, trust_env=False, timeout=30) as client:
+            with httpx.Client(base_url=http.base_url, trust_env=False, timeout=120) as client:
                 client.get("/streams/s/events", headers=headers)
             ends[name] = "whole"
         except httpx.TransportError as error:
@@ -187,7 +187,7 @@ def test_streams_and_sessions_of_a_revoked_token_end(
     assert http.get("/streams", headers=cookie).status_code == 401
     http.delete("/streams/s", headers=bearer(ADMIN))
     for thread in threads:
-        thread.join(20)
+        thread.join(120)
     assert ends["admin"] == "whole"
 
 
@@ -215,7 +215,7 @@ def test_a_live_body_of_a_revoked_token_ends_with_what_was_accepted(
     until(lambda: may(http, OTHER) == 403)
     http.put("/streams/s", json={"fields": {"n": "integer"}}, headers=bearer(ADMIN))
     host, port = str(http.base_url).removeprefix("http://").rstrip("/").split(":")
-    with socket.create_connection((host, int(port)), timeout=20) as sender:
+    with socket.create_connection((host, int(port)), timeout=120) as sender:
         head = (
             "POST /streams/s/samples/live HTTP/1.1\r\nHost: localhost\r\n"
             f"Authorization: Bearer {OTHER}\r\nContent-Type: application/x-ndjson\r\n"
@@ -295,6 +295,6 @@ def test_sighup_takes_them_at_once(path: Path) -> None:
             assert may(http, READ) == 401
     finally:
         process.terminate()
-        _, told = process.communicate(timeout=30)
+        _, told = process.communicate(timeout=120)
     assert process.returncode == 0
     assert "tokens taken" in told

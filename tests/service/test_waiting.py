@@ -67,7 +67,7 @@ def served(path: Path, settings: Settings, clock: Clock) -> Iterator[httpx.Clien
     recorded = RecordedEngine(path, now=0, durability=Durability.WRITE)
     with (
         running(create_app(recorded, settings, clock), settings) as url,
-        httpx.Client(base_url=url, trust_env=False, timeout=20) as http,
+        httpx.Client(base_url=url, trust_env=False, timeout=120) as http,
     ):
         yield http
 

@@ -122,7 +122,7 @@ def test_workers_that_cannot_be_started_are_tried_again(
     service.warming = Warming()
     with (
         running(app, settings) as url,
-        httpx.Client(base_url=url, trust_env=False, timeout=20) as http,
+        httpx.Client(base_url=url, trust_env=False, timeout=120) as http,
     ):
         with monkeypatch.context() as broken:
             broken.setattr(sys, "executable", "/nowhere/python")
@@ -159,4 +159,4 @@ def test_serve_is_ready_when_its_workers_are() -> None:
         assert workers["windows", "idle"] == services.WORKERS
     finally:
         process.terminate()
-        process.communicate(timeout=30)
+        process.communicate(timeout=120)

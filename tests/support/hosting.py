@@ -24,6 +24,6 @@ def hosting(
     app = create_app(engine, settings, clock)
     with (
         running(app, settings) as url,
-        httpx.Client(base_url=url, trust_env=False, timeout=20) as http,
+        httpx.Client(base_url=url, trust_env=False, timeout=120) as http,
     ):
         yield app.state.service, http

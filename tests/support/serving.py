@@ -38,7 +38,7 @@ class Serving:
         assert self.url, self.lines
         self._reader = threading.Thread(target=self._read)
         self._reader.start()
-        self.http = httpx.Client(base_url=self.url, trust_env=False, timeout=20)
+        self.http = httpx.Client(base_url=self.url, trust_env=False, timeout=120)
 
     def until(self, found, seconds: float = PATIENCE):
         """What ``found()`` gives as soon as that is true."""
