@@ -7,6 +7,7 @@ from pathlib import Path
 
 from pyoxigraph import BlankNode, NamedNode, Quad, Store, Triple
 
+from ..ontology.deep_hierarchies import MARKERS, missing_pairs
 from ..ontology.entailment import SCHEMA, SYMMETRIC, Rules
 from ..ontology.units import Conversion
 from ..rdf.dictionary import Term
@@ -103,13 +104,19 @@ class Background:
         object: Term | None,
         graph: str,
     ) -> Iterator[Quad]:
+        names: Iterable[NamedNode | None] = self._default or ()
         if graph:
-            yield from self.store.quads_for_pattern(subject, predicate, object, NamedNode(graph))
+            names = (NamedNode(graph),)
         elif self._default is None:
-            yield from self.store.quads_for_pattern(subject, predicate, object, None)
-        else:
-            for name in self._default:
-                yield from self.store.quads_for_pattern(subject, predicate, object, name)
+            names = (None,)
+        store = self.store
+        for name in names:
+            for quad in store.quads_for_pattern(subject, predicate, object, name):
+                if quad.predicate not in MARKERS:
+                    yield quad
+            # The store may have too deep a hierarchy only as marks.
+            for pair in missing_pairs(store, subject, predicate, object, name):
+                yield Quad(*pair)
 
     @property
     def rules(self) -> Rules:

@@ -19,10 +19,11 @@ import rdflib
 from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
 from ..rdf.namespaces import OWL, RDFS, XSD
+from .deep_hierarchies import MARKERS, is_standard
 from .errors import OntologyError
-from .separation import Separation, is_standard
+from .separation import Separation
 
-_FORM = "2"
+_FORM = "3"
 """Changes when this module keeps other triples than before, so that kept closures are redone."""
 
 _TOP = NamedNode(OWL + "Thing")
@@ -139,6 +140,8 @@ def _node(term: object) -> NamedNode | BlankNode | Literal:
 
 
 def _is_noise(triple: Triple) -> bool:
+    if triple.predicate in MARKERS:
+        return False
     subject, object = triple.subject, triple.object
     if subject == object and triple.predicate.value in _REFLEXIVE:
         return True

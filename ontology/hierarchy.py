@@ -71,6 +71,15 @@ class Hierarchy(Mapping[T, frozenset[T]], Generic[T]):
         """The same with what stands below each node."""
         return Hierarchy((upper, lower) for lower, upper in self.edges)
 
+    def components(self) -> list[list[T]]:
+        """The cycles: nodes of which each stands above each other, and those above themselves."""
+        found: dict[int, list[T]] = {}
+        for number, (node, bits) in enumerate(zip(self._nodes, self._bits, strict=True)):
+            if bits >> number & 1:
+                # What reaches the same nodes, itself among them, is in the same cycle.
+                found.setdefault(bits, []).append(node)
+        return list(found.values())
+
     @property
     def pairs(self) -> int:
         """How many pairs the closure has. Cost: O(nodes), without making them."""

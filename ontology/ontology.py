@@ -21,7 +21,6 @@ from pyoxigraph import (
     Literal,
     NamedNode,
     Quad,
-    QueryBoolean,
     QueryResultsFormat,
     QuerySolutions,
     QueryTriples,
@@ -37,6 +36,7 @@ from ..rdf.namespaces import OWL, RDF_TYPE, STREAM_SPACE
 from . import graphs
 from .churn import Churn
 from .closure import closure_key, entailed
+from .closure_queries import QueryResults, answer
 from .entailment import Change, Entailments, Rules
 from .errors import OntologyError, QueryRefused
 from .query_guard import check_user_query
@@ -45,12 +45,10 @@ from .reasoning import DIRECT, Reasoning
 from .replicas import ChangeLog, as_nquads
 from .shipped import shipped_ontologies, text_hash
 from .successor import CONCEPTS, Successor, succeed
-from .turtle import ALL_PREFIXES
 from .units import UnitError
 from .validation import ShaclReport, validate
 from .vocabulary import Vocabulary
 
-QueryResults: TypeAlias = QuerySolutions | QueryBoolean | QueryTriples
 _Changes: TypeAlias = dict[NamedNode, Change]
 
 _HAS_TEMPLATE = NamedNode(STREAM_SPACE + "hasTemplate")
@@ -503,7 +501,7 @@ class Ontology:
         called. There is no deadline: who serves strangers runs this in a process of its own.
         """
         check_user_query(sparql)
-        return self.store.query(sparql, prefixes=ALL_PREFIXES)
+        return answer(self.store, sparql)
 
     def changes_since(self, position: int | None) -> StoreChanges:
         """What a copy of the store lacks that was made or brought up to date at ``position``; None:

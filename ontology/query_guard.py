@@ -10,6 +10,9 @@ from __future__ import annotations
 from typing import Final, TypeAlias
 from typing import Literal as OneOf
 
+from pyoxigraph import NamedNode
+
+from ..sparql.ast import Query
 from ..sparql.errors import LanguageError
 from ..sparql.parser import FORMS, QueryReader
 from ..sparql.tokens import Limits
@@ -22,6 +25,8 @@ LIMITS: Final = Limits(patterns=64, operators=128)
 """64 triple patterns: each step of a property path counts as one; brackets 64 deep."""
 
 QueryForm: TypeAlias = OneOf["select", "construct", "describe", "ask"]
+Dataset: TypeAlias = tuple[tuple[NamedNode, ...], tuple[NamedNode, ...]]
+"""The graphs of FROM, and those of FROM NAMED."""
 
 _UPDATES: Final = frozenset(
     {"LOAD", "INSERT", "DELETE", "CLEAR", "DROP", "CREATE", "ADD", "MOVE", "COPY", "WITH"}
@@ -29,6 +34,18 @@ _UPDATES: Final = frozenset(
 
 
 class _Reader(QueryReader):
+    dataset: Dataset | None = None
+
+    def clauses(self) -> None:
+        while self.takes_word("FROM"):
+            default, named = self.dataset or ((), ())
+            is_named = self.takes_word("NAMED")
+            graph = NamedNode(self.iri_of(self.iri("FROM")))
+            if is_named:
+                self.dataset = default, (*named, graph)
+            else:
+                self.dataset = (*default, graph), named
+
     def service(self) -> LanguageError:
         return self.error(
             "SERVICE is refused: nothing outside this service is asked",
@@ -46,8 +63,8 @@ class _Reader(QueryReader):
             )
         return super().misplaced(hint)
 
-    def form(self) -> QueryForm:
-        """The query form of the text, of which all is read."""
+    def read(self) -> Query:
+        """The tree of the text, of which all is read."""
         self.prologue()
         if self.is_word(*_UPDATES):
             raise self.misplaced()
@@ -57,7 +74,7 @@ class _Reader(QueryReader):
                 self.here,
                 "such as SELECT * { ?s ?p ?o } LIMIT 10",
             )
-        return self.query().form.lower()  # type: ignore[return-value]
+        return self.query()
 
 
 def check_user_query(text: str) -> None:
@@ -67,14 +84,21 @@ def check_user_query(text: str) -> None:
     over 8 KiB, 64 levels of brackets or 64 triple patterns, and for syntax errors. The shared
     prefixes and ``:`` need no declaration. Cost: linear in the text.
     """
-    query_form(text)
+    read_query(text)
 
 
 def query_form(text: str) -> QueryForm:
     """Checks ``text`` like `check_user_query` and says what kind of answer it has."""
+    return read_query(text)[0].form.lower()  # type: ignore[return-value]
+
+
+def read_query(text: str) -> tuple[Query, Dataset | None]:
+    """Checks ``text`` like `check_user_query`; its tree, and the graphs that its FROM clauses name,
+    None if it has none."""
     if len(text.encode("utf-8", "surrogatepass")) > LONGEST_TEXT:
         raise QueryRefused(f"the query has more than {LONGEST_TEXT} bytes", 1, 1)
+    reader = _Reader(text, ALL_PREFIXES, LIMITS)
     try:
-        return _Reader(text, ALL_PREFIXES, LIMITS).form()
+        return reader.read(), reader.dataset
     except LanguageError as error:
         raise QueryRefused(error.message, error.line, error.column, error.hint) from None

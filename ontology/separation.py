@@ -23,22 +23,19 @@ from typing import Final, TypeAlias
 
 from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
-from ..rdf.namespaces import OWL, RDF, RDF_TYPE, RDFS, XSD
+from ..rdf.namespaces import OWL, RDF, RDF_TYPE, RDFS
+from . import deep_hierarchies
+from .deep_hierarchies import is_standard, mark
 from .entailment import DOMAIN, RANGE, Rules
 from .hierarchy import OF_CLASSES, OF_PROPERTIES, Hierarchy, Inclusion, Node, edges
 
 Saying: TypeAlias = tuple[NamedNode, NamedNode | BlankNode | Literal | Triple]
 """A predicate and an object."""
 
-STANDARD: Final = (RDF, RDFS, OWL, XSD)
 _HIERARCHICAL: Final = (*OF_CLASSES, *OF_PROPERTIES)
 _ENDS: Final = (DOMAIN, RANGE)
 _CLASS: Final = NamedNode(OWL + "Class")
 _THING: Final = NamedNode(OWL + "Thing")
-MOST_PAIRS: Final = 60_000
-"""Pairs of a hierarchy that are made triples of. Of a deeper one (350 classes in a chain) what is
-stated stays, and `hierarchy` answers for the rest: 2,000 in a chain are 2 million pairs, which take
-a store 5 s and 800 MB."""
 _REMARKS: Final = frozenset(RDFS + name for name in ("label", "comment", "seeAlso", "isDefinedBy"))
 _PLAIN_KINDS: Final = frozenset(
     {
@@ -49,11 +46,6 @@ _PLAIN_KINDS: Final = frozenset(
     }
 )
 """Standard types that make a node no premise of a rule beyond those above."""
-
-
-def is_standard(term: object) -> bool:
-    """Whether it is a term of RDF, RDFS, OWL or XSD."""
-    return isinstance(term, NamedNode) and term.value.startswith(STANDARD)
 
 
 class Separation:
@@ -192,7 +184,8 @@ class Separation:
         """What the closure of the hierarchies adds."""
         classes = Hierarchy(edges(known, OF_CLASSES))
         properties = Hierarchy(edges(known, OF_PROPERTIES))
-        found = _hierarchical(classes, OF_CLASSES) | _hierarchical(properties, OF_PROPERTIES)
+        found = _hierarchical(classes, known, OF_CLASSES)
+        found |= _hierarchical(properties, known, OF_PROPERTIES)
         for end in _ENDS:
             found |= _ends(known, end, classes, properties)
         rules = Rules(known)
@@ -219,12 +212,12 @@ def _remarks(asserted: Set[Triple]) -> frozenset[NamedNode]:
     )
 
 
-def _hierarchical(hierarchy: Hierarchy[Node], kind: Inclusion) -> set[Triple]:
-    """The pairs of a hierarchy, unless they are too many."""
+def _hierarchical(hierarchy: Hierarchy[Node], known: Set[Triple], kind: Inclusion) -> set[Triple]:
+    """The pairs of a hierarchy, or marks where they are too many."""
     inclusion, equivalence = kind
+    if hierarchy.pairs > deep_hierarchies.MOST_PAIRS:
+        return set(mark(hierarchy, known, kind))
     found: set[Triple] = set()
-    if hierarchy.pairs > MOST_PAIRS:
-        return found
     for node in hierarchy:
         above = hierarchy[node]
         found.update(Triple(node, inclusion, other) for other in above)

@@ -32,10 +32,10 @@ from ...languages.specification import parse_specification
 from ...languages.specification.markup import NAMESPACE
 from ...ontology.churn import Churn
 from ...ontology.closure import closure_of
+from ...ontology.closure_queries import answer
 from ...ontology.errors import OntologyError, QueryRefused
 from ...ontology.query_guard import check_user_query
 from ...ontology.reading import TextFormat, read_triples
-from ...ontology.turtle import ALL_PREFIXES
 from .elements import UNIT
 from .elements import rows_of as element_rows
 from .formats import GRAPHS, TABLES
@@ -131,7 +131,7 @@ class Worker:
         check_user_query(work.text)
         if not work.format:
             return Truth(True)
-        found = self._store.query(work.text, prefixes=ALL_PREFIXES)
+        found = answer(self._store, work.text)
         if isinstance(found, QueryTriples):
             wanted = _counted(found, work.rows, "triples")
             sink = _Sink(work.size)

@@ -1,0 +1,141 @@
+"""Marks of the hierarchies that are too deep for the store to have all their pairs.
+
+A chain of 2,000 classes has 2 million pairs, which take a store 6 s and 800 MB. Above `MOST_PAIRS`
+the graph of entailments therefore has marks instead of pairs: triples with predicates of its own,
+from which `closure_queries` and `continuous.background` give the same answers. `separation` makes
+them. Law (tests/laws/test_deep_hierarchies.py): the answers are those over the pairs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Final, TypeAlias
+
+from pyoxigraph import BlankNode, DefaultGraph, Literal, NamedNode, Quad, Store, Triple
+
+from ..rdf.namespaces import OWL, RDF, RDFS, XSD
+from .graphs import ENTAILMENTS
+from .hierarchy import OF_CLASSES, OF_PROPERTIES, Hierarchy, Inclusion, Node
+
+GraphName: TypeAlias = NamedNode | BlankNode | DefaultGraph | None
+
+MOST_PAIRS: Final = 60_000
+"""Pairs of a hierarchy that the store has (350 classes in a chain, 5,000 in a tree of depth 12)."""
+STANDARD: Final = (RDF, RDFS, OWL, XSD)
+_THING: Final = NamedNode(OWL + "Thing")
+
+
+@dataclass(frozen=True, slots=True)
+class Marks:
+    """The predicates that mark one kind of hierarchy.
+
+    ``lower``: from each node that has pairs of its own to itself. ``inclusion`` and
+    ``equivalence``: the pairs that the store has, without those of a node with itself.
+    ``component``: from each node of a cycle to one node that stands for the cycle.
+    """
+
+    kind: Inclusion
+    lower: NamedNode
+    inclusion: NamedNode
+    equivalence: NamedNode
+    component: NamedNode
+
+    @property
+    def predicates(self) -> tuple[NamedNode, ...]:
+        return self.lower, self.inclusion, self.equivalence, self.component
+
+    @classmethod
+    def of(cls, kind: Inclusion, name: str) -> Marks:
+        parts = ("lower", "inclusion", "equivalence", "component")
+        return cls(kind, *(NamedNode(f"{ENTAILMENTS.value}#{name}-{part}") for part in parts))
+
+
+MARKS: Final = (Marks.of(OF_CLASSES, "class"), Marks.of(OF_PROPERTIES, "property"))
+MARKERS: Final = frozenset(predicate for marks in MARKS for predicate in marks.predicates)
+
+
+def is_standard(term: object) -> bool:
+    """Whether it is a term of RDF, RDFS, OWL or XSD."""
+    return isinstance(term, NamedNode) and term.value.startswith(STANDARD)
+
+
+def mark(hierarchy: Hierarchy[Node], known: Iterable[Triple], kind: Inclusion) -> Iterator[Triple]:
+    """The marks of ``hierarchy``, where ``known`` is all that the store has without its pairs."""
+    (marks,) = (one for one in MARKS if one.kind == kind)
+    own = dict(zip(kind, (marks.inclusion, marks.equivalence), strict=True))
+    for triple in known:
+        predicate = own.get(triple.predicate)
+        has_ends = not isinstance(triple.object, Literal | Triple)
+        if predicate is not None and has_ends and triple.subject != triple.object:
+            yield Triple(triple.subject, predicate, triple.object)
+    for node in hierarchy:
+        # What stands above a standard term is noise, but for owl:Thing (`closure`).
+        if not is_standard(node) or node == _THING:
+            yield Triple(node, marks.lower, node)
+    for members in hierarchy.components():
+        if len(members) > 1:
+            least = min(members, key=str)
+            yield from (Triple(node, marks.component, least) for node in members)
+
+
+def deep_kinds(store: Store) -> tuple[Marks, ...]:
+    """The kinds of hierarchies of which ``store`` has marks. Cost: two look-ups."""
+    return tuple(
+        marks
+        for marks in MARKS
+        if next(store.quads_for_pattern(None, marks.lower, None), None) is not None
+    )
+
+
+def missing_pairs(
+    store: Store,
+    subject: Node | None,
+    predicate: NamedNode | None,
+    object: Node | Literal | None,
+    graph: GraphName,
+) -> Iterator[tuple[Node, NamedNode, Node]]:
+    """The triples of deep hierarchies in ``graph`` that match and that ``store`` does not have.
+
+    None matches all. Cost: where ``store`` has no marks, two look-ups; else the hierarchy is
+    made, and an object a pair.
+    """
+    for marks in deep_kinds(store):
+        if predicate is None or predicate in marks.kind:
+            yield from _missing_of(marks, store, subject, predicate, object, graph)
+
+
+def _missing_of(
+    marks: Marks,
+    store: Store,
+    subject: Node | None,
+    predicate: NamedNode | None,
+    object: Node | Literal | None,
+    graph: GraphName,
+) -> Iterator[tuple[Node, NamedNode, Node]]:
+    def pairs(predicate: NamedNode) -> set[tuple[Node, Node]]:
+        return set(map(_ends, store.quads_for_pattern(None, predicate, None, graph)))
+
+    if isinstance(object, Literal):
+        return
+    known = pairs(marks.inclusion), pairs(marks.equivalence)
+    hierarchy = Hierarchy([*known[0], *known[1], *((upper, lower) for lower, upper in known[1])])
+    starts = {lower for lower, _ in pairs(marks.lower)}
+    if subject is not None:
+        starts &= {subject}
+    elif object is not None:
+        starts &= hierarchy.inverted().above(object)
+    asked = [number for number, one in enumerate(marks.kind) if predicate in (None, one)]
+    for start in starts:
+        above = hierarchy.above(start) - {start}
+        for end in above if object is None else above & {object}:
+            for number in asked:
+                is_pair = number == 0 or start in hierarchy.above(end)
+                if is_pair and (start, end) not in known[number]:
+                    yield start, marks.kind[number], end
+
+
+def _ends(quad: Quad) -> tuple[Node, Node]:
+    assert not isinstance(quad.subject, Triple)
+    assert not isinstance(quad.object, Literal | Triple)
+    return quad.subject, quad.object
