@@ -4,6 +4,8 @@
 import pytest
 from feeding import feed, samples
 
+from dyknow.ontology import deep_hierarchies
+
 DYKNOW = "http://www.ida.liu.se/dyknow/"
 SCHEMA = """
 @prefix : <http://www.dyknow.eu/ontology#> .
@@ -98,6 +100,27 @@ def test_an_ontology_that_is_loaded_while_a_query_runs_counts_from_then_on(engin
     feed(engine, "radar", ROWS[1:])
     engine.end("radar")
     assert [time for time, _ in samples(engine, "q")] == [2.0, 3.0]
+
+
+@pytest.mark.parametrize(
+    "pattern",
+    [
+        "dyknow:D9 rdfs:subClassOf ?c",
+        "dyknow:D9 ?p ?c FILTER(?p = rdfs:subClassOf)",
+        "dyknow:D9 (rdfs:subClassOf|dyknow:nothing) ?c",
+        "?c ^rdfs:subClassOf ?d FILTER(?d = dyknow:D9)",
+    ],
+)
+def test_the_static_side_has_all_pairs_of_a_deep_hierarchy(watching, monkeypatch, pattern):
+    monkeypatch.setattr(deep_hierarchies, "MOST_PAIRS", 20)
+    chain = "\n".join(f"dyknow:D{i + 1} rdfs:subClassOf dyknow:D{i} ." for i in range(9))
+    watching.load_ontology(SCHEMA + chain, name="schema")
+    found = answers(
+        watching,
+        f"""SELECT (COUNT(DISTINCT ?c) AS ?n) {RADAR}
+        WHERE {{ ?o dyknow:gs ?v . {pattern} FILTER(CONTAINS(STR(?c), "dyknow/D")) }}""",
+    )
+    assert [row["n"] for row in found] == [9] * 3
 
 
 def test_windows_that_count_triples_count_those_of_the_stream(watching):

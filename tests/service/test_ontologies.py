@@ -114,6 +114,19 @@ def test_the_terms_of_the_stream_space_are_not_replaced(
     assert http.get("/sparql", params={"query": question}).json()["boolean"]
 
 
+def test_a_query_sees_all_pairs_of_a_deep_hierarchy(http: httpx.Client) -> None:
+    """400 classes in a chain: the store, and its copies in workers, have marks and no pairs."""
+    lines = [f"dyknow:D{i + 1} rdfs:subClassOf dyknow:D{i} ." for i in range(400)]
+    deep = "\n".join(["dyknow:D0 rdfs:subClassOf dyknow:Vehicle .", *lines])
+    assert post(http, TURTLE + deep).status_code == 201
+    question = "SELECT (COUNT(*) AS ?n) { ?class rdfs:subClassOf dyknow:D0 }"
+    answer = http.get("/sparql", params={"query": question}).json()
+    assert answer["results"]["bindings"][0]["n"]["value"] == "400"
+    described = http.get("/sparql", params={"query": "DESCRIBE dyknow:D400"}).text
+    assert "dyknow/D0>" in described
+    assert "entailments#" not in described
+
+
 def test_commands(dyknow: Any, tmp_path: Path) -> None:
     path = tmp_path / "harbour.ttl"
     path.write_text(TURTLE)
