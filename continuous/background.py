@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from pathlib import Path
+from typing import Final
 
 from pyoxigraph import BlankNode, NamedNode, Quad, Store, Triple
 
@@ -11,7 +12,11 @@ from ..ontology.deep_hierarchies import MARKERS, missing_pairs
 from ..ontology.entailment import SCHEMA, SYMMETRIC, Rules
 from ..ontology.units import Conversion
 from ..rdf.dictionary import Term
-from ..rdf.namespaces import RDF_TYPE
+from ..rdf.namespaces import RDF_TYPE, shorten
+from .budget import BudgetExceeded
+
+MOST_MISSING: Final = 200_000
+"""Pairs of deep hierarchies that one pattern may give: a Python object each, some 2 µs."""
 
 
 class Background:
@@ -75,7 +80,10 @@ class Background:
         object: Term | None,
         graph: str = "",
     ) -> list[tuple[Term, Term]]:
-        """The distinct (subject, object) pairs of ``predicate`` that match; None matches all."""
+        """The distinct (subject, object) pairs of ``predicate`` that match; None matches all.
+
+        Raises `BudgetExceeded` where a deep hierarchy gives more than `MOST_MISSING`; so do
+        `triples` and `copy`."""
         if subject is not None and not isinstance(subject, NamedNode | BlankNode):
             return []
         quads = self._quads(subject, predicate, object, graph)
@@ -95,7 +103,7 @@ class Background:
 
     def has(self, predicate: NamedNode) -> bool:
         """Whether any triple of the default graph has this predicate."""
-        return next(iter(self._quads(None, predicate, None, "")), None) is not None
+        return next(self._quads(None, predicate, None, ""), None) is not None
 
     def _quads(
         self,
@@ -114,9 +122,14 @@ class Background:
             for quad in store.quads_for_pattern(subject, predicate, object, name):
                 if quad.predicate not in MARKERS:
                     yield quad
-            # The store may have too deep a hierarchy only as marks.
-            for pair in missing_pairs(store, subject, predicate, object, name):
-                yield Quad(*pair)
+            missing = missing_pairs(store, subject, predicate, object, name)
+            for number, (lower, inclusion, upper) in enumerate(missing):
+                if number == MOST_MISSING:
+                    raise BudgetExceeded(
+                        f"the hierarchy of {shorten(inclusion.value)} gives more than "
+                        f"{MOST_MISSING} pairs: ask from one term or to one"
+                    )
+                yield Quad(lower, inclusion, upper)
 
     @property
     def rules(self) -> Rules:

@@ -4,6 +4,7 @@
 import pytest
 from feeding import feed, samples
 
+from dyknow.continuous import background
 from dyknow.ontology import deep_hierarchies
 
 DYKNOW = "http://www.ida.liu.se/dyknow/"
@@ -121,6 +122,19 @@ def test_the_static_side_has_all_pairs_of_a_deep_hierarchy(watching, monkeypatch
         WHERE {{ ?o dyknow:gs ?v . {pattern} FILTER(CONTAINS(STR(?c), "dyknow/D")) }}""",
     )
     assert [row["n"] for row in found] == [9] * 3
+
+
+def test_a_query_that_asks_for_too_many_pairs_fails_with_its_reason(watching, monkeypatch):
+    monkeypatch.setattr(deep_hierarchies, "MOST_PAIRS", 20)
+    monkeypatch.setattr(background, "MOST_MISSING", 20)
+    chain = "\n".join(f"dyknow:D{i + 1} rdfs:subClassOf dyknow:D{i} ." for i in range(9))
+    watching.load_ontology(SCHEMA + chain, name="schema")
+    watching.queries.register(
+        f"REGISTER QUERY q AS SELECT ?c {RADAR} WHERE {{ ?o dyknow:gs ?v . ?c rdfs:subClassOf ?d }}"
+    )
+    (unit,) = watching.units()
+    feed(watching, "radar", ROWS)
+    assert "the hierarchy of rdfs:subClassOf gives more than 20 pairs" in unit.failure
 
 
 def test_windows_that_count_triples_count_those_of_the_stream(watching):
