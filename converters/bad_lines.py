@@ -12,7 +12,7 @@ from ..streams.pauses import Pauses
 from ..streams.sample import TIME_FIELDS, FieldType, Schema
 from .errors import WireError
 from .lines import Part
-from .wire import shown, time_of
+from .wire import not_json, shown, time_of
 
 ONE_A_LINE: Final = "send one JSON object a line"
 PYTHON_TYPES: Final[dict[FieldType, Any]] = {
@@ -107,7 +107,7 @@ def _error_of(line: bytes, number: int, schema: Schema, stamped: bool | None) ->
             return WireError(
                 number, "NaN and Infinity are no JSON numbers", "send null for no value"
             )
-        return WireError(number, f"not JSON: {error}", ONE_A_LINE)
+        return WireError(number, not_json(error), ONE_A_LINE)
     if not isinstance(values, dict):
         return WireError(number, f"a sample is a JSON object, got {shown(values)}", ONE_A_LINE)
     for name in ("valid", *schema.names):

@@ -32,7 +32,7 @@ from .arrow import arrow_field_type, column_from_arrow, read_arrow, times_from_a
 from .csv_table import CHUNK, column_from_cells, read_csv
 from .errors import EmptyTable, WireError
 from .inference import TextColumnType, TimeReader, time_column
-from .wire import BOM, Incoming
+from .wire import BOM, Incoming, not_json
 
 ValueChunk = tuple[list[int], list[dict[str, Any]]]
 
@@ -261,7 +261,7 @@ def _decode_line(number: int, line: bytes) -> dict[str, Any]:
             number, "the value is nested too deeply", "values of a sample are plain"
         ) from None
     except (msgspec.MsgspecError, UnicodeDecodeError) as error:
-        raise WireError(number, f"not JSON: {error}") from None
+        raise WireError(number, not_json(error)) from None
     if not isinstance(row, dict):
         raise WireError(number, f"a sample is a JSON object, got {type(row).__name__}")
     for name, value in row.items():

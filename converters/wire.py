@@ -120,7 +120,12 @@ def time_of(value: object, key: str, line: int) -> int:
     try:
         return parse_time(value)
     except ValueError as error:
-        raise WireError(line, f"{key!r}: {error}", TIME_HINT) from None
+        raise WireError(line, f"{key!r}: {error}") from None  # it says what to write
+
+
+def not_json(error: Exception) -> str:
+    """What an error says that reading JSON gave."""
+    return f"not JSON: {str(error).removeprefix('JSON is malformed: ')}"
 
 
 def shown(value: object) -> str:

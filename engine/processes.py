@@ -310,7 +310,7 @@ def _duration(text: str, what: str) -> int:
     try:
         length = parse_duration(text)
     except (TypeError, ValueError) as error:
-        raise BadArguments(f"{what}: {error}", "write for example 100ms") from error
+        raise BadArguments(f"{what}: {error}") from error
     if length <= 0:
         raise BadArguments(f"{what} is longer than nothing, not {text!r}", "write 100ms")
     return length

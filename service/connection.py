@@ -24,6 +24,9 @@ RETRY_LONGEST = 5.0
 SILENCE = 60.0
 """Seconds without a byte, not even a ping, after which an event stream is taken for dead."""
 
+_SAID_AGAIN = ("unknown ", "already exists", "no such route", "method not allowed", "empty body")
+"""How titles begin whose problems say the same in their details: "there is no stream 'x'"."""
+
 
 class ServiceError(Exception):
     """A refusal of the service: what is wrong, where, and what to do next."""
@@ -51,12 +54,17 @@ class ServiceError(Exception):
         self.problem = dict(problem or {})
         """The whole problem as it came."""
 
+    @property
+    def _kind(self) -> str:
+        """The title, where the detail does not say it."""
+        return "" if self.title.startswith(_SAID_AGAIN) else f"{self.title}: "
+
     def __str__(self) -> str:
         place = ""
         if self.line is not None:
             place = f"line {self.line}" + ("" if self.column is None else f", column {self.column}")
             place += ": "
-        lines = [f"{self.title}: {place}{self.detail}"]
+        lines = [f"{self._kind}{place}{self.detail}"]
         if self.excerpt:
             lines.append(self.excerpt)
         if self.problem.get("missing"):

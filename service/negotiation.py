@@ -116,7 +116,9 @@ def utf8(body: bytes) -> str:
             400, "bad encoding", f"the body is no UTF-8 at byte {error.start}", hint="send UTF-8"
         ) from error
     if not text.strip():
-        raise Problem(400, "empty body", "the body is empty", hint="send the text as the body")
+        raise Problem(
+            400, "empty body", "this route takes a text, and none came", hint="send it as the body"
+        )
     return text
 
 

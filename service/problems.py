@@ -297,7 +297,10 @@ def written_responses() -> dict[str, dict[str, Any]]:
 
 def _validation(errors: Sequence[Any]) -> Problem:
     details = [
-        {"at": ".".join(str(part) for part in error["loc"])[:LONGEST], "problem": error["msg"]}
+        {
+            "at": ".".join(str(part) for part in error["loc"])[:LONGEST],
+            "problem": error["msg"].removeprefix("Value error, "),
+        }
         for error in errors[:MOST_TOLD]
     ]
     first = errors[0]
@@ -319,7 +322,8 @@ def _plain(error: StarletteHTTPException) -> Problem:
         404: "the routes are listed at /docs and in /openapi.json",
         405: "see the Allow header for the methods of this route",
     }.get(error.status_code, "")
-    title = {404: "no such route", 405: "method not allowed"}.get(error.status_code, phrase)
-    return Problem(
-        error.status_code, title.lower(), str(error.detail), hint=hint, headers=error.headers
-    )
+    title, detail = {
+        404: ("no such route", "no route of the service has this address"),
+        405: ("method not allowed", "the route of this address takes other methods"),
+    }.get(error.status_code, (phrase, str(error.detail)))
+    return Problem(error.status_code, title.lower(), detail, hint=hint, headers=error.headers)

@@ -23,6 +23,5 @@ def time_of(text: str | None, key: str) -> int | None:
             400,
             "bad time",
             f"{key}: {error}",
-            hint="write 2021-10-07T19:12:53.5Z (in addresses + is %2B), or integer nanoseconds "
-            "since 1970, years 1678 to 2262",
+            hint="in addresses + is %2B; times are from year 1678 to 2262",
         ) from error

@@ -30,7 +30,7 @@ from pyoxigraph import BlankNode, NamedNode, RdfFormat, Variable
 
 from ..converters.errors import WireError
 from ..converters.ntriples import TripleReader
-from ..converters.wire import BOM
+from ..converters.wire import BOM, not_json
 from ..languages.csparql import parse_argument
 from ..languages.errors import LanguageError
 from ..rdf.dictionary import Term, TermDictionary
@@ -141,7 +141,7 @@ def _json_rows(file: IO[str]) -> Iterator[tuple[int, list[object]]]:
         except RecursionError:
             raise WireError(number, "the value is nested too deeply") from None
         except msgspec.MsgspecError as error:
-            raise WireError(number, f"not JSON: {error}") from error
+            raise WireError(number, not_json(error)) from error
         if not isinstance(row, dict) or set(row) != set(_COLUMNS):
             raise WireError(number, 'a timed triple is {"time", "s", "p", "o"}')
         yield number, [row[name] for name in _COLUMNS]

@@ -69,8 +69,8 @@ class Cursor:
             pass
         if here is None:
             end = self.before.end if self.index else 0
-            message, missing = "the query ends too early", "something is still missing"
-            return LanguageError(message, self.source, Span(end, end), hint or missing)
+            advice = hint or "complete its last part, or remove that"
+            return LanguageError("the query ends too early", self.source, Span(end, end), advice)
         before = self.tokens[self.index - 1] if self.index else None
         if not hint:
             hint = "the text before it is understood; look at what should follow there"

@@ -151,7 +151,9 @@ class Lexer:
         if self.brackets:
             token = self.brackets[-1]
             due = _CLOSING[token.text]
-            raise self._error(f"`{token.text}` is not closed", token, f"a `{due}` is missing")
+            raise self._error(
+                f"`{token.text}` is not closed", token, f"write `{due}` where it ends"
+            )
         return None
 
     def operator_at(self, token: Token) -> Token:

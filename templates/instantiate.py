@@ -118,12 +118,7 @@ def _check_term(
         case Place.NUMBER:
             problem = number_problem(argument)
             if problem:
-                raise _error(
-                    f"?{parameter.value} is used as a number: {problem}",
-                    index,
-                    parameter,
-                    "give a finite number, for example 100",
-                )
+                raise _error(problem, index, parameter, "give a finite number, for example 100")
         case _:
             assert_never(place)
 

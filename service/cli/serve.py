@@ -191,7 +191,7 @@ def _engine(
         hint = "--data says which directory is used; the service reads and writes in it"
         if is_full(error):
             hint = "make room on the disk, and start again"
-        raise fail(f"{settings.data} cannot be used: {error}", hint) from error
+        raise fail(f"{settings.data} cannot be used: {error.strerror or error}", hint) from error
     recovery = engine.recovery
     for note in recovery.notes:
         if settings.log_json:

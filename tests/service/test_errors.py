@@ -12,6 +12,7 @@ import pytest
 
 from dyknow.engine.engine import Engine
 from dyknow.service.app import create_app
+from dyknow.service.client import ServiceError
 from dyknow.service.settings import Settings
 from dyknow.streams.time import Clock
 
@@ -100,6 +101,36 @@ def test_syntax_errors_have_line_column_and_excerpt(
     assert found["column"] >= 1
     assert "^" in found["excerpt"]
     assert state(http) == before
+
+
+@pytest.mark.parametrize(
+    ("title", "detail", "told"),
+    [
+        ("unknown query", "there is no query called 'q'", "there is no query called 'q'"),
+        ("no such route", "no route has this address", "no route has this address"),
+        ("conflict", "stream 's5' has no field 'x'", "conflict: stream 's5' has no field 'x'"),
+    ],
+)
+def test_a_client_prints_no_title_that_the_detail_repeats(
+    title: str, detail: str, told: str
+) -> None:
+    assert str(ServiceError(404, title, detail)) == told
+
+
+def test_a_detail_and_its_hint_say_different_things(http: httpx.Client) -> None:
+    bad_time = {"valid": "abc", "id": "a", "spd": 1.0}
+    asked = http.get("/streams/s5/samples", params={"at": "abc"})
+    for answer in (
+        http.post("/streams/s5/samples", content=json.dumps(bad_time), headers=LINES),
+        asked,
+    ):
+        found = problem(answer, 400)
+        assert "ISO-8601" in found["detail"]
+        assert "ISO-8601" not in found["hint"]
+    absent = problem(http.get("/nope"), 404)
+    assert absent["detail"].lower() not in ("not found", absent["title"])
+    length = http.put("/streams/x", json={"fields": {"id": "string"}, "lateness": "abc"})
+    assert "Value error" not in problem(length, 422)["detail"]
 
 
 def test_syntax_error_in_sparql(http: httpx.Client) -> None:
