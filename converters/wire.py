@@ -120,7 +120,8 @@ def time_of(value: object, key: str, line: int) -> int:
     try:
         return parse_time(value)
     except ValueError as error:
-        raise WireError(line, f"{key!r}: {error}") from None  # it says what to write
+        reason, _, _ = str(error).partition(": write ")  # as the hint says
+        raise WireError(line, f"{key!r}: {reason}", TIME_HINT) from None
 
 
 def not_json(error: Exception) -> str:

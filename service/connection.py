@@ -24,7 +24,7 @@ RETRY_LONGEST = 5.0
 SILENCE = 60.0
 """Seconds without a byte, not even a ping, after which an event stream is taken for dead."""
 
-_SAID_AGAIN = ("unknown ", "already exists", "no such route", "method not allowed", "empty body")
+_SAID_AGAIN = ("unknown ", "no such route", "method not allowed", "empty body")
 """How titles begin whose problems say the same in their details: "there is no stream 'x'"."""
 
 
