@@ -91,7 +91,7 @@ class _Rewriter:
         self._nodes: dict[BlankNode, Variable] = {}
         parts = (one for one in ast.walk(query) if isinstance(one, ast.Triple | ast.Values))
         self._uses = Counter(name for part in parts for name in ast.variables_of(part))
-        """How many patterns and tables have a variable."""
+        """How many patterns and tables of the query have a variable."""
 
     def query(self, query: ast.Query) -> ast.Query:
         """``*`` and the short form would show the variables that are added."""
@@ -156,7 +156,7 @@ class _Rewriter:
         lower = _triples(subject, marks.lower, subject)
         pair = _triples(subject, _edges(marks, predicate), object)
         ends = [place for place in (subject, object) if isinstance(place, Variable)]
-        if len(ends) == 2 and self._uses[ends[1].value] < 2:
+        if len(ends) == 2 and self._uses[ends[1].value] == 1:
             # Oxigraph finds all pairs of a path at once, but those from each node one by one.
             return ast.Group((lower, pair, *map(ast.Filter, conditions)))
         is_lower = ast.Exists(ast.Group((lower,)), negated=False)

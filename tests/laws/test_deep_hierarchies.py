@@ -84,6 +84,8 @@ PATTERNS = [
     f"?x a ?y OPTIONAL {{ ?y {SUB} ?z }}",
     f"?x a ?y FILTER EXISTS {{ ?y {SUB} ?z . FILTER(?z != ?x) }}",
     f"?x {SUB} ?y FILTER NOT EXISTS {{ ?y {SUB} [] }}",
+    f"?x a ?y FILTER EXISTS {{ ?z (^{SUB}|{EQUAL}) ?y . ?z {SUB} dyknow:c1 }}",
+    f"?x {SUB}/^{SUB} ?y",
     f"?x {SUB} ?y MINUS {{ ?y {EQUAL} ?x }}",
     f"{{ ?x {SUB} ?y }} UNION {{ ?x {EQUAL} ?y }}",
     f"{{ SELECT ?x (COUNT(*) AS ?y) {{ ?x {SUB} ?z }} GROUP BY ?x }}",
