@@ -32,6 +32,7 @@ from ..ontology.vocabulary import THING, Vocabulary
 from ..streams.generator import StreamGenerator
 from ..streams.policy import Policy
 from ..streams.time import SECOND
+from .beginning import Beginning
 from .configuration import Configuration
 from .merge_unit import OBJECT, MergeInput, MergeUnit, Whose
 from .stream_units import AdaptationUnit
@@ -63,7 +64,7 @@ class Wish:
     want: Want
     strategy: str = "fast"
     policy: Policy = field(default_factory=Policy)
-    since: Since = Since.NOW
+    since: Beginning = Since.NOW
     staleness: int | None = None
     quality: float = 0.0
     hold_off: int = 2 * SECOND
@@ -136,7 +137,7 @@ class AdaptiveSubscription:
         self.rematches: deque[Rematch] = deque(maxlen=KEPT)
 
     @property
-    def begins(self) -> Since:
+    def begins(self) -> Beginning:
         """What a plan for it begins with: with the past, too, once it has read anything."""
         return Since.START if self.has_begun else self.wish.since
 

@@ -31,6 +31,7 @@ from ..ontology.errors import OntologyError, QueryRefused
 from ..ontology.ontology import PreparedOntology
 from ..ontology.reading import TextFormat
 from ..streams.pauses import STRAIGHT, Pauses
+from ..streams.recall import Forgotten
 from ..streams.rules import UNIQUE_TIMES
 from ..streams.sample import Schema
 from ..streams.strings import StringPool
@@ -56,7 +57,15 @@ from .views import (
 BatchKind: TypeAlias = Literal["ndjson", "arrow"]
 
 
-REFUSALS = (DyknowError, LanguageError, ConversionError, OntologyError, QueryRefused, ValueError)
+REFUSALS = (
+    DyknowError,
+    LanguageError,
+    ConversionError,
+    OntologyError,
+    QueryRefused,
+    Forgotten,
+    ValueError,
+)
 """What commands raise that are refused: nothing was done then that was asked for."""
 
 
@@ -293,7 +302,7 @@ class RequestEvent(Command, frozen=True, tag="request event"):
     event: str = ""
     arguments: tuple[str, ...] = ()
     strategy: str = "fast"
-    since: Since = Since.NOW
+    since: str = Since.NOW
 
     def apply(self, engine: Engine) -> EventView:
         if self.text is None:
@@ -314,7 +323,7 @@ class Subscribe(Command, frozen=True, tag="subscribe"):
     stream: str
     policy: str = ""
     unit: str = "ms"
-    since: Since = Since.NOW
+    since: str = Since.NOW
     keyed: bool | None = None
     """Whether the policy holds for each object by itself; None in journals of earlier versions,
     where it does not."""
@@ -333,7 +342,7 @@ class SubscribeToFeature(Command, frozen=True, tag="subscribe to feature"):
     strategy: str = "fast"
     policy: str = ""
     unit: str = "ms"
-    since: Since = Since.NOW
+    since: str = Since.NOW
     staleness: int | None = None
     quality: float = 0.0
     hold_off: int = 2 * SECOND
@@ -369,7 +378,7 @@ class RegisterQuery(Command, frozen=True, tag="register query"):
     origin: int = 0
     report: Report = "non-empty"
     strategy: str = "fast"
-    since: Since = Since.NOW
+    since: str = Since.NOW
     name: str = ""
     """What a query is called whose text says no name, unless it is shared: written down, so that
     it has it also where another program does it again."""

@@ -21,6 +21,7 @@ from ..streams.rules import Rules
 from ..streams.sample import FieldType, Schema
 from ..streams.strings import StringPool
 from ..streams.time import HOUR
+from .beginning import Beginning
 from .behind import Behind
 from .busy import BusyTime
 from .changes import Change, ChangeKind
@@ -354,7 +355,7 @@ class Configuration:
         self,
         schema: Schema,
         make: Callable[[StreamGenerator], AnyUnit],
-        since: Since = Since.NOW,
+        since: Beginning = Since.NOW,
         name: str | None = None,
     ) -> AnyUnit:
         """A unit of a continuous query with a new output stream of ``schema``, called ``name`` or
@@ -487,7 +488,7 @@ class Configuration:
     def start(
         self,
         unit: ComputationalUnit,
-        since: Since = Since.NOW,
+        since: Beginning = Since.NOW,
         specification: str = "",
         after: int | None = None,
         until: int | None = None,

@@ -43,6 +43,7 @@ from . import explain as explanations
 from .adaptive import Rematch, Wish
 from .annotations import Annotations
 from .application import Application
+from .beginning import beginning_of
 from .behind import Behind, Turns, Went
 from .busy import BusyTime, Stopwatch
 from .changes import Change, ChangeKind, KnownTransformation
@@ -564,15 +565,18 @@ class Engine:
         return EventRequest(iri_of(event), parsed, f"{event}({', '.join(arguments)})")
 
     def request_event(
-        self, request: EventRequest, strategy: str = "fast", since: Since = Since.NOW
+        self, request: EventRequest, strategy: str = "fast", since: str = Since.NOW
     ) -> EventView:
         """Find or build the streams that answer the request, and start what is needed.
 
-        The same request again shares stream and units. With ``Since.START`` the answer begins
-        with the kept history of the streams that are read. Raises `UnknownEvent`, `BadArguments`,
-        `NoPlan`; then nothing runs that did not run before.
+        The same request again shares stream and units. With ``since`` ``start`` the answer begins
+        with the kept history of the streams that are read; with a time (as `read_time` has it) or a
+        duration before the newest sample of them all, with what was available then or later. Raises
+        `UnknownEvent`, `BadArguments`, `NoPlan`, and `Forgotten` where some of that is not kept;
+        then nothing runs that did not run before.
         """
-        return self._requests.start(self._event_template(request), request, strategy, since)
+        begin = beginning_of(since)
+        return self._requests.start(self._event_template(request), request, strategy, begin)
 
     def events(self) -> tuple[EventView, ...]:
         """The running requests, oldest first."""
@@ -597,14 +601,15 @@ class Engine:
         stream: str,
         policy: str = "",
         unit: str = "ms",
-        since: Since = Since.NOW,
+        since: str = Since.NOW,
         *,
         keyed: bool = True,
     ) -> SubscriptionView:
         """Subscribe to a stream under a policy; see `Subscriptions.start`. The policy holds for
-        each object by itself that the stream's annotation has an id field for, if ``keyed``."""
+        each object by itself that the stream's annotation has an id field for, if ``keyed``. For
+        ``since`` see `request_event`."""
         keys = self._id_fields(stream) if keyed else ()
-        return self._subscriptions.start(stream, policy, unit, since, keys)
+        return self._subscriptions.start(stream, policy, unit, beginning_of(since), keys)
 
     def subscribe_to_feature(
         self,
@@ -615,7 +620,7 @@ class Engine:
         strategy: str = "fast",
         policy: str = "",
         unit: str = "ms",
-        since: Since = Since.NOW,
+        since: str = Since.NOW,
         staleness: int | None = None,
         quality: float = 0.0,
         hold_off: int = 2 * SECOND,
@@ -630,7 +635,8 @@ class Engine:
         if min(hold_off, hold_off if staleness is None else staleness - 1) < 0:
             raise BadArguments("staleness is longer than nothing, hold_off not less than nothing")
         parsed = parse_policy(policy, unit)
-        wish = Wish(want, strategy, parsed, since, staleness, quality, hold_off, keyed)
+        begin = beginning_of(since)
+        wish = Wish(want, strategy, parsed, begin, staleness, quality, hold_off, keyed)
         with self._manager.together():
             return self._subscriptions.start_adaptive(wish)
 

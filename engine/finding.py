@@ -8,13 +8,13 @@ from collections.abc import Iterable
 
 from ..languages.csparql.ast import ContinuousQuery
 from ..matching.match import Match, UnknownStrategy
-from ..matching.plan import UseStream, nodes_of_supply
+from ..matching.plan import Supply, UseStream, nodes_of_supply
 from ..matching.space import StreamSpace
 from ..ontology.ontology import Ontology
 from ..templates.needs import Needs
+from .beginning import Beginning
 from .errors import BadArguments, NoPlan
 from .plans import Plans
-from .views import Since
 
 
 def check_graphs(ontology: Ontology, query: ContinuousQuery) -> None:
@@ -32,7 +32,7 @@ def check_graphs(ontology: Ontology, query: ContinuousQuery) -> None:
 
 
 def find_streams(
-    plans: Plans, wanted: Needs, strategy: str, since: Since, asked: str
+    plans: Plans, wanted: Needs, strategy: str, since: Beginning, asked: str
 ) -> tuple[Match, ...]:
     """A match for each feature that ``asked`` needs; raises `NoPlan` and `BadArguments`."""
     without = plans.unusable(since)
@@ -55,6 +55,11 @@ def find_streams(
             "POST /match shows what was tried",
         )
     return matches
+
+
+def supplies_of(matches: Iterable[Match]) -> list[Supply]:
+    """What the matches found."""
+    return [match.supply for match in matches if match.supply is not None]
 
 
 def mean_the_same(matches: Iterable[Match], space: StreamSpace) -> bool:

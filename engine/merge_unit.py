@@ -18,10 +18,12 @@ from ..ontology.units import Conversion
 from ..rdf.dictionary import TermDictionary, TermTable
 from ..rdf.namespaces import DYKNOW
 from ..streams.generator import StreamGenerator
+from ..streams.recall import Moment
 from ..streams.sample import Column, FieldType, Mask, SampleBatch, column_from_values
 from ..streams.strings import StringPool
 from ..streams.time import TIME_MIN
 from .arrivals import Arrivals
+from .beginning import Beginning, last_before
 from .unit import ComputationalUnit
 
 Codes: TypeAlias = NDArray[np.int32]
@@ -98,6 +100,12 @@ class MergeUnit(ComputationalUnit):
     def merged(self) -> tuple[MergeInput, ...]:
         """What is merged now."""
         return tuple(feed.input for feeds in self._feeds.values() for feed in feeds)
+
+    def begin_at(self, since: Beginning) -> None:
+        """Pass on nothing that was available before the moment ``since``, if it is one. Contract:
+        nothing was passed on yet."""
+        if isinstance(since, Moment):
+            self._after = self._place = last_before(since)
 
     def switch(self, inputs: Sequence[MergeInput], *, history: bool) -> bool:
         """Read ``inputs`` from now on and nothing else; with ``history`` what they keep of later

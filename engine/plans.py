@@ -7,7 +7,7 @@ What a unit computes is annotated like any other stream, so that matching finds 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import replace
 from typing import assert_never
@@ -38,10 +38,12 @@ from ..ontology.ontology import Ontology
 from ..rdf.dictionary import Named, TermDictionary
 from ..rdf.namespaces import DYKNOW, shorten
 from ..streams.generator import StreamGenerator
+from ..streams.recall import Moment
 from ..streams.sample import Field, FieldType, Schema
 from ..streams.strings import StringPool
 from ..streams.time import TIME_MIN
 from ..templates.transformations import EventTransformation
+from .beginning import Beginning, check_kept, last_before, names_read, settled
 from .changes import Change, ChangeKind
 from .configuration import SELECT_OBJECT, SYNCHRONIZE, Configuration
 from .function_unit import FunctionUnit, InputPort
@@ -85,24 +87,33 @@ class Plans:
         self.queries = Queries(ontology, dictionary, configuration, self.obtain, budget)
         """Starts continuous queries over plans."""
         self._begun: dict[str, int] = {}
-        """Streams of units that began with what came, and the last that was available before."""
+        """Streams of units that began with what came or at a moment, and the last available time
+        before."""
+        self._complete: dict[str, int] = {}
+        """Streams of units that began with all that was kept, and the available time from which
+        nothing of that had been forgotten."""
         self._broken: set[str] = set()
         self._tuples: set[str] = set()
         """The streams of inputs that were synchronized."""
-        self._made: dict[str, tuple[Node, Since]] = {}
+        self._made: dict[str, tuple[Node, Beginning]] = {}
         """The streams that units of plans make, and of which nodes they were made."""
         self._sources: dict[str, SourceUnit] = {}
 
-    def obtain(self, node: Node, since: Since = Since.NOW) -> StreamGenerator:
+    def obtain(self, node: Node, since: Beginning = Since.NOW) -> StreamGenerator:
         """The stream of a plan node: found if the same is made already, else built.
 
         What was built runs until `release` has been called for each unit started on it. A unit
-        that began with the past is another than one that began with what comes.
+        that began with the past is another than one that began with what comes. Raises `Forgotten`
+        where the stream does not keep all from the moment ``since`` on.
         """
+        found = self._obtained(node, _begun(node, since))
+        check_kept(since, found.stream)
+        return found
+
+    def _obtained(self, node: Node, since: Beginning) -> StreamGenerator:
         if isinstance(node, UseStream):
             return self._configuration.stream(node.stream)
-        begun = _begun(node, since)
-        return self._configuration.share((node, begun), lambda: self._build(node, begun)).output
+        return self._configuration.share((node, since), lambda: self._build(node, since)).output
 
     def tick(self, now: int) -> None:
         """The time is ``now`` (ns): read the sources that are due."""
@@ -117,7 +128,7 @@ class Plans:
         """Whether there is a unit for ``node`` already."""
         return any(self._configuration.is_shared((node, since)) for since in Since)
 
-    def is_shared(self, node: Node, since: Since) -> bool:
+    def is_shared(self, node: Node, since: Beginning) -> bool:
         """Whether a plan that begins with ``since`` would find a unit for ``node``."""
         return self._configuration.is_shared((node, _begun(node, since)))
 
@@ -141,27 +152,34 @@ class Plans:
             explained=explained,
         )
 
-    def unusable(self, since: Since) -> AbstractSet[str]:
+    def unusable(self, since: Beginning) -> AbstractSet[str]:
         """Streams of plans that answer nobody else: no more comes of them, or, where the past is
         wanted, they began later."""
         if since is Since.NOW:
             return self._broken
-        late = {name for name, begun in self._begun.items() if begun > TIME_MIN}
+        late = {name for name, begun in self._begun.items() if begun > last_before(since)}
+        if isinstance(since, Moment):
+            late |= {name for name, time in self._complete.items() if time > since.time}
         return self._broken | late
+
+    def settled(self, since: Beginning, supplies: Iterable[Supply]) -> Beginning:
+        """``since`` for a request with the plans ``supplies``, with a time for a duration."""
+        names = names_read(supplies) if isinstance(since, Moment) else ()
+        return settled(since, [self._configuration.stream(name).stream for name in names])
 
     @property
     def made(self) -> AbstractSet[str]:
         """The streams that units of plans make."""
         return self._made.keys()
 
-    def shared(self, since: Since) -> Mapping[str, Node]:
+    def shared(self, since: Beginning) -> Mapping[str, Node]:
         """The streams of units that a plan may share which begins with ``since``, and what they
         are made from: streams from outside and sources, by nothing else than transformations as
         they were registered."""
         return {
             name: node
             for name, (node, begun) in self._made.items()
-            if begun is _begun(node, since)
+            if begun == _begun(node, since)
             and name not in self._broken
             and not any(map(self._is_particular, nodes_of(node)))
         }
@@ -194,12 +212,13 @@ class Plans:
             case ChangeKind.STREAM_REMOVED:
                 self._broken.discard(change.stream)
                 self._begun.pop(change.stream, None)
+                self._complete.pop(change.stream, None)
                 self._made.pop(change.stream, None)
                 self._tuples.discard(change.stream)
                 self._sources.pop(change.stream, None)
 
     def _build(
-        self, node: SelectObject | Synchronize | Compute | Detect, since: Since
+        self, node: SelectObject | Synchronize | Compute | Detect, since: Beginning
     ) -> ComputationalUnit:
         if isinstance(node, Detect):
             return self._detect(node, since)
@@ -218,7 +237,7 @@ class Plans:
             self._tell_meaning(node, unit, since)
         return unit
 
-    def _detect(self, node: Detect, since: Since) -> ComputationalUnit:
+    def _detect(self, node: Detect, since: Beginning) -> ComputationalUnit:
         """The query of an event template, over what its plan says."""
         event = self._space.transformations[node.event]
         assert isinstance(event, EventTransformation)
@@ -230,7 +249,7 @@ class Plans:
         self._tell_meaning(node, unit, since)
         return unit
 
-    def _tell_meaning(self, node: Node, unit: ComputationalUnit, since: Since) -> None:
+    def _tell_meaning(self, node: Node, unit: ComputationalUnit, since: Beginning) -> None:
         name = unit.output.name
         annotation = annotation_of(node, name)
         self._made[name] = (node, since)
@@ -238,9 +257,15 @@ class Plans:
             self._tuples.add(name)
         if isinstance(unit, SourceUnit):
             self._sources[name] = unit
-        if since is Since.NOW:
-            lasts = (source.stream.last_available for source in unit.inputs)
-            self._begun[name] = max((last for last in lasts if last is not None), default=TIME_MIN)
+        match since:
+            case Moment():
+                self._begun[name] = last_before(since)
+            case Since.NOW:
+                lasts = (source.stream.last_available for source in unit.inputs)
+                known = (last for last in lasts if last is not None)
+                self._begun[name] = max(known, default=TIME_MIN)
+            case Since.START:
+                self._complete[name] = max(map(self._complete_from, unit.inputs), default=TIME_MIN)
         self._changed(
             Change(
                 ChangeKind.STREAM_ANNOTATED,
@@ -249,6 +274,14 @@ class Plans:
                 annotation=annotation,
             )
         )
+
+    def _complete_from(self, source: StreamGenerator) -> int:
+        """The available time (ns) from which a unit that begins with the past of ``source`` now
+        lacks nothing."""
+        oldest = source.stream.first_available
+        if oldest is None or source.stream.forgotten_valid is None:
+            oldest = TIME_MIN
+        return max(self._complete.get(source.name, TIME_MIN), oldest)
 
     def _select(self, source: StreamGenerator, id_field: str, object: str) -> ComputationalUnit:
         namespace = self._configuration.namespaces[source.name]
@@ -263,7 +296,7 @@ class Plans:
             objects=ObjectTable(self._dictionary, namespace),
         )
 
-    def _synchronize(self, node: Synchronize, since: Since) -> ComputationalUnit:
+    def _synchronize(self, node: Synchronize, since: Beginning) -> ComputationalUnit:
         inputs = [self.obtain(edge.node, since) for edge in node.inputs]
         ports = [
             [
@@ -298,7 +331,7 @@ class Plans:
 
     # -- computing ---------------------------------------------------------------------------
 
-    def _compute(self, node: Compute, since: Since) -> ComputationalUnit:
+    def _compute(self, node: Compute, since: Beginning) -> ComputationalUnit:
         known = self._transformations[node.transformation]
         transformation = replace(known, parameters={**known.parameters, **dict(node.parameters)})
         source = None
@@ -407,7 +440,7 @@ class Plans:
         return field_type(None if info is None else info.range)
 
 
-def _begun(node: Node, since: Since) -> Since:
+def _begun(node: Node, since: Beginning) -> Beginning:
     """What a unit for ``node`` begins with, where its plan begins with ``since``."""
     if isinstance(node, Compute) and not node.inputs:
         return Since.NOW  # it has no past to begin with, and a sensor is read once

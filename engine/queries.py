@@ -32,6 +32,7 @@ from ..rdf.dictionary import Term, TermDictionary
 from ..streams.generator import StreamGenerator
 from . import explain as explanations
 from .alike import Kin
+from .beginning import Beginning, check_kept
 from .configuration import C_SPARQL, SELECT_INSTANCE, AnyUnit, Configuration
 from .query_unit import QueryUnit
 from .results import ResultForm, result_form
@@ -75,7 +76,7 @@ class Queries:
         ontology: Ontology,
         dictionary: TermDictionary,
         configuration: Configuration,
-        obtain: Callable[[Node, Since], StreamGenerator],
+        obtain: Callable[[Node, Beginning], StreamGenerator],
         budget: Budget = UNLIMITED,
     ) -> None:
         self._ontology = ontology
@@ -92,7 +93,7 @@ class Queries:
         self,
         query: ContinuousQuery,
         supplies: Sequence[Supply],
-        since: Since,
+        since: Beginning,
         manner: Manner = EVENT,
     ) -> BuiltQuery[QueryUnit]:
         """Start what the supplies ask for, inputs first, then the query unit over them."""
@@ -227,7 +228,7 @@ class Queries:
         return {generator.name: generator for generator in read}, converters
 
     def _read(
-        self, supplies: Sequence[Supply], since: Since
+        self, supplies: Sequence[Supply], since: Beginning
     ) -> tuple[dict[str, StreamGenerator], dict[str, list[SampleConverter]]]:
         """The streams that the supplies ask for, started, with the converters of what is wanted of
         each."""
@@ -269,12 +270,14 @@ class Queries:
         self,
         query: ContinuousQuery,
         read: Read,
-        since: Since,
+        since: Beginning,
         manner: Manner,
     ) -> QueryUnit:
         """Start a query over the streams that its clauses name, by their own names; ``read`` gives
         each with the converter of all that it says."""
         inputs, converters = self._of(read)
+        for generator in inputs.values():
+            check_kept(since, generator.stream)
         form = self.form(query)
         return self._start(query, inputs, converters, form, since, manner, query.source.strip())
 
@@ -284,7 +287,7 @@ class Queries:
         inputs: Mapping[str, StreamGenerator],
         converters: Mapping[str, Sequence[SampleConverter]],
         form: ResultForm,
-        since: Since,
+        since: Beginning,
         manner: Manner,
         text: str | None = None,
     ) -> QueryUnit:

@@ -23,12 +23,14 @@ from ..rdf.dictionary import TermDictionary
 from ..rdf.namespaces import local_name
 from ..templates.library import TemplateLibrary
 from . import explain as explanations
+from .beginning import beginning_of
 from .changes import Change, ChangeKind
 from .configuration import RESERVED, Configuration
 from .declared import DeclaredStreams
 from .emptiness import why_empty
 from .errors import (
     AlreadyExists,
+    BadArguments,
     Conflict,
     NoResult,
     UnknownQuery,
@@ -113,7 +115,7 @@ class RegisteredQueries:
         origin: int = 0,
         report: Report = "non-empty",
         strategy: str = "fast",
-        since: Since = Since.NOW,
+        since: str = Since.NOW,
         name: str = "",
     ) -> QueryView:
         """Start a query; registered again it is shared, with one user more.
@@ -121,11 +123,12 @@ class RegisteredQueries:
         ``semantics`` is the dialect's unless given; ``name`` is what a query is to be called whose
         text says no name, if that is free. Raises `LanguageError`, `Refused` for a name
         that is not the user's to give, `AlreadyExists` for one that is taken, `UnknownStream`,
-        `NotAnnotated`, `NoPlan`, `BadArguments` and `ConversionError`; nothing has begun then.
+        `NotAnnotated`, `NoPlan`, `BadArguments`, `Forgotten` and `ConversionError`; nothing has
+        begun then. For ``since`` see `Engine.request_event`.
         """
         query = parse_query(text)
         options = Options(semantics or usual_semantics(query.dialect), bounds, origin, report)
-        return self.start(query, Asked(text.strip(), options, strategy, since), name)
+        return self.start(query, Asked(text.strip(), options, strategy, beginning_of(since)), name)
 
     def name_for(self, text: str, wanted: str = "") -> str:
         """What a query would be called, if nothing is in its way; ``wanted`` or the next free name
@@ -310,7 +313,7 @@ class RegisteredQueries:
         for name, text in kept.items():
             try:
                 self._lost[name] = _Lost(registration_of(text), "not started yet")
-            except (ValueError, KeyError, TypeError) as error:
+            except (ValueError, KeyError, TypeError, BadArguments) as error:
                 reason = f"{type(error).__name__}: {error}\n{text}"
                 self._changed(Change(ChangeKind.NOT_RESTORED, name, specification=reason))
         numbers = (lost.registration.number for lost in self._lost.values())

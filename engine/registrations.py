@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 from ..continuous.options import Options, Semantics
 from ..languages.csparql.ast import ContinuousQuery, Dialect
+from .beginning import Beginning, beginning_of
 from .errors import AlreadyExists
-from .views import QueryView, Since
+from .views import QueryView
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,7 +19,7 @@ class Asked:
     source: str
     options: Options
     strategy: str
-    since: Since
+    since: Beginning
 
     @property
     def how(self) -> str:
@@ -58,7 +59,7 @@ class Registration:
                 "origin": options.origin,
                 "report": options.report,
                 "strategy": asked.strategy,
-                "since": asked.since,
+                "since": str(asked.since),
                 "kind": self.kind,
                 "form": self.form,
                 "dialect": self.dialect,
@@ -93,10 +94,11 @@ def usual_semantics(dialect: Dialect) -> Semantics:
 
 
 def registration_of(text: str) -> Registration:
-    """A registration that was kept; raises ``ValueError``, ``KeyError`` or ``TypeError``."""
+    """A registration that was kept; raises ``ValueError``, ``KeyError``, ``TypeError`` or
+    `BadArguments`."""
     kept = json.loads(text)
     options = Options(kept["semantics"], kept["bounds"], kept["origin"], kept["report"])
-    asked = Asked(kept["source"], options, kept["strategy"], Since(kept["since"]))
+    asked = Asked(kept["source"], options, kept["strategy"], beginning_of(kept["since"]))
     return Registration(kept["number"], asked, kept["kind"], kept["form"], kept["dialect"])
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import heapq
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from functools import partial
 from itertools import count
 from typing import TypeAlias
@@ -29,6 +30,7 @@ from .adaptive import (
     names_of,
     transformations_of,
 )
+from .beginning import as_far_as_kept
 from .changes import Change, ChangeKind
 from .choosing import Choosing
 from .configuration import Configuration
@@ -553,7 +555,7 @@ class Rematching:
 
     def _switch(self, found: AdaptiveSubscription, supply: Supply | None, why: str) -> None:
         try:
-            streams = self._switching.streams_of(found, supply)
+            streams = self._streams_of(found, supply)
         except DyknowError as error:
             # A plan that cannot be carried out: do without its transformations for a while.
             for name in transformations_of(() if supply is None else nodes_of_supply(supply)):
@@ -572,6 +574,18 @@ class Rematching:
         for part in self._configuration.units_behind(found.unit):
             if part is not found.unit and part.failure is not None:
                 self._note_failure(part)  # it failed on the past, before anybody read it
+
+    def _streams_of(
+        self, found: AdaptiveSubscription, supply: Supply | None
+    ) -> tuple[StreamGenerator, ...]:
+        """The streams of a plan. A subscription that begins at a moment which they do not keep is
+        refused; one that has waited begins with what they keep, and its switch says that some is
+        lost. Raises `DyknowError`, and `Forgotten` for a request."""
+        if supply is not None and not found.has_begun:
+            since = self._plans.settled(found.wish.since, [supply])
+            found.wish = replace(found.wish, since=since)
+        begin = partial(self._switching.streams_of, found, supply)
+        return as_far_as_kept(found.begins, begin) if found.rematches else begin(found.begins)
 
     def _remember_reads(self, found: AdaptiveSubscription) -> None:
         found.reads = frozenset(behind(found.unit, self._configuration))

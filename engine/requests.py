@@ -23,15 +23,17 @@ from ..matching.strategy import Kind
 from ..ontology.ontology import Ontology
 from ..rdf.dictionary import TermDictionary
 from ..rdf.namespaces import XSD, shorten
+from ..streams.recall import Moment
 from ..templates.instantiate import ArgumentError, instantiate
 from ..templates.library import TemplateLibrary
 from ..templates.needs import Needs, NeedsError
 from . import explain as explanations
+from .beginning import Beginning
 from .changes import Change, ChangeKind
 from .configuration import Configuration
 from .emptiness import why_empty
 from .errors import BadArguments, NoPlan, UnknownRequest
-from .finding import check_graphs, find_streams, mean_the_same
+from .finding import check_graphs, find_streams, mean_the_same, supplies_of
 from .plans import Plans
 from .queries import BuiltQuery
 from .query_unit import QueryUnit
@@ -69,7 +71,7 @@ class _Request:
     number: int
     request: EventRequest
     strategy: str
-    since: Since
+    since: Beginning
     position: int
     key: tuple[object, ...]
     running: _Running
@@ -104,13 +106,19 @@ class EventRequests:
         self._number = 0
 
     def start(
-        self, template: Template, request: EventRequest, strategy: str, since: Since
+        self, template: Template, request: EventRequest, strategy: str, since: Beginning
     ) -> EventView:
-        """Answer ``request`` by the streams there are; raises `BadArguments` and `NoPlan`."""
+        """Answer ``request`` by the streams there are; raises `BadArguments`, `NoPlan` and
+        `Forgotten`."""
+        plan = None
+        if isinstance(since, Moment) and since.before is not None:
+            # Which time a duration means, and so with whom it is shared, its streams say.
+            plan = self._plan(template, request, strategy, since)
+            since = self._plans.settled(since, supplies_of(plan[1]))
         key = _key(template, request, strategy, since)
         running = self._running.get(key)
         if running is None or not self._is_sound(running):
-            query, matches = self._plan(template, request, strategy, since)
+            query, matches = plan or self._plan(template, request, strategy, since)
             try:
                 running = self._build(template, request, query, matches, strategy, since)
             except Exception:
@@ -123,7 +131,7 @@ class EventRequests:
             self._tell_meaning(running)
         running.unit.users += 1
         # Of a stream that others asked for before, what came until now is their past.
-        position = 0 if since is Since.START else running.unit.output.stream.last_number
+        position = running.unit.output.stream.last_number if since is Since.NOW else 0
         self._number += 1
         id = f"event{self._number}"
         self._requests[id] = _Request(
@@ -237,7 +245,7 @@ class EventRequests:
             raise NoPlan(error.message, (), error.hint) from error
 
     def _plan(
-        self, template: Template, request: EventRequest, strategy: str, since: Since
+        self, template: Template, request: EventRequest, strategy: str, since: Beginning
     ) -> tuple[ContinuousQuery, tuple[Match, ...]]:
         query, wanted = self._query(template, request)
         check_graphs(self._ontology, query)
@@ -251,11 +259,11 @@ class EventRequests:
         query: ContinuousQuery,
         matches: Sequence[Match],
         strategy: str,
-        since: Since,
+        since: Beginning,
     ) -> _Running:
         """Start what the matches ask for, inputs first, then the query unit, or its part in the
         query that others have as well."""
-        supplies = [match.supply for match in matches if match.supply is not None]
+        supplies = supplies_of(matches)
         common = None
         if since is Since.NOW:
             common = self._sharing.common(template, request, query, matches, strategy)
@@ -289,7 +297,7 @@ class EventRequests:
 
 
 def _key(
-    template: Template, request: EventRequest, strategy: str, since: Since
+    template: Template, request: EventRequest, strategy: str, since: Beginning
 ) -> tuple[object, ...]:
     """Requests with equal keys want the same stream: the name of a variable does not matter."""
     arguments = tuple(

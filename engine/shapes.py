@@ -17,6 +17,7 @@ from ..matching.plan import Compute, Edge, SelectObject, Synchronize
 from ..rdf.namespaces import shorten
 from ..streams.generator import StreamGenerator
 from ..streams.policy import Policy
+from ..streams.recall import Moment
 from .configuration import POLICY, SELECT_OBJECT, SYNCHRONIZE, Configuration
 from .transformations import Transformation
 from .unit import ComputationalUnit
@@ -133,7 +134,7 @@ class Running:
         self.stream_of.setdefault(shape, unit.output.name)
         if unit.output not in self._broken:
             others = self.unit_of.get(shape)
-            if others is None or _since(self._configuration.key_of(others)) is Since.START:
+            if others is None or _since(self._configuration.key_of(others)) is not Since.NOW:
                 self.unit_of[shape] = unit
 
     def _is_there(self, source: StreamGenerator) -> bool:
@@ -143,14 +144,14 @@ class Running:
         self, unit: ComputationalUnit, key: object, said: set[ComputationalUnit]
     ) -> Shape | None:
         match key:
-            case (StreamGenerator(), Policy() as policy, Since()):
+            case (StreamGenerator(), Policy() as policy, Since() | Moment()):
                 return self._over(unit, POLICY, (("policy", format_policy(policy)),), said)
-            case (SelectObject(_, field, object), Since()):
+            case (SelectObject(_, field, object), Since() | Moment()):
                 given = (("field", field), ("object", shorten(object)))
                 return self._over(unit, SELECT_OBJECT, given, said)
-            case (Synchronize(), Since()):
+            case (Synchronize(), Since() | Moment()):
                 return self._over(unit, SYNCHRONIZE, (), said)
-            case (Compute() as node, Since()):
+            case (Compute() as node, Since() | Moment()):
                 inputs = self._implied_inputs(unit, node)
                 if inputs is None:
                     return self._over(unit, node.transformation, node.parameters, said)

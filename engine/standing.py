@@ -21,6 +21,7 @@ from ..languages.csparql.ast import Dialect
 from ..languages.errors import LanguageError
 from ..languages.ssl import ast, parse_ssl
 from ..rdf.namespaces import local_name, shorten
+from .beginning import Beginning, as_far_as_kept, beginning_of
 from .commands import (
     REFUSALS,
     Annotate,
@@ -179,7 +180,7 @@ class Standing:
         is told."""
         key = self.expected(command, engine)
         try:
-            self.note(command, command.apply(engine))
+            self.note(command, _done_again(command, engine))
         except REFUSALS as error:
             return self.wait(command, key, engine, error)
         return None
@@ -227,6 +228,20 @@ class Standing:
         return tuple(key for key in self._waiting if key.kind in kinds and name in _spellings(key))
 
 
+def _done_again(command: Command, engine: Engine) -> Any:
+    """What ``command`` gives. One that begins at a moment of which its streams have forgotten a
+    part since begins with what they keep."""
+    match command:
+        case RequestEvent() | Subscribe() | SubscribeToFeature() | RegisterQuery():
+
+            def begun(since: Beginning) -> Any:
+                return msgspec.structs.replace(command, since=str(since)).apply(engine)
+
+            return as_far_as_kept(beginning_of(command.since), begun)
+        case _:
+            return command.apply(engine)
+
+
 def _unnamed(command: Command) -> Command:
     """The command as it was asked for: which name is free is no part of that."""
     if isinstance(command, RegisterQuery) and command.name:
@@ -246,7 +261,7 @@ def query_view(waiting: Waiting) -> QueryView:
     dialect = Dialect.C_SPARQL if query is None else query.dialect
     semantics = command.semantics or usual_semantics(dialect)
     options = Options(semantics, command.bounds, command.origin, command.report)
-    asked = AskedQuery(command.text.strip(), options, command.strategy, command.since)
+    asked = AskedQuery(command.text.strip(), options, command.strategy, beginning_of(command.since))
     registration = (
         Registration(0, asked, "", "", "") if query is None else Registration.of(0, asked, query)
     )

@@ -17,7 +17,7 @@ from ..languages.csparql import with_streams
 from ..languages.csparql.ast import ContinuousQuery
 from ..languages.ssl.annotation import Content, StreamAnnotation
 from ..matching.match import Match
-from ..matching.plan import Supply, annotation_of
+from ..matching.plan import annotation_of
 from ..matching.space import StreamSpace
 from ..matching.want import THING
 from ..ontology.ontology import Ontology
@@ -26,9 +26,10 @@ from ..streams.generator import StreamGenerator
 from ..templates.library import TemplateLibrary
 from ..templates.needs import Needs, NeedsError
 from .alike import Alikes, Kin, shared_key
+from .beginning import settled
 from .configuration import Configuration
 from .errors import BadArguments, NoPlan
-from .finding import check_graphs, find_streams, mean_the_same
+from .finding import check_graphs, find_streams, mean_the_same, supplies_of
 from .kept_windows import KeptWindows
 from .plans import Plans
 from .queries import Manner
@@ -95,6 +96,11 @@ class Starter:
         else:
             wanted, told = self.needs(query), f"query {name}"
             matches = find_streams(self._plans, wanted, asked.strategy, asked.since, told)
+        since = (
+            settled(asked.since, (each.generator.stream for each in reads))
+            if reads
+            else self._plans.settled(asked.since, supplies_of(matches))
+        )
         converter = self._back(name, query, _contents(matches, reads))
         kept = KeptWindows()
         manner = Manner(name, asked.options, kept.keep)
@@ -105,10 +111,10 @@ class Starter:
                 if kin is not None and pattern is not None:
                     unit = self._join(query, kin, pattern, reads, matches, manner)
                 elif reads:
-                    unit = self._plans.queries.start_over(query, _read(reads), asked.since, manner)
+                    unit = self._plans.queries.start_over(query, _read(reads), since, manner)
                 else:
-                    supplies = _supplies(matches)
-                    unit = self._plans.queries.start(query, supplies, asked.since, manner).unit
+                    supplies = supplies_of(matches)
+                    unit = self._plans.queries.start(query, supplies, since, manner).unit
         except Exception:
             self._configuration.release_unused()
             raise
@@ -163,7 +169,7 @@ class Starter:
     ) -> InstanceUnit:
         """Start the part of a query in what it shares with others, and that, if it is not there."""
         queries = self._plans.queries
-        read = _read(reads) if reads else _supplies(matches)
+        read = _read(reads) if reads else supplies_of(matches)
         shared = self._configuration.share(
             shared_key(kin, pattern), lambda: queries.start_alike(query, kin, pattern, read)
         )
@@ -235,10 +241,6 @@ def told_as_arguments() -> Iterator[None]:
 
 def _read(reads: Sequence[Reading]) -> dict[StreamGenerator, SampleConverter]:
     return {each.generator: each.converter for each in reads}
-
-
-def _supplies(matches: Sequence[Match]) -> list[Supply]:
-    return [match.supply for match in matches if match.supply is not None]
 
 
 def _contents(matches: Sequence[Match], reads: Sequence[Reading]) -> Sequence[Content]:

@@ -10,6 +10,7 @@ from ..streams.generator import StreamGenerator
 from ..streams.policy import Policy
 from ..streams.sample import Schema
 from .adaptive import AdaptiveSubscription, Rematch, Wish
+from .beginning import Beginning, check_kept, settled
 from .configuration import POLICY, Configuration
 from .errors import UnknownRequest
 from .merge_unit import object_fields
@@ -23,7 +24,7 @@ class _Subscription:
     id: str
     source: StreamGenerator
     policy: Policy
-    since: Since
+    since: Beginning
     unit: AdaptationUnit | None
 
 
@@ -49,17 +50,19 @@ class Subscriptions:
         stream: str,
         policy: str,
         unit: str = "ms",
-        since: Since = Since.NOW,
+        since: Beginning = Since.NOW,
         keys: Sequence[str] = (),
     ) -> SubscriptionView:
         """Subscribe; ``policy`` is text as after ``with`` in KPL, integers in ``unit``. It holds
         for each object that the fields ``keys`` name by itself.
 
-        With ``Since.START`` it begins with the kept history, as if it had always been there. Raises
-        `UnknownStream` and `LanguageError`.
+        With ``Since.START`` it begins with the kept history, as if it had always been there, and
+        with a `Moment` there. Raises `UnknownStream`, `LanguageError` and `Forgotten`.
         """
         source = self._configuration.stream(stream)
+        since = settled(since, [source.stream])
         parsed = parse_policy(policy, unit)
+        check_kept(since, source.stream)
         adapted = None if parsed.is_default else self._adapted(source, parsed, since, keys)
         id = self._next_id()
         self._subscriptions[id] = _Subscription(id, source, parsed, since, adapted)
@@ -163,7 +166,7 @@ class Subscriptions:
         return found
 
     def _adapted(
-        self, source: StreamGenerator, policy: Policy, since: Since, keys: Sequence[str]
+        self, source: StreamGenerator, policy: Policy, since: Beginning, keys: Sequence[str]
     ) -> AdaptationUnit:
         """The unit that keeps a policy, shared, with one user more."""
         made = self.obtain(source, policy, since, keys)
@@ -171,7 +174,7 @@ class Subscriptions:
         return made
 
     def obtain(
-        self, source: StreamGenerator, policy: Policy, since: Since, keys: Sequence[str] = ()
+        self, source: StreamGenerator, policy: Policy, since: Beginning, keys: Sequence[str] = ()
     ) -> AdaptationUnit:
         """The unit that keeps a policy, found or built; its user is still to be counted."""
         key = (source, policy, *((tuple(keys),) if keys else ()), since)
@@ -180,7 +183,7 @@ class Subscriptions:
         return made
 
     def _build(
-        self, source: StreamGenerator, policy: Policy, since: Since, keys: Sequence[str]
+        self, source: StreamGenerator, policy: Policy, since: Beginning, keys: Sequence[str]
     ) -> AdaptationUnit:
         name = self._configuration.reserved_name()
         output = self._configuration.add_stream(

@@ -9,9 +9,11 @@ from ..matching.plan import Node, Supply
 from ..ontology.ontology import Ontology
 from ..rdf.dictionary import TermDictionary
 from ..streams.generator import StreamGenerator
+from ..streams.recall import Forgotten
 from ..streams.sample import Field, FieldType, Schema
 from ..streams.strings import StringPool
 from .adaptive import AdaptiveSubscription, Rematch, Wish, merge_inputs, value_field
+from .beginning import Beginning
 from .configuration import MERGE, Configuration
 from .errors import DyknowError
 from .merge_unit import MergeUnit, object_fields
@@ -56,11 +58,10 @@ class Switching:
         )
 
     def streams_of(
-        self, found: AdaptiveSubscription, supply: Supply | None
+        self, found: AdaptiveSubscription, supply: Supply | None, since: Beginning
     ) -> tuple[StreamGenerator, ...]:
-        """The streams of the sources of a plan, found or built. Raises `DyknowError`, and then
-        nothing is built."""
-        since = found.begins
+        """The streams of the sources of a plan that begins ``since``, found or built. Raises
+        `DyknowError` and `Forgotten`, and then nothing is built."""
         read = self._working_streams(found)
         sources = () if supply is None else supply.sources
         try:
@@ -68,7 +69,7 @@ class Switching:
                 read.get(source.node) or self._plans.obtain(source.node, since)
                 for source in sources
             )
-        except DyknowError:
+        except (DyknowError, Forgotten):
             self._configuration.release_unused()
             raise
 
@@ -97,7 +98,9 @@ class Switching:
         """Read ``streams`` from now on, which are those of ``supply``. Returns what is new."""
         unit = found.unit
         before, names = unit.inputs, found.leaves
-        has_history = found.has_begun or found.wish.since is Since.START
+        has_history = found.has_begun or found.wish.since is not Since.NOW
+        if not found.has_begun:
+            unit.begin_at(found.wish.since)
         position = found.output.stream.last_number
         found.supply, found.streams = supply, tuple(streams)
         found.misled = False

@@ -14,8 +14,10 @@ from typing import ClassVar
 import numpy as np
 
 from ..streams.generator import StreamGenerator
+from ..streams.recall import Moment
 from ..streams.sample import SampleBatch
 from ..streams.time import TIME_MAX, TIME_MIN
+from .beginning import Beginning, last_before
 from .behind import Behind
 from .busy import BusyTime
 from .changes import Role
@@ -85,15 +87,18 @@ class ComputationalUnit(ABC):
         self._subscribed: list[StreamGenerator] = []
 
     def start(
-        self, since: Since = Since.NOW, after: int | None = None, until: int | None = None
+        self, since: Beginning = Since.NOW, after: int | None = None, until: int | None = None
     ) -> None:
-        """Subscribe to the inputs; from the start of what they keep, if asked.
+        """Subscribe to the inputs; from the start of what they keep or from a moment of it, if
+        asked.
 
         The past of all inputs comes first, then how far each of them is: a unit of several inputs
         sees the same as if it had been there when their samples came. With ``after`` (ns) it sees
         nothing that was available by then, whether that has come already or not; with ``until``
         nothing that is available later.
         """
+        if isinstance(since, Moment):
+            after = last_before(since)
         self._after = after
         self._until = self.output.ends_at = until
         if since is Since.START or after is not None:

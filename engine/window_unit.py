@@ -22,6 +22,7 @@ from ..streams.generator import StreamGenerator
 from ..streams.instants import Places
 from ..streams.sample import SampleBatch
 from ..streams.time import format_time
+from .beginning import Beginning
 from .behind import Overwhelmed, Task, Turns, Went
 from .stream_view import flow_of
 from .unit import ComputationalUnit
@@ -96,7 +97,7 @@ class WindowUnit(ComputationalUnit):
         return flows
 
     def start(
-        self, since: Since = Since.NOW, after: int | None = None, until: int | None = None
+        self, since: Beginning = Since.NOW, after: int | None = None, until: int | None = None
     ) -> None:
         self.evaluator.defers = self.behind.turns is not None
         super().start(since, after, until)

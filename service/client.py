@@ -249,7 +249,8 @@ class Client(Connection):
         self, stream: str, policy: str = "", *, unit: str = "ms", since: str = "now"
     ) -> dict[str, Any]:
         """Subscribe to a stream under a policy as after `with` in KPL; its samples are `events` of
-        the answer's ``stream``. ``since`` "start" begins with what is kept."""
+        the answer's ``stream``. ``since`` "start" begins with what is kept, a time or a duration
+        such as "30s" before the newest sample there."""
         body = {"stream": stream, "policy": policy, "unit": unit, "since": since}
         return self._object("POST", "/subscriptions", json=body)
 
@@ -268,7 +269,7 @@ class Client(Connection):
         hold_off: str | int = "2s",
     ) -> dict[str, Any]:
         """Subscribe to a feature, whatever streams hold it; its samples and switches are
-        `subscription_events`."""
+        `subscription_events`. For ``since`` see `request_event`."""
         body: dict[str, Any] = {
             "feature": feature,
             "sort": sort,
@@ -401,8 +402,11 @@ class Client(Connection):
     ) -> dict[str, Any]:
         """Request an event: ``Event(arguments)`` as one text, or its name and arguments.
 
-        ``since`` "start" begins with what the streams keep of their past. Others may have asked
-        before: the answer's ``position``, as ``since`` of `events`, leaves out what came until now.
+        ``since`` "start" begins with what the streams keep of their past, a time (ISO-8601 or ns)
+        with what was available then or later, a duration such as "30s" so long before the newest
+        sample of all streams that are read. 410 where some of that is forgotten. Others may have
+        asked before: the answer's ``position``, as ``since`` of `events`, leaves out what came
+        until now.
         """
         if arguments is None:
             headers = {"Content-Type": TEXT}
@@ -438,7 +442,8 @@ class Client(Connection):
         since: str = "now",
     ) -> dict[str, Any]:
         """Register a continuous query (``REGISTER STREAM|QUERY …``); its samples are `events` of
-        the answer's ``stream``, its windows `query_results`. The same again is shared."""
+        the answer's ``stream``, its windows `query_results`. The same again is shared. For
+        ``since`` see `request_event`."""
         given = {"semantics": semantics, "bounds": bounds, "origin": origin, "report": report}
         given |= {"strategy": strategy, "since": since}
         parameters = {key: value for key, value in given.items() if value is not None}

@@ -8,12 +8,13 @@ service/routes/samples; tests/laws/test_recall.py compares with the definitions.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 
 from .fluent import FluentStream
 from .sample import SampleBatch
-from .time import TIME_MAX, TIME_MIN, format_time, parse_duration, read_time
+from .time import TIME_MAX, TIME_MIN, format_duration, format_time, parse_duration, read_time
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +33,23 @@ class Moment:
         with suppress(ValueError):
             return cls(read_time(text))
         return None
+
+    def __str__(self) -> str:
+        return format_time(self.time) if self.before is None else format_duration(self.before)
+
+    def among(self, streams: Iterable[FluentStream]) -> Moment:
+        """The same as a time: a duration counts from the newest sample of all ``streams``, whose
+        past has their own time, as that of a recording is not the clock's."""
+        if self.before is None:
+            return self
+        known = [stream.last_available for stream in streams]
+        last = max((each for each in known if each is not None), default=TIME_MIN)
+        return Moment(max(last - self.before, TIME_MIN))
+
+    def check(self, stream: FluentStream) -> None:
+        """Raises `Forgotten` if ``stream`` may have forgotten samples available from this time on.
+        Contract: it is a time, see `among`."""
+        check_reach(stream, self.time)
 
 
 class Forgotten(LookupError):
@@ -114,15 +132,9 @@ def between(
 
 def number_since(stream: FluentStream, since: Moment) -> int:
     """The number of the first sample available since then."""
-    time = since.time if since.before is None else _ago(stream, since.before)
-    check_reach(stream, time)
-    return stream.number_at(time)
-
-
-def _ago(stream: FluentStream, duration: int) -> int:
-    """The stream's past is told in its own time: that of a recording is not the clock's."""
-    last = stream.last_available
-    return TIME_MIN if last is None or last < TIME_MIN + duration else last - duration
+    begin = since.among([stream])
+    begin.check(stream)
+    return stream.number_at(begin.time)
 
 
 def check_reach(stream: FluentStream, start: int, end: int | None = None) -> None:

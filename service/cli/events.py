@@ -27,6 +27,7 @@ from .output import (
     show_text,
     show_values,
 )
+from .reading import Beginning
 
 STRATEGY: Any = typer.Option(
     help="How a plan is chosen: fast, cost, quality, weighted; with parameters: "
@@ -40,9 +41,7 @@ def events(
         typer.Argument(help="Such as 'dyknow:HighSpeedEvent(?o, dyknow:UAV, 100)'."),
     ] = None,
     strategy: Annotated[str, STRATEGY] = "fast",
-    since: Annotated[
-        Since, typer.Option(help="Begin with what comes, or with what the streams keep.")
-    ] = Since.NOW,
+    since: Beginning = "now",
     count: Annotated[
         int | None, typer.Option("--count", "-n", min=1, help="Stop after so many events.")
     ] = None,
@@ -71,7 +70,7 @@ def events(
         if request is None:
             _list(client, as_json)
             return
-        view = client.request_event(request, strategy=strategy, since=since.value)
+        view = client.request_event(request, strategy=strategy, since=since)
         if not follow:
             if as_json:
                 show_json(view)
@@ -83,9 +82,9 @@ def events(
                 _tell(view)
                 err().print("waiting for events; Ctrl-C ends", markup=False)
             # Others may have asked before: what came until the request is their past.
-            begin = "start" if since is Since.START else view["position"]
+            begin = view["position"] if since == Since.NOW else "start"
             seen = show_events(client.events(view["stream"], since=begin), count, as_json)
-            if not seen and since is Since.NOW and not as_json:
+            if not seen and since == Since.NOW and not as_json:
                 # It ends at once when what it reads has ended; nothing new will come.
                 hint = "the recording has ended; --since start begins with its past"
                 err().print(f"hint: {hint}", markup=False)

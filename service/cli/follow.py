@@ -11,10 +11,10 @@ import httpx
 import typer
 
 from ...engine.views import Since
-from ...streams.recall import Moment
 from ..client import Client, Event, ServiceError
 from .events import STRATEGY, show_events, stoppable
 from .output import DEFAULT_URL, Json, Url, connect, err
+from .reading import Beginning
 
 
 def follow(
@@ -51,14 +51,7 @@ def follow(
         str,
         typer.Option(help="As after `with` in KPL: 'sample every 1s, max delay 200'."),
     ] = "",
-    since: Annotated[
-        str,
-        typer.Option(
-            help="Begin with what comes (now), with what the stream keeps (start), at a time, or "
-            "so long before its newest sample: 30s.",
-            metavar="now|start|TIME|DURATION",
-        ),
-    ] = "now",
+    since: Beginning = "now",
     count: Annotated[
         int | None, typer.Option("--count", "-n", min=1, help="Stop after so many samples.")
     ] = None,
@@ -68,12 +61,6 @@ def follow(
     """Follow a stream, under a policy of one's own; or a feature, with a line for each switch."""
     if (stream is None) == (feature is None):
         raise typer.BadParameter("give the name of a stream, or --feature")
-    if since not in tuple(Since) and (feature is not None or Moment.parse(since) is None):
-        raise typer.BadParameter(
-            f"--since {since}: write now or start"
-            + ("" if feature is not None else ", a time, or a duration such as 30s")
-        )
-    begin = Since.NOW if since == Since.NOW else Since.START
     given: dict[str, Any] = {
         "sort": sort,
         "objects": object,
@@ -87,11 +74,11 @@ def follow(
         raise typer.BadParameter("only --policy, --since and --count go with a stream")
     with connect(url) as client, stoppable():
         if feature is not None:
-            view = client.subscribe_to(feature, policy=policy, since=begin.value, **wanted)
+            view = client.subscribe_to(feature, policy=policy, since=since, **wanted)
         else:
-            view = client.subscribe(stream or "", policy, since=begin.value)
+            view = client.subscribe(stream or "", policy, since=since)
         try:
-            show_events(_events(client, view, since), count, as_json)
+            show_events(_events(client, view), count, as_json)
         except KeyboardInterrupt:
             err().print("stopped", markup=False)
         finally:
@@ -100,8 +87,9 @@ def follow(
                 client.unsubscribe(view["id"])
 
 
-def _events(client: Client, view: dict[str, Any], since: str) -> Iterator[Event]:
+def _events(client: Client, view: dict[str, Any]) -> Iterator[Event]:
     if view.get("adaptive") is not None:
         # Its stream began with the request: nothing of it is somebody else's past.
         return client.subscription_events(view["id"], since="start")
+    since = view["since"]  # a duration as the time that it means
     return client.events(view["stream"], since=None if since == Since.NOW else since)

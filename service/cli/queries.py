@@ -7,7 +7,6 @@ from typing import Annotated, Any
 
 import typer
 
-from ...engine.views import Since
 from ...streams.time import format_time
 from ..negotiation import CSV, JSON_LD, NTRIPLES, SPARQL_JSON, SPARQL_XML, TSV, TURTLE
 from .events import STRATEGY
@@ -23,7 +22,7 @@ from .output import (
     show_table,
     show_text,
 )
-from .reading import Bounds, BoundsWord, Origin, Report, ReportWord, Semantics, origin_of
+from .reading import Beginning, Bounds, BoundsWord, Origin, Report, ReportWord, Semantics, origin_of
 from .streams import text_or_file
 
 query = typer.Typer(
@@ -64,9 +63,7 @@ def add(
     origin: Origin = "0",
     report: Report = ReportWord.NON_EMPTY,
     strategy: Annotated[str, STRATEGY] = "fast",
-    since: Annotated[
-        Since, typer.Option(help="Begin with what comes, or with what the streams keep.")
-    ] = Since.NOW,
+    since: Beginning = "now",
     url: Url = DEFAULT_URL,
     as_json: Json = False,
 ) -> None:
@@ -80,7 +77,7 @@ def add(
             origin=origin_of(origin),
             report=report.value,
             strategy=strategy,
-            since=since.value,
+            since=since,
         )
     if as_json:
         show_json(found)

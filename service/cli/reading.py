@@ -8,6 +8,8 @@ from typing import Annotated
 import typer
 
 from ...converters.time_order import TimeOrder
+from ...engine.beginning import beginning_of
+from ...engine.errors import BadArguments
 from ...streams.time import read_time
 from .output import err
 
@@ -56,6 +58,26 @@ Sort = Annotated[
         "to ten million rows are sorted.",
     ),
 ]
+
+
+def _checked(text: str) -> str:
+    try:
+        beginning_of(text)
+    except BadArguments as error:
+        raise typer.BadParameter(f"{error.detail}: {error.hint}") from error
+    return text
+
+
+Beginning = Annotated[
+    str,
+    typer.Option(
+        help="Begin with what comes (now), with all that the streams keep (start), at a time, or "
+        "so long before the newest sample of them: 30s.",
+        metavar="now|start|TIME|DURATION",
+        callback=_checked,
+    ),
+]
+"""Where an answer begins."""
 
 
 def show_order(name: str, order: TimeOrder | None) -> None:

@@ -5,7 +5,7 @@ from .annotations import AnnotationModel
 from .events import EventIn, EventModel, PlanModel, TemplateModel, UnitModel
 from .kpl import DeclarationModel, OneDeclarationModel, RemovedModel
 from .matching import MatchIn, MatchModel
-from .parts import Strategy, schema_of, text_schema
+from .parts import BEGINNING, Since, Strategy, schema_of, text_schema
 from .queries import QueryModel
 from .session import SessionIn, SessionModel
 from .specifications import InsertionModel, SpecificationModel
@@ -41,6 +41,7 @@ READ_BY_ROUTES = (EventIn, TransformationIn, ContentsIn)
 """Bodies beside which a route takes other media types, so that the framework does not see them."""
 
 __all__ = [
+    "BEGINNING",
     "READ_BY_ROUTES",
     "AcceptedModel",
     "AdaptiveModel",
@@ -69,6 +70,7 @@ __all__ = [
     "RetentionModel",
     "SessionIn",
     "SessionModel",
+    "Since",
     "SpecificationModel",
     "StatusModel",
     "Strategy",

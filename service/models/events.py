@@ -9,7 +9,7 @@ from pydantic import BaseModel, Field, StringConstraints
 from ...engine import views
 from ...engine.commands import RequestEvent
 from ...engine.standing import Waiting
-from .parts import Body, Name, Strategy
+from .parts import Body, Name, Since, Strategy
 
 
 class TemplateModel(BaseModel):
@@ -40,8 +40,7 @@ class EventIn(Body):
         default_factory=list, max_length=100
     )
     strategy: Strategy = "fast"
-    since: views.Since = views.Since.NOW
-    """``start`` begins with the kept history of the streams that are read."""
+    since: Since = "now"
 
 
 class UnitModel(BaseModel):
@@ -87,7 +86,7 @@ class EventModel(BaseModel):
     event: str
     arguments: list[str]
     strategy: str
-    since: views.Since
+    since: str = Field(description="as asked for; a duration as the time that it means")
     state: Literal["running", "failed", "waiting"] = Field(
         description="failed: what answers it was cut off, and nothing more comes; waiting: an "
         "earlier run has accepted it, and this one cannot start it"
@@ -139,7 +138,7 @@ class EventModel(BaseModel):
             event=view.event,
             arguments=list(view.arguments),
             strategy=view.strategy,
-            since=views.Since(view.since),
+            since=view.since,
             state="running" if view.failure is None else "failed",
             failure=view.failure,
             stream=view.stream,

@@ -38,6 +38,13 @@ Name = Annotated[str, StringConstraints(min_length=1, max_length=LONGEST_NAME)]
 Quality = Annotated[
     float, Field(ge=0, le=1, allow_inf_nan=False, description="how good it is, 0 to 1")
 ]
+BEGINNING = (
+    "where the answer begins: now, with what comes; start, with all that the streams keep; a time, "
+    "ISO-8601 or integer nanoseconds, or a duration such as 30s before the newest sample of all "
+    "streams that are read, with what was available then or later: 410 where some is forgotten"
+)
+Since = Annotated[str, Field(max_length=64, description=BEGINNING, examples=["start", "30s"])]
+"""Checked by the engine."""
 Strategy = Annotated[
     str,
     Field(

@@ -20,7 +20,7 @@ class OptionsModel(BaseModel):
     origin: str = Field(description="windows end at origin + k STEP")
     report: str = Field(description="non-empty, change or close: which windows give a result")
     strategy: str = Field(description="how streams are chosen for a query that names none")
-    since: views.Since
+    since: str = Field(description="where it began, as asked for")
 
 
 class QueryModel(BaseModel):
@@ -107,7 +107,7 @@ class QueryModel(BaseModel):
                 origin=iso(view.origin) or "",
                 report=view.report,
                 strategy=view.strategy,
-                since=views.Since(view.since),
+                since=view.since,
             ),
             plan=None if view.plan is None else PlanModel.of(view.plan),
             empty=view.empty,

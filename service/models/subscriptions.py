@@ -11,7 +11,7 @@ from ...engine.adaptive import Rematch
 from ...engine.commands import Subscribe, SubscribeToFeature
 from ...engine.standing import Waiting
 from ...streams.time import SECOND, format_duration, format_time
-from .parts import MOST_ARGUMENTS, Body, Duration, Name, Quality, Strategy
+from .parts import MOST_ARGUMENTS, Body, Duration, Name, Quality, Since, Strategy
 
 
 class SubscriptionIn(Body):
@@ -34,8 +34,7 @@ class SubscriptionIn(Body):
     )
     unit: Literal["ns", "us", "ms", "s"] = "ms"
     """What integers of the policy are."""
-    since: views.Since = views.Since.NOW
-    """``start`` begins with the kept history of the stream."""
+    since: Since = "now"
     staleness: Duration | None = Field(
         None, description="so long a source may be silent; null: five times its usual gap"
     )
@@ -109,7 +108,7 @@ class SubscriptionModel(BaseModel):
     id: str
     source: str = Field(description="the stream; of one to a feature that waits, the feature")
     policy: str = Field(description="as KPL, integers in ms; of one that waits as it was written")
-    since: views.Since
+    since: str = Field(description="as asked for; a duration as the time that it means")
     state: Literal["running", "failed", "waiting"] = Field(
         description="failed: what feeds it was cut off, and nothing more comes; waiting: an "
         "earlier run has accepted it, and this one cannot start it"
@@ -146,7 +145,7 @@ class SubscriptionModel(BaseModel):
             id=view.id,
             source=view.source,
             policy=view.policy,
-            since=views.Since(view.since),
+            since=view.since,
             state="running" if view.failure is None else "failed",
             failure=view.failure,
             stream=view.stream,

@@ -9,10 +9,9 @@ from fastapi import APIRouter, Query, Request, Response
 
 from ...engine.commands import CancelEvent, RequestEvent
 from ...engine.standing import REQUEST
-from ...engine.views import Since
 from ..context import Context
 from ..listing import listed
-from ..models import EventIn, EventModel, Strategy, schema_of, text_schema
+from ..models import BEGINNING, EventIn, EventModel, Since, Strategy, schema_of, text_schema
 from ..negotiation import JSON, TEXT, content_type, json_value, utf8
 from ..problems import responses
 
@@ -41,21 +40,20 @@ BODY: dict[str, Any] = {
     "/events",
     status_code=201,
     openapi_extra=BODY,
-    responses=responses(404, 413, 415, 422),
+    responses=responses(404, 410, 413, 415, 422),
 )
 async def request_event(
     request: Request,
     response: Response,
     service: Context,
     strategy: Annotated[Strategy, Query(description="for a request as text")] = "fast",
-    since: Annotated[Since, Query(description="for a request as text")] = Since.NOW,
+    since: Annotated[Since, Query(description=f"for a request as text: {BEGINNING}")] = "now",
 ) -> EventModel:
     """Request an event: the streams it needs are found or built.
 
     The same request twice shares one stream; ``position`` is the id of its last sample before
-    this request, to follow with ``since=``. ``since`` ``start`` begins with what the streams
-    keep of their past, ``now`` with what comes. 404: no such event; 422: no plan, ``missing`` says
-    what would be needed.
+    this request, to follow with ``since=``. 404: no such event; 410: the streams have forgotten
+    some of what ``since`` asks for; 422: no plan, ``missing`` says what would be needed.
     """
     kind = content_type(request, (JSON, TEXT))
     body = (await request.body()).removeprefix(BOM_UTF8)

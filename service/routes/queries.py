@@ -11,11 +11,10 @@ from fastapi.responses import JSONResponse, PlainTextResponse
 from ...continuous.options import Bounds, Report, Semantics
 from ...engine.commands import RegisterQuery, RemoveQuery
 from ...engine.standing import QUERY, query_view
-from ...engine.views import Since
 from ...streams.time import format_time
 from ..context import Context
 from ..listing import listed
-from ..models import QueryModel, Strategy, text_schema
+from ..models import BEGINNING, QueryModel, Since, Strategy, text_schema
 from ..negotiation import JSON, SPARQL_QUERY, TEXT, accepted, text_body
 from ..parsing import parse_aside, parse_continuous
 from ..problems import responses
@@ -56,7 +55,7 @@ Name = Annotated[str, Path(description="the query's name")]
     status_code=201,
     response_model=QueryModel,
     openapi_extra=BODY,
-    responses={200: {"model": QueryModel}, **responses(403, 404, 409, 413, 415, 422)},
+    responses={200: {"model": QueryModel}, **responses(403, 404, 409, 410, 413, 415, 422)},
 )
 async def register_query(
     request: Request,
@@ -76,16 +75,14 @@ async def register_query(
     strategy: Annotated[
         Strategy, Query(description="how streams are chosen where the text names none")
     ] = "fast",
-    since: Annotated[
-        Since, Query(description="begin with what comes, or with what the streams keep")
-    ] = Since.NOW,
+    since: Annotated[Since, Query(description=BEGINNING)] = "now",
 ) -> Response:
     """Register a continuous query in C-SPARQL or RSP-QL: 201, and 200 when it is there already.
 
     Its results are a stream of its name. Streams are those of FROM STREAM, or found from the
     features that the query names. The same text again is shared. 404: no such stream; 409: the name
-    is taken; 422: a stream without annotation, a graph that is not loaded, or nothing gives what
-    is needed.
+    is taken; 410: the streams have forgotten some of what ``since`` asks for; 422: a stream without
+    annotation, a graph that is not loaded, or nothing gives what is needed.
     """
     text = await text_body(request, TEXTS)
     await parse_aside(parse_continuous, text)

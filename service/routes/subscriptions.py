@@ -35,7 +35,7 @@ REMATCHED: dict[int | str, dict[str, Any]] = {
     "/subscriptions",
     status_code=201,
     dependencies=[Depends(json_only)],
-    responses=responses(404, 413, 415, 422),
+    responses=responses(404, 410, 413, 415, 422),
 )
 async def subscribe(
     wanted: SubscriptionIn, response: Response, service: Context

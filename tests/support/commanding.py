@@ -11,10 +11,11 @@ from dyknow.engine.views import Since, StreamDeclaration
 from dyknow.languages.errors import LanguageError
 from dyknow.ontology.errors import OntologyError
 from dyknow.streams.fluent import Retention
+from dyknow.streams.recall import Forgotten
 from dyknow.streams.sample import Field, FieldType
 from dyknow.streams.time import SECOND
 
-REFUSALS = (DyknowError, LanguageError, OntologyError)
+REFUSALS = (DyknowError, LanguageError, OntologyError, Forgotten)
 IRI = "http://www.ida.liu.se/dyknow/"
 OBJECTS = ("uav1", "uav2", "rmax1")
 FIELDS = (Field("id", FieldType.STRING), Field("v", FieldType.FLOAT), Field("h", FieldType.FLOAT))
@@ -133,10 +134,13 @@ class _Life:
             lambda: c.Subscribe(
                 pick.choice(("s", "t", "s_late", "q0", "nowhere")),
                 pick.choice(POLICIES),
-                since=pick.choice(tuple(Since)),
+                since=self._since(),
             ),
             lambda: c.SubscribeToFeature(
-                "dyknow:speed", sort="dyknow:UAV", strategy=pick.choice(("fast", "quality"))
+                "dyknow:speed",
+                sort="dyknow:UAV",
+                strategy=pick.choice(("fast", "quality")),
+                since=self._since(),
             ),
             lambda: c.Unsubscribe(f"subscription{pick.randrange(1, 5)}"),
             lambda: c.AddKpl(pick.choice(KPL)),
@@ -167,7 +171,7 @@ class _Life:
                 "dyknow:NoEvent(?o)",
             )
         )
-        return c.RequestEvent(text, since=pick.choice(tuple(Since)))
+        return c.RequestEvent(text, since=self._since())
 
     def _query(self) -> c.Command:
         number = self._random.randrange(len(QUERIES) + 1)
@@ -176,7 +180,12 @@ class _Life:
         # Without a name the system gives it one.
         head = self._random.choice(("REGISTER STREAM q{} AS ", "REGISTER QUERY q{} AS ", ""))
         text = head.format(number) + QUERIES[number]
-        return c.RegisterQuery(text, since=self._random.choice(tuple(Since)))
+        return c.RegisterQuery(text, since=self._since())
+
+    def _since(self) -> str:
+        pick = self._random
+        ago = self._last - pick.choice((0, SECOND, 5 * SECOND))
+        return pick.choice((*Since, *Since, str(max(ago, 0)), "2s", "1ms"))
 
     def _values(self) -> c.Command:
         """For the source of KPL."""
