@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import gzip
 import io
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -46,16 +46,32 @@ def read_csv(path: Path) -> Iterator[TextChunk]:
     """
     opened = gzip.open if path.suffix == ".gz" else open
     with opened(path, "rt", encoding="utf-8-sig", newline="") as file:
-        reader = csv.reader(file, strict=True)
-        try:
-            names = next(reader, [])
-            if not any(names) and not any(any(row) for row in reader):
-                raise EmptyTable(1, "the table is empty", "its first line names the columns")
-            _check_header(names)
-            while rows := [(reader.line_num, row) for row in islice(reader, CHUNK)]:
-                yield _columns(names, rows)
-        except (csv.Error, UnicodeDecodeError, EOFError, gzip.BadGzipFile) as error:
-            raise WireError(reader.line_num + 1, f"the table cannot be read: {error}") from error
+        yield from read_csv_lines(file)
+
+
+def read_csv_lines(
+    lines: Iterable[str], ends: Callable[[], bool] | None = None
+) -> Iterator[TextChunk]:
+    """`read_csv` of ``lines``; a chunk also ends with a row after which ``ends`` gives true."""
+    reader = csv.reader(lines, strict=True)
+    try:
+        names = next(reader, [])
+        if not any(names) and not any(any(row) for row in reader):
+            raise EmptyTable(1, "the table is empty", "its first line names the columns")
+        _check_header(names)
+        while rows := _chunk(reader, ends):
+            yield _columns(names, rows)
+    except (csv.Error, UnicodeDecodeError, EOFError, gzip.BadGzipFile) as error:
+        raise WireError(reader.line_num + 1, f"the table cannot be read: {error}") from error
+
+
+def _chunk(reader: Any, ends: Callable[[], bool] | None) -> list[tuple[int, list[str]]]:
+    rows = []
+    for row in islice(reader, CHUNK):
+        rows.append((reader.line_num, row))
+        if ends is not None and ends():
+            break
+    return rows
 
 
 def column_from_cells(

@@ -29,7 +29,7 @@ from ..streams.sample import (
 from ..streams.strings import StringPool
 from ..streams.time import TIME_MIN
 from .arrow import arrow_field_type, column_from_arrow, read_arrow, times_from_arrow
-from .csv_table import CHUNK, column_from_cells, read_csv
+from .csv_table import CHUNK, TextChunk, column_from_cells, read_csv
 from .errors import EmptyTable, WireError
 from .inference import TextColumnType, TimeReader, time_column
 from .wire import BOM, Incoming, not_json
@@ -91,7 +91,7 @@ def open_recording(
     pools = {} if pools is None else pools
     times = TimeReader(time_unit, abstract_unit)
     if name.endswith(".csv"):
-        return _open_csv(path, time_column, times, types or {}, pools)
+        return open_cells(lambda: read_csv(path), time_column, times, types or {}, pools)
     if name.endswith((".ndjson", ".jsonl")):
         return open_rows(lambda: decode_lines(read_lines(path)), time_column, times, types, pools)
     if name.endswith((".arrow", ".arrows", ".feather")) and name == path.name.lower():
@@ -103,16 +103,20 @@ def open_recording(
     )
 
 
-def _open_csv(
-    path: Path,
+def open_cells(
+    cells_again: Callable[[], Iterator[TextChunk]],
     wanted: str | None,
     times: TimeReader,
     types: Mapping[str, FieldType],
     pools: dict[str, StringPool],
 ) -> Recording:
+    """Look through the cells of a table, which ``cells_again`` gives each time it is called.
+
+    Other arguments and errors as for `open_recording`, with one unit of time.
+    """
     observed: dict[str, TextColumnType] = {}
     valid, count = "", 0
-    for lines, cells in read_csv(path):
+    for lines, cells in cells_again():
         if not observed:
             valid = time_column(list(cells), wanted)
             observed = {name: TextColumnType(name) for name in cells}
@@ -130,7 +134,7 @@ def _open_csv(
     stamped_column = "available" in observed and valid != "available"
 
     def read() -> Iterator[SampleBatch]:
-        for lines, cells in read_csv(path):
+        for lines, cells in cells_again():
             valid_times = times.read(cells[valid], lines, valid)
             available = valid_times
             if stamped_column:

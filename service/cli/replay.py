@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
@@ -21,6 +21,7 @@ from rich.progress import (
     TimeElapsedColumn,
 )
 
+from ...converters.piped import Piped, Readable, open_pipe
 from ...converters.recording import Recording, open_recording
 from ...converters.recordings import Recordings, has_many_streams, open_recordings
 from ...converters.time_order import TimeOrder, in_time_order
@@ -32,6 +33,7 @@ from ..client import Client, ServiceError
 from ..problems import AHEAD
 from ..replay import PAUSE, Span, play_all, span
 from .output import DEFAULT_URL, Json, Url, connect, err, show_json, show_text, show_values
+from .piped import check_once, existing, is_pipe, reading, show_piped
 from .reading import Sort, show_order
 from .streams import text_or_file
 
@@ -74,9 +76,10 @@ def replay(
     file: Annotated[
         Path,
         typer.Argument(
-            help="CSV, CSV.gz, NDJSON or Arrow; a PX4 log (.ulg); NDJSON of many streams.",
-            exists=True,
+            help="CSV, CSV.gz, NDJSON or Arrow; a PX4 log (.ulg); NDJSON of many streams; a pipe, "
+            "or - for standard input, of CSV or NDJSON.",
             dir_okay=False,
+            callback=existing,
         ),
     ],
     stream: Annotated[
@@ -133,17 +136,30 @@ def replay(
 ) -> None:
     """Play a recording into its streams: declares them, publishes, says when it has ended."""
     factor, begin, bound = _speed(speed), _begin(rebase), _bound(ahead)
-    with connect(url) as client:
+    check_once(file, sort=sort, loop=loop)
+    with ExitStack() as open_files:
+        client = open_files.enter_context(connect(url))
+        pipe = open_files.enter_context(reading(file)) if is_pipe(file) else None
         # All that can be wrong with tables and text is found before anything is made.
         meaning = None if ssl is None else text_or_file(ssl)
         declared = () if meaning is None else parse_ssl(meaning)
-        opened = _open(client, file, stream or [], time_column, time_unit, utc)
+        opened = (
+            _open(client, file, stream or [], time_column, time_unit, utc)
+            if pipe is None
+            else _open_pipe(client, pipe, stream or [], time_column, time_unit)
+        )
+        piped = opened.piped
         _warn_of_others(declared, opened.tracks)
-        tracks = {name: track.in_time_order(sort) for name, track in opened.tracks.items()}
-        for name, track in tracks.items():
-            show_order(name, track.order)
+        tracks = opened.tracks
+        if piped is None:
+            tracks = {name: track.in_time_order(sort) for name, track in tracks.items()}
+            for name, track in tracks.items():
+                show_order(name, track.order)
         latest = min(time.time_ns() + _ahead(bound, tracks.values()), TIME_MAX)
-        extents = {name: span(track.recording, latest) for name, track in tracks.items()}
+        extents = {
+            name: span(track.recording, latest) if piped is None else Span(piped.first, piped.first)
+            for name, track in tracks.items()
+        }
         known = [extent for extent in extents.values() if extent is not None]
         if not known:
             far = any(track.recording.rows for track in tracks.values())
@@ -157,7 +173,8 @@ def replay(
         shift = 0 if begin is None else begin - extent.first
         if begin is not None and factor != 1:
             # By itself it gets as far ahead as it is long, each round anew.
-            length = FOREVER if loop else extent.last - extent.first
+            is_endless = loop or piped is not None
+            length = FOREVER if is_endless else extent.last - extent.first
             bound = min(_ahead(bound, tracks.values()) + length, FOREVER)
         recordings = {name: track.recording for name, track in tracks.items()}
         player = _Player(client, recordings, extent, factor, shift, latest)
@@ -193,6 +210,8 @@ def replay(
             counts["evaluated"] = readers.evaluated(name)
             its = extents[name] or extent
             order = tracks[name].order
+            if piped is not None:
+                its, order = Span(piped.first, piped.last), show_piped(name, piped)
             _summary(
                 name, counts, its, seconds, rebase is not None, as_json, opened.dropouts, order
             )
@@ -275,6 +294,8 @@ class _Opened:
     dropouts: int | None = None
     lost: int = 0
     notes: tuple[str, ...] = ()
+    piped: Piped | None = None
+    """What is read of a pipe."""
 
 
 def _existing(client: Client, stream: str) -> dict[str, Any] | None:
@@ -304,9 +325,7 @@ def _open(
     """The streams of the file; fields that a stream has already keep their types."""
     is_log = file.name.lower().endswith(".ulg")
     if not is_log and not has_many_streams(file):
-        if len(wanted) != 1:
-            raise typer.BadParameter("a table is played into one stream: --stream NAME")
-        there = _existing(client, wanted[0])
+        there = _existing(client, _only(wanted))
         recording = open_recording(file, time_column, time_unit)
         types = _types(there, recording.schema.names)
         if types:
@@ -323,6 +342,26 @@ def _open(
             found = open_recordings([file], time_column, time_unit, kinds)
     tracks = {name: _Track(found[topic], there[name]) for topic, name in names.items()}
     return _Opened(tracks, found.dropouts if is_log else None, found.lost, found.notes)
+
+
+def _open_pipe(
+    client: Client,
+    pipe: Readable,
+    wanted: list[str],
+    time_column: str | None,
+    time_unit: str | None,
+) -> _Opened:
+    """The stream of a pipe, by its head."""
+    there = _existing(client, _only(wanted))
+    types = {} if there is None else {f["name"]: FieldType(f["type"]) for f in there["fields"]}
+    piped = open_pipe(pipe, time_column, time_unit, types)
+    return _Opened({wanted[0]: _Track(piped.recording, there)}, piped=piped)
+
+
+def _only(wanted: list[str]) -> str:
+    if len(wanted) != 1:
+        raise typer.BadParameter("a table is played into one stream: --stream NAME")
+    return wanted[0]
 
 
 def _chosen(wanted: list[str], found: Recordings) -> dict[str, str]:
@@ -400,13 +439,13 @@ class _Player:
         )
         with progress:
             tasks = {
-                name: progress.add_task(name, total=recording.rows, rate=0.0)
+                name: progress.add_task(name, total=recording.rows or None, rate=0.0)
                 for name, recording in self.recordings.items()
             }
             for turn in itertools.count():
                 shift = self.shift + turn * self.extent.period
                 for name, task in tasks.items():
-                    progress.reset(task, total=self.recordings[name].rows)
+                    progress.reset(task, total=self.recordings[name].rows or None)
                 self._once(shift, progress, tasks)
                 if not loop:
                     return
