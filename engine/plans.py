@@ -89,6 +89,8 @@ class Plans:
         self._begun: dict[str, int] = {}
         """Streams of units that began with what came or at a moment, and the last available time
         before."""
+        self._future: set[str] = set()
+        """Streams of units that began at a moment which may be still to come."""
         self._complete: dict[str, int] = {}
         """Streams of units that began with all that was kept, and the available time from which
         nothing of that had been forgotten."""
@@ -153,10 +155,11 @@ class Plans:
         )
 
     def unusable(self, since: Beginning) -> AbstractSet[str]:
-        """Streams of plans that answer nobody else: no more comes of them, or, where the past is
-        wanted, they began later."""
+        """Streams of plans that answer no other request: no more comes of them, or they began later
+        than ``since``."""
         if since is Since.NOW:
-            return self._broken
+            self._future = {name for name in self._future if self._is_to_begin(name)}
+            return self._broken | self._future
         late = {name for name, begun in self._begun.items() if begun > last_before(since)}
         if isinstance(since, Moment):
             late |= {name for name, time in self._complete.items() if time > since.time}
@@ -212,6 +215,7 @@ class Plans:
             case ChangeKind.STREAM_REMOVED:
                 self._broken.discard(change.stream)
                 self._begun.pop(change.stream, None)
+                self._future.discard(change.stream)
                 self._complete.pop(change.stream, None)
                 self._made.pop(change.stream, None)
                 self._tuples.discard(change.stream)
@@ -260,6 +264,7 @@ class Plans:
         match since:
             case Moment():
                 self._begun[name] = last_before(since)
+                self._future.add(name)
             case Since.NOW:
                 lasts = (source.stream.last_available for source in unit.inputs)
                 known = (last for last in lasts if last is not None)
@@ -274,6 +279,12 @@ class Plans:
                 annotation=annotation,
             )
         )
+
+    def _is_to_begin(self, name: str) -> bool:
+        """Whether all that its inputs have said is before the moment at which a unit begins."""
+        unit = self._configuration.units.get(name)
+        lasts = () if unit is None else (source.stream.last_available for source in unit.inputs)
+        return all(last is None or last <= self._begun[name] for last in lasts)
 
     def _complete_from(self, source: StreamGenerator) -> int:
         """The available time (ns) from which a unit that begins with the past of ``source`` now

@@ -79,6 +79,16 @@ def test_a_stream_that_began_before_is_shared(flying):
     assert {unit.output for unit in first.plan.units} & {unit.output for unit in second.plan.units}
 
 
+def test_a_stream_that_is_still_to_begin_is_not_shared_by_a_request_of_now(flying):
+    fly(flying, 0, 3)
+    later = request(flying, "10000000000")
+    now = request(flying, "now")
+    fly(flying, 3, 30)
+    flying.end("c")
+    first = [flying.stream(view.plan.units[-1].inputs[0]).first_available for view in (later, now)]
+    assert first == [11 * SECOND, 4 * SECOND], "a speed is of two positions"
+
+
 def test_of_several_streams_the_newest_sample_counts(engine):
     for name, meaning in (("s", "speed"), ("t", "altitude")):
         engine.declare(StreamDeclaration(name, SPEED))
