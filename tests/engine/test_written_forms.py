@@ -80,6 +80,8 @@ EXAMPLES = [
     c.RemoveTemplate("HighSpeedEvent"),
     c.RequestEvent("dyknow:HighSpeedEvent(?o, dyknow:UAV, 100)", strategy="cost"),
     c.RequestEvent(None, "dyknow:HighSpeedEvent", ("?o", "100"), "fast", Since.START),
+    c.RequestEvent("dyknow:HighSpeedEvent(?o, dyknow:UAV, 100)", since="2021-10-07T19:12:53Z"),
+    c.RegisterQuery("REGISTER QUERY …", since="30s"),
     c.CancelEvent("event1"),
     c.Subscribe("s5", "sample every 200", "s", Since.START),
     c.Subscribe("s5", "any change", keyed=True),
