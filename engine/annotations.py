@@ -40,6 +40,8 @@ class Annotations:
         self._registered = registered
         self._transformations = transformations
         self._changed = changed
+        self._left = ontology.annotations()
+        """Those that an earlier run was told and that are still to be restored."""
 
     def annotate(self, ssl: str) -> tuple[CheckedAnnotation, ...]:
         """Annotate streams and transformations by an SSL text; all of it or nothing.
@@ -127,13 +129,12 @@ class Annotations:
         What does not hold any more (the ontology has changed since) is told on the status stream
         and left out; its text is kept.
         """
-        for name, source in self._ontology.annotations().items():
-            if name not in later:
-                self._restore(name, source)
+        for name in [name for name in self._left if name not in later]:
+            self.restore_of(name)
 
     def restore_of(self, name: str) -> None:
-        """The same for one of those that were left for later."""
-        source = self._ontology.annotations().get(name)
+        """The same for stream ``name``, unless it is done."""
+        source = self._left.pop(name, None)
         if source is not None:
             self._restore(name, source)
 

@@ -147,8 +147,13 @@ class Application:
 
     # -- change ------------------------------------------------------------------------------
 
-    def add(self, declarations: Iterable[CheckedDeclaration]) -> None:
+    def add(
+        self,
+        declarations: Iterable[CheckedDeclaration],
+        started: Callable[[str], None] = lambda _: None,
+    ) -> None:
         """Start what the declarations ask for, in order; they were checked against `signature`.
+        ``started`` hears the key of each.
 
         Raises, with nothing changed, `UnknownFeature` for a computational unit without an
         implementation, `Conflict` where an implementation or a stream is otherwise than declared,
@@ -160,6 +165,7 @@ class Application:
         self.signature = self.signature.with_declarations(new)
         for declaration in new:
             self._start(declaration)
+            started(declaration.key)
         self._is_new = True
         self.settle()
 

@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from typing import Protocol, TypeVar
 
 from ..languages.kpl import format_policy
+from ..languages.ssl.annotation import StreamAnnotation
 from ..rdf.namespaces import DYKNOW
 from ..streams.fluent import Retention
 from ..streams.generator import StreamGenerator
@@ -86,9 +87,10 @@ def after_reserved(names: Iterable[str]) -> int:
 class Configuration:
     """Streams by name, units by the stream they make, readers (units without output) by name.
 
-    ``aliases`` are further names of streams. ``namespaces`` says for a stream in which namespace
-    its id fields name objects. ``system`` names streams that the system makes without a unit,
-    ``named`` those that were specified by name.
+    ``aliases`` are further names of streams. ``annotations`` say what streams contain; the
+    semantics manager keeps them. ``namespaces`` says for a stream in which namespace its id fields
+    name objects. ``system`` names streams that the system makes without a unit, ``named`` those
+    that were specified by name.
     """
 
     def __init__(
@@ -104,6 +106,7 @@ class Configuration:
         self.units: dict[str, ComputationalUnit] = {}
         self.readers: dict[str, Reader] = {}
         self.aliases: dict[str, str] = {}
+        self.annotations: Mapping[str, StreamAnnotation] = {}
         self.namespaces: dict[str, str] = {}
         self.system: set[str] = set()
         self.reports: list[tuple[str, Report]] = []

@@ -8,7 +8,7 @@ elaborated.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from ..languages.errors import LanguageError, Span
@@ -24,6 +24,7 @@ from ..streams.policy import Policy
 from .configuration import POLICY, SELECT_OBJECT, SYNCHRONIZE, Configuration, is_reserved
 from .errors import DyknowError, UnknownFeature, UnknownStream
 from .knowing import iri_of
+from .policy_keys import annotated_contents
 from .shapes import LONGEST_ROW, Running, Shape
 from .transformations import Transformation, Transformations
 from .unit import ComputationalUnit
@@ -50,9 +51,8 @@ class Elaborated:
 class Elaboration:
     """Elaborates the insertions of one text, ``source``.
 
-    ``contents`` says what a stream contains of which anybody has said it. ``removed`` are units
-    that the same text removes. ``restoring``: the text is of an earlier run, whose invented names
-    are no more.
+    ``removed`` are units that the same text removes. ``restoring``: the text is of an earlier run,
+    whose invented names are no more.
     """
 
     def __init__(
@@ -62,7 +62,6 @@ class Elaboration:
         transformations: Transformations,
         configuration: Configuration,
         running: Running,
-        contents: Callable[[str], tuple[Content, ...]],
         removed: Collection[ComputationalUnit] = (),
         *,
         restoring: bool = False,
@@ -72,7 +71,6 @@ class Elaboration:
         self._transformations = transformations
         self._configuration = configuration
         self._running = running
-        self._contents = contents
         self._removed = removed
         self._restoring = restoring
         self._named: dict[str, UnitSpecification] = {}
@@ -348,7 +346,7 @@ class Elaboration:
             case (Compute() | SelectObject() | Synchronize() as node, _):
                 return contents_of(node)
             case _:
-                return self._contents(generator.name)
+                return annotated_contents(self._configuration, generator.name)
 
     def _error(self, span: Span, message: str, hint: str = "") -> LanguageError:
         return LanguageError(message, self._source, span, hint or "see docs/specifications.md")

@@ -22,7 +22,7 @@ from ..languages.csparql import parse_argument, parse_event_request
 from ..languages.csparql.ast import EventRequest, Template
 from ..languages.kpl import parse_policy
 from ..languages.specification import Specification, parse_specification
-from ..languages.ssl.annotation import CheckedAnnotation, Content, StreamAnnotation
+from ..languages.ssl.annotation import CheckedAnnotation, StreamAnnotation
 from ..matching.uncollected import uncollected
 from ..ontology.ontology import Ontology, PreparedOntology
 from ..ontology.reading import TextFormat
@@ -30,6 +30,7 @@ from ..rdf.dictionary import TermDictionary
 from ..rdf.namespaces import DYKNOW, PREFIXES, shorten
 from ..streams.generator import StreamGenerator
 from ..streams.instants import places_in_instants
+from ..streams.rules import INSTANTS
 from ..streams.sample import SampleBatch
 from ..streams.time import SECOND, TIME_MIN
 from ..templates.library import (
@@ -108,6 +109,7 @@ class Engine:
     ones that KPL may name, and ``runner`` calls them. ``ontology`` is taken instead of one in
     ``data``. With a ``stopwatch`` the work of units is measured. ``budget``
     is what a window of a continuous query may cost. With ``turns`` windows close in `go_on` only.
+    By the ``rules`` (`Rules.version`) it restores what an earlier run was told.
     """
 
     def __init__(
@@ -123,6 +125,7 @@ class Engine:
         stopwatch: Stopwatch | None = None,
         budget: Budget = UNLIMITED,
         turns: Turns | None = None,
+        rules: int = INSTANTS,
     ) -> None:
         self.epoch = epoch or secrets.token_hex(4)
         if ontology is None:
@@ -143,7 +146,9 @@ class Engine:
         self._configuration = Configuration(self._changed, first_reserved, busy_time, self.behind)
         self.rules = self._configuration.rules
         """The rules of commands; recovery changes them."""
+        self.rules.version = rules
         self._manager = SemanticsManager(self.ontology, self._subscribers)
+        self._configuration.annotations = self._manager.annotations
         self.intake = Intake(self._configuration)
         self._idleness = Idleness()
         self._converters: dict[str, SampleConverter] = {}
@@ -226,7 +231,6 @@ class Engine:
             self._plans,
             self._subscriptions,
             self._changed,
-            contents=self._contents,
             check_name=self._declared.check_name,
             users=Users(self._requests, self.queries, self._subscriptions, self._kpl),
         )
@@ -240,8 +244,9 @@ class Engine:
         self._declared.restore_streams()
         for generator in self._configuration.streams.values():
             self._idleness.came(generator, now)
+        # Policies depend on the annotations of the streams that they read.
         with self._manager.together():
-            self._kpl.restore()
+            self._kpl.restore(self._annotations.restore_of)
         # Queries read streams that are declared, annotated, specified, and each other's; what is
         # said of their own streams, and specifications that read these, wait for them.
         self._annotations.restore(later=self.queries.recall())
@@ -605,11 +610,9 @@ class Engine:
         *,
         keyed: bool = True,
     ) -> SubscriptionView:
-        """Subscribe to a stream under a policy; see `Subscriptions.start`. The policy holds for
-        each object by itself that the stream's annotation has an id field for, if ``keyed``. For
-        ``since`` see `request_event`."""
-        keys = self._id_fields(stream) if keyed else ()
-        return self._subscriptions.start(stream, policy, unit, beginning_of(since), keys)
+        """Subscribe to a stream under a policy; see `Subscriptions.start`. For ``since`` see
+        `request_event`."""
+        return self._subscriptions.start(stream, policy, unit, beginning_of(since), keyed=keyed)
 
     def subscribe_to_feature(
         self,
@@ -866,18 +869,6 @@ class Engine:
         if change.kind is ChangeKind.STREAM_REMOVED:
             self.intake.forget(change.stream)
         self._converters.pop(change.stream, None)
-
-    def _contents(self, stream: str) -> tuple[Content, ...]:
-        source = self._configuration.late.source_of(stream)
-        annotation = self._manager.annotations.get(stream if source is None else source)
-        return () if annotation is None else annotation.contents
-
-    def _id_fields(self, stream: str) -> tuple[str, ...]:
-        """The fields that name the objects of a stream's samples, each once."""
-        name = self._configuration.stream(stream).name
-        roles = (role for content in self._contents(name) for role in content.roles)
-        fields = (role.id_field for role in roles if role.id_field is not None)
-        return tuple(dict.fromkeys(fields))
 
     def _count_subscribers(self) -> None:
         streams = self._configuration.streams.items()

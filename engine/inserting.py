@@ -12,6 +12,7 @@ from .configuration import Configuration, is_reserved
 from .elaboration import Elaborated
 from .insertions import Inserted, Insertions
 from .plans import Plans
+from .policy_keys import policy_keys
 from .shapes import Running, Shape
 from .specification_text import told
 from .subscriptions import Subscriptions
@@ -133,7 +134,9 @@ class Inserting:
         if isinstance(recipe, Policy):
             (source,) = one.shape.inputs
             with configuration.as_specified(name, text):
-                return self._subscriptions.obtain(self._generator(source), recipe, Since.NOW).output
+                generator = self._generator(source)
+                keys = policy_keys(configuration, generator)
+                return self._subscriptions.obtain(generator, recipe, Since.NOW, keys).output
         assert recipe is not None
         shapes = {
             f"#{below.number}": below for below in one.shape.inputs if not isinstance(below, str)

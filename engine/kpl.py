@@ -118,17 +118,18 @@ class KplDeclarations:
         """The keys of all that cannot be without it, users first; raises `UnknownDeclaration`."""
         return self.signature.dependents(self._application.declaration(name).key)
 
-    def restore(self) -> None:
-        """Declare what an earlier run was told; what does not hold any more is told and left."""
+    def restore(self, started: Callable[[str], None]) -> None:
+        """Declare what an earlier run was told; what does not hold any more is told and left. See
+        `Application.add`."""
         kept = self._ontology.kpl()
         if not kept:
             return
         try:
-            self._declare(kept)
+            self._declare(kept, started=started)
         except (LanguageError, DyknowError):
             # Something does not hold any more: what can be without it is restored.
             for text in kept.split(_SEPARATOR):
-                self._declare_again(text)
+                self._declare_again(text, started)
 
     def add_what_holds(self, text: str, unit: str = "ms") -> None:
         """Declare what an earlier run was told and had not kept yet, as `restore` does."""
@@ -148,9 +149,9 @@ class KplDeclarations:
                 return True
         return False
 
-    def _declare_again(self, text: str) -> None:
+    def _declare_again(self, text: str, started: Callable[[str], None] = lambda _: None) -> None:
         try:
-            self._declare(text)
+            self._declare(text, started=started)
         except (LanguageError, DyknowError) as error:
             self._not_restored[text] = str(error)
             reason = f"{error}\n{text}"
@@ -168,10 +169,12 @@ class KplDeclarations:
             return ("\n".join(lines if has_unit else [f"unit {unit}", *lines]),)
         return tuple(format_kpl(declaration) for declaration in new)
 
-    def _declare(self, text: str, unit: str = "ms") -> tuple[CheckedDeclaration, ...]:
+    def _declare(
+        self, text: str, unit: str = "ms", started: Callable[[str], None] = lambda _: None
+    ) -> tuple[CheckedDeclaration, ...]:
         vocabulary = self._ontology.vocabulary
         new, _ = check_kpl(parse_kpl(text), text, vocabulary, self.signature, unit)
-        self._application.add(new)
+        self._application.add(new, started)
         self._texts.update((declaration.key, format_kpl(declaration)) for declaration in new)
         for declaration in new:
             self._not_restored.pop(self._texts[declaration.key], None)

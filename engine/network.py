@@ -34,6 +34,7 @@ from .configuration import POLICY, Configuration
 from .errors import UnknownFeature
 from .joined_unit import FunctionProcess
 from .mediation_unit import MediationUnit, Past
+from .policy_keys import policy_keys
 from .processes import Processes, UnitImplementation
 from .stream_units import AdaptationUnit, ObjectSelectionUnit, TupleUnit
 from .supervision import ProcessEvent, Runner
@@ -150,7 +151,8 @@ class Network:
         return unit
 
     def term(self, term: Term, after: int | None = None) -> StreamGenerator:
-        """The stream of a term; the same term is the same stream."""
+        """The stream of a term; the same term is the same stream, unless another annotation has
+        come in between that names the objects otherwise."""
         if term.policy.is_default:
             return self._configuration.stream(str(term.label))
 
@@ -159,7 +161,7 @@ class Network:
             self._configuration.start(unit, Since.START, after=after)
             return unit
 
-        return self._configuration.share((term, after), build).output
+        return self._configuration.share((term, self._keys(term), after), build).output
 
     def _start(
         self,
@@ -171,6 +173,10 @@ class Network:
         unit.users += 1
         self._configuration.start(unit, Since.START, specification, after, until)
 
+    def _keys(self, term: Term) -> tuple[str, ...]:
+        """The fields for each of whose objects the policy of a term holds by itself."""
+        return policy_keys(self._configuration, self._configuration.stream(str(term.label)))
+
     def _adaptation(self, term: Term, name: str, violations: Violations | None) -> AdaptationUnit:
         source = self._configuration.stream(str(term.label))
         output = self.stream(name, None if source.is_open else source.schema)
@@ -178,6 +184,7 @@ class Network:
         return AdaptationUnit(
             *self._configuration.identity(POLICY, [source], output, {"term": format_term(term)}),
             policy=term.policy,
+            keys=self._keys(term),
             violations=violations,
         )
 
@@ -190,7 +197,11 @@ class Network:
         def late(samples: Late) -> None:
             violations.late(samples, labels[samples.input])
 
-        monotone = [term.policy.effective_order is not Order.ANY for term in process.terms]
+        # An order of each object by itself is none of the stream.
+        monotone = [
+            term.policy.effective_order is not Order.ANY and not self._keys(term)
+            for term in process.terms
+        ]
         return TupleUnit(
             *self._identity("sync", process.terms, declaration, None, after),
             kernel=Synchronization(process.policy, monotone, late),
@@ -263,7 +274,8 @@ def is_needed(life: StreamGenerator, after: int) -> bool:
 
 
 def _past(life: StreamGenerator, policy: Policy) -> Past:
-    """What a mediation would have read of a stream, had it been there."""
+    """What a mediation would have read of a stream, had it been there. A label has no annotation
+    when its life begins: the policy is of the whole stream."""
     assert life.ends_at is not None
     segments = life.stream.since(0)
     if policy.is_default:

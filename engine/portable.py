@@ -129,9 +129,9 @@ def engine_from(
         now=max(now, portable.now),
         first_reserved=max(first_reserved, after_reserved((*portable.ids, *portable.waiting_ids))),
         ontology=Ontology.of_quads(portable.quads),
+        rules=portable.rules,
         **outside.given(),
     )
-    engine.rules.version = portable.rules
     lost = []
     there = {each.name: each for each in engine.published()}
     for kept in portable.streams:

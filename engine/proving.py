@@ -24,12 +24,13 @@ from ..languages.kpl import (
     StreamDeclaration,
     format_term,
 )
+from ..languages.ssl.annotation import StreamAnnotation, id_fields
 from ..streams.fluent import Retention
 from ..streams.generator import StreamGenerator
 from ..streams.joining import Join
 from ..streams.policy import Approximation, Constraint, PolicyCounters, PolicyError
 from ..streams.sample import Column, Field, FieldType, SampleBatch, Schema, concatenate
-from ..streams.satisfaction import Counterexample, prove, satisfies
+from ..streams.satisfaction import Counterexample, prove_each, satisfies_each
 from ..streams.time import TIME_MAX
 from ..streams.tuple_definition import TupleInput, prove_join, prove_states
 from .application import Application
@@ -37,6 +38,7 @@ from .changes import Change, ChangeKind
 from .configuration import Configuration
 from .errors import Conflict
 from .network import schema_text
+from .policy_keys import annotated_contents
 from .processes import Processes
 from .stream_units import AdaptationUnit, TupleUnit
 from .supervision import DIRECT, Runner
@@ -88,13 +90,15 @@ def rehearse(
     processes: Processes,
     samples: Iterable[tuple[str, Incoming]],
     runner: Runner = DIRECT,
+    annotations: Iterable[StreamAnnotation] = (),
 ) -> Rehearsal:
     """Replay ``samples`` (source and batch, in any order) through a specification.
 
     Every sample takes its place by its available time. Samples of streams that are no source are
-    passed over, and no sink is called. ``runner`` calls the processes. Raises `UnknownFeature` for
-    a unit without an implementation, `Conflict` where a source's fields are not those of its sort.
-    Memory: the whole of every stream.
+    passed over, and no sink is called. ``runner`` calls the processes. Policies on streams with
+    ``annotations`` hold for each object by itself. Raises `UnknownFeature` for a unit without an
+    implementation, `Conflict` where a source's fields are not those of its sort, or an annotation
+    names objects by a field that it does not have. Memory: the whole of every stream.
     """
     failures: list[tuple[str, str]] = []
 
@@ -103,6 +107,7 @@ def rehearse(
             failures.append((change.stream, f"{change.kind}: {change.specification}"))
 
     configuration = Configuration(told)
+    configuration.annotations = {each.stream: each for each in annotations}
     application = Application(
         configuration,
         processes,
@@ -121,6 +126,8 @@ def rehearse(
     for source in sources.values():
         source.lateness = 0  # they are given in order
     recorded = _recorded(samples, sources)
+    for name, batch in recorded.items():
+        _check_names(name, batch, id_fields(annotated_contents(configuration, name)))
     # A foreach over what another makes has to hear of its sets in time.
     configuring = [d for d in signature.declarations if isinstance(d, ForeachDeclaration)]
     for name, batch in _runs(recorded) if len(configuring) > 1 else recorded.items():
@@ -137,9 +144,10 @@ def prove_specification(
     processes: Processes,
     samples: Iterable[tuple[str, Incoming]],
     runner: Runner = DIRECT,
+    annotations: Iterable[StreamAnnotation] = (),
 ) -> tuple[Proof, ...]:
     """Replay a recording and prove each declared stream; arguments and errors as of `rehearse`."""
-    rehearsal = rehearse(signature, processes, samples, runner)
+    rehearsal = rehearse(signature, processes, samples, runner, annotations)
     application = rehearsal.application
     proofs: list[Proof] = []
     declared = [d for d in signature.declarations if isinstance(d, StreamDeclaration)]
@@ -211,6 +219,18 @@ def _of_sort(source: StreamGenerator, batch: SampleBatch) -> SampleBatch:
     return SampleBatch(batch.available, batch.valid, columns)
 
 
+def _check_names(source: str, batch: SampleBatch, keys: Sequence[str]) -> None:
+    """Raises `Conflict` for id fields of an annotation that a recording does not have."""
+    for key in keys:
+        column = batch.columns.get(key)
+        if column is None or column.type not in (FieldType.STRING, FieldType.INTEGER):
+            found = "has no such field" if column is None else f"has a {column.type} there"
+            raise Conflict(
+                f"the annotation of {source} names objects by {key!r}, and the recording {found}",
+                f"an id field is a string or an integer; there are: {', '.join(batch.columns)}",
+            )
+
+
 def _runs(recorded: Mapping[str, SampleBatch]) -> Iterator[tuple[str, SampleBatch]]:
     """The samples of all sources in order of available time, as long as one source goes on."""
     names, times = list(recorded), [batch.available for batch in recorded.values()]
@@ -228,12 +248,12 @@ def _runs(recorded: Mapping[str, SampleBatch]) -> Iterator[tuple[str, SampleBatc
 
 def _proof(rehearsal: Rehearsal, unit: AdaptationUnit, name: str, term: str) -> Proof:
     """Of a stream with a policy."""
-    policy, (source,) = unit.policy, unit.inputs
+    policy, keys, (source,) = unit.policy, unit.keys, unit.inputs
     whole, made = unit.past_of(source), unit.output.stream.all()
     failure, refutation = rehearsal.broken.get(unit.output.name), None
     if failure is None:
         try:
-            refutation = prove(made, whole, policy)
+            refutation = prove_each(made, whole, policy, keys)
         except PolicyError as error:
             failure = f"PolicyError: {error}"
     approximates = policy.approximation is Approximation.MOST_RECENT
@@ -243,7 +263,9 @@ def _proof(rehearsal: Rehearsal, unit: AdaptationUnit, name: str, term: str) -> 
         received=len(whole),
         counters=unit.policy_counters,
         refutation=refutation,
-        as_recorded=None if approximates and not len(whole) else satisfies(whole, policy),
+        as_recorded=None
+        if approximates and not len(whole)
+        else satisfies_each(whole, policy, keys),
         failure=failure,
     )
 

@@ -207,6 +207,7 @@ class Recovering:
             now=first.now,
             first_reserved=1 if first.program == self._program else self._after_queries(0),
             ontology=ontology,
+            rules=first.rules,
             **self._outside.given(),
         )
         first.apply(engine)

@@ -19,6 +19,7 @@ from ..streams.generator import StreamGenerator
 from ..streams.policy import Policy
 from ..streams.recall import Moment
 from .configuration import POLICY, SELECT_OBJECT, SYNCHRONIZE, Configuration
+from .policy_keys import policy_keys
 from .transformations import Transformation
 from .unit import ComputationalUnit
 from .views import Since
@@ -144,7 +145,15 @@ class Running:
         self, unit: ComputationalUnit, key: object, said: set[ComputationalUnit]
     ) -> Shape | None:
         match key:
-            case (StreamGenerator(), Policy() as policy, Since() | Moment()):
+            case (
+                StreamGenerator() as source,
+                Policy() as policy,
+                tuple() as keys,
+                Since() | Moment(),
+            ):
+                if keys != policy_keys(self._configuration, source):
+                    # It was made by another annotation or by other rules: a text makes another.
+                    return None
                 return self._over(unit, POLICY, (("policy", format_policy(policy)),), said)
             case (SelectObject(_, field, object), Since() | Moment()):
                 given = (("field", field), ("object", shorten(object)))

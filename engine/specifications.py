@@ -18,7 +18,6 @@ from ..languages.specification import (
     format_specification,
     parse_specification,
 )
-from ..languages.ssl.annotation import Content
 from ..ontology.ontology import Ontology
 from .changes import Change, ChangeKind
 from .configuration import Configuration, is_reserved
@@ -74,8 +73,8 @@ class _Change:
 class Specifications:
     """What specifications made of the configuration.
 
-    ``contents`` says what a stream contains of which anybody has said it; ``check_name`` raises
-    `Refused` for names that are the system's own; ``users`` names who uses a unit and its stream.
+    ``check_name`` raises `Refused` for names that are the system's own; ``users`` names who uses a
+    unit and its stream.
     """
 
     def __init__(
@@ -87,7 +86,6 @@ class Specifications:
         subscriptions: Subscriptions,
         changed: Callable[[Change], None],
         *,
-        contents: Callable[[str], tuple[Content, ...]],
         check_name: Callable[[str], None],
         users: Users,
     ) -> None:
@@ -97,7 +95,6 @@ class Specifications:
         self._plans = plans
         self._subscriptions = subscriptions
         self._changed = changed
-        self._contents = contents
         self._check_name = check_name
         self._users = users
         self._insertions = Insertions(ontology, configuration, changed)
@@ -217,7 +214,6 @@ class Specifications:
             self._transformations,
             self._configuration,
             running,
-            self._contents,
             removed,
             restoring=restoring,
         )

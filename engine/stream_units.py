@@ -12,11 +12,9 @@ from dataclasses import asdict
 from typing import Any
 
 from ..languages.kpl import object_field
-from ..streams.adaptation import Adaptation
-from ..streams.adapting import adapt
 from ..streams.generator import StreamGenerator
 from ..streams.joining import Join
-from ..streams.keyed_adapting import KeyedAdapting
+from ..streams.keyed_adapting import adapt_each
 from ..streams.policy import Policy, PolicyCounters
 from ..streams.sample import FieldType, SampleBatch, SampleError, empty_batch
 from ..streams.synchronization import StateCounters, Synchronization
@@ -79,12 +77,7 @@ class AdaptationUnit(PolicyUnit):
         self.policy = policy
         self.keys = tuple(keys)
         on_drop = None if violations is None else violations.dropped
-        rules = self.output.rules
-        self._adaptation: Adaptation | KeyedAdapting = (
-            KeyedAdapting(policy, keys, on_drop, rules=rules)
-            if keys
-            else adapt(policy, on_drop, rules=rules)
-        )
+        self._adaptation = adapt_each(policy, keys, on_drop, rules=self.output.rules)
 
     @property
     def policy_counters(self) -> PolicyCounters:

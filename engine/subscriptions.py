@@ -14,6 +14,7 @@ from .beginning import Beginning, check_kept, settled
 from .configuration import POLICY, Configuration
 from .errors import UnknownRequest
 from .merge_unit import object_fields
+from .policy_keys import policy_keys
 from .rematching import Rematching
 from .stream_units import AdaptationUnit, counts_of
 from .views import AdaptiveView, Since, SubscriptionView
@@ -51,10 +52,11 @@ class Subscriptions:
         policy: str,
         unit: str = "ms",
         since: Beginning = Since.NOW,
-        keys: Sequence[str] = (),
+        *,
+        keyed: bool = True,
     ) -> SubscriptionView:
-        """Subscribe; ``policy`` is text as after ``with`` in KPL, integers in ``unit``. It holds
-        for each object that the fields ``keys`` name by itself.
+        """Subscribe; ``policy`` is text as after ``with`` in KPL, integers in ``unit``. Unless it
+        is not ``keyed``, it holds for each object by itself where `policy_keys` says so.
 
         With ``Since.START`` it begins with the kept history, as if it had always been there, and
         with a `Moment` there. Raises `UnknownStream`, `LanguageError` and `Forgotten`.
@@ -63,6 +65,7 @@ class Subscriptions:
         since = settled(since, [source.stream])
         parsed = parse_policy(policy, unit)
         check_kept(since, source.stream)
+        keys = policy_keys(self._configuration, source) if keyed else ()
         adapted = None if parsed.is_default else self._adapted(source, parsed, since, keys)
         id = self._next_id()
         self._subscriptions[id] = _Subscription(id, source, parsed, since, adapted)
@@ -174,10 +177,10 @@ class Subscriptions:
         return made
 
     def obtain(
-        self, source: StreamGenerator, policy: Policy, since: Beginning, keys: Sequence[str] = ()
+        self, source: StreamGenerator, policy: Policy, since: Beginning, keys: Sequence[str]
     ) -> AdaptationUnit:
         """The unit that keeps a policy, found or built; its user is still to be counted."""
-        key = (source, policy, *((tuple(keys),) if keys else ()), since)
+        key = (source, policy, tuple(keys), since)
         made = self._configuration.share(key, lambda: self._build(source, policy, since, keys))
         assert isinstance(made, AdaptationUnit)
         return made

@@ -1,8 +1,9 @@
 """Adapting a stream of many objects to a policy, each object by itself (SPEC §1, Policies).
 
 Change, order and approximation then compare a sample with others of its object only, as if each
-object had a stream of its own. Used by engine/stream_units for streams whose annotation has an id
-field. tests/laws/test_keyed_policies.py compares it with one `adapt` for each object.
+object had a stream of its own. Used for streams whose annotation has an id field, as
+engine/policy_keys says. tests/laws/test_keyed_policies.py compares it with one `adapt` for each
+object.
 """
 
 from __future__ import annotations
@@ -18,6 +19,19 @@ from .policy import Policy, PolicyCounters
 from .rules import Rules
 from .sample import Column, SampleBatch
 from .tuples import Rows
+
+
+def adapt_each(
+    policy: Policy,
+    keys: Sequence[str],
+    on_drop: OnDrop | None = None,
+    *,
+    rules: Rules | None = None,
+) -> Adaptation | KeyedAdapting:
+    """`adapt`, for each object that the fields ``keys`` name by itself, if there are any."""
+    if keys:
+        return KeyedAdapting(policy, keys, on_drop, rules=rules)
+    return adapt(policy, on_drop, rules=rules)
 
 
 class KeyedAdapting:

@@ -7,9 +7,12 @@ counterexample where it is not. It shares nothing with `adaptation`, which makes
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .constraints import Content, after, alone, contents
 from .maximality import addable, unused
@@ -19,15 +22,20 @@ from .sample import SampleBatch
 from .saturating import earlier
 from .time import TIME_MAX
 
+Name: TypeAlias = tuple[Any, ...]
+"""The values of the fields that name an object."""
+
 
 @dataclass(frozen=True, slots=True)
 class Counterexample:
     """Where a stream is not what it has to be: row ``row`` (from 0) of it, or of the stream it was
-    made from where something is missing. Times in the message are ns."""
+    made from where something ``is_missing``, with ``use most recent`` of the grid of that. Times in
+    the message are ns."""
 
     constraint: Constraint | None
     row: int
     message: str
+    is_missing: bool = False
 
 
 def satisfies(stream: SampleBatch, policy: Policy) -> Counterexample | None:
@@ -99,7 +107,7 @@ def is_maximal(part: SampleBatch, whole: SampleBatch, policy: Policy) -> Counter
         return None
     row, moment = found
     message = f"a sample valid at {int(whole.valid[row])} could be sent at {moment}"
-    return Counterexample(None, row, message)
+    return Counterexample(None, row, message, is_missing=True)
 
 
 def prove(part: SampleBatch, stream: SampleBatch, policy: Policy) -> Counterexample | None:
@@ -117,6 +125,57 @@ def prove(part: SampleBatch, stream: SampleBatch, policy: Policy) -> Counterexam
         # The grid satisfies its policy by being made, and nothing of it is left to add.
         return None
     return satisfies(part, policy) or is_substream(part, whole) or is_maximal(part, whole, policy)
+
+
+def satisfies_each(
+    stream: SampleBatch, policy: Policy, keys: Sequence[str]
+) -> Counterexample | None:
+    """`satisfies`, for each object that the fields ``keys`` name by itself (SPEC §1, Policies)."""
+    if not keys:
+        return satisfies(stream, policy)
+    for name, rows in by_object(stream, keys).items():
+        found = satisfies(stream.take(rows), policy)
+        if found is not None:
+            return _of_object(found, rows, name)
+    return None
+
+
+def prove_each(
+    part: SampleBatch, stream: SampleBatch, policy: Policy, keys: Sequence[str]
+) -> Counterexample | None:
+    """`prove`, for each object that the fields ``keys`` name by itself (SPEC §1, Policies)."""
+    if not keys:
+        return prove(part, stream, policy)
+    parts, wholes = by_object(part, keys), by_object(stream, keys)
+    nothing = np.zeros(0, np.int64)
+    for name in {**wholes, **parts}:
+        own, all = parts.get(name, nothing), wholes.get(name, nothing)
+        found = prove(part.take(own), stream.take(all), policy)
+        if found is None:
+            continue
+        rows = all if found.is_missing else own
+        if found.is_missing and policy.approximation is Approximation.MOST_RECENT:
+            rows = np.arange(found.row + 1)  # each object has a grid of its own
+        return _of_object(found, rows, name)
+    return None
+
+
+def by_object(stream: SampleBatch, keys: Sequence[str]) -> dict[Name, NDArray[np.int64]]:
+    """The rows of each object that the fields ``keys`` name; samples without a name are of one
+    object together. Cost: O(n) Python."""
+    if not len(stream):
+        return {}  # it need not have fields yet
+    columns = (stream.columns[key].tolist() for key in keys)
+    found: dict[Name, list[int]] = {}
+    for row, name in enumerate(zip(*columns, strict=True)):
+        found.setdefault(name, []).append(row)
+    return {name: np.array(rows, np.int64) for name, rows in found.items()}
+
+
+def _of_object(found: Counterexample, rows: NDArray[np.int64], name: Name) -> Counterexample:
+    """What was found in the samples of one object, in the stream that has those of all."""
+    object = ", ".join("no name" if part is None else str(part) for part in name)
+    return replace(found, row=int(rows[found.row]), message=f"of {object}: {found.message}")
 
 
 def _rows(batch: SampleBatch) -> list[tuple[int, Content]]:

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import NamedTuple, TypeAlias
 
@@ -35,6 +36,12 @@ class Content:
     field: str
     unit: Unit
     roles: tuple[Role, ...]
+
+
+def id_fields(contents: Iterable[Content]) -> tuple[str, ...]:
+    """The fields that name the objects of a stream's samples, each once."""
+    fields = (role.id_field for content in contents for role in content.roles)
+    return tuple(dict.fromkeys(field for field in fields if field is not None))
 
 
 @dataclass(frozen=True, slots=True)

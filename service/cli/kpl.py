@@ -25,6 +25,8 @@ from ...languages.kpl import (
     format_kpl,
     parse_kpl,
 )
+from ...languages.ssl import check_ssl, parse_ssl
+from ...languages.ssl.annotation import StreamAnnotation
 from ...ontology.ontology import Ontology
 from ...streams.time import format_time
 from ..problems import problem_of
@@ -91,10 +93,20 @@ TimeUnit = Annotated[
 ]
 
 
+Ssl = Annotated[
+    str | None,
+    typer.Option(
+        help="What the sources are about, SSL text or its file: policies then hold for each object "
+        "by itself."
+    ),
+]
+
+
 @kpl.command()
 def prove(
     file: File,
     recording: Recordings,
+    ssl: Ssl = None,
     processes: Modules = None,
     unit: Unit = "ms",
     time_unit: TimeUnit = None,
@@ -106,8 +118,9 @@ def prove(
     recording itself keeps the policy, and the first sample that does not.
     """
     signature, samples = _recorded(file, recording, processes, unit, time_unit)
+    annotations = _annotations(signature, ssl)
     with _watched() as watchdog:
-        proofs = prove_specification(signature, PROCESSES, samples, watchdog)
+        proofs = prove_specification(signature, PROCESSES, samples, watchdog, annotations)
     if as_json:
         show_lines(_as_json(proof) for proof in proofs)
     else:
@@ -134,6 +147,7 @@ def run(
             help="A stream, label or source; else every declared stream. May be repeated."
         ),
     ] = None,
+    ssl: Ssl = None,
     processes: Modules = None,
     unit: Unit = "ms",
     time_unit: TimeUnit = None,
@@ -144,9 +158,10 @@ def run(
     With --json one a line, as they can be published again.
     """
     signature, samples = _recorded(file, recording, processes, unit, time_unit)
+    annotations = _annotations(signature, ssl)
     names = stream or [d.key for d in signature.declarations if isinstance(d, StreamDeclaration)]
     with _watched() as watchdog:
-        rehearsal = rehearse(signature, PROCESSES, samples, watchdog)
+        rehearsal = rehearse(signature, PROCESSES, samples, watchdog, annotations)
         made = {name: rehearsal.application.samples_of(name) for name in names}
     rows = heapq.merge(
         *([(a, name, v, values) for a, v, values in batch.rows()] for name, batch in made.items()),
@@ -198,6 +213,22 @@ def _recorded(
             raise fail(said, hint)
         err().print(f"{said}, so it is silent ({hint})", markup=False)
     return signature, in_order({n: recordings[n] for n in sources if n in recordings})
+
+
+def _annotations(signature: Signature, ssl: str | None) -> list[StreamAnnotation]:
+    """What an SSL text says of streams of the specification; others are named in a warning."""
+    if ssl is None:
+        return []
+    text = text_or_file(ssl)
+    checked = check_ssl(parse_ssl(text), text, Ontology.open(None).vocabulary)
+    found = [one for one in checked if isinstance(one, StreamAnnotation)]
+    for one in found:
+        if signature.find(one.stream) is None:
+            err().print(
+                f"warning: the SSL text annotates stream {one.stream!r}, which is not declared",
+                markup=False,
+            )
+    return found
 
 
 @contextmanager

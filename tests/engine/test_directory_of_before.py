@@ -11,12 +11,27 @@ from pathlib import Path
 import pytest
 from directory_of_before import told
 
-from dyknow.engine.commands import Publish
+from dyknow.engine import recorded as recording
+from dyknow.engine import recovering
+from dyknow.engine.commands import (
+    AddKpl,
+    Annotate,
+    ApplySpecification,
+    DeclareStream,
+    Publish,
+    Subscribe,
+)
 from dyknow.engine.recorded import RecordedEngine
+from dyknow.engine.views import Since, StreamDeclaration
 from dyknow.journal.log import Durability
+from dyknow.streams.rules import UNIQUE_TIMES
+from dyknow.streams.sample import Field, FieldType
 from dyknow.streams.time import SECOND
 
 ARCHIVE = Path(__file__).parents[1] / "fixtures" / "before_instants.tar.xz"
+
+
+FIELDS = (Field("id", FieldType.STRING), Field("spd", FieldType.FLOAT))
 
 
 @pytest.fixture
@@ -47,8 +62,44 @@ def test_streams_numbers_and_events_are_what_they_were(written, kind):
     assert found == expected[kind]
 
 
+POLICY = """<specification xmlns="http://www.dyknow.eu/ontology#Specification"><insertions>
+<cu name="specified" type="policy"><parameter name="policy" value="sample every 1s"/>
+<stream name="radar"/></cu></insertions></specification>"""
+
+
+@pytest.mark.parametrize("kind", ["log", "state", "checkpoint"])
+def test_policies_of_before_are_of_the_whole_stream(tmp_path, monkeypatch, kind):
+    """A program with the rules of before is this one: only `begin` says by which rules it wrote."""
+    monkeypatch.setattr(recovering, "INSTANTS", UNIQUE_TIMES)
+    first = opened(tmp_path)
+    first.do(DeclareStream(StreamDeclaration("radar", FIELDS)))
+    first.do(Annotate("stream radar contains speed(UAV) = spd for every UAV = id"))
+    first.do(AddKpl("sort fix = (id string, spd float) source fix radar strmgen f = radar"))
+    first.do(AddKpl("stream declared = f with sample every 1s"))
+    first.do(ApplySpecification(POLICY.encode()))
+    rows = [row(at + k / 2, f"uav{k}", 1.0) for at in range(1, 4) for k in (0, 1)]
+    first.do(Publish("radar", "ndjson", "\n".join(rows[:3]).encode(), 9 * SECOND))
+    first.close(checkpoint=kind != "log")
+    monkeypatch.undo()
+    if kind == "checkpoint":
+        monkeypatch.setattr(recording, "program", lambda *_: "another")
+    recorded = opened(tmp_path)
+    recorded.do(Publish("radar", "ndjson", "\n".join(rows[3:]).encode(), 9 * SECOND))
+    # Of a checkpoint another program takes the samples of streams that people publish to.
+    expected = ["uav1"] * 2 if kind == "checkpoint" else ["uav0"] * 3
+    for name in ("declared", "specified"):
+        whole = recorded.engine.generator(name).stream.all()
+        assert [values["id"] for _, _, values in whole.rows()] == expected
+    # What is asked for from now on goes by the rules of now, where these hold.
+    found = recorded.do(Subscribe("radar", "sample every 1s", since=Since.START, keyed=True))
+    after = recorded.engine.generator(found.stream).stream.all()
+    assert len(after) == (6 if recorded.engine.rules.separates_objects else 3)
+    assert recorded.engine.rules.separates_objects is (kind == "checkpoint")
+    recorded.close()
+
+
 def row(at, id, value):
-    line = {"valid": at * SECOND, "available": at * SECOND, "id": id, "spd": value}
+    line = {"valid": int(at * SECOND), "available": int(at * SECOND), "id": id, "spd": value}
     return json.dumps(line)
 
 

@@ -51,8 +51,8 @@ def attempts(monkeypatch):
         made.append(arguments)
         return prove(*arguments)
 
-    prove = proving.prove
-    monkeypatch.setattr(proving, "prove", counted)
+    prove = proving.prove_each
+    monkeypatch.setattr(proving, "prove_each", counted)
     return made
 
 

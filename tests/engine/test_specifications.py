@@ -268,10 +268,10 @@ def test_policy(engine):
         '<stream name="speeds"/></cu>'
     )
     apply(engine, made)
-    # A policy of a specification is of the whole stream, that of a subscription of each object.
-    assert engine.subscribe("speeds", "any change").stream != "seldom"
+    # Both hold for each object by itself; a subscription of an earlier version does not.
+    assert engine.subscribe("speeds", "any change", keyed=False).stream != "seldom"
     engine.unsubscribe("subscription1")
-    subscription = engine.subscribe("speeds", "any change", keyed=False)
+    subscription = engine.subscribe("speeds", "any change")
     assert subscription.stream == "seldom"
     feed(engine, "speeds", [(t, {"id": "u", "spd": float(t // 3)}) for t in range(1, 7)])
     # `any change` compares values and valid times.

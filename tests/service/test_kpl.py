@@ -9,8 +9,10 @@ import pytest
 from shared_data import DATA
 from typer.testing import CliRunner
 
+from dyknow.engine import stream_units
 from dyknow.engine.processes import PROCESSES
 from dyknow.service.cli import app
+from dyknow.streams.adapting import adapt
 from dyknow.streams.change_states import ChangeStates
 
 EXAMPLE = """source pos pos_car1
@@ -183,6 +185,55 @@ def test_inner_terms_joins_and_synchronizations_are_proved(tmp_path, monkeypatch
     assert "there is no state for 100" in proofs["state"]["refutation"]["message"].replace(
         "000", ""
     )
+
+
+OBJECTS = """sort fix = (id string, spd float)
+source fix radar
+strmgen f = radar
+stream each = f with sample every 100
+"""
+MEANING = "stream radar contains speed(UAV) = spd for every UAV = id"
+
+
+def test_with_the_meaning_of_a_source_each_object_is_proved(tmp_path, monkeypatch):
+    rows = [f"{t + 50 * k},{t + 50 * k},uav{k},1" for t in (100, 200, 300) for k in (0, 1)]
+    (tmp_path / "radar.csv").write_text("\n".join(["available,valid,id,spd", *rows]))
+    (tmp_path / "app.kpl").write_text(OBJECTS)
+
+    def kpl(command, *options):
+        arguments = ["kpl", command, str(tmp_path / "app.kpl"), str(tmp_path / "radar.csv")]
+        return CliRunner().invoke(app, [*arguments, "--json", *options])
+
+    whole = kpl("prove")
+    assert json.loads(whole.stdout)["as_recorded"] is not None
+    assert (whole.exit_code, json.loads(whole.stdout)["sent"]) == (0, 3)
+    each = kpl("prove", "--ssl", MEANING)
+    proof = json.loads(each.stdout)
+    assert (each.exit_code, proof["sent"], proof["as_recorded"]) == (0, 6, None), each.output
+    made = kpl("run", "--ssl", MEANING)
+    ids = [json.loads(line)["id"] for line in made.stdout.splitlines()]
+    assert ids == ["uav0", "uav1"] * 3
+    # Were all of it made as one stream, the samples of uav1 would be missing.
+    monkeypatch.setattr(stream_units, "adapt_each", lambda policy, _, *a, **b: adapt(policy, **b))
+    spoilt = kpl("prove", "--ssl", MEANING)
+    assert spoilt.exit_code == 1
+    refuted = json.loads(spoilt.stdout)["refutation"]
+    assert refuted["row"] == 2
+    assert "of uav1: a sample valid at 150" in refuted["message"]
+
+
+def test_a_meaning_that_does_not_fit(tmp_path):
+    (tmp_path / "radar.csv").write_text("available,valid,id,spd\n100,100,uav1,1\n")
+    (tmp_path / "app.kpl").write_text(OBJECTS)
+    arguments = [str(tmp_path / "app.kpl"), str(tmp_path / "radar.csv"), "--ssl"]
+    said = CliRunner().invoke(
+        app, ["kpl", "prove", *arguments, MEANING.replace("= id", "= callsign")]
+    )
+    assert said.exit_code == 1
+    assert "names objects by 'callsign', and the recording has no such field" in said.stderr
+    other = CliRunner().invoke(app, ["kpl", "prove", *arguments, MEANING.replace("radar", "rader")])
+    assert other.exit_code == 0
+    assert "annotates stream 'rader', which is not declared" in other.stderr
 
 
 def test_nothing_proved_is_no_proof(tmp_path):
