@@ -13,7 +13,6 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import assert_never
 
 from ..languages.kpl import (
-    PROCESSES,
     CheckedDeclaration,
     CompunitDeclaration,
     ForeachDeclaration,
@@ -32,7 +31,7 @@ from ..streams.sample import SampleBatch
 from ..streams.time import TIME_MAX
 from .admission import Admission
 from .changes import Change, ChangeKind, Role
-from .configuration import POLICY, Configuration
+from .configuration import Configuration
 from .configuration_process import ConfigurationProcess
 from .errors import Conflict, UnknownDeclaration
 from .mediation_unit import MediationUnit
@@ -45,8 +44,6 @@ from .tape import Outcome
 from .unit import ComputationalUnit
 from .violations import SUFFIX
 
-BUILT_IN = (POLICY, *PROCESSES)
-"""Transformations of the language; nothing else is called so."""
 Process = ComputationalUnit | SampledSource | Sink | ConfigurationProcess
 """What may run for a declaration."""
 

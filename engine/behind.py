@@ -13,12 +13,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from itertools import groupby
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import msgspec
-
-if TYPE_CHECKING:
-    from .window_unit import WindowUnit
 
 
 class Went(msgspec.Struct, frozen=True, array_like=True, omit_defaults=True):
@@ -79,6 +76,31 @@ class Turns(Protocol):
         """Do ``what``; gives the seconds that it took."""
 
 
+class Backlogged(Protocol):
+    """A unit that may be behind (`WindowUnit`)."""
+
+    @property
+    def name(self) -> str:
+        """Its name in the configuration."""
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether it can go on now; else it waits for something that is done apart."""
+
+    @property
+    def is_within(self) -> bool:
+        """Whether a window is half done, or what it gave is not told."""
+
+    def go_on(self, turns: Turns, *, begins: bool = True) -> list[Went]:
+        """Close windows, and take batches, while there is time; gives what was done."""
+
+    def finish_window(self) -> None:
+        """Close the window that is half done."""
+
+    def again(self, turn: Sequence[Went]) -> None:
+        """Do what one turn did."""
+
+
 class Behind:
     """The units of an engine that are behind, in the order of their turns.
 
@@ -87,15 +109,15 @@ class Behind:
 
     def __init__(self, turns: Turns | None = None) -> None:
         self.turns = turns
-        self._units: list[WindowUnit] = []
-        self._new: list[WindowUnit] = []
+        self._units: list[Backlogged] = []
+        self._new: list[Backlogged] = []
         """Those that have had no turn yet."""
 
     def __bool__(self) -> bool:
         return bool(self._units)
 
     @property
-    def units(self) -> Sequence[WindowUnit]:
+    def units(self) -> Sequence[Backlogged]:
         """Those that are behind."""
         return tuple(self._units)
 
@@ -114,13 +136,13 @@ class Behind:
         """Whether there are units that have had no turn yet."""
         return bool(self._new)
 
-    def fell(self, unit: WindowUnit) -> None:
+    def fell(self, unit: Backlogged) -> None:
         """``unit`` has windows to close, or parts of a batch to take."""
         if unit not in self._units:
             self._units.append(unit)
             self._new.append(unit)
 
-    def left(self, unit: WindowUnit) -> None:
+    def left(self, unit: Backlogged) -> None:
         """``unit`` has caught up, or is no more."""
         for units in (self._units, self._new):
             if unit in units:
@@ -157,7 +179,7 @@ class Behind:
             unit.again(tuple(turn))
             self._had_its_turn(unit)
 
-    def _had_its_turn(self, unit: WindowUnit) -> None:
+    def _had_its_turn(self, unit: Backlogged) -> None:
         """Its next one comes after those of the others."""
         if unit in self._new:
             self._new.remove(unit)

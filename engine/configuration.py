@@ -13,7 +13,7 @@ from collections.abc import Set as AbstractSet
 from contextlib import contextmanager
 from typing import Protocol, TypeVar
 
-from ..languages.kpl import format_policy
+from ..languages.kpl import PROCESSES, format_policy
 from ..languages.ssl.annotation import StreamAnnotation
 from ..rdf.namespaces import DYKNOW
 from ..streams.fluent import Retention
@@ -37,6 +37,8 @@ from .violations import SUFFIX, Violations
 
 POLICY = "policy"
 """The transformation of a subscription with a policy ([DyKnow10 Def. 5.35])."""
+BUILT_IN = (POLICY, *PROCESSES)
+"""Transformations of KPL; nothing else is called so."""
 SELECT_OBJECT = "selectObject"
 """The transformation that selects one object's samples."""
 SYNCHRONIZE = "synchronize"

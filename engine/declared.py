@@ -24,9 +24,9 @@ from ..streams.generator import StreamGenerator
 from ..streams.sample import TIME_FIELDS, Field, FieldType, Schema
 from ..streams.strings import StringPool
 from ..streams.time import HOUR
-from .application import BUILT_IN
 from .changes import Change, ChangeKind
 from .configuration import (
+    BUILT_IN,
     C_SPARQL,
     MERGE,
     RETENTION,

@@ -427,7 +427,8 @@ class Engine:
 
     def behind_of(self, stream: str) -> tuple[WindowUnit, ...]:
         """The units that are behind and read ``stream``, themselves or through other units."""
-        return self._readers(self.behind.units, stream)
+        units = [unit for unit in self.behind.units if isinstance(unit, WindowUnit)]
+        return self._readers(units, stream)
 
     def _readers(self, units: Iterable[AnyUnit], stream: str) -> tuple[AnyUnit, ...]:
         """Those of ``units`` that read ``stream``, themselves or through other units."""

@@ -15,7 +15,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from .event_clients import address_of
+from .addresses import address_of
 from .memory import Memory
 from .origins import FetchMetadata, Hosts, Origins, Place, is_same
 from .problems import REQUEST_ID, Problem

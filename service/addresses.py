@@ -4,6 +4,13 @@ from __future__ import annotations
 
 import ipaddress
 
+from starlette.requests import Request
+
+
+def address_of(request: Request) -> str:
+    """Who is counted together where nothing tells clients apart but where they come from."""
+    return network_of(request.client.host) if request.client else ""
+
 
 def network_of(host: str) -> str:
     """An address of IPv4; of IPv6 the network of 64 bits that one is given. What is no address

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from .negotiation import EVENT_STREAM
+from .media_types import EVENT_STREAM
 from .observe import HEAD
 from .problems import REQUEST_ID, Problem
 

@@ -9,19 +9,27 @@ protocols are made with bounds (service/protocols), and connections are looked a
 
 from __future__ import annotations
 
+import asyncio
 import secrets
+import socket
+import struct
 from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from http import HTTPStatus
 from itertools import count
-from typing import Any
+from typing import Any, Final
 
 from .descriptors import places
-from .event_response import EVENTS, drop
 from .logs import log
 from .problems import Problem
 from .settings import Settings
+
+EVENTS: Final = "dyknow.events"
+"""In the ``state`` of a request's scope: the answer is an event stream, whose client `EventClients`
+lets go."""
+_FORGET = struct.pack("ii", 1, 0)
+"""To linger for no time: what was not taken is forgotten when the connection closes."""
 
 SPARE = 128
 """So many descriptors are left beside connections: for those that are refused, and for files."""
@@ -141,3 +149,13 @@ def encoded(problem: Problem, id: str) -> bytes:
     head += [name + b": " + value for name, value in response.raw_headers]
     head.append(b"x-request-id: " + id.encode())
     return b"\r\n".join([*head, b"", bytes(response.body)])
+
+
+def drop(transport: asyncio.Transport) -> None:
+    """Close a connection whose client does not take what it was sent, and forget that. Closed in
+    the usual way it would stay for as long as the client likes."""
+    if not transport.is_closing():
+        peer: socket.socket | None = transport.get_extra_info("socket")
+        if peer is not None:
+            peer.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _FORGET)
+        transport.abort()

@@ -22,16 +22,7 @@ import msgspec
 from ..converters.ndjson import encode_ndjson
 from ..streams.sample import SampleBatch
 from .connection import URL, Connection, Event, ServiceError
-from .negotiation import (
-    CSV,
-    JSON,
-    NDJSON,
-    NTRIPLES,
-    SPARQL_JSON,
-    SPARQL_QUERY,
-    TEXT,
-    TURTLE,
-)
+from .media_types import CSV, JSON, NDJSON, NTRIPLES, SPARQL_JSON, SPARQL_QUERY, TEXT, TURTLE
 from .parts import description_parts, joined, kpl_parts, sent, specification_parts, ssl_parts
 
 __all__ = ["URL", "Client", "Event", "ServiceError"]

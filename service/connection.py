@@ -13,8 +13,7 @@ import httpx
 import msgspec
 from httpx_sse import EventSource, ServerSentEvent
 
-from .negotiation import JSON
-from .sse import POSITION
+from .media_types import JSON, POSITION
 
 URL = "http://127.0.0.1:8000"
 TOKEN = "DYKNOW_TOKEN"

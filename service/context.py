@@ -14,8 +14,9 @@ from ..engine.commands import ANYTIME, Command, EndStream, Publish, ReadAlready,
 from ..engine.engine import Engine
 from ..streams.time import Clock
 from .access import Gate
+from .addresses import address_of
 from .decoding import Decoding
-from .event_clients import ClientKey, address_of
+from .event_clients import ClientKey
 from .garbage import Garbage
 from .isolation.services import Isolation
 from .keeper import Keeper

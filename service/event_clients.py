@@ -15,7 +15,6 @@ from typing import Protocol
 from starlette.requests import Request
 from starlette.types import Message, Send
 
-from .addresses import network_of
 from .problems import Problem
 from .tokens import Caller, Scope, Tokens
 
@@ -33,11 +32,6 @@ is not accepted any more; the service stops; what feeds the stream has failed, o
 in the log."""
 OPEN = Tokens()
 """No token is asked for."""
-
-
-def address_of(request: Request) -> str:
-    """Who is counted together where nothing tells clients apart but where they come from."""
-    return network_of(request.client.host) if request.client else ""
 
 
 class EventClient:

@@ -10,19 +10,17 @@ from __future__ import annotations
 
 import asyncio
 import socket
-import struct
 from collections.abc import AsyncIterator, Mapping
 from typing import Final, Protocol
 
 from sse_starlette import EventSourceResponse
 from starlette.types import Receive, Scope, Send
 
+from .bounds import EVENTS, drop
 from .event_clients import EventClient, EventClients
 
 TRANSPORT: Final = "dyknow.transport"
 """In the ``state`` of a request's scope: its connection's transport, where the server tells it."""
-EVENTS: Final = "dyknow.events"
-"""There as well: the answer is an event stream, whose client `EventClients` lets go."""
 SEND_BUFFER = 64 * 1024
 """Bytes that the kernel holds of what a client does not take (it reckons with twice that)."""
 OPENING = b": dyknow\n"
@@ -31,8 +29,6 @@ HEARTBEAT = b": ping\n"
 """A comment without an empty line: a reader that dispatches empty messages stays quiet."""
 DROPPED = 1.0
 """Seconds in which a connection that was closed is known to be."""
-_FORGET = struct.pack("ii", 1, 0)
-"""To linger for no time: what was not taken is forgotten when the connection closes."""
 
 
 class Messages(Protocol):
@@ -162,13 +158,3 @@ def _unbound(transport: asyncio.Transport | None) -> None:
     """The connection's next answer may be of another kind."""
     if transport is not None and not transport.is_closing():
         transport.set_write_buffer_limits()
-
-
-def drop(transport: asyncio.Transport) -> None:
-    """Close a connection whose client does not take what it was sent, and forget that. Closed in
-    the usual way it would stay for as long as the client likes."""
-    if not transport.is_closing():
-        peer: socket.socket | None = transport.get_extra_info("socket")
-        if peer is not None:
-            peer.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _FORGET)
-        transport.abort()

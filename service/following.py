@@ -17,7 +17,8 @@ from fastapi.responses import Response
 from ..engine.errors import UnknownStream
 from ..streams.recall import Moment
 from .event_clients import EventClient
-from .negotiation import EVENT_STREAM, accepted
+from .media_types import EVENT_STREAM
+from .negotiation import accepted
 from .problems import Problem
 from .sse import Cursor, Feeds, bad_id, is_number, message, respond
 

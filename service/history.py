@@ -22,7 +22,7 @@ from ..converters.csv_table import encode_csv
 from ..converters.ndjson import encode_ndjson
 from ..streams.sample import Column, SampleBatch
 from .answers import HELD
-from .negotiation import ARROW, CSV, NDJSON, NTRIPLES
+from .media_types import ARROW, CSV, NDJSON, NTRIPLES
 
 PIECE_BYTES = 256 * 1024
 """A piece has at most so many, as far as the texts in it say, or one sample."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from time import perf_counter
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Protocol
 
 from prometheus_client import CollectorRegistry, Counter, Histogram
 from prometheus_client.core import GaugeMetricFamily, Metric
@@ -18,7 +18,6 @@ from ..streams.time import SECOND
 
 if TYPE_CHECKING:
     from ..engine.recorded import DiskUse
-    from .keeper import Keeper
 
 _COMMITS: Final = (
     *(0.0001, 0.00025, 0.0005, 0.001, 0.0025, 0.005),
@@ -96,20 +95,36 @@ class JournalTimes:
         self._checkpoint_seconds.labels(step).observe(perf_counter() - begun)
 
 
+class Recorder(Protocol):
+    """Who records commands: what of it is told (`Keeper`)."""
+
+    @property
+    def is_recording(self) -> bool:
+        """Whether there is a data directory."""
+
+    @property
+    def waiting(self) -> tuple[int, int]:
+        """Records, and bytes of them, that wait to be written."""
+
+    @property
+    def position(self) -> int:
+        """The number of the last command."""
+
+
 class JournalState(Collector):
     """What there is now: `use` is looked up before each scrape, since it waits for the disk."""
 
-    def __init__(self, keeper: Keeper) -> None:
+    def __init__(self, recorder: Recorder) -> None:
         self.use: DiskUse | None = None
-        self._keeper = keeper
+        self._recorder = recorder
 
     def describe(self) -> Iterable[Metric]:
         return ()
 
     def collect(self) -> Iterable[Metric]:
         values: dict[str, float] = {}
-        if self._keeper.is_recording:
-            records, size = self._keeper.waiting
+        if self._recorder.is_recording:
+            records, size = self._recorder.waiting
             values["dyknow_journal_waiting_records"] = records
             values["dyknow_journal_waiting_bytes"] = size
         use = self.use
@@ -117,7 +132,7 @@ class JournalState(Collector):
             values["dyknow_journal_size_bytes"] = use.log_bytes
             values["dyknow_journal_segments"] = use.log_files
             values["dyknow_data_free_bytes"] = use.free
-            behind = self._keeper.position
+            behind = self._recorder.position
             if use.checkpoint is not None:
                 values["dyknow_checkpoint_size_bytes"] = use.checkpoint.size
                 values["dyknow_checkpoint_timestamp_seconds"] = use.checkpoint.written / SECOND

@@ -10,7 +10,7 @@ from fastapi import Response
 from pydantic import BaseModel
 
 from ..engine.errors import UNKNOWN
-from .negotiation import JSON
+from .media_types import JSON
 
 T = TypeVar("T")
 

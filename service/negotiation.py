@@ -17,25 +17,9 @@ from fastapi.exceptions import RequestValidationError
 from pydantic import TypeAdapter, ValidationError
 
 from ..ontology.reading import TextFormat
+from .media_types import JSON_LD, NTRIPLES, RDF_XML, TURTLE
 from .problems import Problem
 
-JSON = "application/json"
-TEXT = "text/plain"
-XML = "application/xml"
-TEXT_XML = "text/xml"
-NDJSON = "application/x-ndjson"
-CSV = "text/csv"
-ARROW = "application/vnd.apache.arrow.stream"
-NTRIPLES = "application/n-triples"
-TURTLE = "text/turtle"
-JSON_LD = "application/ld+json"
-RDF_XML = "application/rdf+xml"
-SPARQL_QUERY = "application/sparql-query"
-SPARQL_JSON = "application/sparql-results+json"
-SPARQL_XML = "application/sparql-results+xml"
-TSV = "text/tab-separated-values"
-FORM = "application/x-www-form-urlencoded"
-EVENT_STREAM = "text/event-stream"
 ONTOLOGY_FORMATS: dict[str, TextFormat] = {
     TURTLE: "turtle",
     RDF_XML: "rdfxml",

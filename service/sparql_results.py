@@ -25,13 +25,8 @@ from ..rdf.dictionary import Term
 from ..rdf.namespaces import PREFIXES, XSD
 from ..streams.time import format_time
 from .isolation import formats
-from .negotiation import (
-    JSON,
-    NTRIPLES,
-    SPARQL_JSON,
-    SPARQL_XML,
-    accepted,
-)
+from .media_types import JSON, NTRIPLES, SPARQL_JSON, SPARQL_XML
+from .negotiation import accepted
 from .problems import Problem
 
 RESULTS = formats.TABLES

@@ -33,15 +33,14 @@ from .event_clients import EventClient, EventClients
 from .event_messages import PIECE_BYTES, Block, Blocks, MessageCache
 from .event_response import EventStream, Messages
 from .marks import Marks
+from .media_types import EVENT_STREAM, POSITION
 from .models import RematchModel
-from .negotiation import EVENT_STREAM, accepted
+from .negotiation import accepted
 from .observe import HEAD
 from .problems import Problem
 
 LONGEST_EPOCH = 64
 """Characters of an epoch in an id that a client says; the service's own have eight."""
-POSITION = "Dyknow-Position"
-"""The header of an answer that says after which id it begins."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,16 +8,7 @@ from __future__ import annotations
 from typing import Any
 
 from .policy import AnyChange, ChangeBy, Constraint, Order, Policy
-from .sample import SampleBatch
-
-Content = tuple[Any, ...]
-"""Valid time and values of a sample: all but when it became available."""
-
-
-def contents(batch: SampleBatch) -> list[Content]:
-    """The content of each sample; columns in order of their names."""
-    columns = [batch.columns[name].tolist() for name in sorted(batch.columns)]
-    return list(zip(batch.valid.tolist(), *columns, strict=True))
+from .sample import Content
 
 
 def alone(available: int, valid: int, policy: Policy) -> tuple[Constraint, str] | None:

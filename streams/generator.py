@@ -18,11 +18,11 @@ from typing import Protocol
 
 import numpy as np
 
-from .constraints import Content, contents
 from .fluent import FluentStream, Retention
 from .instants import repeated
 from .rules import Rules
 from .sample import (
+    Content,
     Field,
     Mask,
     SampleBatch,
@@ -30,6 +30,7 @@ from .sample import (
     Schema,
     Times,
     concatenate,
+    contents,
     empty_batch,
     widened,
 )

@@ -24,8 +24,9 @@ from collections import defaultdict, deque
 from collections.abc import Sequence
 from itertools import groupby, pairwise
 
-from .constraints import Content, after, alone
+from .constraints import after, alone
 from .policy import AnyChange, ChangeBy, Order, Policy
+from .sample import Content
 from .time import TIME_MAX
 
 Known = tuple[int, Content]

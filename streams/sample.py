@@ -384,3 +384,13 @@ def problem_of(kind: FieldType, value: Value) -> str | None:
             return None if isinstance(value, str) else f"is a string, got {value!r}"
         case _:
             assert_never(kind)
+
+
+Content = tuple[Any, ...]
+"""Valid time and values of a sample: all but when it became available."""
+
+
+def contents(batch: SampleBatch) -> list[Content]:
+    """The content of each sample; columns in order of their names."""
+    columns = [batch.columns[name].tolist() for name in sorted(batch.columns)]
+    return list(zip(batch.valid.tolist(), *columns, strict=True))

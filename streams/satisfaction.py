@@ -14,11 +14,11 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from .constraints import Content, after, alone, contents
+from .constraints import after, alone
 from .maximality import addable, unused
 from .policy import GRID_LIMIT, Approximation, Constraint, Policy, PolicyError
 from .recent import most_recent_rows
-from .sample import SampleBatch
+from .sample import Content, SampleBatch, contents
 from .saturating import earlier
 from .time import TIME_MAX
 

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from ...streams.time import format_time
-from ..negotiation import CSV, JSON_LD, NTRIPLES, SPARQL_JSON, SPARQL_XML, TSV, TURTLE
+from ..media_types import CSV, JSON_LD, NTRIPLES, SPARQL_JSON, SPARQL_XML, TSV, TURTLE
 from .events import STRATEGY
 from .knowing import show_bindings
 from .output import (

@@ -27,7 +27,8 @@ from ...rdf.namespaces import local_name, shorten
 from ...rdf.timed import TimedTriples, TripleRows
 from ...streams.instants import Places
 from ...streams.time import format_time, parse_duration
-from ..negotiation import ONTOLOGY_FORMATS, TURTLE
+from ..media_types import TURTLE
+from ..negotiation import ONTOLOGY_FORMATS
 from ..triples_file import TripleWriter, holds_graphs, read_timed_graphs, read_timed_triples
 from .ontologies import MEDIA_TYPES
 from .output import Json, err, fail, show_json, show_table, show_text

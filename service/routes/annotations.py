@@ -17,8 +17,9 @@ from ...languages.ssl.ast import StreamDeclaration
 from ..context import Context, Service
 from ..isolation.serving import while_connected
 from ..listing import listed
+from ..media_types import JSON, TEXT, TURTLE
 from ..models import AnnotationModel, ContentsIn, schema_of, text_schema
-from ..negotiation import JSON, TEXT, TURTLE, accepted, content_type, json_value, utf8
+from ..negotiation import accepted, content_type, json_value, utf8
 from ..parsing import (
     MOST_CONTENTS,
     MOST_DECLARATIONS,

@@ -11,8 +11,9 @@ from ...engine.commands import CancelEvent, RequestEvent
 from ...engine.standing import REQUEST
 from ..context import Context
 from ..listing import listed
+from ..media_types import JSON, TEXT
 from ..models import BEGINNING, EventIn, EventModel, Since, Strategy, schema_of, text_schema
-from ..negotiation import JSON, TEXT, content_type, json_value, utf8
+from ..negotiation import content_type, json_value, utf8
 from ..problems import responses
 
 router = APIRouter(tags=["events"])

@@ -8,8 +8,9 @@ from fastapi.responses import JSONResponse, PlainTextResponse, Response
 from ...engine.views import MatchView
 from ...languages.csparql import parse_query
 from ..context import Context
+from ..media_types import JSON, TEXT
 from ..models import ExplainModel, Strategy
-from ..negotiation import JSON, TEXT, accepted
+from ..negotiation import accepted
 from ..parsing import parse_aside
 from ..problems import Problem, responses
 

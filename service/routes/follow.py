@@ -10,7 +10,7 @@ from fastapi import APIRouter, Query, Request, Response
 from ...engine.adaptive import Rematch
 from ..context import Context, Service
 from ..following import MOST_STREAMS, follow_many
-from ..negotiation import EVENT_STREAM
+from ..media_types import EVENT_STREAM
 from ..problems import responses
 from ..sse import event_stream
 from .direct import direct

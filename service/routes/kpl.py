@@ -10,8 +10,9 @@ from fastapi.responses import PlainTextResponse, Response
 from ...engine.commands import AddKpl, RemoveKpl
 from ..context import Context
 from ..listing import listed
+from ..media_types import JSON, TEXT
 from ..models import DeclarationModel, OneDeclarationModel, RemovedModel, text_schema
-from ..negotiation import JSON, TEXT, accepted, text_body
+from ..negotiation import accepted, text_body
 from ..parsing import check_length, read_kpl
 from ..problems import responses
 

@@ -11,8 +11,9 @@ from ...converters.errors import AheadOfClock
 from ..context import Context, Service
 from ..live import LiveLines, LiveSamples, LiveTables
 from ..logs import log
+from ..media_types import ARROW, NDJSON
 from ..models import AcceptedModel
-from ..negotiation import ARROW, NDJSON, content_type
+from ..negotiation import content_type
 from ..problems import Problem, problem_of, responses
 from .publish import BODY
 

@@ -10,8 +10,9 @@ from msgspec.structs import replace
 from ...converters.errors import AheadOfClock
 from ...engine.commands import Publish
 from ..context import Context
+from ..media_types import ARROW, JSON, NDJSON
 from ..models import AcceptedModel
-from ..negotiation import ARROW, JSON, NDJSON, content_type
+from ..negotiation import content_type
 from ..problems import Problem, responses
 from .direct import direct
 

@@ -14,8 +14,9 @@ from ...engine.standing import QUERY, query_view
 from ...streams.time import format_time
 from ..context import Context
 from ..listing import listed
+from ..media_types import JSON, SPARQL_QUERY, TEXT
 from ..models import BEGINNING, QueryModel, Since, Strategy, text_schema
-from ..negotiation import JSON, SPARQL_QUERY, TEXT, accepted, text_body
+from ..negotiation import accepted, text_body
 from ..parsing import parse_aside, parse_continuous
 from ..problems import responses
 from ..sparql_results import GRAPHS, RESULTS, many_windows, one_window

@@ -16,7 +16,8 @@ from ...streams.sample import SampleBatch
 from ...streams.time import TIME_MAX
 from ..context import Context, Service
 from ..history import history_answer
-from ..negotiation import ARROW, CSV, JSON, NDJSON, NTRIPLES, accepted
+from ..media_types import ARROW, CSV, JSON, NDJSON, NTRIPLES
+from ..negotiation import accepted
 from ..problems import Problem, responses
 from ..times import Time, time_of
 

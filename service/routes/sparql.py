@@ -17,7 +17,8 @@ from ...ontology.query_guard import LONGEST_TEXT, query_form
 from ..context import Context, Service
 from ..isolation.messages import Failed, Refused, TooMuch, Truth, Written
 from ..isolation.serving import while_connected
-from ..negotiation import FORM, SPARQL_QUERY, accepted, content_type, utf8
+from ..media_types import FORM, SPARQL_QUERY
+from ..negotiation import accepted, content_type, utf8
 from ..problems import Problem, responses
 from ..sparql_results import BOOLEANS, GRAPHS, RESULTS, answer, result_too_large
 

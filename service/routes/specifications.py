@@ -9,8 +9,9 @@ from fastapi import APIRouter, Request, Response
 from ...engine.commands import ApplySpecification
 from ..context import Context
 from ..isolation.serving import while_connected
+from ..media_types import TEXT_XML, XML
 from ..models import InsertionModel, SpecificationModel, text_schema
-from ..negotiation import TEXT_XML, XML, content_type
+from ..negotiation import content_type
 from ..parsing import check_length
 from ..problems import responses
 

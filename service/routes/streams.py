@@ -12,8 +12,9 @@ from ...streams.fluent import Retention
 from ...streams.sample import LONGEST_NAME
 from ..context import Context, Service
 from ..listing import listed
+from ..media_types import JSON
 from ..models import EvaluationModel, QualityIn, StreamIn, StreamModel
-from ..negotiation import JSON, content_type
+from ..negotiation import content_type
 from ..problems import responses
 from .json_body import JsonRoute
 

@@ -12,8 +12,8 @@ from ...engine.engine import Engine
 from ...engine.standing import SUBSCRIPTION
 from ..context import Context
 from ..listing import listed
+from ..media_types import EVENT_STREAM
 from ..models import RematchModel, SubscriptionIn, SubscriptionModel
-from ..negotiation import EVENT_STREAM
 from ..problems import Problem, responses
 from .follow import SINCE, follow
 from .json_body import JsonRoute

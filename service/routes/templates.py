@@ -14,8 +14,9 @@ from ...engine.views import TemplateView
 from ...languages.csparql import parse_template
 from ...rdf.namespaces import local_name, shorten
 from ..context import Context, Service
+from ..media_types import JSON, SPARQL_QUERY, TEXT
 from ..models import TemplateModel, text_schema
-from ..negotiation import JSON, SPARQL_QUERY, TEXT, accepted, text_body
+from ..negotiation import accepted, text_body
 from ..parsing import parse_aside, parse_registration
 from ..problems import Problem, responses
 

@@ -20,8 +20,9 @@ from ...languages.ssl import parse_ssl
 from ..context import Context, Service
 from ..isolation.serving import while_connected
 from ..listing import listed
+from ..media_types import JSON, TURTLE
 from ..models import TransformationIn, TransformationModel, WorthIn, schema_of, text_schema
-from ..negotiation import JSON, TURTLE, content_type, json_value, utf8
+from ..negotiation import content_type, json_value, utf8
 from ..parsing import check_number, read_ssl
 from ..problems import Problem, responses
 from .json_body import JsonRoute

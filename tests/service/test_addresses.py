@@ -2,8 +2,7 @@
 
 from starlette.requests import Request
 
-from dyknow.service.addresses import network_of
-from dyknow.service.event_clients import address_of
+from dyknow.service.addresses import address_of, network_of
 
 
 def test_of_ipv4_an_address_is_one_client() -> None:

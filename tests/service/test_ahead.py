@@ -14,7 +14,7 @@ from dyknow.engine.commands import DeclareStream, Publish
 from dyknow.engine.recorded import RecordedEngine
 from dyknow.engine.views import StreamDeclaration
 from dyknow.service.client import Client
-from dyknow.service.negotiation import ARROW, NDJSON
+from dyknow.service.media_types import ARROW, NDJSON
 from dyknow.streams.sample import Field, FieldType
 from dyknow.streams.time import HOUR, MINUTE, SECOND, TIME_MAX, format_time
 

@@ -25,7 +25,7 @@ from dyknow.service.body import HELD, BodyLimit, Held
 from dyknow.service.decoding import AT_ONCE, TOGETHER, Decoding
 from dyknow.service.keeper import Keeper
 from dyknow.service.live import LiveBodies, LiveLines
-from dyknow.service.negotiation import NDJSON
+from dyknow.service.media_types import NDJSON
 from dyknow.service.settings import Settings
 from dyknow.streams.sample import Field, FieldType, Schema
 from dyknow.streams.time import SECOND

@@ -21,7 +21,7 @@ from dyknow.service import history
 from dyknow.service.client import Client
 from dyknow.service.connection import ServiceError
 from dyknow.service.history import PIECE_BYTES, PIECE_SAMPLES, history_answer, pieces
-from dyknow.service.negotiation import ARROW, CSV, JSON, NDJSON, NTRIPLES
+from dyknow.service.media_types import ARROW, CSV, JSON, NDJSON, NTRIPLES
 from dyknow.service.settings import Settings
 from dyknow.streams.sample import Field, FieldType, SampleBatch, Schema, batch_from_rows
 

@@ -23,7 +23,7 @@ from dyknow.engine.engine import Engine
 from dyknow.service.app import create_app
 from dyknow.service.body import BodyLimit, Held
 from dyknow.service.client import Client, ServiceError
-from dyknow.service.negotiation import ARROW, NDJSON
+from dyknow.service.media_types import ARROW, NDJSON
 from dyknow.service.problems import Problem
 from dyknow.service.server import running
 from dyknow.service.settings import Settings

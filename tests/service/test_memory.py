@@ -19,8 +19,8 @@ from dyknow.engine.recorded import RecordedEngine
 from dyknow.service.app import create_app
 from dyknow.service.client import Client, ServiceError
 from dyknow.service.context import Service
+from dyknow.service.media_types import ARROW
 from dyknow.service.memory import CAN, GROWS, Memory, limit_of, resident, there_is
-from dyknow.service.negotiation import ARROW
 from dyknow.service.problems import Problem
 from dyknow.service.scopes import NEEDED
 from dyknow.service.server import running

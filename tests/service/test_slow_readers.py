@@ -21,7 +21,7 @@ from dyknow.engine.engine import Engine
 from dyknow.service.answers import EACH, PIECE_BYTES, STREAMED, Answers, LongAnswers
 from dyknow.service.app import create_app
 from dyknow.service.client import Client
-from dyknow.service.negotiation import ARROW
+from dyknow.service.media_types import ARROW
 from dyknow.service.observe import Observe
 from dyknow.service.problems import Problem
 from dyknow.service.server import running
