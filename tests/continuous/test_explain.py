@@ -9,6 +9,7 @@ import os
 from pathlib import Path
 
 import pytest
+from places import TESTS
 
 from dyknow.continuous.background import Background
 from dyknow.continuous.evaluator import ContinuousEvaluator
@@ -16,7 +17,7 @@ from dyknow.languages.csparql import parse_query
 from dyknow.rdf.dictionary import TermDictionary
 from dyknow.streams.compiled import JIT
 
-CASES = sorted((Path(__file__).parent.parent / "cases" / "explain").glob("*.case"))
+CASES = sorted((TESTS / "cases" / "explain").glob("*.case"))
 
 
 def test_there_are_cases() -> None:

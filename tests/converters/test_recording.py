@@ -2,11 +2,11 @@
 
 import gzip
 import os
-from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
 import pytest
+from places import ROOT
 
 from dyknow.converters import WireError
 from dyknow.converters.arrow import encode_arrow
@@ -15,7 +15,7 @@ from dyknow.converters.recording import open_recording
 from dyknow.streams.sample import FieldType, concatenate
 from dyknow.streams.time import SECOND
 
-EXAMPLE = Path(__file__).parents[2] / "examples" / "adsb.csv.gz"
+EXAMPLE = ROOT / "examples" / "adsb.csv.gz"
 
 
 @pytest.fixture

@@ -1,11 +1,12 @@
 """Speeds derived from coordinates agree with the speeds that aircraft reported themselves."""
 
 import runpy
-from pathlib import Path
+
+from places import ROOT
 
 from dyknow.engine.geodesy import SpeedFromCoordinates
 
-BENCH = Path(__file__).parent.parent.parent / "bench" / "accuracy.py"
+BENCH = ROOT / "bench" / "accuracy.py"
 
 
 def test_median_difference_over_the_slice_is_within_ten_knots():

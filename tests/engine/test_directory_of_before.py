@@ -6,10 +6,10 @@ tests/fixtures/before_instants.tar.xz holds them, with what the engine of then t
 
 import json
 import tarfile
-from pathlib import Path
 
 import pytest
 from directory_of_before import told
+from places import TESTS
 
 from dyknow.engine import recorded as recording
 from dyknow.engine import recovering
@@ -28,7 +28,7 @@ from dyknow.streams.rules import UNIQUE_TIMES
 from dyknow.streams.sample import Field, FieldType
 from dyknow.streams.time import SECOND
 
-ARCHIVE = Path(__file__).parents[1] / "fixtures" / "before_instants.tar.xz"
+ARCHIVE = TESTS / "fixtures" / "before_instants.tar.xz"
 
 
 FIELDS = (Field("id", FieldType.STRING), Field("spd", FieldType.FLOAT))

@@ -1,15 +1,15 @@
 """docs/introspection.md: each of its questions, asked, has the answer that is printed there."""
 
 import re
-from pathlib import Path
 
 import pytest
+from places import ROOT
 from pyoxigraph import NamedNode
 
 from dyknow.engine.engine import Engine
 from dyknow.rdf.namespaces import shorten
 
-PAGE = (Path(__file__).parents[2] / "docs" / "introspection.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "introspection.md").read_text(encoding="utf-8")
 QUESTIONS = re.findall(r"^## (\d+)\. .*\n\n```sparql\n([^`]*)```\n\n((?:\|.*\n)+)", PAGE, re.M)
 
 
@@ -23,7 +23,7 @@ def block(kind: str) -> str:
 def system() -> Engine:
     """As the page describes it."""
     engine = Engine()
-    template = Path(__file__).parents[2] / "templates" / "library" / "high_speed.rq"
+    template = ROOT / "templates" / "library" / "high_speed.rq"
     engine.annotate(block("ssl"))
     engine.register_template(template.read_text(encoding="utf-8"))
     engine.request_event(engine.parse_request("dyknow:HighSpeedEvent(?o, dyknow:UAV, 100)"))

@@ -3,9 +3,9 @@
 import re
 import sys
 from importlib.metadata import EntryPoint
-from pathlib import Path
 
 import pytest
+from places import ROOT
 from process_running import content, offer, stream, unit
 
 import dyknow
@@ -13,8 +13,6 @@ from dyknow.engine.errors import AlreadyExists, BadArguments, UnknownFeature
 from dyknow.engine.loading import load_processes
 from dyknow.engine.processes import PROCESSES, Processes
 from dyknow.streams.single import Sample
-
-ROOT = Path(__file__).parents[2]
 
 
 def f(time, samples, state):

@@ -2,10 +2,10 @@
 
 import gc
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 from feeding import feed, samples
+from places import TESTS
 from specifying import apply, listing_processes, run, state, text, units, world
 
 from dyknow.engine.engine import Engine
@@ -13,7 +13,7 @@ from dyknow.engine.errors import Conflict, Refused
 from dyknow.languages.errors import LanguageError
 from dyknow.languages.specification import parse_specification
 
-CASES = Path(__file__).parent.parent / "cases" / "specification"
+CASES = TESTS / "cases" / "specification"
 COORDINATES = (
     "stream coordinates contains latitude(UAV) = lat, longitude(UAV) = lon for every UAV = id"
 )

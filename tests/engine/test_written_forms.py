@@ -7,11 +7,11 @@ changes what is: a file that cannot be read any more is an error in the program.
 import itertools
 import json
 import os
-from pathlib import Path
 from typing import get_args
 
 import msgspec
 import pytest
+from places import TESTS
 
 from dyknow.engine import commands as c
 from dyknow.engine.behind import Went
@@ -34,7 +34,7 @@ from dyknow.streams.rules import INSTANTS
 from dyknow.streams.sample import Field, FieldType
 from dyknow.streams.time import FOREVER, HOUR
 
-CASES = Path(__file__).parents[1] / "cases" / "journal"
+CASES = TESTS / "cases" / "journal"
 COMMANDS = CASES / "commands.jsonl"
 CHECKPOINT = CASES / "00000000000000000003.checkpoint"
 PORT = DescribedPort("dyknow:speed", "spd", "km/h", (DescribedArgument("UAV", "a", "id"),))

@@ -7,6 +7,7 @@ import os
 from pathlib import Path
 
 import pytest
+from places import TESTS
 from pyoxigraph import RdfFormat, parse
 
 from dyknow.languages.csparql import (
@@ -33,7 +34,7 @@ from dyknow.ontology.units import format_unit
 from dyknow.ontology.vocabulary import Vocabulary
 from dyknow.rdf.namespaces import PREFIXES, shorten
 
-CASES = Path(__file__).parent.parent / "cases"
+CASES = TESTS / "cases"
 
 ONTOLOGY = """
 dyknow:Thing a owl:Class .

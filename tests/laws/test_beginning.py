@@ -2,12 +2,11 @@
 nothing but the samples available from that time on has ever been; a duration is the time so long
 before the newest sample of all streams that are read (SPEC §1)."""
 
-from pathlib import Path
-
 import pytest
 from feeding import feed, flight
 from hypothesis import example, given, note, settings
 from hypothesis import strategies as st
+from places import ROOT
 
 from dyknow.engine.engine import Engine
 from dyknow.engine.views import Since, StreamDeclaration
@@ -17,7 +16,7 @@ from dyknow.streams.sample import Field, FieldType
 from dyknow.streams.time import SECOND
 
 LAWS = settings(deadline=None, max_examples=60)
-HIGH_SPEED = Path(__file__).parents[2] / "templates" / "library" / "high_speed.rq"
+HIGH_SPEED = ROOT / "templates" / "library" / "high_speed.rq"
 TEXT, FLOAT = FieldType.STRING, FieldType.FLOAT
 FIELDS = {
     "s": (Field("id", TEXT), Field("v", FLOAT)),

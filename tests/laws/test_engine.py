@@ -1,17 +1,15 @@
 """The whole way does not depend on how samples were cut into batches, nor on when it was asked."""
 
-from pathlib import Path
-
 from feeding import flight
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from places import ROOT
 
 from dyknow.converters.wire import Incoming
 from dyknow.engine.engine import Engine
 from dyknow.streams.sample import batch_from_rows
 from dyknow.streams.time import SECOND
 
-ROOT = Path(__file__).parent.parent.parent
 COORDINATES = (
     "stream coordinates contains latitude(UAV) = lat, longitude(UAV) = lon for every UAV = id"
 )

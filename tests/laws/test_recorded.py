@@ -11,13 +11,14 @@ from pathlib import Path
 from commanding import REFUSALS, life, state
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from places import TESTS
 
 from dyknow.engine.commands import done
 from dyknow.engine.engine import Engine
 from dyknow.engine.recorded import RecordedEngine
 from dyknow.journal.log import Durability
 
-SUPPORT = Path(__file__).parent.parent / "support"
+SUPPORT = TESTS / "support"
 
 
 def do(doer, command):

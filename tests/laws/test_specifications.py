@@ -2,13 +2,13 @@
 and the rules in plain words are those of the schema."""
 
 import re
-from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
 import msgspec
 from hypothesis import given, reject, settings
 from hypothesis import strategies as st
 from lxml import etree
+from places import ROOT, TESTS
 
 from dyknow.languages.errors import LanguageError, Span
 from dyknow.languages.specification import (
@@ -29,8 +29,8 @@ from dyknow.service.isolation.messages import BadAnswer, ElementRow
 HERE = Span(0, 0)
 encode = msgspec.msgpack.encode
 decode = msgspec.msgpack.Decoder(list[ElementRow]).decode
-CASES = Path(__file__).parent.parent / "cases" / "specification"
-ROOM = Path(__file__).parents[2] / "languages" / "specification"
+CASES = TESTS / "cases" / "specification"
+ROOM = ROOT / "languages" / "specification"
 SCHEMA = etree.XMLSchema(etree.parse(str(ROOM / "specification.xsd")))
 
 # C0 controls, surrogates and two more are no characters of XML.

@@ -5,11 +5,11 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
-from pathlib import Path
 from typing import Any
 
 import pytest
 from fastapi import FastAPI
+from places import ROOT
 from waiting import HANGS
 
 from dyknow.engine.engine import Engine
@@ -17,7 +17,7 @@ from dyknow.service.app import create_app
 from dyknow.service.cli import app as commands
 from dyknow.service.settings import Settings
 
-DOCS = Path(__file__).parents[2] / "docs" / "api.md"
+DOCS = ROOT / "docs" / "api.md"
 HIDDEN = {("GET", "/openapi.json"), ("GET", "/docs"), ("GET", "/")}
 """Served, and not in the schema."""
 

@@ -14,12 +14,12 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
 from bombs import NDJSON, SPARQL, SSL, TEXT, WINDOWS, Bomb, documents, evaluations, query, texts
+from places import ROOT
 
 PATIENCE = 5.0
 """Seconds within which others are answered while a bomb is dealt with: of a machine that does other
@@ -80,7 +80,7 @@ class Served:
 
 @pytest.fixture(scope="module")
 def served() -> Iterator[Served]:
-    path = os.pathsep.join([str(Path(__file__).parents[2] / ".typing"), *sys.path])
+    path = os.pathsep.join([str(ROOT / ".typing"), *sys.path])
     environment = {**os.environ, **DEADLINES, "PYTHONPATH": path}
     code = "from dyknow.service.cli import app; app(['serve', '--port', '0'])"
     with subprocess.Popen(

@@ -17,6 +17,7 @@ import httpx
 import pytest
 import typer.main
 import yaml
+from places import ROOT
 
 from dyknow.engine.engine import Engine
 from dyknow.service.app import create_app
@@ -28,7 +29,6 @@ from dyknow.service.settings import Settings
 from dyknow.service.tokens import Scope, Tokens, TokensError, line_of, new_token
 from dyknow.streams.time import Clock
 
-ROOT = Path(__file__).parents[2]
 DOCKERFILE = (ROOT / "docker" / "Dockerfile").read_text()
 UNIT = (ROOT / "docs" / "operations.md").read_text().partition("```ini\n")[2].partition("```")[0]
 

@@ -20,11 +20,12 @@ from pathlib import Path
 import httpx
 from commanding import FAST
 from nursery import OPERATIONS
+from places import TESTS
 
 from dyknow.engine.commands import Publish, RegisterTemplate, RequestEvent
 from dyknow.engine.engine import Engine
 
-HERE = Path(__file__).parent.parent / "support"
+HERE = TESTS / "support"
 ROUNDS = int(os.environ.get("DYKNOW_KILLS", "200"))
 STREAM = {
     "fields": {"id": "string", "v": "float"},

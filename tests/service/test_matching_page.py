@@ -12,12 +12,13 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
+from places import ROOT
 from waiting import HANGS
 
 from dyknow.engine.loading import load_processes
 from dyknow.engine.processes import PROCESSES
 
-PAGE = (Path(__file__).parents[2] / "docs" / "matching.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "matching.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"^```(\w+)(?: (\S+))?\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
 RUN = """set -euo pipefail
 dyknow() { "$PYTHON" -c 'from dyknow.service.cli import main; main()' "$@"; }

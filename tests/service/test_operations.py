@@ -9,11 +9,11 @@ import socket
 import threading
 import time
 from collections.abc import Iterator
-from pathlib import Path
 
 import httpx
 import pytest
 from hosting import hosting
+from places import ROOT
 from prometheus_client.parser import text_string_to_metric_families
 from structlog.stdlib import ProcessorFormatter
 
@@ -29,7 +29,7 @@ from dyknow.service.stream_metrics import escaped
 from dyknow.service.warming import Warming
 from dyknow.streams.time import SECOND, Clock
 
-PAGE = Path(__file__).parents[2] / "docs" / "operations.md"
+PAGE = ROOT / "docs" / "operations.md"
 LINES = {"Content-Type": "application/x-ndjson"}
 
 

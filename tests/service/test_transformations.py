@@ -8,6 +8,7 @@ from typing import Any
 
 import httpx
 import pytest
+from places import ROOT
 
 from dyknow.engine.engine import Engine
 from dyknow.engine.processes import Processes
@@ -381,7 +382,7 @@ def test_every_strategy_matches(http: httpx.Client, strategy: str) -> None:
 def test_an_unknown_strategy_is_refused_everywhere(
     http: httpx.Client, strategy: str, said: str
 ) -> None:
-    template = (Path(__file__).parents[2] / "templates" / "library" / "high_speed.rq").read_text()
+    template = (ROOT / "templates" / "library" / "high_speed.rq").read_text()
     http.post("/templates", content=template, headers={"Content-Type": "text/plain"})
     wanted = {"feature": "speed", "sort": "UAV", "strategy": strategy}
     event = {"event": "HighSpeedEvent", "arguments": ["?o", "dyknow:UAV", "100"]}

@@ -10,6 +10,7 @@ from typing import Any
 
 import httpx
 import pytest
+from places import ROOT
 from typer.testing import CliRunner
 
 from dyknow.engine.commands import (
@@ -32,7 +33,6 @@ from dyknow.service.server import running
 from dyknow.service.settings import Settings
 from dyknow.streams.time import Clock
 
-ROOT = Path(__file__).parents[2]
 SSL = "stream s5 contains speed(UAV) = spd [m.s-1] for every UAV = id"
 EVENT = "dyknow:HighSpeedEvent(?o, dyknow:UAV, 1)"
 QUERY = (
