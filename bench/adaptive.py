@@ -14,7 +14,7 @@ import time
 
 from dyknow.converters.wire import Incoming
 from dyknow.engine.engine import Engine
-from dyknow.engine.views import StreamDeclaration
+from dyknow.engine.model.views import StreamDeclaration
 from dyknow.streams.sample import Field, FieldType, batch_from_rows
 from dyknow.streams.time import SECOND
 

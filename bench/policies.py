@@ -13,8 +13,7 @@ from collections.abc import Callable, Iterable, Iterator
 import numpy as np
 from measure import MS, Arrays, Program, Round, Row, batch_of, print_table
 
-from dyknow.streams.adapting import adapt
-from dyknow.streams.policy import (
+from dyknow.streams.policies.policy import (
     AnyChange,
     Approximation,
     Duration,
@@ -22,6 +21,7 @@ from dyknow.streams.policy import (
     Policy,
     SampleEvery,
 )
+from dyknow.streams.policies.select_adaptation import adapt
 
 DELAY = 5 * MS
 

@@ -14,7 +14,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from ..continuous.budget import UNLIMITED, Budget
+from ..continuous.columns.budget import UNLIMITED, Budget
 from ..converters.objects import object_iri
 from ..converters.to_triples import SampleConverter, node_names
 from ..converters.wire import Incoming
@@ -40,18 +40,28 @@ from ..templates.library import (
     TemplateRefused,
 )
 from ..templates.transformations import event_transformation
-from . import explain as explanations
-from .adaptive import Rematch, Wish
-from .annotations import Annotations
-from .application import Application
-from .beginning import beginning_of
-from .behind import Behind, Turns, Went
-from .busy import BusyTime, Stopwatch
-from .changes import Change, ChangeKind, KnownTransformation
-from .configuration import C_SPARQL, Configuration
-from .declared import DeclaredStreams
-from .describing import DescribedStream, DescribedTransformation
-from .errors import (
+from .catalog.annotations import Annotations
+from .catalog.declared_streams import DeclaredStreams
+from .catalog.iri_annotations import DescribedStream, DescribedTransformation
+from .catalog.name_resolution import (
+    checked_strategy,
+    checked_want,
+    did_you_mean,
+    iri_of,
+)
+from .catalog.registered_transformations import (
+    RegisteredTransformations,
+    check_quality,
+)
+from .catalog.semantics_manager import SemanticsManager
+from .catalog.transformation_library import Transformations
+from .configuration.configuration import C_SPARQL, Configuration
+from .configuration.idle_streams import Idleness
+from .configuration.ingest import Intake
+from .kpl.application import Application
+from .kpl.declarations import KplDeclarations
+from .model.beginning import beginning_of
+from .model.errors import (
     AlreadyExists,
     BadArguments,
     Conflict,
@@ -59,28 +69,10 @@ from .errors import (
     UnknownEvent,
     UnknownTemplate,
 )
-from .idleness import Idleness
-from .intake import Intake
-from .knowing import checked_strategy, checked_want, did_you_mean, iri_of
-from .kpl import KplDeclarations
-from .plan_text import plan_text
-from .plans import Plans
-from .processes import PROCESSES, Processes
-from .registered import RegisteredTransformations, check_quality
-from .registered_queries import RegisteredQueries
-from .rematching import Rematching
-from .requests import EventRequests
-from .semantics_manager import SemanticsManager
-from .specifications import Specifications
-from .status import RETENTION, SCHEMA, STATUS, StatusStream
-from .stream_view import rate_of, stream_view
-from .subscriptions import Subscriptions
-from .supervision import DIRECT, Runner
-from .tape import Outcome
-from .transformations import Transformations
-from .unit import ComputationalUnit
-from .users import Users
-from .views import (
+from .model.status_changes import Change, ChangeKind, KnownTransformation
+from .model.status_stream import RETENTION, SCHEMA, STATUS, StatusStream
+from .model.stream_statistics import rate_of, stream_view
+from .model.views import (
     DeclarationView,
     EvaluationView,
     EventView,
@@ -95,7 +87,23 @@ from .views import (
     TemplateView,
     Totals,
 )
-from .window_unit import WindowUnit
+from .planning import explain as explanations
+from .planning.plan_execution import Plans
+from .processes.external_io import Outcome
+from .processes.registry import PROCESSES, Processes
+from .processes.supervision import DIRECT, Runner
+from .requests.adaptive_subscription import Rematch, Wish
+from .requests.continuous_queries import RegisteredQueries
+from .requests.event_requests import EventRequests
+from .requests.rematching import Rematching
+from .requests.subscriptions import Subscriptions
+from .specification.apply import Specifications
+from .specification.plan_text import plan_text
+from .units.backlog import Behind, Turns, Went
+from .units.base import ComputationalUnit
+from .units.windowed import WindowUnit
+from .units.work_time import BusyTime, Stopwatch
+from .users import Users
 
 AnyUnit = TypeVar("AnyUnit", bound=ComputationalUnit)
 

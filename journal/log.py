@@ -14,7 +14,13 @@ from enum import StrEnum
 from pathlib import Path
 
 from .disk import DISK, Disk
-from .errors import JournalBroken, JournalDamaged, JournalError, JournalFull, is_full
+from .errors import (
+    JournalBroken,
+    JournalDamaged,
+    JournalError,
+    JournalFull,
+    is_full,
+)
 from .examination import HINT, Examination, examine
 from .high_water import HighWater, Mark
 from .segment import HEAD, Segment, path_of, size_of, walk

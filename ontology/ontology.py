@@ -189,7 +189,7 @@ class Ontology:
 
     def __getstate__(self) -> dict[str, Any]:
         """As it is copied, if it is in memory: the lock is each one's own. The store is for who
-        copies (engine/checkpoint)."""
+        copies (engine/durability/checkpoint)."""
         assert self.path is None
         self._bring_in()
         kept = dict(self.__dict__)

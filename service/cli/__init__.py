@@ -7,7 +7,7 @@ import gc
 _WAS_ENABLED = gc.isenabled()
 gc.disable()
 try:
-    from .commands import app, main
+    from .main import app, main
 finally:
     if _WAS_ENABLED:
         gc.enable()

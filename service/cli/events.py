@@ -11,9 +11,9 @@ from typing import Annotated, Any
 import httpx
 import typer
 
-from ...engine.views import Since
+from ...engine.model.views import Since
 from ...rdf.namespaces import shorten
-from ..client import Client, Event, ServiceError
+from ..client.client import Client, Event, ServiceError
 from .output import (
     DEFAULT_URL,
     Json,
@@ -27,7 +27,7 @@ from .output import (
     show_text,
     show_values,
 )
-from .reading import Beginning
+from .parameters import Beginning
 
 STRATEGY: Any = typer.Option(
     help="How a plan is chosen: fast, cost, quality, weighted; with parameters: "

@@ -10,11 +10,11 @@ from typing import Annotated, Any
 import httpx
 import typer
 
-from ...engine.views import Since
-from ..client import Client, Event, ServiceError
+from ...engine.model.views import Since
+from ..client.client import Client, Event, ServiceError
 from .events import STRATEGY, show_events, stoppable
 from .output import DEFAULT_URL, Json, Url, connect, err
-from .reading import Beginning
+from .parameters import Beginning
 
 
 def follow(

@@ -12,11 +12,11 @@ from typing import Annotated, Any, Literal
 import typer
 
 from ...converters.ndjson import sample_json
-from ...converters.recordings import in_order, open_recordings
+from ...converters.recordings.many_streams import in_order, open_recordings
 from ...converters.wire import Incoming
-from ...engine.errors import DyknowError
-from ...engine.processes import PROCESSES
-from ...engine.proving import Proof, prove_specification, rehearse
+from ...engine.kpl.verification import Proof, prove_specification, rehearse
+from ...engine.model.errors import DyknowError
+from ...engine.processes.registry import PROCESSES
 from ...languages.kpl import (
     Signature,
     SourceDeclaration,
@@ -29,8 +29,8 @@ from ...languages.ssl import check_ssl, parse_ssl
 from ...languages.ssl.annotation import StreamAnnotation
 from ...ontology.ontology import Ontology
 from ...streams.time import format_time
-from ..problems import problem_of
-from ..watchdog import Watchdog
+from ..http.problems import problem_of
+from ..runtime.process_watchdog import Watchdog
 from .output import (
     DEFAULT_URL,
     Json,

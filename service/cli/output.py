@@ -16,8 +16,16 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from ...streams.time import DAY, HOUR, MICROSECOND, MILLISECOND, MINUTE, SECOND, parse_duration
-from ..client import URL, Client
+from ...streams.time import (
+    DAY,
+    HOUR,
+    MICROSECOND,
+    MILLISECOND,
+    MINUTE,
+    SECOND,
+    parse_duration,
+)
+from ..client.client import URL, Client
 
 Url = Annotated[
     str, typer.Option("--url", envvar="DYKNOW_URL", help="Where the service is.", metavar="URL")

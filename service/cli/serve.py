@@ -15,26 +15,26 @@ from typing import Annotated, Any
 import typer
 
 from ... import __version__
+from ...engine.durability.durable_engine import RecordedEngine
 from ...engine.engine import Engine
-from ...engine.loading import load_processes
-from ...engine.recorded import RecordedEngine
+from ...engine.processes.loading import load_processes
 from ...journal.errors import JournalError, is_full
 from ...journal.log import Durability
 from ...ontology.errors import OntologyError
+from ..admission.tokens import Scope, Tokens, TokensError
 from ..app import create_app
-from ..context import Service
-from ..descriptors import raise_limit
-from ..garbage import Garbage
-from ..isolation.services import Windows
-from ..logs import configure, log
+from ..config.file_limits import raise_limit
+from ..config.logs import configure, log
+from ..config.settings import Settings
+from ..runtime.context import Service
+from ..runtime.gc_policy import Garbage
+from ..runtime.process_watchdog import Watchdog
+from ..runtime.warm_up import Warming
 from ..server import bind, run, url_of
-from ..settings import Settings
-from ..tokens import Scope, Tokens, TokensError
-from ..warming import Warming
-from ..watchdog import Watchdog
-from .demo import STREAM
-from .demo import flights as play_flights
+from ..workers.services import Windows
 from .output import JSON_WANTED, err, fail
+from .recordings.demo import STREAM
+from .recordings.demo import flights as play_flights
 
 Say = Callable[[str], None]
 """Tells people something."""

@@ -14,13 +14,19 @@ from fastapi import APIRouter, Query, Request, Response
 
 from ...ontology.errors import QueryRefused
 from ...ontology.query_guard import LONGEST_TEXT, query_form
-from ..context import Context, Service
-from ..isolation.messages import Failed, Refused, TooMuch, Truth, Written
-from ..isolation.serving import while_connected
-from ..media_types import FORM, SPARQL_QUERY
-from ..negotiation import accepted, content_type, utf8
-from ..problems import Problem, responses
-from ..sparql_results import BOOLEANS, GRAPHS, RESULTS, answer, result_too_large
+from ..config.media_types import FORM, SPARQL_QUERY
+from ..http.negotiation import accepted, content_type, utf8
+from ..http.problems import Problem, responses
+from ..http.sparql_results import (
+    BOOLEANS,
+    GRAPHS,
+    RESULTS,
+    answer,
+    result_too_large,
+)
+from ..runtime.context import Context, Service
+from ..workers.messages import Failed, Refused, TooMuch, Truth, Written
+from ..workers.route_calls import while_connected
 
 router = APIRouter(tags=["sparql"])
 

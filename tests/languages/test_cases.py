@@ -21,7 +21,10 @@ from dyknow.languages.csparql import (
 )
 from dyknow.languages.errors import LanguageError
 from dyknow.languages.kpl import ValueSort, check_kpl, format_kpl, parse_kpl
-from dyknow.languages.specification import format_specification, parse_specification
+from dyknow.languages.specification import (
+    format_specification,
+    parse_specification,
+)
 from dyknow.languages.ssl import (
     CheckedAnnotation,
     StreamAnnotation,

@@ -37,7 +37,7 @@ from dyknow.languages.kpl import (
 )
 from dyknow.ontology.vocabulary import Vocabulary
 from dyknow.rdf.namespaces import DYKNOW, PREFIXES
-from dyknow.streams.policy import (
+from dyknow.streams.policies.policy import (
     AnyChange,
     AnyUpdate,
     Approximation,

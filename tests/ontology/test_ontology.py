@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from pyoxigraph import Literal, NamedNode, RdfFormat, Triple, parse
 
-from dyknow.continuous.background import Background
+from dyknow.continuous.operators.background import Background
 from dyknow.ontology.errors import OntologyError, QueryRefused
 from dyknow.ontology.ontology import Ontology
 from dyknow.ontology.shipped import shipped_ontologies

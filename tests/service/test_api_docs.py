@@ -15,7 +15,7 @@ from waiting import HANGS
 from dyknow.engine.engine import Engine
 from dyknow.service.app import create_app
 from dyknow.service.cli import app as commands
-from dyknow.service.settings import Settings
+from dyknow.service.config.settings import Settings
 
 DOCS = ROOT / "docs" / "api.md"
 HIDDEN = {("GET", "/openapi.json"), ("GET", "/docs"), ("GET", "/")}

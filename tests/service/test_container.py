@@ -20,13 +20,19 @@ import yaml
 from places import ROOT
 
 from dyknow.engine.engine import Engine
+from dyknow.service.admission.tokens import (
+    Scope,
+    Tokens,
+    TokensError,
+    line_of,
+    new_token,
+)
 from dyknow.service.app import create_app
 from dyknow.service.cli import app as commands
-from dyknow.service.context import Service
-from dyknow.service.descriptors import RESERVED
+from dyknow.service.config.file_limits import RESERVED
+from dyknow.service.config.settings import Settings
+from dyknow.service.runtime.context import Service
 from dyknow.service.server import GRACE, running
-from dyknow.service.settings import Settings
-from dyknow.service.tokens import Scope, Tokens, TokensError, line_of, new_token
 from dyknow.streams.time import Clock
 
 DOCKERFILE = (ROOT / "docker" / "Dockerfile").read_text()

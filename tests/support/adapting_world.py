@@ -5,8 +5,8 @@ Times are seconds, values km/h unless a stream says otherwise.
 
 from dyknow.converters.wire import Incoming
 from dyknow.engine.engine import Engine
-from dyknow.engine.processes import Processes
-from dyknow.engine.views import StreamDeclaration
+from dyknow.engine.model.views import StreamDeclaration
+from dyknow.engine.processes.registry import Processes
 from dyknow.streams.sample import Field, FieldType, batch_from_rows
 from dyknow.streams.time import SECOND
 

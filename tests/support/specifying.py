@@ -2,7 +2,7 @@
 short ways to write specifications."""
 
 from dyknow.engine.engine import Engine
-from dyknow.engine.processes import Processes
+from dyknow.engine.processes.registry import Processes
 from dyknow.streams.time import SECOND
 
 NAMESPACE = "http://www.dyknow.eu/ontology#Specification"

@@ -1,0 +1,56 @@
+"""``dyknow backup, restore``: copies of a data directory (docs/data-directory.md)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import typer
+
+from ....engine.durability.checkpoint import program
+from ....journal.backup import Manifest, back_up
+from ....journal.backup import restore as restore_directory
+from ....journal.errors import JournalError
+from ..output import Json, fail, out, show_json
+
+
+def backup(
+    directory: Annotated[Path, typer.Argument(help="A data directory.", metavar="DIR")],
+    target: Annotated[Path, typer.Argument(help="A folder to be made, or a .tar file.")],
+    json: Json = False,
+) -> None:
+    """Copy a data directory, also of a running service, and verify the copy."""
+    try:
+        manifest = back_up(directory, target, program())
+    except JournalError as error:
+        raise fail(error.message, error.hint) from error
+    _show(manifest, f"{target}: a copy of {directory}", json)
+
+
+def restore(
+    source: Annotated[Path, typer.Argument(help="What dyknow backup has made.")],
+    directory: Annotated[
+        Path, typer.Argument(help="The data directory to be made; empty, if there.", metavar="DIR")
+    ],
+    json: Json = False,
+) -> None:
+    """Make a data directory out of a backup; its next start begins new ids of events."""
+    try:
+        manifest = restore_directory(source, directory, program())
+    except JournalError as error:
+        raise fail(error.message, error.hint) from error
+    _show(manifest, f"{directory}: restored from {source}", json)
+
+
+def _show(manifest: Manifest, what: str, json: bool) -> None:
+    if json:
+        show_json(msgspec.to_builtins(manifest))
+        return
+    size = sum(size for size, _ in manifest.files.values())
+    begin = "no checkpoint" if manifest.checkpoint is None else f"checkpoint {manifest.checkpoint}"
+    count = max(0, manifest.position - manifest.first + 1)
+    out().print(
+        f"{what}, up to record {manifest.position}: {begin} and {count} records, {size:,} bytes",
+        markup=False,
+    )
