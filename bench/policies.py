@@ -1,4 +1,5 @@
-"""Streams adapted to policies: what `streams.adapting` does a second, against numpy by hand.
+"""Streams adapted to policies: what `streams.policies.select_adaptation` does a second, against
+numpy by hand.
 
 Run by ``make bench`` (``python bench/policies.py``). One process, one core, best of several runs.
 One float a sample. Both get the same batches and pass on the same samples (compared first); numpy

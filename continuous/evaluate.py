@@ -100,8 +100,8 @@ class Explained:
 
     ``clock`` tells ns (`time.perf_counter_ns`). Costs are estimated from what the streams have
     given; of one that has given nothing yet, from its ``rates`` (samples a second, by IRI), or as
-    `flows` assumes. Measuring costs about a microsecond an operator, and a sort of the ids of what
-    is read.
+    `input_rates` assumes. Measuring costs about a microsecond an operator, and a sort of the ids of
+    what is read.
     """
 
     def __init__(self, clock: Callable[[], int], rates: Mapping[str, float] | None = None) -> None:

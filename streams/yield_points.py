@@ -19,7 +19,7 @@ class Pauses(Protocol):
 
     def breathe(self) -> None:
         """Others may go on here, and this later. Raises where it is not wanted any more: of a
-        window that has taken too long `continuous.budget.Stopped`."""
+        window that has taken too long `continuous.columns.budget.Stopped`."""
 
     def apart(self, *, waits: bool = False) -> AbstractContextManager[None]:
         """What is done within touches nothing but what is its own: others may go on meanwhile, and

@@ -1,7 +1,7 @@
 """The logical plan of a continuous query: what is computed over named variables, not how.
 
-Made by `translate`, improved by `rules`, printed by `printing`, executed by `relational` and
-`incremental`.
+Made by `from_sparql`, improved by `rewrite_rules`, printed by `plan_text`, executed by `executor`
+and `aggregation`.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ class Values:
 
 @dataclass(frozen=True, slots=True)
 class Given:
-    """Solutions that are at hand when the plan is executed (`relational.Source.ready`)."""
+    """Solutions that are at hand when the plan is executed (`executor.Source.ready`)."""
 
     variables: tuple[str, ...]
 

@@ -47,7 +47,7 @@ def describe_query(query: Query) -> list[str]:
 
 
 def describe(plan: Plan) -> list[str]:
-    """The plan as an indented tree, a line a node, in the order of `logical.walk`."""
+    """The plan as an indented tree, a line a node, in the order of `plan.walk`."""
     below = [f"  {line}" for child in inputs(plan) for line in describe(child)]
     return [_line(plan), *below]
 

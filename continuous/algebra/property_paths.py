@@ -1,5 +1,5 @@
 """Property paths as plans (SPARQL 1.1 §9, §18.2.2.4): sequences join, alternatives unite, and only
-repetition needs an operator of its own (`logical.Closure`).
+repetition needs an operator of its own (`plan.Closure`).
 """
 
 from __future__ import annotations

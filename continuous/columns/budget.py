@@ -2,7 +2,8 @@
 
 Rows are counted, not seconds: the same input exceeds its budget in the same window wherever and
 whenever it is evaluated, and so does a replay of it. What only Oxigraph can say is its `Asking`'s,
-which may have a deadline as well (service/isolation); `asking.DIRECT` waits as long as it takes.
+which may have a deadline as well (service/workers); `oxigraph_port.DIRECT` waits as long as it
+takes.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """SPARQL expressions on columns: values, three-valued logic, errors as nulls (SPARQL 1.1 §17).
 
-What is not here is asked of Oxigraph (`foreign`), once a distinct combination of values: functions
-by name, and comparisons whose data columns cannot judge (dates, ordered strings, overflow).
+What is not here is asked of Oxigraph (`oxigraph_expressions`), once a distinct combination of
+values: functions by name, and comparisons whose data columns cannot judge (dates, ordered strings,
+overflow).
 """
 
 from __future__ import annotations

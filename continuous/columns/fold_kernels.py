@@ -1,4 +1,4 @@
-"""The compiled loops over rows: few, small, with fixed signatures (see `streams.compiled`). Where
+"""The compiled loops over rows: few, small, with fixed signatures (see `streams.jit`). Where
 they are not compiled, a numpy route gives the same results, bit for bit.
 
 Indices are made unsigned before use: numba asks of a signed one whether it counts from the end,

@@ -1,6 +1,7 @@
 """Whoever evaluates a SPARQL text over quads: Oxigraph, here or in another process.
 
-`foreign` and `oxigraph` ask; the service gives them one that can be stopped (service/isolation).
+`oxigraph_expressions` and `window_store` ask; the service gives them one that can be stopped
+(service/workers).
 """
 
 from __future__ import annotations

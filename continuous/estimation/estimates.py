@@ -1,6 +1,6 @@
 """What each operator of a plan is likely to cost: rows out (`cardinality`) and time, before it has
 run. `explain` shows it beside what was measured; all that is decided by it is whether queries that
-differ in constants are computed together (`alike.worth_from`), which changes no result.
+differ in constants are computed together (`similar_queries.worth_from`), which changes no result.
 
 Law (tests/laws/continuous/test_estimates.py): finite, never negative; exact for a pattern over the
 static side alone; a join with a static pattern that has each key once gives at most the rows of the

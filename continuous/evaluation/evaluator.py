@@ -1,7 +1,7 @@
 """The continuous evaluator: rows and watermarks in, a result a window out ([Events14 §III]).
 
 Called by the engine's units and by `evaluate`. Time is an argument; the same rows give the same
-results however they were cut into batches. `windowing` says when, `solving` what.
+results however they were cut into batches. `window_schedule` says when, `solver` what.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class ContinuousEvaluator(WindowedEvaluator[WindowResult]):
     Law (tests/laws): results equal the definition's, and do not depend on how rows were cut into
     pushes or how often watermarks were told.
 
-    Cost: see `incremental`, `relational` and `oxigraph`; `explain` says which serves the query.
+    Cost: see `aggregation`, `executor` and `window_store`; `explain` says which serves the query.
     Memory: the rows of the open windows, or their partial aggregates, and their terms, if whoever
     calls has the dictionary `collect` between two calls; else all terms that ever came.
     """

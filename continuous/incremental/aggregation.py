@@ -1,9 +1,9 @@
 """The incremental path: aggregates of one stream pattern, kept by subject as rows come and expire.
 
 It serves ``Aggregate(keys, …, ?s <p> ?v joined with patterns on ?s)``: the rows of <p> are folded
-by subject and pane, panes are added to the window and taken from it (`sliding`), then joined with
-the rest, which is small, and grouped by the keys. Law: same solutions as `relational.execute` over
-the window's rows.
+by subject and pane, panes are added to the window and taken from it (`sliding_aggregates`), then
+joined with the rest, which is small, and grouped by the keys. Law: same solutions as
+`executor.execute` over the window's rows.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class Incremental:
     Cost: a kernel call a table and pane; O(touched + expired groups) a pane; a window O(groups), or
     where a HAVING stands on the aggregate and the subjects are its groups, O(touched + expired +
     solutions) and a pass over two bytes a group. Memory: O(touched groups) a pane, some numbers a
-    group; with ``distinct`` also the distinct pairs (`seen`). Groups are the subjects of the
+    group; with ``distinct`` also the distinct pairs (`pair_index`). Groups are the subjects of the
     window; those that have left it are forgotten when they are half of all (O(panes) a subject). A
     pane that columns cannot fold is irregular: `ready` then has nothing for its windows.
     """

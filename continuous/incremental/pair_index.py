@@ -1,7 +1,7 @@
 """Which pairs of a subject and an object are in the window: each once, however often it came.
 
-Called by `distinct` under set semantics. A pair belongs to the last pane in which it came; when
-that pane ends, the pair leaves the window.
+Called by `distinct_pairs` under set semantics. A pair belongs to the last pane in which it came;
+when that pane ends, the pair leaves the window.
 """
 
 from __future__ import annotations

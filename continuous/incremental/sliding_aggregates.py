@@ -1,9 +1,9 @@
 """Sliding aggregates by group: what comes is added, what expires is subtracted, both exactly.
 
-A pane's rows are folded in order, as they come (`kernels.RowFold`); a window's sum is the exact sum
-of its panes' sums, rounded once (`exact`). So a sum neither drifts nor depends on what was in the
-window before, and a group without new or expired rows keeps its aggregates to the last bit: only
-the others have to be looked at. Extremes cannot be subtracted: `extremes`.
+A pane's rows are folded in order, as they come (`fold_kernels.RowFold`); a window's sum is the
+exact sum of its panes' sums, rounded once (`exact_sums`). So a sum neither drifts nor depends on
+what was in the window before, and a group without new or expired rows keeps its aggregates to the
+last bit: only the others have to be looked at. Extremes cannot be subtracted: `sliding_extremes`.
 """
 
 from __future__ import annotations

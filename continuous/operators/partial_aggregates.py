@@ -55,7 +55,7 @@ class Numbers:
     """The values of one `Key` by group, all of shape ``(groups,)`` but ``ends``.
 
     ``sums``: float64, int64, or Python integers where one does not fit. ``ends``: shape
-    ``(groups, 2)``, the least value and the least mirrored one (`extremes`).
+    ``(groups, 2)``, the least value and the least mirrored one (`sliding_extremes`).
     """
 
     sums: NDArray[Any]

@@ -2,7 +2,7 @@
 
 A store is a set of quads. So the n-th of equal triples stands in the n-th *copy graph* too, and a
 triple pattern P of the query becomes ``GRAPH ?g {P}`` with a variable of its own: it matches once
-a copy. `oxigraph` fills the copies; the default graph holds each triple once.
+a copy. `window_store` fills the copies; the default graph holds each triple once.
 
 What counts solutions as a set anyway stays as it is, on the default graph: ``?x a Sort`` (a set of
 facts, docs/semantics.md), FILTER with EXISTS, MINUS, and the paths ``p*``, ``p+`` and ``p?``.

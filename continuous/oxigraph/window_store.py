@@ -1,7 +1,7 @@
 """Oxigraph a window: a fresh store with the window's content and the static triples it needs.
 
 A long-lived store leaks under adding and removing, and a fresh one is exact. A store merges equal
-triples: under bag semantics a window that holds some is asked by `bag.counting`.
+triples: under bag semantics a window that holds some is asked by `bag_rewrite.counting`.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ class OxigraphWindows:
     can touch (chosen once a version of the background), then Oxigraph's; under bag semantics a
     look-up a triple more, and twice the store where triples are equal. Memory: one such store.
     Blank nodes that the query makes are called by ``seed`` and the window. Oxigraph reads the text
-    where it evaluates it, in the service another process (`asking`). Nothing is printed before a
-    window, or `explain`, needs it: most queries are evaluated in columns.
+    where it evaluates it, in the service another process (`oxigraph_port`). Nothing is printed
+    before a window, or `explain`, needs it: most queries are evaluated in columns.
     """
 
     def __init__(

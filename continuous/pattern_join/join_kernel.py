@@ -1,10 +1,10 @@
 """The compiled join of triple patterns: one loop for every query, which reads its patterns as data.
 
-The rows are those of `pattern_kernels`. Solutions are kept from one evaluation to the next: those
+The rows are those of `row_kernels`. Solutions are kept from one evaluation to the next: those
 of which a row has gone go, and those that a new row makes come, found pattern by pattern: the new
 rows of one, joined with the rows of the patterns before it that are not new and all rows of those
 after it. The patterns are put in order by how much they leave, and matched one inside the other,
-along a chain where an end is bound. `patterns` makes the tables and reads the answers. The loop is
+along a chain where an end is bound. `solver` makes the tables and reads the answers. The loop is
 the same in plain Python (``py_func``).
 
 It is one function of four hundred lines, and makes this file long, because what is compiled can
@@ -51,7 +51,7 @@ LONGS = 9
 OVERSPENT = -2
 """The answer of `match` that has looked at more rows than it may."""
 DOUBTFUL = -1
-"""The answer of `match` where a filter meets what only `evaluation` can judge."""
+"""The answer of `match` where a filter meets what only `expression_evaluation` can judge."""
 
 # What is known of a depth: its slot, subject, object and way, which ends have values before it, the
 # rows it looks at (from one, below one), and whether it goes on to static ones.

@@ -1,5 +1,5 @@
 """Which parts of a plan the compiled loop serves: patterns with constant predicates, their joins,
-and filters of numbers on them (see `patterns`).
+and filters of numbers on them (see `solver`).
 """
 
 from __future__ import annotations

@@ -1,14 +1,14 @@
-"""The compiled loops that keep the triples of windows for joins of patterns (`pattern_rows`).
+"""The compiled loops that keep the triples of windows for joins of patterns (`window_rows`).
 
 A triple is a row of numbers: its *slot* (a predicate in a graph that the query names), the id of
-its subject, its object as tag and bits (`columns.TermValues.encoded`), its time and its window. A
+its subject, its object as tag and bits (`relation.TermValues.encoded`), its time and its window. A
 row stays from the evaluation that sees it first to the one that does not see it any more, and is
 linked to the rows before it with the same slot, subject, object or triple: a chain goes from the
 newest row to the oldest, so nothing has to be taken out of it. Each loop is the same in plain
 Python (``py_func``).
 
 Hashes of a row are written out wherever they are needed, since what is compiled can call nothing
-that is not; `pattern_match` has them too.
+that is not; `join_kernel` has them too.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def _wait(
     words: Any,
     times: Any,
     by: Any,
-    # By term: its tag and bits (`columns.TermValues.encoded`).
+    # By term: its tag and bits (`relation.TermValues.encoded`).
     term_tags: Any,
     term_bits: Any,
     pending: Any,

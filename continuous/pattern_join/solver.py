@@ -1,8 +1,8 @@
 """Triple patterns joined by a compiled loop, over the rows of all windows as numbers.
 
 It serves a plan's parts that are patterns with constant predicates, their joins, and filters of
-numbers on them (`pattern_parts`); what stands above is executed by `relational`. Law (tests/laws):
-the same solutions as `relational.execute` gives for that part, in an order that depends on the rows
+numbers on them (`plan_cut`); what stands above is executed by `executor`. Law (tests/laws):
+the same solutions as `executor.execute` gives for that part, in an order that depends on the rows
 and the evaluations only.
 
 Cost: some ten microseconds a window, then tens of nanoseconds a row that has come and a step of its
@@ -111,7 +111,8 @@ class PatternJoin:
                 yield slot, 1 << BY_TRIPLE
 
     def solve(self, rows: PatternRows, static: StaticArrays) -> Relation | None:
-        """The solutions over these rows; None where a filter has to be judged by `evaluation`."""
+        """The solutions over these rows; None where a filter has to be judged by
+        `expression_evaluation`."""
         # What came in a turn that it has not seen may have gone: then it is not told what is new.
         whole = self._seen_turn != rows.turns - 1
         if whole:

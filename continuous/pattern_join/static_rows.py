@@ -1,4 +1,4 @@
-"""The static triples that patterns can touch, as rows of numbers (`pattern_kernels`)."""
+"""The static triples that patterns can touch, as rows of numbers (`row_kernels`)."""
 
 from __future__ import annotations
 

@@ -50,7 +50,7 @@ class PatternRows:
     """The triples of all windows that the patterns of a query can touch.
 
     ``windows``: the graph of each window, by its number. ``once``, ``needed``: by slot whether
-    equal triples count once, and which chains joins walk along (`pattern_kernels`).
+    equal triples count once, and which chains joins walk along (`row_kernels`).
 
     Law: what is visible after `turn` are the triples within the bounds, however they came; rows of
     a slot stand in order of evaluation, time, window and kind.

@@ -1,4 +1,4 @@
-"""The compiled loop that finds the instances of solutions (see `streams.compiled`), and its twin in
+"""The compiled loop that finds the instances of solutions (see `streams.jit`), and its twin in
 numpy, which looks at every instance of a group.
 """
 

@@ -171,7 +171,7 @@ class Joined:
             yield self._numbers, found
 
     def triples(self) -> Iterator[tuple[Numbers, TripleRows]]:
-        """As `heads.construct`, each triple once an instance."""
+        """As `result_forms.construct`, each triple once an instance."""
         if not isinstance(self.head, Construct):
             return
         relation = _of_one(self.relation)

@@ -1,7 +1,7 @@
 """Windows that many queries read: rows and watermarks in, one value a window out for all of them.
 
-What is computed over them is the business of `instances` (of a template) and `alike` (queries that
-differ in constants).
+What is computed over them is the business of `template_instances` (of a template) and
+`similar_queries` (queries that differ in constants).
 """
 
 from __future__ import annotations

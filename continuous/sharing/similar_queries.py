@@ -53,7 +53,7 @@ class Unshared(Exception):
 @dataclass(frozen=True, slots=True)
 class Form:
     """What queries agree on that can share windows and plan: ``query`` has variables for their
-    constants (`lifting`), but for those that the plan has to have."""
+    constants (`constant_lifting`), but for those that the plan has to have."""
 
     schedule: Schedule
     options: Options

@@ -1,8 +1,8 @@
 """All instances of one template as one continuous query (DESIGN §3 "Sharing").
 
 Rows and watermarks in, one value a window out that holds the result of every instance. The windows
-are kept once; instances that agree on what has to be fixed in the plan (`parameters`) are a cohort,
-which computes the plan once and joins it with the table of its instances (`cohorts`).
+are kept once; instances that agree on what has to be fixed in the plan (`template_parameters`) are
+a cohort, which computes the plan once and joins it with the table of its instances (`cohorts`).
 """
 
 from __future__ import annotations

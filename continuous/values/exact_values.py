@@ -1,7 +1,7 @@
 """Numbers that are aggregated one by one, as no sum of 64 bits takes them (SPARQL 1.1 §18.5.1).
 
 They are integers beyond int64, decimals of too many digits, and doubles so great that a sum of some
-may overflow before others bring it back. `partials` puts them apart.
+may overflow before others bring it back. `partial_aggregates` puts them apart.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """What a literal is worth: its sort, its number, its boolean value, its one spelling
 (SPARQL 1.1 §17.1-17.2).
 
-`columns.TermValues` keeps this by the ids of a dictionary.
+`relation.TermValues` keeps this by the ids of a dictionary.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class Sort(IntEnum):
     """What a term of the dictionary is; up to ``BOOLEAN`` these are the numbers of `Kind`.
 
     ``LONG_INTEGER``, ``LONG_DECIMAL``: numbers that no column holds. ``ILL_TYPED``: a literal of a
-    number's or a boolean's datatype that spells none (`pattern_match.LONGS`: these three).
+    number's or a boolean's datatype that spells none (`join_kernel.LONGS`: these three).
     """
 
     OTHER = 0

@@ -1,8 +1,8 @@
 """Functions of SPARQL 1.1 that Oxigraph has otherwise, for it to call (§17.2.2, §17.3).
 
 It gives a text with a language no boolean value, booleans no order, and IRIs and texts with a
-language one; it has no integers beyond 64 bits. `standard` puts calls of these functions into a
-query instead.
+language one; it has no integers beyond 64 bits. `standard_rewrite` puts calls of these functions
+into a query instead.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Rows and watermarks in, windows that close out: when, and over what, a query is evaluated.
 
 What is computed when a window closes is the business of who is told so: `evaluator` for one query,
-`instances` for all instances of a template.
+`template_instances` for all instances of a template.
 """
 
 from __future__ import annotations

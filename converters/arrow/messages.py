@@ -1,6 +1,6 @@
 """An Arrow IPC stream that comes in pieces, cut wherever: record batch by record batch.
 
-Only where a message ends, and how large what it holds is, is read here (`arrow_sizes`); what it
+Only where a message ends, and how large what it holds is, is read here (`sizes`); what it
 says pyarrow reads. Used by service/runtime/live_ingest.
 """
 

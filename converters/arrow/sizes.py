@@ -3,7 +3,7 @@
 A message is a length, a flatbuffer that tells its kind and how long its body is, and the body
 (Arrow columnar format, "Encapsulated message format"). A record batch says how many rows it has,
 and a compressed buffer how long it was: so a body of some hundred bytes that stands for gigabytes
-is refused by what it declares. Used by `arrow` and `arrow_messages`.
+is refused by what it declares. Used by `stream` and `messages`.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """PX4 flight logs (``.ulg``) as recordings: a stream for each topic instance. Read by pyulog.
 
-Called by `recordings.open_recordings`. A sample's valid time is ``timestamp_sample``, when it was
+Called by `many_streams.open_recordings`. A sample's valid time is ``timestamp_sample``, when it was
 sensed, where the topic tells it, else ``timestamp``; its available time is ``timestamp``, when it
 was published: the two times of [DyKnow10 Def. 5.3]. A message that does not tell when it was
 published (its timestamp is 0, stands still, or is before the log began) became available when it

@@ -1,6 +1,6 @@
 """Annotations as Turtle, in the shape of [Introspection15 Listing 3].
 
-Law (tests/laws/languages/test_annotations.py): `turtle_descriptions.read_annotations` of what is
+Law (tests/laws/languages/test_annotations.py): `transformation_turtle.read_annotations` of what is
 written here describes the same annotations. Listing 3 has no words for the order of arguments,
 their aliases and id fields: these stand in a list, `:hasArguments`.
 """

@@ -2,7 +2,7 @@
 ([Introspection15 §3.1]).
 
 An implementation is built in (`IMPLEMENTATIONS`: a vectorized function of one stream's samples)
-or user-written (`processes`: a computational unit or a source). The same implementation with
+or user-written (`registry`: a computational unit or a source). The same implementation with
 other parameters is another transformation.
 """
 

@@ -1,8 +1,8 @@
 """Which streams have fallen idle, by the clock of the engine (docs/semantics.md, "Idle streams").
 
 Nobody waits for a stream that was declared with ``idle`` and has brought nothing for so long: the
-windows of whoever reads others too go on without it. (`silences` asks another thing: whether an
-adaptive subscription has something better to read.)
+windows of whoever reads others too go on without it. (`silent_objects` asks another thing: whether
+an adaptive subscription has something better to read.)
 """
 
 from __future__ import annotations

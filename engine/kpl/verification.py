@@ -3,8 +3,8 @@
 The recording is replayed through the application that the specification declares. Then every
 stream with a policy, declared or the inner term of a process, is held against the definition: it
 must be in eval_fsterm of its term over the whole stream of its label. Every `join` and `sync` is
-held against its definition over its inputs. The definitions (`streams.satisfaction`,
-`streams.tuple_definition`) share nothing with what made the streams.
+held against its definition over its inputs. The definitions (`streams.policies.satisfaction`,
+`streams.synchronization.tuple_definition`) share nothing with what made the streams.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 """What kind of number or boolean an expression gives, where that can be known without its data
-(SPARQL 1.1 §17.3-17.4). `results` types the fields of output streams by it."""
+(SPARQL 1.1 §17.3-17.4). `result_schema` types the fields of output streams by it."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """From a specification to the shapes of its units ([Introspection15 §3.2]).
 
 Every `cu` is checked here, with its place: its transformation, its parameters, what it reads, and
-which field of that feeds which input. Nothing is started; `specifications` carries out what is
+which field of that feeds which input. Nothing is started; `apply` carries out what is
 elaborated.
 """
 

@@ -1,5 +1,5 @@
 """Which registered queries one query can serve (DESIGN §3 "Sharing"): those that read the same
-streams in the same windows and differ in constants only (`continuous.alike`).
+streams in the same windows and differ in constants only (`continuous.sharing.similar_queries`).
 
 It is worth while from some of them on: from more than usual, where what is computed for all is
 likely to cost more. What is shared then is what those had in common that are evaluated alone: the

@@ -1,7 +1,7 @@
 """Why a query that runs has given nothing yet: what it read, and what that lacks.
 
-Called by the views of requests and registered queries (`requests`, `registered_queries`). All of it
-is what was counted and what annotations and the ontology say; nothing is guessed.
+Called by the views of requests and registered queries (`event_requests`, `continuous_queries`). All
+of it is what was counted and what annotations and the ontology say; nothing is guessed.
 """
 
 from __future__ import annotations

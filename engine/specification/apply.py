@@ -1,8 +1,8 @@
 """Specifications in XML, applied: units inserted and removed in one change
 ([Introspection15 §3.2, Listing 1]).
 
-A text is checked whole before anything happens (`elaboration`, `leaving`). Then what is new is
-started (`inserting`), and what is removed stops last, so that a failure half-way can be undone.
+A text is checked whole before anything happens (`elaboration`, `dependents`). Then what is new is
+started (`insert`), and what is removed stops last, so that a failure half-way can be undone.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Which units stop when insertions are given up, and who needs one that must not stop
 ([Introspection15 §3.2]).
 
-Nothing is changed here: `specifications` asks before it acts.
+Nothing is changed here: `apply` asks before it acts.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """A computational unit that runs user-written code as a transformation, object by object
 ([Introspection15 §3.1, §4.3], [DyKnow10 Def. 5.10]).
 
-`joined_unit` runs the same code over the join of KPL streams; here one stream brings all inputs
+`join` runs the same code over the join of KPL streams; here one stream brings all inputs
 (synchronized before, if they were several), and the samples of each object are a stream of their
 own: with its own state, and of a class with its own instance.
 """

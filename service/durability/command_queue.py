@@ -4,7 +4,7 @@
     await service.keeper.kept()            # then it may be told: it survives
 
 Windows of continuous queries that take long are closed a little at a time, after the command that
-made them due and between those that come next (`catching_up`).
+made them due and between those that come next (`backlog_task`).
 
 Requests that wait together share one write and sync of the log. What came of commands that are not
 kept yet is shown to nobody: `Audience`. Without a data directory all of this costs nothing.
@@ -144,7 +144,7 @@ class Keeper:
             return self._recorded.do(command, known)
 
     def _go_on(self, *, new: bool = False, begins: bool = True) -> None:
-        """See `catching_up.GoOn`."""
+        """See `backlog_task.GoOn`."""
         if self._recorded is None:
             self._engine.go_on(new=new, begins=begins)
             return

@@ -2,7 +2,7 @@
 
 The dataset is fixed: the merge of all graphs. Queries are checked first (no SERVICE, no updates,
 bounded size) and evaluated in worker processes, a few at a time, with limits of time, memory, rows
-and bytes (`isolation`).
+and bytes (`service/workers`).
 """
 
 from __future__ import annotations

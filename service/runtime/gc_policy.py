@@ -6,7 +6,7 @@ one whenever a quarter more are there. So what has outlived one that took long i
 nobody refers to it any more; but not where it refers to itself, as what parsers make does. For that
 everything is looked at after a thousand times as long as that takes, half a minute at least, and,
 as long as next to nothing is found, after twice as long each time. In a service with little in it
-collections are quick, and nothing is left alone but what was there at the start (`warming`).
+collections are quick, and nothing is left alone but what was there at the start (`warm_up`).
 """
 
 from __future__ import annotations

@@ -3,8 +3,8 @@
 The ring is the stream's own history; a client is the number of the next sample it wants. Samples
 are encoded when somebody listens, once for all clients, and kept in a bounded cache
 (event_messages). A client that comes back after a gap in the history is told the gap. Of an
-adaptive subscription the switches stand between the samples (`marks`): what is sent in one go ends
-there. Who is woken when, and how an answer is sent, is event_clients and event_response.
+adaptive subscription the switches stand between the samples (`switch_markers`): what is sent in one
+go ends there. Who is woken when, and how an answer is sent, is event_clients and event_response.
 
 Cost: a publish O(1), then a look of each client; encoding is per sample, once. Memory: the cache's
 limit, and what a client has not taken (`EventStream`). There is no queue a client.

@@ -87,7 +87,7 @@ class EventStream(EventSourceResponse):
     """Sends ``messages`` to an admitted ``client`` until they are over, it leaves or is cut off.
 
     A client that takes nothing costs at most `SEND_BUFFER` of the kernel's memory and two pieces
-    (`event_messages.PIECE_BYTES`): one that the transport has, one that waits for it.
+    (`message_cache.PIECE_BYTES`): one that the transport has, one that waits for it.
     """
 
     def __init__(

@@ -1,10 +1,10 @@
 """Work that may take long, a little at a time beside the event loop: fibers.
 
 A fiber works on a thread of its own. It and the event loop's thread take turns: only one of them
-touches the engine at a time. Where the work may be interrupted (`streams.pauses`) the fiber hands
-the turn back when its time is over. What it does apart (a loop over what is its own, a question to
-a worker) it does while others have the turn. Windows of queries are closed so (`pausing`), and
-large batches decoded (`decoding`).
+touches the engine at a time. Where the work may be interrupted (`streams.yield_points`) the fiber
+hands the turn back when its time is over. What it does apart (a loop over what is its own, a
+question to a worker) it does while others have the turn. Windows of queries are closed so
+(`window_turns`), and large batches decoded (`batch_decoding`).
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Closing windows a little at a time, so that nobody waits for a query that takes long.
 
 A task closes the windows of one unit as a fiber, in turns with the event loop's thread (`fibers`).
-Where a window may be interrupted (`streams.pauses`) it pauses when its time is over.
+Where a window may be interrupted (`streams.yield_points`) it pauses when its time is over.
 """
 
 from __future__ import annotations
@@ -49,8 +49,8 @@ class Pausing(Fibers):
 
 
 class _Task(Fiber):
-    """See `engine.behind.Task`. With ``to_end`` it goes on until the present window has closed, and
-    begins no other."""
+    """See `engine.units.backlog.Task`. With ``to_end`` it goes on until the present window has
+    closed, and begins no other."""
 
     def __init__(self, pausing: Pausing, close_next: Callable[[], bool], telling: float) -> None:
         super().__init__(pausing, self._close)
@@ -63,10 +63,10 @@ class _Task(Fiber):
         self._waited = 0.0
         """Seconds that another process worked for it."""
         self.spent = 0.0
-        """See `engine.behind.Task`."""
+        """See `engine.units.backlog.Task`."""
 
     def end(self) -> None:
-        """See `engine.behind.Task`."""
+        """See `engine.units.backlog.Task`."""
         self._is_last = True
 
     # -- in its own thread -------------------------------------------------------------------

@@ -2,8 +2,8 @@
 
 docs/isolation.md says what is limited and what is told.
 
-`child` is what runs there, `worker` one such process as its parent has it, `pool` several of them.
-What is asked of them is in `sparql` (queries), `documents` (RDF and what it entails),
-`specifications` (XML) and `asking` (Oxigraph, for continuous queries); `messages` is what both
-sides say to each other, `elements` how they say a specification.
+`worker_main` is what runs there, `worker` one such process as its parent has it, `pool` several of
+them. What is asked of them is in `sparql` (queries), `rdf_documents` (RDF and what it entails),
+`specifications` (XML) and `oxigraph_client` (Oxigraph, for continuous queries); `messages` is what
+both sides say to each other, `xml_elements` how they say a specification.
 """

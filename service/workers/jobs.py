@@ -1,7 +1,7 @@
 """What a worker does: queries over a copy of the ontology, SPARQL over quads, RDF texts, closures,
 specifications in XML.
 
-Nothing here is bounded but sizes of results: time and memory are the process's (`child`).
+Nothing here is bounded but sizes of results: time and memory are the process's (`worker_main`).
 """
 
 from __future__ import annotations

@@ -19,8 +19,8 @@ Cell: TypeAlias = tuple[int, str, str]
 """A term: what it is, its text, the datatype or language of a literal."""
 Row: TypeAlias = list[Cell | None]
 ElementRow: TypeAlias = tuple[int, int, str, str | None, int, int]
-"""An element of a specification (`elements`): what it is, the row that it stands in, the type or
-the value, the name, where its tag begins and ends."""
+"""An element of a specification (`xml_elements`): what it is, the row that it stands in, the type
+or the value, the name, where its tag begins and ends."""
 PREFIX = 8
 """Bytes of a message's length before it, big-endian."""
 _IRI, _BLANK, _TYPED, _TAGGED = range(4)
@@ -37,7 +37,7 @@ class Follow(msgspec.Struct, tag="follow", frozen=True):
 class Query(msgspec.Struct, tag="query", frozen=True):
     """A user's SPARQL text over the copy of the ontology.
 
-    ``format`` is a media type of `formats`, empty if the text is to be checked only.
+    ``format`` is a media type of `sparql_formats`, empty if the text is to be checked only.
     """
 
     text: str
@@ -125,7 +125,7 @@ class Refused(msgspec.Struct, tag="refused", frozen=True):
 
 
 class Elements(msgspec.Struct, tag="elements", frozen=True):
-    """A specification (`elements`)."""
+    """A specification (`xml_elements`)."""
 
     rows: list[ElementRow]
 

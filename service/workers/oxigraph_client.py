@@ -1,4 +1,4 @@
-"""Oxigraph for continuous queries, in a worker: see `continuous.asking`.
+"""Oxigraph for continuous queries, in a worker: see `continuous.columns.oxigraph_port`.
 
 Whoever closes the window waits for the answer, on a thread of its own where others go on meanwhile
 (`pausing`).

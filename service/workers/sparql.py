@@ -40,7 +40,8 @@ class IsolatedQueries:
         self._size = size
 
     async def answer(self, text: str, format: str) -> Answer:
-        """The answer to a query, written as ``format`` (`formats`); with none its text is checked.
+        """The answer to a query, written as ``format`` (`sparql_formats`); with none its text is
+        checked.
 
         Raises `Busy` and `WorkerError`.
         """

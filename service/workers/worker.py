@@ -76,10 +76,10 @@ def _unheard(_kind: str, _outcome: str, _seconds: float) -> None:
 
 
 class Worker:
-    """A process that does one job at a time (`child`); made by `start`.
+    """A process that does one job at a time (`worker_main`); made by `start`.
 
-    ``position`` and ``kept`` are for who asks: what the process has by now (`sparql`, `asking`).
-    Calls wait in the thread that makes them; `kill` may be called from any.
+    ``position`` and ``kept`` are for who asks: what the process has by now (`sparql`,
+    `oxigraph_client`). Calls wait in the thread that makes them; `kill` may be called from any.
     """
 
     def __init__(self, process: subprocess.Popen[bytes], tell: Tell = _unheard) -> None:

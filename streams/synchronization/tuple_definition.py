@@ -2,8 +2,8 @@
 SPEC §1).
 
 `prove_join` and `prove_states` hold a stream of tuples against its inputs and give the first
-counterexample. They share nothing with `joining` and `synchronization`, which make such streams.
-Plain Python on one tuple at a time; `engine.proving` calls them.
+counterexample. They share nothing with `join` and `synchronization`, which make such streams.
+Plain Python on one tuple at a time; `engine.kpl.verification` calls them.
 """
 
 from __future__ import annotations

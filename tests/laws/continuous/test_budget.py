@@ -1,4 +1,5 @@
-"""A window exceeds its budget whatever way the input came: the law of `continuous.budget`."""
+"""A window exceeds its budget whatever way the input came: the law of
+`continuous.columns.budget`."""
 
 from __future__ import annotations
 
