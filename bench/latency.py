@@ -33,7 +33,7 @@ import msgspec
 import numpy as np
 
 from dyknow.rdf.namespaces import DYKNOW
-from dyknow.service.cli import app  # noqa: F401 - all loops of a service are known
+from dyknow.service.cli import serving  # noqa: F401 - all loops of a service are known
 from dyknow.service.client.client import Client
 from dyknow.service.config.media_types import ARROW, NDJSON
 from dyknow.streams.jit import compile_all

@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from typing import Protocol, TypeVar
 
 from ...languages.kpl import PROCESSES, format_policy
+from ...languages.specification.ast import RESERVED, is_reserved
 from ...languages.ssl.annotation import StreamAnnotation
 from ...rdf.namespaces import DYKNOW
 from ...streams.generator import StreamGenerator
@@ -54,8 +55,6 @@ RETENTION = Retention(bytes=256 << 20)
 """What a stream keeps of which nobody has said how much: units and annotations made it."""
 _NAMED = 20
 """So many streams are listed when an unknown one is asked for."""
-RESERVED = "dyknow_reserved"
-"""Names of streams that the system invents begin so (SPEC §5); none is used twice."""
 _REMEMBERED = 10_000
 """Of so many removed streams it is known how far their numbers went."""
 
@@ -73,11 +72,6 @@ class Reader(Protocol):
 
     def stop(self) -> None:
         """Leave the inputs."""
-
-
-def is_reserved(name: str) -> bool:
-    """Whether a name is one that DyKnow assigns. In a text it only ties `stream` to `cu`."""
-    return name.startswith(RESERVED) and name.removeprefix(RESERVED).isdigit()
 
 
 def after_reserved(names: Iterable[str]) -> int:

@@ -20,9 +20,10 @@ from ...continuous.columns.budget import UNLIMITED, Budget
 from ...journal.checkpoints import Checkpoint, Checkpoints, Kept
 from ...journal.directory import DataDirectory
 from ...journal.disk import DISK, Disk
+from ...journal.durability import Durability
 from ...journal.errors import JournalError
-from ...journal.log import SEGMENT, Durability, Log
-from ..configuration.configuration import is_reserved
+from ...journal.log import SEGMENT, Log
+from ...languages.specification.ast import is_reserved
 from ..processes.external_io import READINGS, Tape
 from ..processes.registry import PROCESSES, Processes
 from ..processes.supervision import DIRECT, Runner

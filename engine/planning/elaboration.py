@@ -19,6 +19,7 @@ from ...languages.specification import (
     StreamReference,
     UnitSpecification,
 )
+from ...languages.specification.ast import elements_of, is_reserved
 from ...languages.ssl.annotation import Content
 from ...matching.plan import Compute, SelectObject, Synchronize, contents_of
 from ...matching.space import TransformationDescription
@@ -28,13 +29,7 @@ from ...streams.generator import StreamGenerator
 from ...streams.policies.policy import Policy
 from ..catalog.name_resolution import iri_of
 from ..catalog.transformation_library import Transformation, Transformations
-from ..configuration.configuration import (
-    POLICY,
-    SELECT_OBJECT,
-    SYNCHRONIZE,
-    Configuration,
-    is_reserved,
-)
+from ..configuration.configuration import POLICY, SELECT_OBJECT, SYNCHRONIZE, Configuration
 from ..configuration.policy_keys import annotated_contents
 from ..model.errors import DyknowError, UnknownFeature, UnknownStream
 from ..units.base import ComputationalUnit
@@ -369,15 +364,6 @@ class Elaboration:
 
     def _error(self, span: Span, message: str, hint: str = "") -> LanguageError:
         return LanguageError(message, self._source, span, hint or "see docs/specifications.md")
-
-
-def elements_of(insertions: Iterable[UnitSpecification]) -> Iterable[UnitSpecification]:
-    """All units of a text, those that are read by others among them."""
-    todo = list(insertions)
-    while todo:
-        element = todo.pop()
-        yield element
-        todo += [given for given in element.inputs if isinstance(given, UnitSpecification)]
 
 
 def policy_of(piece: Piece) -> Policy | None:

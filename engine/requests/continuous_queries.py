@@ -17,6 +17,7 @@ from ...converters.to_triples import SampleConverter
 from ...languages.csparql import parse_query
 from ...languages.csparql.ast import ContinuousQuery
 from ...languages.errors import LanguageError, Span
+from ...languages.specification.ast import RESERVED
 from ...matching.space import StreamSpace
 from ...ontology.ontology import Ontology
 from ...rdf.dictionary import TermDictionary
@@ -24,7 +25,7 @@ from ...rdf.namespaces import local_name
 from ...templates.library import TemplateLibrary
 from ..catalog.declared_streams import DeclaredStreams
 from ..catalog.name_resolution import checked_strategy, did_you_mean
-from ..configuration.configuration import RESERVED, Configuration
+from ..configuration.configuration import Configuration
 from ..model.beginning import beginning_of
 from ..model.errors import (
     AlreadyExists,

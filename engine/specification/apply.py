@@ -18,9 +18,10 @@ from ...languages.specification import (
     format_specification,
     parse_specification,
 )
+from ...languages.specification.ast import is_reserved
 from ...ontology.ontology import Ontology
 from ..catalog.transformation_library import Transformations
-from ..configuration.configuration import Configuration, is_reserved
+from ..configuration.configuration import Configuration
 from ..model.errors import Refused
 from ..model.status_changes import Change, ChangeKind
 from ..model.views import InsertionView, SpecificationView

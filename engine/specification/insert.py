@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 
 from ...languages.specification import UnitSpecification
+from ...languages.specification.ast import is_reserved
 from ...matching.plan import Compute, Node, SelectObject, Synchronize, UseStream
 from ...streams.generator import StreamGenerator
 from ...streams.policies.policy import Policy
-from ..configuration.configuration import Configuration, is_reserved
+from ..configuration.configuration import Configuration
 from ..configuration.policy_keys import policy_keys
 from ..model.views import Since
 from ..planning.elaboration import Elaborated

@@ -20,8 +20,9 @@ from ...languages.specification import (
     format_element,
     format_specification,
 )
+from ...languages.specification.ast import is_reserved
 from ...ontology.ontology import Ontology
-from ..configuration.configuration import Configuration, is_reserved
+from ..configuration.configuration import Configuration
 from ..model.status_changes import Change, ChangeKind
 from ..model.views import InsertionView
 from ..planning.unit_shapes import Running, Shape

@@ -17,8 +17,10 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from ..config.settings import Settings
+if TYPE_CHECKING:
+    from ..config.settings import Settings
 
 PREFIX = "dyk_"
 """Tokens that `new_token` makes begin so: what looks for secrets in texts can find them."""

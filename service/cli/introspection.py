@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from difflib import get_close_matches
-from typing import Annotated, Any, Final
+from typing import Annotated, Any
 
 import typer
 
-from ...rdf.namespaces import DYKNOW, PREFIXES, STREAM_SPACE, shorten
-from ...sparql.tokens import Kind, tokenize
-from ..client.client import Client
 from .events import STRATEGY
 from .output import (
     DEFAULT_URL,
@@ -24,9 +19,6 @@ from .output import (
 )
 from .streams import text_or_file
 
-_OURS: Final = (DYKNOW, STREAM_SPACE)
-"""The namespaces of terms that the service knows where they exist."""
-
 
 def sparql(
     query: Annotated[str, typer.Argument(help="A SPARQL query, its file, or - .")],
@@ -37,8 +29,11 @@ def sparql(
     text = text_or_file(query)
     with connect(url) as client:
         found = client.sparql(text)
-        for hint in () if _says_something(found) else _unknown_terms(client, text):
-            err().print(f"hint: {hint}", markup=False)
+        if not _says_something(found):
+            from .unknown_terms import unknown_terms
+
+            for hint in unknown_terms(client, text):
+                err().print(f"hint: {hint}", markup=False)
     if isinstance(found, str):
         show_text(found)
     elif as_json:
@@ -51,51 +46,6 @@ def _says_something(found: dict[str, Any] | str) -> bool:
     if isinstance(found, str):
         return bool(found.strip())
     return bool(found.get("boolean") or found.get("results", {}).get("bindings"))
-
-
-def _unknown_terms(client: Client, text: str) -> Iterator[str]:
-    """Terms of our namespaces in a query that the service does not know, with names near them."""
-    asked = " ".join(f"<{iri}>" for iri in _our_terms(text))
-    if not asked:
-        return
-    nowhere = "FILTER NOT EXISTS { { ?t ?p ?o } UNION { ?s ?t ?o } UNION { ?s ?p ?t } }"
-    for iri in _column(client, f"SELECT ?t {{ VALUES ?t {{ {asked} }} {nowhere} }}"):
-        namespace = next(each for each in _OURS if iri.startswith(each))
-        named = f'?t a ?kind FILTER (STRSTARTS(STR(?t), "{namespace}"))'
-        names = [
-            each.removeprefix(namespace)
-            for each in _column(client, f"SELECT DISTINCT ?t {{ {named} }}")
-        ]
-        near = get_close_matches(iri.removeprefix(namespace), names, n=3)
-        meant = f"; did you mean {', '.join(shorten(namespace + name) for name in near)}?"
-        yield f"nothing is called {shorten(iri)}{meant if near else ''}"
-
-
-def _our_terms(text: str) -> dict[str, None]:
-    """The IRIs of our namespaces in a query that the service has answered, each once."""
-    prefixes = dict(PREFIXES)
-    found: dict[str, None] = {}
-    tokens = tokenize(text)
-    for before, token, after in zip((None, *tokens), tokens, (*tokens[1:], None), strict=False):
-        prefix, _, local = token.text.partition(":")
-        if token.kind is Kind.IRI:
-            iri = token.text[1:-1]
-        elif token.kind is not Kind.PREFIXED:
-            continue
-        elif before is not None and before.is_word("PREFIX") and after is not None:
-            prefixes[prefix] = after.text[1:-1]
-            continue
-        else:
-            iri = prefixes.get(prefix, "") + local
-        if any(iri.startswith(each) and iri != each for each in _OURS):
-            found[iri] = None
-    return found
-
-
-def _column(client: Client, query: str) -> list[str]:
-    answer = client.sparql(query)
-    assert isinstance(answer, dict)
-    return [row["t"]["value"] for row in answer["results"]["bindings"]]
 
 
 def show_bindings(found: dict[str, Any]) -> None:
@@ -176,4 +126,6 @@ def _section(title: str, lines: list[str]) -> None:
 def _term(term: dict[str, Any] | None) -> str:
     if term is None:
         return "-"
+    from ...rdf.namespaces import shorten
+
     return shorten(term["value"]) if term["type"] == "uri" else str(term["value"])

@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from datetime import UTC, datetime
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.cells import cell_len
@@ -25,7 +26,10 @@ from ...streams.time import (
     SECOND,
     parse_duration,
 )
-from ..client.client import URL, Client
+from ..config.defaults import URL
+
+if TYPE_CHECKING:
+    from ..client.client import Client
 
 Url = Annotated[
     str, typer.Option("--url", envvar="DYKNOW_URL", help="Where the service is.", metavar="URL")
@@ -48,7 +52,21 @@ _UNITS = (
 
 def connect(url: str) -> Client:
     """A client of the service at ``url``, with the token that the command was given."""
+    from ..client.client import Client
+
     return Client(url, token=TOKEN_GIVEN.get())
+
+
+@contextmanager
+def unless_gone() -> Iterator[None]:
+    """For what is given up at the end: the service may be gone already, and what it was asked for
+    with it."""
+    import httpx
+
+    from ..client.connection import ServiceError
+
+    with suppress(ServiceError, httpx.TransportError):
+        yield
 
 
 def out() -> Console:

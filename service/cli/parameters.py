@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
-from ...converters.recordings.time_order import TimeOrder
-from ...engine.model.beginning import beginning_of
-from ...engine.model.errors import BadArguments
 from ...streams.time import read_time
 from .output import err
+
+if TYPE_CHECKING:
+    from ...converters.recordings.time_order import TimeOrder
 
 
 class SemanticsWord(StrEnum):
@@ -60,7 +60,18 @@ Sort = Annotated[
 ]
 
 
+NOW: Final = "now"
+"""What comes from now on."""
+START: Final = "start"
+"""All that is kept."""
+
+
 def _checked(text: str) -> str:
+    if text in (NOW, START):
+        return text
+    from ...engine.model.beginning import beginning_of
+    from ...engine.model.errors import BadArguments
+
     try:
         beginning_of(text)
     except BadArguments as error:

@@ -9,7 +9,7 @@ from typing import Annotated, Any, get_type_hints
 
 import typer
 
-from ..client.connection import TOKEN
+from ..config.defaults import TOKEN
 from .output import TOKEN_GIVEN
 
 Token = Annotated[

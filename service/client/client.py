@@ -13,14 +13,13 @@ from __future__ import annotations
 import json
 import uuid
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 from urllib.parse import quote
 
 import httpx
 import msgspec
 
-from ...converters.ndjson import encode_ndjson
-from ...streams.sample import SampleBatch
+from ..config.defaults import URL
 from ..config.media_types import (
     CSV,
     JSON,
@@ -31,8 +30,8 @@ from ..config.media_types import (
     TEXT,
     TURTLE,
 )
-from .connection import URL, Connection, Event, ServiceError
-from .text_parts import (
+from .connection import Connection, Event, ServiceError
+from .parts import (
     description_parts,
     joined,
     kpl_parts,
@@ -40,6 +39,9 @@ from .text_parts import (
     specification_parts,
     ssl_parts,
 )
+
+if TYPE_CHECKING:
+    from ...streams.sample import SampleBatch
 
 __all__ = ["URL", "Client", "Event", "ServiceError"]
 
@@ -583,14 +585,19 @@ def _part(name: str) -> str:
 
 def _ndjson(samples: Iterable[Mapping[str, Any]] | SampleBatch | bytes, stamp: bool) -> bytes:
     """Rows, a batch or lines, as lines; ``stamp`` leaves a batch's available times out."""
-    if isinstance(samples, SampleBatch):
-        body = encode_ndjson(samples)
-        if not stamp:
-            return body
-        rows = msgspec.json.Decoder(dict[str, Any]).decode_lines(body)
-        return msgspec.json.Encoder().encode_lines([_unstamped(row) for row in rows])
     if isinstance(samples, bytes):
         return samples
+    # Rows in a list are no batch, and need neither numpy nor what encodes its columns.
+    if not isinstance(samples, list | tuple):
+        from ...converters.ndjson import encode_ndjson
+        from ...streams.sample import SampleBatch
+
+        if isinstance(samples, SampleBatch):
+            body = encode_ndjson(samples)
+            if not stamp:
+                return body
+            rows = msgspec.json.Decoder(dict[str, Any]).decode_lines(body)
+            return msgspec.json.Encoder().encode_lines([_unstamped(row) for row in rows])
     # json, not msgspec: it writes NaN as NaN, for the service to refuse, not as null.
     return "\n".join(json.dumps(row) for row in samples).encode()
 

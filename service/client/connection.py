@@ -13,11 +13,9 @@ import httpx
 import msgspec
 from httpx_sse import EventSource, ServerSentEvent
 
+from ..config.defaults import TOKEN, URL
 from ..config.media_types import JSON, POSITION
 
-URL = "http://127.0.0.1:8000"
-TOKEN = "DYKNOW_TOKEN"
-"""The environment variable with the token of whoever runs this program."""
 RETRY_FIRST = 0.2
 RETRY_LONGEST = 5.0
 SILENCE = 60.0

@@ -1,32 +1,29 @@
-"""Texts that are longer than one request may be, in parts: what the client sends one after the
-other (service/http/text_limits has the bounds, and docs/isolation.md why there are any).
+"""Long texts in parts, cut where their languages allow (config/text_bounds has the bounds).
 
 A text that fits is one part, as it is, and so is one that cannot be read or divided: the service
-says what is wrong with it.
+says what is wrong with it. Called by `parts`, for texts that may be too long only: what is here
+imports the parsers.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from itertools import chain
-from typing import Any, Final, TypeVar
+from collections.abc import Sequence
+from typing import Final
 
-from ...engine.specification.batches import Bounds, is_within, parts_of
 from ...languages.errors import LanguageError, Span
 from ...languages.kpl import parse_kpl
 from ...languages.specification import parse_specification
+from ...languages.specification.batches import Bounds, is_within, parts_of
 from ...languages.ssl import parse_ssl
-from ..http.text_limits import (
+from ..config.text_bounds import (
     LONGEST,
-    MOST_CONTENTS,
     MOST_DECLARATIONS,
+    MOST_ELEMENTS,
+    MOST_PARTS,
     MOST_WORDS,
     count_words,
 )
-from ..workers.specifications import MOST_ELEMENTS, MOST_PARTS
-from .connection import ServiceError
 
-T = TypeVar("T")
 BOUNDS: Final = Bounds(MOST_PARTS, MOST_ELEMENTS, LONGEST)
 
 
@@ -59,57 +56,6 @@ def specification_parts(text: str | bytes) -> Sequence[str | bytes]:
     return parts_of(found, BOUNDS) or [text]
 
 
-def description_parts(
-    streams: Mapping[str, Any] | Sequence[Mapping[str, Any]],
-) -> list[Mapping[str, Any] | list[Mapping[str, Any]]]:
-    """Descriptions of streams, to be sent as JSON."""
-    if isinstance(streams, Mapping):
-        return [streams]
-    parts: list[Mapping[str, Any] | list[Mapping[str, Any]]] = []
-    part: list[Mapping[str, Any]] = []
-    contents = 0
-    for stream in streams:
-        size = len(stream.get("contents", ()))
-        if part and (len(part) == MOST_DECLARATIONS or contents + size > MOST_CONTENTS):
-            parts.append(part)
-            part, contents = [], 0
-        part.append(stream)
-        contents += size
-    return [*parts, part]
-
-
-def sent(parts: Sequence[T], send: Callable[[T], Any]) -> Iterator[Any]:
-    """What the service answers to each part. Raises `ServiceError`, which says what has been done
-    already: each part is taken whole or refused whole, all of them are not."""
-    for number, part in enumerate(parts):
-        try:
-            yield send(part)
-        except ServiceError as error:
-            if len(parts) > 1:
-                raise _of_part(error, number, len(parts)) from error
-            raise
-
-
-def _of_part(error: ServiceError, done: int, count: int) -> ServiceError:
-    before = f"{done} before it are done" if done else "nothing is done"
-    hint = f"{error.hint}; " if error.hint else ""
-    problem = {
-        **error.problem,
-        "detail": f"part {done + 1} of {count}, {before}: {error.args[0]}",
-        "hint": f"{hint}send all of it again when it is right: what is there stays as it is",
-    }
-    return ServiceError(
-        error.status,
-        error.title,
-        problem["detail"],
-        hint=problem["hint"],
-        line=error.line,
-        column=error.column,
-        excerpt=error.excerpt,
-        problem=problem,
-    )
-
-
 def _cut(text: str, spans: Sequence[Span], head: str) -> list[str]:
     """``text`` in parts of some declarations each, which stand where ``spans`` say. A part has the
     ``head`` that the text had, and its lines have the numbers that they had there."""
@@ -139,8 +85,3 @@ def _part(text: str, start: int, end: int, head: str) -> str:
     column = start - (text.rfind("\n", 0, start) + 1)
     before = "\n" * lines + " " * column
     return head + (before or " ") + text[start:end]
-
-
-def joined(answers: Iterator[list[T]]) -> list[T]:
-    """The lists that came of parts, as one."""
-    return list(chain.from_iterable(answers))

@@ -10,7 +10,7 @@ from pydantic import Field, SecretStr
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from ...converters.wire import BatchLimits
-from ...journal.log import Durability
+from ...journal.durability import Durability
 
 MEBIBYTE = 1 << 20
 

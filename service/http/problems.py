@@ -29,6 +29,7 @@ from ...ontology.units import UnitError
 from ...streams.recall import Forgotten
 from ...streams.sample import SampleError
 from ...streams.time import format_time
+from ..config.defaults import AHEAD
 from ..config.logs import log
 from .hints import hint_for
 
@@ -40,8 +41,6 @@ LONGEST = 4000
 MOST_TOLD = 100
 """Of so many values that do not fit is told where they are: an answer is not to be longer than what
 was asked."""
-AHEAD: Final = "ahead of the clock"
-"""The title of the problem of such a sample: a publisher may leave it out (``latest``)."""
 _NAMES = "urn:dyknow:problem:"
 _REQUESTS = "urn:dyknow:request:"
 

@@ -7,8 +7,7 @@ too. How large a query text may be is said in `languages.csparql.limits`.
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Iterator, Sized
+from collections.abc import Callable, Sized
 from typing import Final
 
 import anyio
@@ -20,23 +19,14 @@ from ...languages.kpl.ast import Specification
 from ...languages.ssl import parse_ssl
 from ...languages.ssl.ast import Declaration
 from ...templates.patterns import patterns
+from ..config.text_bounds import LONGEST, MOST_DECLARATIONS, MOST_WORDS, words
 from .problems import Problem
 
-LONGEST: Final = 128 * 1024
-"""Bytes of a text in SSL, KPL or XML."""
-MOST_WORDS: Final = 2048
-"""Words and signs of a text in SSL or KPL: seven make a feature of a stream, some eight a unit."""
-MOST_DECLARATIONS: Final = 128
-"""Of one text: each costs the engine up to a millisecond."""
-MOST_CONTENTS: Final = 256
-"""Features that streams contain, of one request in JSON: what SSL can say in its words."""
 IN_PARTS: Final = (
     "send it in several parts, each behind what it needs: dyknow.Client, `dyknow annotate`, "
     "`dyknow kpl add` and `dyknow specification apply` do so by themselves"
 )
 """What is said of a text that is too long."""
-# Its end is matched, too: else a comment there would be looked into.
-_WORD: Final = re.compile(r"""(?:\s+|\#[^\n\r]*|//[^\n\r]*)*+("[^"\n]*+"|\w+|[^\w\s]|\Z)""")
 _QUERIES = anyio.CapacityLimiter(1)
 """Their parser works one text at a time anyway."""
 _DECLARATIONS = anyio.CapacityLimiter(1)
@@ -92,21 +82,12 @@ def parse_registration(text: str) -> None:
     body_tree(parse_template(text).query)
 
 
-def count_words(text: str) -> int:
-    """How many words and signs a text in SSL or KPL has."""
-    return sum(1 for _ in _words(text))
-
-
 def parse_continuous(text: str) -> None:
     """The same of a continuous query."""
     patterns(body_tree(parse_query(text)))
 
 
 def _check_words(text: str) -> None:
-    for number, _ in enumerate(_words(text), 1):
+    for number, _ in enumerate(words(text), 1):
         if number > MOST_WORDS:
             raise too_long(f"{MOST_WORDS} words and signs")
-
-
-def _words(text: str) -> Iterator[re.Match[str]]:
-    return (found for found in _WORD.finditer(text) if found[1])

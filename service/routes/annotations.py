@@ -18,17 +18,11 @@ from ...engine.catalog.transformation_turtle import read_annotations
 from ...engine.durability.commands import Annotate, Describe
 from ...languages.ssl.ast import StreamDeclaration
 from ..config.media_types import JSON, TEXT, TURTLE
+from ..config.text_bounds import MOST_CONTENTS, MOST_DECLARATIONS
 from ..http.json_lists import listed
 from ..http.negotiation import accepted, content_type, json_value, utf8
 from ..http.problems import Problem, responses
-from ..http.text_limits import (
-    MOST_CONTENTS,
-    MOST_DECLARATIONS,
-    check_length,
-    check_number,
-    read_ssl,
-    too_long,
-)
+from ..http.text_limits import check_length, check_number, read_ssl, too_long
 from ..models import AnnotationModel, ContentsIn, schema_of, text_schema
 from ..runtime.context import Context, Service
 from ..workers.route_calls import while_connected

@@ -13,6 +13,7 @@ import anyio.to_thread
 from ...languages.errors import LanguageError, Span
 from ...languages.specification import Specification
 from ...languages.specification.decoding import decoded
+from ..config.text_bounds import MOST_ELEMENTS, MOST_PARTS
 from .messages import (
     Answer,
     BadAnswer,
@@ -29,11 +30,6 @@ from .xml_elements import specification_of
 
 SECONDS: Final = 5.0
 """Ten times what the longest text takes."""
-MOST_PARTS: Final = 128
-"""Units that one text inserts, and units that it removes: each costs the engine up to a
-millisecond, in which everybody waits."""
-MOST_ELEMENTS: Final = 2048
-"""Elements of a text, parameters and streams among them."""
 _BYTES: Final = 4 << 20
 
 

@@ -9,6 +9,7 @@ import zlib
 import pytest
 from simulated_disk import Killed, SimulatedDisk
 
+from dyknow.journal.durability import Durability
 from dyknow.journal.errors import (
     JournalBroken,
     JournalDamaged,
@@ -16,7 +17,7 @@ from dyknow.journal.errors import (
     UnknownFormat,
 )
 from dyknow.journal.high_water import NAME, Mark, read_mark
-from dyknow.journal.log import Durability, Log
+from dyknow.journal.log import Log
 from dyknow.journal.segment import framed, header_of, path_of, scan, walk
 
 

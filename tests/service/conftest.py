@@ -15,7 +15,7 @@ from typer.testing import CliRunner, Result
 
 from dyknow.engine.durability.durable_engine import RecordedEngine
 from dyknow.engine.engine import Engine
-from dyknow.journal.log import Durability
+from dyknow.journal.durability import Durability
 from dyknow.service.app import create_app
 from dyknow.service.cli import app
 from dyknow.service.client.client import Client

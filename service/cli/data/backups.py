@@ -1,25 +1,19 @@
-"""``dyknow backup, restore``: copies of a data directory (docs/data-directory.md)."""
+"""What ``dyknow backup, restore`` do: copies of a data directory (docs/data-directory.md)."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
 import msgspec
-import typer
 
 from ....engine.durability.checkpoint import program
 from ....journal.backup import Manifest, back_up
 from ....journal.backup import restore as restore_directory
 from ....journal.errors import JournalError
-from ..output import Json, fail, out, show_json
+from ..output import fail, out, show_json
 
 
-def backup(
-    directory: Annotated[Path, typer.Argument(help="A data directory.", metavar="DIR")],
-    target: Annotated[Path, typer.Argument(help="A folder to be made, or a .tar file.")],
-    json: Json = False,
-) -> None:
+def backup(directory: Path, target: Path, *, json: bool) -> None:
     """Copy a data directory, also of a running service, and verify the copy."""
     try:
         manifest = back_up(directory, target, program())
@@ -28,13 +22,7 @@ def backup(
     _show(manifest, f"{target}: a copy of {directory}", json)
 
 
-def restore(
-    source: Annotated[Path, typer.Argument(help="What dyknow backup has made.")],
-    directory: Annotated[
-        Path, typer.Argument(help="The data directory to be made; empty, if there.", metavar="DIR")
-    ],
-    json: Json = False,
-) -> None:
+def restore(source: Path, directory: Path, *, json: bool) -> None:
     """Make a data directory out of a backup; its next start begins new ids of events."""
     try:
         manifest = restore_directory(source, directory, program())

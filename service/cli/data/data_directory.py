@@ -1,4 +1,4 @@
-"""``dyknow check, repair, log``: what a data directory holds (docs/data-directory.md)."""
+"""What ``dyknow check, repair, log`` do: what a data directory holds (docs/data-directory.md)."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import os
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import islice
 from pathlib import Path
-from typing import Annotated, Any, BinaryIO
+from typing import Any, BinaryIO
 
 import msgspec
 import typer
@@ -22,26 +22,16 @@ from ....journal.inspection import TRIES, Inspection, inspect, log_of
 from ....journal.repair import repair as repair_directory
 from ....journal.segment import Scan, walk
 from ...config.settings import Settings
-from ..output import Json, err, fail, out, show_json, show_table
+from ..output import err, fail, out, show_json, show_table
 from .process_state import found_processes, writer_of
 
-Directory = Annotated[Path, typer.Argument(help="A data directory.", metavar="DIR")]
 _BRIEF = 60
 """Characters of a text or body that are shown."""
 
 
-def check(
-    directory: Directory,
-    processes: Annotated[
-        list[str] | None,
-        typer.Option(help="A module or .py file of the next start. May be repeated."),
-    ] = None,
-    json: Json = False,
-) -> None:
-    """Look at a data directory, also of a running service: status 1 if it is damaged.
-
-    With --processes (or DYKNOW_PROCESSES) it tells what a start with these modules would miss.
-    """
+def check(directory: Path, processes: list[str] | None, *, json: bool) -> None:
+    """Tell what a data directory holds, and what a start with these modules would miss; status 1
+    if it is damaged."""
     modules = processes or Settings().processes
     errors = [each.error for each in load_processes(modules) if each.error is not None]
     found, needed = _checked(directory, modules_are_known=bool(modules))
@@ -55,7 +45,7 @@ def check(
         raise typer.Exit(1)
 
 
-def repair(directory: Directory, json: Json = False) -> None:
+def repair(directory: Path, *, json: bool) -> None:
     """Keep what is good of a damaged data directory, and set the rest aside as *.damaged."""
     try:
         if not lacks_format(directory) and format_of(directory) is None:
@@ -86,13 +76,8 @@ def repair(directory: Directory, json: Json = False) -> None:
         out().print(f"lost: {done.lost}; the next start begins new ids of events", markup=False)
 
 
-def log(
-    directory: Directory,
-    after: Annotated[int, typer.Option(help="Only what follows this position.", min=0)] = 0,
-    count: Annotated[int | None, typer.Option("-n", help="So many, no more.", min=1)] = None,
-    full: Annotated[bool, typer.Option("--full", help="Texts and bodies whole.")] = False,
-) -> None:
-    """Print the commands of a data directory's log, a line of JSON each, up to what is damaged."""
+def log(directory: Path, after: int, count: int | None, *, full: bool) -> None:
+    """Print the commands of the log after a position, so many, up to what is damaged."""
     if not (directory / "journal").is_dir():
         raise fail(f"{directory} has no log")
     with log_of(directory) as (found, files):

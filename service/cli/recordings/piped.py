@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import typer
 
-from ....converters.recordings.piped import Piped, Readable
-from ....converters.recordings.time_order import TimeOrder
 from ..output import err
+
+if TYPE_CHECKING:
+    from ....converters.recordings.piped import Piped, Readable
+    from ....converters.recordings.time_order import TimeOrder
 
 _ONCE = "a pipe is taken as it comes, once: write it to a file and replay that"
 
@@ -50,6 +53,8 @@ def check_once(file: Path, *, sort: bool | None, loop: bool) -> None:
 
 def show_piped(name: str, piped: Piped) -> TimeOrder:
     """Report the rows that were out of order, when all have come."""
+    from ....converters.recordings.time_order import TimeOrder
+
     if piped.note is not None:
         err().print(f"{name}: {piped.note}", markup=False, highlight=False)
     return TimeOrder(piped.recording, piped.out_of_order)

@@ -59,8 +59,8 @@ from dyknow.engine.model.views import StreamDeclaration
 from dyknow.engine.processes.registry import Processes
 from dyknow.engine.processes.supervision import DIRECT, UnitBlocked
 from dyknow.engine.requests.continuous_queries import RegisteredQueries
+from dyknow.journal.durability import Durability
 from dyknow.journal.errors import JournalFull
-from dyknow.journal.log import Durability
 from dyknow.ontology.ontology import Ontology
 from dyknow.streams.history import Retention
 from dyknow.streams.sample import Field, FieldType

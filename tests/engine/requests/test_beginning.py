@@ -18,7 +18,7 @@ from dyknow.engine.durability.commands import (
 from dyknow.engine.durability.durable_engine import RecordedEngine
 from dyknow.engine.model.errors import BadArguments
 from dyknow.engine.model.views import StreamDeclaration
-from dyknow.journal.log import Durability
+from dyknow.journal.durability import Durability
 from dyknow.streams.history import Retention
 from dyknow.streams.recall import Forgotten
 from dyknow.streams.sample import Field, FieldType

@@ -8,17 +8,16 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from specifying import state, text
 
-from dyknow.engine.configuration.configuration import is_reserved
 from dyknow.engine.engine import Engine
-from dyknow.engine.planning.elaboration import elements_of
 from dyknow.engine.processes.registry import Processes
-from dyknow.engine.specification.batches import Bounds, parts_of
 from dyknow.languages.errors import LanguageError
 from dyknow.languages.specification import (
     StreamReference,
     UnitSpecification,
     parse_specification,
 )
+from dyknow.languages.specification.ast import elements_of, is_reserved
+from dyknow.languages.specification.batches import Bounds, parts_of
 
 LIMITS = settings(deadline=None, max_examples=40)
 ANNOTATIONS = """

@@ -17,7 +17,7 @@ from dyknow.engine.durability.commands import ANYTIME, done
 from dyknow.engine.durability.durable_engine import RecordedEngine
 from dyknow.engine.engine import Engine
 from dyknow.engine.units import windowed
-from dyknow.journal.log import Durability
+from dyknow.journal.durability import Durability
 
 
 @pytest.fixture(autouse=True, scope="module")

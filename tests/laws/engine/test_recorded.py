@@ -16,7 +16,7 @@ from places import TESTS
 from dyknow.engine.durability.commands import done
 from dyknow.engine.durability.durable_engine import RecordedEngine
 from dyknow.engine.engine import Engine
-from dyknow.journal.log import Durability
+from dyknow.journal.durability import Durability
 
 SUPPORT = TESTS / "support"
 

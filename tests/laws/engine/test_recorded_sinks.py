@@ -22,8 +22,9 @@ from dyknow.engine.model.views import StreamDeclaration
 from dyknow.engine.processes.external_io import Failed, Outcome
 from dyknow.engine.processes.registry import Processes
 from dyknow.engine.processes.supervision import UnitBlocked
+from dyknow.journal.durability import Durability
 from dyknow.journal.errors import JournalFull
-from dyknow.journal.log import Durability, Log
+from dyknow.journal.log import Log
 from dyknow.streams.sample import Field, FieldType
 from dyknow.streams.time import SECOND
 

@@ -9,8 +9,9 @@ from simulated_disk import Killed, SimulatedDisk
 from small_logs import folder
 
 from dyknow.journal.checkpoints import Checkpoint, Checkpoints
+from dyknow.journal.durability import Durability
 from dyknow.journal.errors import JournalBroken, JournalDamaged, JournalFull
-from dyknow.journal.log import Durability, Log
+from dyknow.journal.log import Log
 from dyknow.journal.segment import header_of, walk
 
 LIMITS = settings(deadline=None, max_examples=100)

@@ -12,8 +12,9 @@ from small_logs import folder
 from dyknow.journal import backup, examination, segment
 from dyknow.journal.directory import format_bytes, locked
 from dyknow.journal.disk import Disk
+from dyknow.journal.durability import Durability
 from dyknow.journal.examination import examine
-from dyknow.journal.log import Durability, Log
+from dyknow.journal.log import Log
 
 STEPS = st.lists(st.sampled_from([None, None, 1, 9, 40]), min_size=6, max_size=40)
 """Sizes of records that are appended; None: a commit."""

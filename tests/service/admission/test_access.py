@@ -22,6 +22,7 @@ from dyknow.service.admission.scopes import NEEDED, OPEN
 from dyknow.service.admission.tokens import Scope
 from dyknow.service.app import RESOURCES, create_app
 from dyknow.service.cli import app as commands
+from dyknow.service.cli.main import COMMANDS, command
 from dyknow.service.client.client import Client, ServiceError
 from dyknow.service.config import logs
 from dyknow.service.config.settings import Settings
@@ -562,13 +563,10 @@ def test_every_command_with_a_url_takes_a_token() -> None:
         text = CliRunner().invoke(commands, [*arguments, "--help"], env={"COLUMNS": "200"}).output
         assert ("--url" in text) == ("--token " in text), name
 
-    for command in commands.registered_commands:
-        name = command.name or command.callback.__name__
-        check(name, [name])
-    for group in commands.registered_groups:
-        for command in group.typer_instance.registered_commands:
-            name = command.name or command.callback.__name__
-            check(name, [str(group.name), name])
+    for name in COMMANDS:
+        inner = getattr(command(name), "commands", None)
+        for arguments in [[name]] if inner is None else [[name, each] for each in inner]:
+            check(name, arguments)
 
 
 def test_no_token_comes_into_a_log(

@@ -25,10 +25,10 @@ from dyknow.engine.model.views import StreamDeclaration
 from dyknow.journal import examination
 from dyknow.journal.checkpoints import Checkpoints
 from dyknow.journal.disk import Disk
+from dyknow.journal.durability import Durability
 from dyknow.journal.errors import JournalDamaged
 from dyknow.journal.examination import files_of
 from dyknow.journal.inspection import inspect
-from dyknow.journal.log import Durability
 from dyknow.journal.repair import repair
 from dyknow.journal.segment import header_of, scan, walk
 from dyknow.rdf.namespaces import DYKNOW

@@ -18,7 +18,7 @@ from dyknow.converters.recordings.recording import open_recording
 from dyknow.converters.wire import Incoming
 from dyknow.engine.processes.geodesy import SpeedFromCoordinates
 from dyknow.service.cli import app
-from dyknow.service.cli.recordings.demo import demo_files
+from dyknow.service.cli.recordings.demonstration import demo_files
 from dyknow.service.cli.recordings.recording_replay import (
     PAUSE,
     ROWS,

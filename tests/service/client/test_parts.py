@@ -22,7 +22,7 @@ from dyknow.service.client.text_parts import (
     ssl_parts,
 )
 from dyknow.service.config.settings import Settings
-from dyknow.service.http.text_limits import (
+from dyknow.service.config.text_bounds import (
     LONGEST,
     MOST_CONTENTS,
     MOST_DECLARATIONS,

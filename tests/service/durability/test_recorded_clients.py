@@ -13,7 +13,7 @@ import pytest
 
 from dyknow.engine.durability.durable_engine import RecordedEngine
 from dyknow.journal.disk import Disk
-from dyknow.journal.log import Durability
+from dyknow.journal.durability import Durability
 from dyknow.service.app import create_app
 from dyknow.service.config.settings import Settings
 from dyknow.service.server import running

@@ -26,7 +26,7 @@ from dyknow.engine.engine import Engine
 from dyknow.engine.model.errors import Conflict
 from dyknow.engine.requests.continuous_queries import RegisteredQueries
 from dyknow.engine.requests.event_requests import EventRequests
-from dyknow.journal.log import Durability
+from dyknow.journal.durability import Durability
 from dyknow.service.app import create_app
 from dyknow.service.cli import app
 from dyknow.service.config.settings import Settings

@@ -8,14 +8,15 @@ import threading
 import httpx
 import pytest
 
-from dyknow.service.http import text_limits
-from dyknow.service.http.text_limits import (
+from dyknow.service.config.text_bounds import (
     MOST_CONTENTS,
     MOST_DECLARATIONS,
+    MOST_ELEMENTS,
+    MOST_PARTS,
     MOST_WORDS,
 )
+from dyknow.service.http import text_limits
 from dyknow.service.models.parts import MOST_ARGUMENTS
-from dyknow.service.workers.specifications import MOST_ELEMENTS, MOST_PARTS
 
 TEXT = {"Content-Type": "text/plain"}
 XML = {"Content-Type": "application/xml"}

@@ -18,7 +18,7 @@ from waiting import until
 from dyknow.engine.durability.durable_engine import RecordedEngine
 from dyknow.engine.engine import Engine
 from dyknow.engine.units.windowed import WindowUnit
-from dyknow.journal.log import Durability
+from dyknow.journal.durability import Durability
 from dyknow.service.app import create_app
 from dyknow.service.cli import app
 from dyknow.service.client.client import Client

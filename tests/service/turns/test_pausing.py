@@ -19,8 +19,8 @@ from dyknow.engine.durability.durable_engine import RecordedEngine
 from dyknow.engine.engine import Engine
 from dyknow.engine.model.views import StreamDeclaration
 from dyknow.engine.units import windowed
+from dyknow.journal.durability import Durability
 from dyknow.journal.errors import JournalFull
-from dyknow.journal.log import Durability
 from dyknow.service.app import create_app
 from dyknow.service.config.settings import Settings
 from dyknow.service.server import running

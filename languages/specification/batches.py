@@ -10,15 +10,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from ...languages.specification import (
-    Input,
-    Specification,
-    StreamReference,
-    UnitSpecification,
-    format_specification,
-)
-from ..configuration.configuration import is_reserved
-from ..planning.elaboration import elements_of
+from .ast import Input, Specification, StreamReference, UnitSpecification, elements_of, is_reserved
+from .printer import format_specification
 
 _AROUND = 256
 """Bytes of a text without its units."""
