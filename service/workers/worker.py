@@ -123,7 +123,7 @@ class Worker:
     @staticmethod
     def _process_of(memory: int, environment: dict[str, str]) -> subprocess.Popen[bytes]:
         return subprocess.Popen(
-            [sys.executable, "-P", "-m", f"{__package__}.child", str(memory)],
+            [sys.executable, "-P", "-m", f"{__package__}.worker_main", str(memory)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,

@@ -15,7 +15,7 @@ from dyknow.languages.kpl import parse_kpl
 from dyknow.languages.ssl import parse_ssl
 from dyknow.service.app import create_app
 from dyknow.service.client.client import Client, ServiceError
-from dyknow.service.client.text_parts import (
+from dyknow.service.client.parts import (
     kpl_parts,
     sent,
     specification_parts,
