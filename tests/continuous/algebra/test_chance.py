@@ -99,7 +99,7 @@ def test_blank_nodes_of_the_stream_keep_their_names():
 def test_another_process_draws_the_same():
     query = f"SELECT ?o (RAND() AS ?x) (UUID() AS ?y) {HEAD} WHERE {{ ?o <urn:p> ?v }}"
     text = (
-        "from tests.continuous.test_chance import windows\n"
+        "from tests.continuous.algebra.test_chance import windows\n"
         f"for _, rows in windows({query!r}):\n"
         "    print([(row['x'].value, row['y'].value) for row in rows])"
     )

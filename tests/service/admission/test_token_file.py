@@ -274,7 +274,7 @@ def test_sighup_takes_them_at_once(path: Path) -> None:
     command = [
         sys.executable,
         "-c",
-        "from dyknow.service import token_file; token_file.EVERY = 3600\n"
+        "from dyknow.service.admission import token_file; token_file.EVERY = 3600\n"
         "from dyknow.service.cli import main; main()",
         "serve",
         "--port",
