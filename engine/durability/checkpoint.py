@@ -31,7 +31,7 @@ from pyoxigraph import Store
 
 from ...continuous.columns.budget import UNLIMITED, Budget
 from ...matching.uncollected import uncollected
-from ...ontology.ontology import quads_of, store_of
+from ...ontology.quad_store import quads_of, store_of
 from ..engine import Engine
 from ..processes.registry import Processes
 from ..processes.supervision import Instance, Runner

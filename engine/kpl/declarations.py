@@ -121,7 +121,7 @@ class KplDeclarations:
     def restore(self, started: Callable[[str], None]) -> None:
         """Declare what an earlier run was told; what does not hold any more is told and left. See
         `Application.add`."""
-        kept = self._ontology.kpl()
+        kept = self._ontology.registered.kpl()
         if not kept:
             return
         try:
@@ -181,7 +181,7 @@ class KplDeclarations:
         return new
 
     def _keep(self) -> None:
-        self._ontology.set_kpl(_SEPARATOR.join((*self._in_order(), *self._not_restored)))
+        self._ontology.registered.set_kpl(_SEPARATOR.join((*self._in_order(), *self._not_restored)))
 
     def _in_order(self) -> list[str]:
         """Each behind what it uses: a removal may have changed the order of declaration."""

@@ -7,15 +7,12 @@ looked at: the cost of a change is linear in these.
 
 from __future__ import annotations
 
-import heapq
-from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Iterator
+from collections import Counter
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
-from itertools import count
-from typing import TypeAlias
 
-from ...matching.plan import Supply, UseStream, nodes_of_supply
+from ...matching.plan import Supply, nodes_of_supply
 from ...matching.space import StreamSpace, TransformationDescription
 from ...matching.strategy import Kind
 from ...ontology.ontology import Ontology
@@ -34,15 +31,15 @@ from .adaptive_subscription import (
     AdaptiveSubscription,
     State,
     Wish,
-    behind,
     names_of,
     transformations_of,
 )
+from .alarms import Alarms
 from .plan_choice import Choosing
 from .plan_switch import Switching
+from .silent_sources import culprits, silent_from
+from .subscription_index import SubscriptionIndex, others
 
-_Index: TypeAlias = dict[str, dict[str, None]]
-"""Ids of subscriptions, in order, by a name that concerns them."""
 _LOOK_AGAIN = SECOND
 """After so long (ns) a source is looked at again, if not before: nothing that learns falls silent
 sooner after it spoke (`arrivals.LEAST`)."""
@@ -78,21 +75,12 @@ class Rematching:
         self._silences = Silences(configuration, space, plans.makes)
         self._choosing = Choosing(ontology, configuration, plans, space, self._silences)
         self._switching = Switching(ontology, dictionary, configuration, plans, clock)
-        self._subscriptions: dict[str, AdaptiveSubscription] = {}
-        self._by_output: dict[str, AdaptiveSubscription] = {}
-        self._readers: _Index = {}
-        self._users: _Index = {}
-        self._wanting: _Index = {}
-        self._avoiders: _Index = {}
-        self._candidates: _Index = {}
-        """Whose `AdaptiveSubscription.young` a stream or transformation is among."""
+        self._index = SubscriptionIndex()
+        self._alarms = Alarms()
         self._lost: dict[str, str] = {}
         """Who has lost something, and what."""
         self._ripe: dict[str, None] = {}
         """Who may have something better."""
-        self._alarms: list[tuple[int, int, Callable[[int], None]]] = []
-        """What is to be done when: a heap."""
-        self._serial = count()
 
     # -- subscriptions -----------------------------------------------------------------------
 
@@ -104,9 +92,7 @@ class Rematching:
         if adapted is None:
             unit.users += 1
         found = AdaptiveSubscription(id, wish, unit, adapted)
-        self._subscriptions[id] = found
-        self._by_output[found.output.name] = found
-        _put(self._wanting, wish.want.feature, id)
+        self._index.add(found)
         try:
             self._rematch(found, "requested")
             self.settle()
@@ -117,12 +103,7 @@ class Rematching:
 
     def cancel(self, id: str) -> None:
         """Give a subscription up; its units stop with it."""
-        found = self._subscriptions.pop(id)
-        self._by_output.pop(found.output.name, None)
-        self._forget_reads(found)
-        _drop(self._avoiders, found.avoided, id)
-        _drop(self._candidates, found.young, id)
-        _drop(self._wanting, (found.wish.want.feature,), id)
+        found = self._index.remove(id)
         self._lost.pop(id, None)
         self._ripe.pop(id, None)
         last = found.unit if found.adapted is None else found.adapted
@@ -131,11 +112,11 @@ class Rematching:
 
     def get(self, id: str) -> AdaptiveSubscription | None:
         """A subscription by its id."""
-        return self._subscriptions.get(id)
+        return self._index.get(id)
 
     def of_stream(self, name: str) -> AdaptiveSubscription | None:
         """The subscription whose stream this is."""
-        return self._by_output.get(name)
+        return self._index.of_stream(name)
 
     # -- what has happened -------------------------------------------------------------------
 
@@ -163,29 +144,28 @@ class Rematching:
                 self._note_transformation(change.described.description)
             case ChangeKind.TRANSFORMATION_REMOVED:
                 self._choosing.forget()
-                self._drop_candidate(change.transformation)
+                self._index.drop_candidate(change.transformation)
             case _:
                 pass
 
     def _forget_stream(self, stream: str) -> None:
         self._silences.forget(stream)
-        self._admit(stream)
+        self._index.admit(stream)
         self._note_loss(stream, f"{stream} was removed")
 
     def _note_misled(self, stream: str) -> None:
         """The stream of a plan's unit means something; to who reads it already, something else."""
         unit = self._configuration.units.get(stream)
-        for id in self._readers.get(stream, ()):
-            found = self._subscriptions[id]
+        for found in self._index.readers(stream):
             if unit is not None:
                 self._avoid(found, unit.transformation)
             found.misled = True
-            self._lost.setdefault(id, f"{stream} means something else")
+            self._lost.setdefault(found.id, f"{stream} means something else")
 
     def _note_failure(self, unit: ComputationalUnit) -> None:
         stream = unit.output.name
-        for id in self._readers.get(stream, ()):
-            self._avoid(self._subscriptions[id], unit.transformation)
+        for found in self._index.readers(stream):
+            self._avoid(found, unit.transformation)
         self._note_loss(stream, f"{unit.name} ({unit.transformation}) failed")
 
     def _avoid(self, found: AdaptiveSubscription, name: str) -> None:
@@ -193,20 +173,14 @@ class Rematching:
         or gives nothing of what is wanted."""
         if name in found.avoided:
             return
-        found.avoided.add(name)
-        _put(self._avoiders, name, found.id)
+        self._index.avoid(found, name)
         now = self._clock()
         silent = self._silences.at(now, found.wish.staleness)
         speaks = self._silences.has_spoken(name) and name not in silent
         if name in self._space.streams and not speaks:
             self._silences.pass_over(name)
         else:
-            self._at(now + _FORGIVEN, partial(self._forgive, found.id, name))
-
-    def _admit(self, name: str) -> None:
-        """Nobody avoids a stream or transformation any longer."""
-        for id in self._avoiders.pop(name, ()):
-            self._subscriptions[id].avoided.discard(name)
+            self._alarms.at(now + _FORGIVEN, partial(self._forgive, found.id, name))
 
     def came(self, stream: str, now: int) -> None:
         """Something was published to a stream."""
@@ -214,8 +188,8 @@ class Rematching:
             return  # it brought no sample, or only such as were late
         if self._silences.is_back(stream):
             self._back(stream)
-        for id in list(self._candidates.get(stream, ())):
-            self._note_stay(self._subscriptions[id], stream, now)
+        for found in self._index.candidates(stream):
+            self._note_stay(found, stream, now)
         self._silences.came(stream, now)
 
     def _note_stay(self, found: AdaptiveSubscription, stream: str, now: int) -> None:
@@ -229,84 +203,62 @@ class Rematching:
         """A stream is about to be removed: nobody reads it any more, whatever there is instead.
 
         Raises `Conflict`, changing nothing, while anybody else needs it."""
-        others = self._others(stream)
-        if others:
+        readers = others(stream, self._index.all(), self._configuration)
+        if readers:
             raise Conflict(
-                f"stream {stream!r} is read by {', '.join(others)}",
+                f"stream {stream!r} is read by {', '.join(readers)}",
                 "cancel the requests that need it first",
             )
-        for id in list(self._readers.get(stream, ())):
-            self._rematch(self._subscriptions[id], f"{stream} is removed", removed=stream)
-
-    def _others(self, stream: str) -> tuple[str, ...]:
-        """The names of the readers of a stream that serve somebody else, too. Cost: O(units)."""
-        merges = {found.unit for found in self._subscriptions.values()}
-        names = {unit.name for unit in merges}
-        unsure = tuple(n for n in self._configuration.readers_of(stream) if n not in names)
-        if not unsure:
-            return ()
-        readers: dict[StreamGenerator, list[ComputationalUnit]] = defaultdict(list)
-        for unit in self._configuration.units.values():
-            for source in unit.inputs:
-                readers[source].append(unit)
-
-        def is_ours(unit: ComputationalUnit) -> bool:
-            own = readers.get(unit.output, [])
-            return unit in merges or (
-                bool(own) and unit.users == len(own) and all(map(is_ours, own))
-            )
-
-        ours = {unit.name for unit in readers[self._configuration.streams[stream]] if is_ours(unit)}
-        return tuple(name for name in unsure if name not in ours)
+        for found in self._index.readers(stream):
+            self._rematch(found, f"{stream} is removed", removed=stream)
 
     def ontology_changed(self) -> None:
         """Sorts and features may contain each other otherwise: everybody is looked at again."""
         self._choosing.forget()
-        for id, found in self._subscriptions.items():
+        for found in self._index.all():
             found.unit.ask_again()
             if found.supply is not None and not self._choosing.means_the_same(found):
-                self._lost.setdefault(id, "the ontology has changed")
+                self._lost.setdefault(found.id, "the ontology has changed")
             else:
-                self._ripe[id] = None
+                self._ripe[found.id] = None
 
     def _back(self, stream: str) -> None:
         """A stream that was passed over speaks again."""
-        self._admit(stream)
-        self._drop_candidate(stream)
+        self._index.admit(stream)
+        self._index.drop_candidate(stream)
         self._note_gain(stream)
-        for id in self._readers.get(stream, ()):
-            if self._subscriptions[id].state is State.STALE:
-                self._lost.setdefault(id, f"{stream} speaks again")
+        for found in self._index.readers(stream):
+            if found.state is State.STALE:
+                self._lost.setdefault(found.id, f"{stream} speaks again")
 
     def _note_loss(self, stream: str, why: str) -> None:
-        for id in self._readers.get(stream, ()):
-            self._lost.setdefault(id, why)
-        self._drop_candidate(stream)
+        for found in self._index.readers(stream):
+            self._lost.setdefault(found.id, why)
+        self._index.drop_candidate(stream)
 
     def _note_meaning(self, stream: str) -> None:
-        for id in self._readers.get(stream, ()):
-            if not self._choosing.means_the_same(self._subscriptions[id]):
-                self._lost.setdefault(id, f"{stream} means something else")
-        for id in list(self._candidates.get(stream, ())):
-            if not self._choosing.may_serve(stream, self._subscriptions[id]):
-                self._drop_young(self._subscriptions[id], stream)
+        for found in self._index.readers(stream):
+            if not self._choosing.means_the_same(found):
+                self._lost.setdefault(found.id, f"{stream} means something else")
+        for found in self._index.candidates(stream):
+            if not self._choosing.may_serve(stream, found):
+                self._index.drop_young(found, stream)
         self._note_gain(stream)
 
     def _note_quality(self, stream: str, quality: float) -> None:
-        for id in self._readers.get(stream, ()):
-            self._doubt(self._subscriptions[id], f"quality of {stream} is {quality:g}")
+        for found in self._index.readers(stream):
+            self._doubt(found, f"quality of {stream} is {quality:g}")
         self._note_worth(stream, quality)
         self._note_gain(stream, is_only_quality=True)
 
     def _note_transformation(self, description: TransformationDescription) -> None:
         self._choosing.forget()
         name = description.name
-        for id in self._users.get(name, ()):
-            found = self._subscriptions[id]
+        for found in self._index.users(name):
             if self._choosing.means_the_same(found):
                 self._doubt(found, f"quality of {name}")
             else:
-                self._lost.setdefault(id, f"{name} means something else")
+                self._lost.setdefault(found.id, f"{name} means something else")
         self._note_worth(name, description.quality)
         for found in self._interested(description.output.feature):
             self._consider(found, name)
@@ -322,10 +274,9 @@ class Rematching:
 
     def _note_worth(self, name: str, quality: float) -> None:
         """Who waits to take what has become too bad waits for it no more."""
-        for id in list(self._candidates.get(name, ())):
-            found = self._subscriptions[id]
+        for found in self._index.candidates(name):
             if not self._choosing.is_worth(found, quality):
-                self._drop_young(found, name)
+                self._index.drop_young(found, name)
 
     # -- what may be better ------------------------------------------------------------------
 
@@ -347,9 +298,9 @@ class Rematching:
 
     def _interested(self, feature: str) -> Iterator[AdaptiveSubscription]:
         """The subscriptions to whose feature ``feature`` may lead."""
-        for wanted, ids in self._wanting.items():
+        for wanted, those in self._index.wanted():
             if self._choosing.leads(feature, wanted):
-                yield from (self._subscriptions[id] for id in ids)
+                yield from those
 
     def _consider(self, found: AdaptiveSubscription, name: str) -> None:
         """Take what might be better when it has been there for a while; at once if need be.
@@ -363,17 +314,16 @@ class Rematching:
         elif name in found.made_by:
             if not found.looks_again:
                 found.looks_again = True
-                self._at(due, partial(self._look_again, found.id))
+                self._alarms.at(due, partial(self._look_again, found.id))
         elif name not in found.young:
-            found.young[name] = now
-            _put(self._candidates, name, found.id)
+            self._index.add_young(found, name, now)
             is_published = name in self._space.streams and name not in self._configuration.units
             if not is_published and name not in found.timed:
                 found.timed.add(name)
-                self._at(due, partial(self._has_stayed, found.id, name))
+                self._alarms.at(due, partial(self._has_stayed, found.id, name))
 
     def _has_stayed(self, id: str, name: str, now: int) -> None:
-        found = self._subscriptions.get(id)
+        found = self._index.get(id)
         if found is None:
             return
         found.timed.discard(name)
@@ -384,20 +334,11 @@ class Rematching:
             self._ripen(found, name)
         else:
             found.timed.add(name)
-            self._at(due, partial(self._has_stayed, id, name))
+            self._alarms.at(due, partial(self._has_stayed, id, name))
 
     def _ripen(self, found: AdaptiveSubscription, name: str) -> None:
-        self._drop_young(found, name)
+        self._index.drop_young(found, name)
         self._ripe[found.id] = None
-
-    def _drop_candidate(self, name: str) -> None:
-        """What might have been better is gone: when it comes again that is anew."""
-        for id in self._candidates.pop(name, ()):
-            del self._subscriptions[id].young[name]
-
-    def _drop_young(self, found: AdaptiveSubscription, name: str) -> None:
-        if found.young.pop(name, None) is not None:
-            _drop(self._candidates, (name,), found.id)
 
     # -- time --------------------------------------------------------------------------------
 
@@ -408,26 +349,20 @@ class Rematching:
         """
         for name in self._silences.back():
             self._back(name)
-        while self._alarms and self._alarms[0][0] <= now:
-            _, _, act = heapq.heappop(self._alarms)
-            act(now)
+        self._alarms.ring(now)
         self.settle()
 
-    def _at(self, time: int, act: Callable[[int], None]) -> None:
-        heapq.heappush(self._alarms, (time, next(self._serial), act))
-
     def _look_again(self, id: str, now: int) -> None:
-        found = self._subscriptions.get(id)
+        found = self._index.get(id)
         if found is not None:
             found.looks_again = False
             self._ripe[id] = None
 
     def _forgive(self, id: str, name: str, now: int) -> None:
-        found = self._subscriptions.get(id)
+        found = self._index.get(id)
         if found is None or name not in found.avoided:
             return
-        found.avoided.discard(name)
-        _drop(self._avoiders, (name,), id)
+        self._index.forgive(found, name)
         if found.state is not State.RUNNING:
             self._ripe[id] = None
 
@@ -436,22 +371,22 @@ class Rematching:
         if source not in found.watched:
             found.watched.add(source)
             soon = min(time, self._clock() + _LOOK_AGAIN)
-            self._at(soon, partial(self._look_at, found.id, source))
+            self._alarms.at(soon, partial(self._look_at, found.id, source))
 
     def _look_at(self, id: str, source: StreamGenerator, now: int) -> None:
-        found = self._subscriptions.get(id)
+        found = self._index.get(id)
         if found is None:
             return
         found.watched.discard(source)
         if source not in found.unit.arrivals:
             return
-        silent_at = self._silent_from(found, source)
+        silent_at = silent_from(found, source, self._silences)
         if silent_at is not None and silent_at <= now:
-            culprits = self._culprits(found, source, now)
-            if not found.avoided.issuperset(culprits):
-                for name in culprits:
+            blamed = culprits(found, source, self._silences, now)
+            if not found.avoided.issuperset(blamed):
+                for name in blamed:
                     self._avoid(found, name)
-                self._lost.setdefault(id, f"{' and '.join(culprits)} fell silent")
+                self._lost.setdefault(id, f"{' and '.join(blamed)} fell silent")
         elif silent_at is not None and found.state is State.STALE:
             again = found.avoided & names_of(found.nodes_behind(source))
             for name in again:
@@ -462,38 +397,6 @@ class Rematching:
             silent_at = now + _LOOK_AGAIN
         self._watch(found, source, silent_at)
 
-    def _silent_from(self, found: AdaptiveSubscription, source: StreamGenerator) -> int | None:
-        """From when on (ns) a source is silent; None: nobody knows.
-
-        Of what is made, and read since a short time only, what it is made from may tell."""
-        staleness = found.wish.staleness
-        if self._silences.has_spoken(source.name):
-            return self._silences.silent_at(source.name, staleness)
-        silent_at = found.unit.arrivals[source].silent_at(staleness)
-        if silent_at is not None:
-            return silent_at
-        times = [
-            self._silences.silent_at(node.stream)
-            for node in found.nodes_behind(source)
-            if isinstance(node, UseStream)
-        ]
-        known = [time for time in times if time is not None]
-        return max(known) if known and len(known) == len(times) else None
-
-    def _culprits(
-        self, found: AdaptiveSubscription, source: StreamGenerator, now: int
-    ) -> tuple[str, ...]:
-        """Of what a silent source is made from, what is silent itself: streams from outside, or
-        else the transformations, which make nothing of what they get."""
-        nodes = found.nodes_behind(source)
-        streams = dict.fromkeys(node.stream for node in nodes if isinstance(node, UseStream))
-        silent = self._silences.at(now, found.wish.staleness)
-        return (
-            tuple(name for name in streams if name in silent)
-            or tuple(sorted(transformations_of(nodes)))
-            or tuple(streams)
-        )
-
     def settle(self) -> None:
         """Match again whoever has lost something, or may have something better by now."""
         times: Counter[str] = Counter()
@@ -501,13 +404,13 @@ class Rematching:
             id = next(iter(self._lost or self._ripe))
             why = self._lost.pop(id, None)
             self._ripe.pop(id, None)
-            found = self._subscriptions.get(id)
+            found = self._index.get(id)
             if found is None:
                 continue
             times[id] += 1
             if times[id] > _AT_ONCE:
                 later = self._clock() + max(found.wish.hold_off, SECOND)
-                self._at(later, partial(self._look_again, id))
+                self._alarms.at(later, partial(self._look_again, id))
             elif why is not None:
                 self._rematch(found, why)
             else:
@@ -562,12 +465,14 @@ class Rematching:
                 self._avoid(found, name)
             self._lost[found.id] = f"{why}; {error.detail}"
             return
-        self._forget_reads(found)
+        self._index.forget_reads(found)
         gained = self._switching.switch(found, supply, streams, why)
-        self._remember_reads(found)
+        self._index.remember_reads(found, self._configuration)
         now = self._clock()
         for stream in gained:
-            self._watch(found, stream, self._silent_from(found, stream) or now + _LOOK_AGAIN)
+            self._watch(
+                found, stream, silent_from(found, stream, self._silences) or now + _LOOK_AGAIN
+            )
         if supply is not None:
             found.missing = ()
             found.quality = self._choosing.quality(supply)
@@ -586,30 +491,3 @@ class Rematching:
             found.wish = replace(found.wish, since=since)
         begin = partial(self._switching.streams_of, found, supply)
         return as_far_as_kept(found.begins, begin) if found.rematches else begin(found.begins)
-
-    def _remember_reads(self, found: AdaptiveSubscription) -> None:
-        found.reads = frozenset(behind(found.unit, self._configuration))
-        found.made_by = transformations_of(found.nodes)
-        for name in found.reads:
-            _put(self._readers, name, found.id)
-        for name in found.made_by:
-            _put(self._users, name, found.id)
-        for name in found.reads | found.made_by:
-            self._drop_young(found, name)
-
-    def _forget_reads(self, found: AdaptiveSubscription) -> None:
-        _drop(self._readers, found.reads, found.id)
-        _drop(self._users, found.made_by, found.id)
-
-
-def _put(index: _Index, key: str, id: str) -> None:
-    index.setdefault(key, {})[id] = None
-
-
-def _drop(index: _Index, keys: Iterable[str], id: str) -> None:
-    for key in keys:
-        known = index.get(key)
-        if known is not None:
-            known.pop(id, None)
-            if not known:
-                del index[key]

@@ -140,7 +140,7 @@ class Specifications:
     def restore(self) -> None:
         """Insert what an earlier run had. What does not hold any more is told on the status
         stream, left out, and kept."""
-        kept = self._ontology.specifications()
+        kept = self._ontology.registered.specifications()
         if not kept:
             return
         try:

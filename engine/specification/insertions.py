@@ -146,8 +146,8 @@ class Insertions:
     def keep(self, running: Running) -> None:
         """Keep what was inserted for the next run, and what an earlier one had."""
         text = self._text(running)
-        if text != self._ontology.specifications():
-            self._ontology.set_specifications(text)
+        if text != self._ontology.registered.specifications():
+            self._ontology.registered.set_specifications(text)
 
     def forget_lost(self, removal: Removal) -> bool:
         """Forget what an earlier run inserted and is removed; whether there was anything."""

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from growing import entries, grown, growth
 
-from dyknow.engine import engine
+from dyknow.engine import parts
 from dyknow.engine.configuration import configuration
 from dyknow.engine.durability.commands import (
     AddKpl,
@@ -123,7 +123,7 @@ def test_what_comes_and_goes_leaves_nothing(
     # What is kept of what was is kept of the last: of few, so that these have come soon.
     monkeypatch.setattr(replicas, "MOST", 100)
     monkeypatch.setattr(configuration, "_REMEMBERED", 10)
-    monkeypatch.setattr(engine, "RETENTION", Retention(samples=20))
+    monkeypatch.setattr(parts, "RETENTION", Retention(samples=20))
     monkeypatch.setattr(history, "_TEXTS", 20)
     recorded = RecordedEngine(tmp_path, now=0)
     kept = Retention(samples=100)

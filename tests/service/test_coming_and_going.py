@@ -15,7 +15,7 @@ import pytest
 from growing import entries, grown, growth
 from uvicorn import Server
 
-from dyknow.engine import engine
+from dyknow.engine import engine, parts
 from dyknow.engine.configuration import configuration, ingest
 from dyknow.ontology import replicas
 from dyknow.rdf.dictionary import TermDictionary
@@ -285,7 +285,7 @@ def test_what_comes_and_goes_leaves_nothing(
     monkeypatch.setattr(configuration, "RETENTION", Retention(samples=20))
     monkeypatch.setattr(ingest, "_KEYS_KEPT", 10)
     monkeypatch.setattr(history, "_TEXTS", 10)
-    monkeypatch.setattr(engine, "RETENTION", Retention(samples=20))
+    monkeypatch.setattr(parts, "RETENTION", Retention(samples=20))
     app = create_app(engine.Engine(turns=Pausing(5, 60)), settings, clock)
     sizes = []
     with (

@@ -116,5 +116,5 @@ class World:
 
     def everything(self):
         """All that there is: streams, units, triples of the mirror."""
-        parts = self.engine._configuration
-        return set(parts.streams), set(parts.units), self.engine._manager.assertions()
+        parts = self.engine._parts.configuration
+        return set(parts.streams), set(parts.units), self.engine._parts.manager.assertions()

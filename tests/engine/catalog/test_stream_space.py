@@ -120,7 +120,7 @@ def test_status_tells_every_change_in_order(running):
 def test_a_unit_that_raises_is_cut_off_and_others_go_on(running):
     view = request(running)
     other = request(running, "dyknow:HighSpeedEvent(?o, dyknow:UAV, 120)")
-    unit = running._configuration.units[view.stream]
+    unit = running._parts.configuration.units[view.stream]
 
     def fail(*_):
         raise RuntimeError("out of order")

@@ -115,15 +115,15 @@ def test_the_papers_example_runs(robot):
     ]
     assert robot.ontology.validate().conforms
     robot.unsubscribe(view.id)
-    assert not robot._configuration.units
+    assert not robot._parts.configuration.units
 
 
 def test_sources_and_units_that_two_need_run_once(robot):
     robot.annotate(PAPER)
     robot.subscribe_to_feature("GeoLocation", sort="Human")
-    before = len(robot._configuration.units)
+    before = len(robot._parts.configuration.units)
     robot.subscribe_to_feature("Attitude", objects=["self"])
-    assert len(robot._configuration.units) == before + 1  # the merge of the new subscription
+    assert len(robot._parts.configuration.units) == before + 1  # the merge of the new subscription
 
 
 def test_parameters_make_another_transformation(robot):

@@ -464,7 +464,7 @@ def test_declarations_survive_a_restart(tmp_path, processes):
     poorer = Engine(tmp_path, processes=Processes())
     for name in lost:
         assert poorer.remove_kpl(name) == (name,)
-    assert "speed" not in poorer.ontology.kpl().replace("compunit speed", "")
+    assert "speed" not in poorer.ontology.registered.kpl().replace("compunit speed", "")
 
 
 def test_annotations_of_declared_streams_survive_a_restart(tmp_path, processes):

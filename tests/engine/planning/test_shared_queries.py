@@ -58,7 +58,7 @@ def made_by(view):
 
 
 def units_of(engine):
-    return sorted(unit.transformation for unit in engine._configuration.units.values())
+    return sorted(unit.transformation for unit in engine._parts.configuration.units.values())
 
 
 def shares(engine, text, **how):
@@ -258,7 +258,7 @@ def test_a_stream_that_others_read_is_not_removed(flying):
 
 def test_what_fails_in_one_fails_in_no_other(flying):
     register(flying, 100, 110, 120, 130)
-    unit = flying._configuration.units["q2"]
+    unit = flying._parts.configuration.units["q2"]
 
     def fail(result, available):
         raise RuntimeError("no more")
@@ -281,7 +281,7 @@ def test_what_fails_in_one_fails_in_no_other(flying):
 
 def test_what_fails_in_all_fails_in_each(flying):
     register(flying, 100, 110, 120, 130)
-    shared = flying._configuration.units["q3"]._template
+    shared = flying._parts.configuration.units["q3"]._template
 
     def fail(*args):
         raise RuntimeError("no more")
@@ -291,7 +291,7 @@ def test_what_fails_in_all_fails_in_each(flying):
     states = [flying.queries.view(f"q{i}").state for i in range(4)]
     assert states == ["running", "running", "failed", "failed"]
     assert shares(flying, fast("q4", 140))
-    assert flying._configuration.units["q4"]._template is not shared
+    assert flying._parts.configuration.units["q4"]._template is not shared
     assert flying.queries.register(fast("q3", 130)).state == "running"
     fly(flying, 5, since=2, uav1=150)
     assert samples(flying, "q3")
@@ -353,7 +353,7 @@ def test_late_samples_are_told_for_each(engine, monkeypatch):
         "slow",
         "quick",
         "q0",
-        engine._configuration.units["q0"]._template.output.name,
+        engine._parts.configuration.units["q0"]._template.output.name,
     }
     engine.tick(14 * SECOND)
     say("quick", 9, clock=14)

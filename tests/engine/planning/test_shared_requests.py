@@ -127,7 +127,7 @@ def test_streams_that_are_made_for_somebody_are_the_same_streams(engine, high_sp
     assert [made_by(view)[-1] for view in views[6:]] == ["cSparql", "selectInstance"]
     for view in views:
         engine.cancel_event(view.id)
-    assert not engine._configuration.units
+    assert not engine._parts.configuration.units
 
 
 def test_the_past_is_each_ones_own(shared):
@@ -142,11 +142,11 @@ def test_the_template_runs_as_long_as_somebody_needs_it(shared):
     template = second.plan.units[0].output
     shared.cancel_event(first.id)
     shared.cancel_event(second.id)
-    assert template in shared._configuration.units
+    assert template in shared._parts.configuration.units
     fly(shared, 7, uav1=130)
     assert samples(shared, third.stream)
     shared.cancel_event(third.id)
-    assert not shared._configuration.units
+    assert not shared._parts.configuration.units
     # Nobody shares with those that are gone.
     assert made_by(ask(shared, "?o", 130)) == ["cSparql"]
 
@@ -198,7 +198,7 @@ def test_who_follows_an_answer_hears_of_time(shared):
 
 def test_what_fails_in_one_fails_in_no_other(shared):
     _, second, third = (ask(shared, "?o", limit) for limit in (100, 110, 120))
-    unit = shared._configuration.units[second.stream]
+    unit = shared._parts.configuration.units[second.stream]
 
     def fail(result, available):
         raise RuntimeError("no more")
@@ -216,7 +216,7 @@ def test_what_fails_in_one_fails_in_no_other(shared):
 
 def test_what_fails_in_the_template_fails_in_all(shared):
     views = [ask(shared, "?o", limit) for limit in (100, 110, 120)]
-    template = shared._configuration.units[views[1].plan.units[0].output]
+    template = shared._parts.configuration.units[views[1].plan.units[0].output]
 
     def fail(*args):
         raise RuntimeError("no more")
@@ -230,7 +230,7 @@ def test_what_fails_in_the_template_fails_in_all(shared):
     assert samples(shared, again.stream)
     for view in (*views, again):
         shared.cancel_event(view.id)
-    assert not shared._configuration.units
+    assert not shared._parts.configuration.units
 
 
 @pytest.fixture

@@ -1221,7 +1221,7 @@ def test_of_a_thousand_only_the_affected_are_matched_again(world, monkeypatch):
     text = (f"stream s_{name} contains speed({name}) = spd [km.h-1]" for name in names)
     world.engine.annotate("\n".join(text))
     ids = [world.subscribe(objects=[name]) for name in names]
-    plans, matched = world.engine._plans, []
+    plans, matched = world.engine._parts.plans, []
     match = plans.match
 
     def counted(wants, *rest, **options):
@@ -1288,7 +1288,7 @@ def test_nothing_is_remembered_of_those_who_left(world):
     """However many come and go, and however much their sources flap."""
     world.declare("a", "b", meaning=OF_ALL)
     world.run(0, 1, 1, "a", "b")
-    rematching = world.engine._rematching
+    rematching = world.engine._parts.rematching
     kept = [world.subscribe(staleness=1000) for _ in range(3)]
     for time in range(1, 200):
         world.tick(time)
@@ -1314,7 +1314,7 @@ def test_what_is_removed_is_forgotten_with_no_subscription_there(world):
     world.run(0, 10, 0.1, "a")
     world.engine.unsubscribe(id)
     world.engine.remove_stream("a")
-    silences = world.engine._rematching._silences
+    silences = world.engine._parts.rematching._silences
     assert not silences.has_spoken("a")
     assert not list(silences.back())
     world.declare("a", "b", meaning=OF_ALL)
@@ -1362,7 +1362,7 @@ def test_a_transformation_that_flaps_is_remembered_once(kitchen):
     for time in range(50):
         world.engine.transformations.change("second", quality=0.9 if time % 2 else 0.1)
         world.run(time, time + 1, 1, "a")
-    assert len(world.engine._rematching._alarms) < 5
+    assert len(world.engine._parts.rematching._alarms._alarms) < 5
     assert world.values(id) == [1000 + time for time in range(50)]
 
 

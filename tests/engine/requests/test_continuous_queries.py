@@ -317,7 +317,7 @@ def test_streams_that_cannot_be_read(flying, clause, error, words):
             f"REGISTER QUERY q AS SELECT ?o FROM STREAM {clause} {WINDOW} WHERE {{ ?o ?p ?v }}"
         )
     assert words in str(refused.value)
-    assert not flying._configuration.has("q")
+    assert not flying._parts.configuration.has("q")
 
 
 @pytest.mark.parametrize("iri", ["dyknow:s5", "<http://www.dyknow.eu/ontology#s5>", S5])
@@ -470,7 +470,7 @@ def test_a_query_without_a_name_gets_a_reserved_one(flying):
     view = flying.queries.start(query, asked)
     assert view.stream == view.name == "dyknow_reserved1"
     assert flying.queries.start(query, asked).users == 2
-    assert flying.ontology.queries() == {}
+    assert flying.ontology.registered.queries() == {}
 
 
 def test_a_stream_of_a_query_is_not_published_to_nor_removed(flying):
@@ -491,9 +491,9 @@ def test_a_text_that_makes_no_query(flying):
 def test_it_starts_anew_once_its_stream_means_something_else(flying):
     flying.queries.register(FAST)
     flying.annotate("stream s5 contains speed(UAV) = spd [km.h-1] for every UAV = id")
-    before = flying._configuration.units["fast"]
+    before = flying._parts.configuration.units["fast"]
     assert flying.queries.register(FAST).users == 2
-    assert flying._configuration.units["fast"] is not before
+    assert flying._parts.configuration.units["fast"] is not before
 
 
 # -- knowing ---------------------------------------------------------------------------------
@@ -587,15 +587,15 @@ def test_queries_survive_a_restart(tmp_path):
     play(second)
     assert samples(second, "fast")
     second.queries.remove("fast")
-    assert set(second.ontology.queries()) == {"again"}
-    assert "fast" not in second.ontology.annotations()
+    assert set(second.ontology.registered.queries()) == {"again"}
+    assert "fast" not in second.ontology.registered.annotations()
 
 
 def test_what_cannot_be_restored_is_told_and_kept(tmp_path):
     first = Engine(tmp_path)
     first.annotate(SSL)
     first.queries.register(FAST)
-    first.ontology.remove_annotation("s5")
+    first.ontology.registered.remove_annotation("s5")
     del first
     gc.collect()
     second = Engine(tmp_path)
@@ -608,7 +608,7 @@ def test_what_cannot_be_restored_is_told_and_kept(tmp_path):
     second.annotate(SSL)
     assert second.queries.register(FAST).state == "running"
     second.queries.remove("fast")
-    assert second.ontology.queries() == {}
+    assert second.ontology.registered.queries() == {}
 
 
 def test_literals_keep_what_fields_cannot_hold(flying):

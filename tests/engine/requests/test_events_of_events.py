@@ -71,19 +71,21 @@ def test_the_plan_is_the_tree_of_events(flying):
 
 def test_what_two_events_need_is_detected_once(flying):
     flying.request_event(flying.parse_request("dyknow:Both(?o)"))
-    queries = [u for u in flying._configuration.units.values() if u.transformation == "cSparql"]
+    queries = [
+        u for u in flying._parts.configuration.units.values() if u.transformation == "cSparql"
+    ]
     assert len(queries) == 3
 
 
 def test_an_event_that_runs_already_is_used(flying):
     flying.request_event(flying.parse_request("dyknow:Fast(?o, dyknow:UAV)"))
     view = flying.request_event(flying.parse_request("dyknow:LongFast(?o, dyknow:UAV)"))
-    assert len(flying._configuration.units) == 2
+    assert len(flying._parts.configuration.units) == 2
     flying.cancel_event("event1")
     fly(flying)
     assert samples(flying, view.stream)
     flying.cancel_event("event2")
-    assert not flying._configuration.units
+    assert not flying._parts.configuration.units
 
 
 def test_a_subscription_to_an_event(flying):
@@ -125,4 +127,4 @@ def test_a_template_is_a_transformation_in_the_ontology(flying):
     )
     assert [row[0].value for row in rows] == ["http://www.ida.liu.se/dyknow/Fast"]
     flying.remove_template("Both")
-    assert "dyknow:Both" not in flying._manager.space.transformations
+    assert "dyknow:Both" not in flying._parts.manager.space.transformations

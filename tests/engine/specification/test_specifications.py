@@ -120,14 +120,14 @@ def test_matching_gives_listing_1_before_anything_runs(listing):
 
 
 def test_removing_what_was_inserted_releases_its_inputs(listing):
-    before = units(listing), sorted(listing._configuration.streams)
-    mirrored = listing._manager.assertions()
+    before = units(listing), sorted(listing._parts.configuration.streams)
+    mirrored = listing._parts.manager.assertions()
     listing.apply_specification(listing_1())
     view = apply(listing, removals='<cu name="result"/>')
     assert len(view.stopped) == 8
-    assert (units(listing), sorted(listing._configuration.streams)) == before
-    assert listing._manager.assertions() == mirrored
-    assert listing.ontology.specifications() == ""
+    assert (units(listing), sorted(listing._parts.configuration.streams)) == before
+    assert listing._parts.manager.assertions() == mirrored
+    assert listing.ontology.registered.specifications() == ""
     assert listing.insertions() == ()
 
 
@@ -331,7 +331,7 @@ def test_a_unit_that_runs_gets_a_further_name(listing):
     assert ask(listing, '?s dyknow-o:hasAlias "fixes"') == [{"s": "dyknow_reserved1"}]
     assert len(listing.insertions()) == 1
     apply(listing, removals='<cu name="fixes"/>')
-    assert not listing._configuration.has("fixes")
+    assert not listing._parts.configuration.has("fixes")
     assert ask(listing, "?s dyknow-o:hasAlias ?name") == []
 
 
@@ -612,13 +612,13 @@ def test_what_is_refused(listing, insertions, place, message, hint):
         "stream position contains GPS(RMAX) = p for every RMAX = id\n"
         "stream hot contains GPS(self) = t"
     )
-    hot = listing._manager.annotations["hot"]
+    hot = listing._parts.manager.annotations["hot"]
     from dataclasses import replace
 
     from dyknow.ontology.units import parse_unit
 
     contents = tuple(replace(content, unit=parse_unit("K")) for content in hot.contents)
-    listing._manager.annotations["hot"] = replace(hot, contents=contents)
+    listing._parts.manager.annotations["hot"] = replace(hot, contents=contents)
     # What is right before it and behind it takes no effect either.
     error = refused(listing, f'<cu name="before" type="gps"/>\n  {insertions}\n<cu type="irCam"/>')
     assert message in error.message
@@ -683,13 +683,13 @@ def test_what_is_read_twice_costs_what_it_is_long(tmp_path):
     engine = world_of(tmp_path, processes)
     assert sorted(types(engine)) == sorted(kept)
     run(engine, 1)
-    last = list(engine._configuration.units)[-1]
+    last = list(engine._parts.configuration.units)[-1]
     assert samples(engine, last) == [(0.0, {"fix": 1000.0})]
 
 
 def test_what_has_failed_is_not_shared(listing):
     apply(listing, PLACE)
-    unit = listing._configuration.units["place"]
+    unit = listing._parts.configuration.units["place"]
     unit.cut_off("out of order")
     assert (
         "what has failed:\n  dyknow_cu2 (GPSto3D) has failed -->" in listing.current_specification()
@@ -771,7 +771,7 @@ def test_a_start_that_fails_half_way_is_undone(listing, monkeypatch, fails_at):
     apply(listing, '<cu name="result" type="gps"/><cu name="old" type="irCam"/>')
     run(listing, 2)
     before = state(listing)
-    made = listing._plans._build
+    made = listing._parts.plans._build
     count = 0
 
     def fail(node, since):
@@ -781,7 +781,7 @@ def test_a_start_that_fails_half_way_is_undone(listing, monkeypatch, fails_at):
             raise RuntimeError("no more units")
         return made(node, since)
 
-    monkeypatch.setattr(listing._plans, "_build", fail)
+    monkeypatch.setattr(listing._parts.plans, "_build", fail)
     insertions = listing_1().partition("<spec:insertions>")[2].partition("</spec:insertions>")[0]
     given = text(
         insertions.replace("spec:", "") + '<cu name="new" type="irCam"/>',
@@ -804,10 +804,10 @@ def test_a_store_that_fails_leaves_everything(listing, monkeypatch):
     apply(listing, PLACE)
     before = state(listing)
 
-    def fail(_):
+    def fail(*_):
         raise OSError("no space left")
 
-    monkeypatch.setattr(listing.ontology, "set_specifications", fail)
+    monkeypatch.setattr(Registrations, "set_specifications", fail)
     with pytest.raises(OSError, match="no space left"):
         apply(listing, '<cu name="fixes" type="gps"/><cu type="irCam"/>', '<cu name="place"/>')
     assert state(listing)[:-1] == before[:-1]
@@ -906,7 +906,7 @@ def test_the_engine_starts_without_what_fails(tmp_path, monkeypatch):
         engine = world_of(tmp_path)
         assert [view.failure for view in engine.insertions()] == ["RuntimeError: no more units"]
     # Whoever fails to remove it has not forgotten it.
-    monkeypatch.setattr(engine.ontology, "set_specifications", fail)
+    monkeypatch.setattr(Registrations, "set_specifications", fail)
     with pytest.raises(RuntimeError):
         apply(engine, removals='<cu name="place"/>')
     assert len(engine.insertions()) == 1
@@ -991,7 +991,7 @@ def test_kpl_streams_can_be_read(engine):
     engine.remove_kpl("s")
     assert "dyknow_cu2 (policy) has failed" in engine.current_specification()
     assert engine.insertions()[0].failure
-    assert 'type="policy"' in engine.ontology.specifications()
+    assert 'type="policy"' in engine.ontology.registered.specifications()
     apply(
         engine,
         '<cu name="x" type="policy"><parameter name="policy" value="any change"/>'

@@ -156,7 +156,7 @@ def without_users(seen):
 
 def remove_all(engine):
     kinds = dict.fromkeys(view.transformation for view in engine.insertions())
-    behind = [unit.transformation for unit in engine._configuration.units.values()]
+    behind = [unit.transformation for unit in engine._parts.configuration.units.values()]
     wanted = {*kinds, *behind}
     if "synchronize" in wanted and not re.search(
         'type="synchronize"', engine.current_specification()
@@ -174,8 +174,8 @@ def test_what_is_removed_leaves_nothing_behind(given):
     remove_all(engine)
     # But for what was told.
     assert without_users(state(engine))[:-1] == nothing[:-1]
-    assert engine._configuration._shared == {}
-    assert not engine._plans.made
+    assert engine._parts.configuration._shared == {}
+    assert not engine._parts.plans.made
 
 
 GAUGE_TWICE = text(
@@ -239,7 +239,7 @@ def test_parts_give_the_same_configuration(given, most):
         assert part.count("<spec:cu") <= most
         other.apply_specification(part)
     assert meaning(other.current_specification()) == meaning(current)
-    assert len(other._configuration.units) == len(whole._configuration.units)
+    assert len(other._parts.configuration.units) == len(whole._parts.configuration.units)
     assert Counter(map(inserted, other.insertions())) == Counter(map(inserted, whole.insertions()))
 
 
@@ -259,11 +259,11 @@ def test_most_texts_have_parts():
 @example([OBJECT_TWICE, text("", '<cu name="a"/>')])
 def test_what_is_kept_gives_the_same_insertions(given):
     engine, _ = played(given)
-    kept = engine.ontology.specifications()
+    kept = engine.ontology.registered.specifications()
     other = fresh()
     if kept:
         other.apply_specification(kept)
-    assert other.ontology.specifications() == kept
+    assert other.ontology.registered.specifications() == kept
     assert canonical(other.current_specification()) == canonical(engine.current_specification())
     assert len(other.insertions()) == len(engine.insertions())
 
@@ -273,9 +273,9 @@ def test_what_is_kept_gives_the_same_insertions(given):
 def test_everybody_is_counted(given):
     """A unit has as many users as insertions hold it and units read it."""
     engine, _ = played(given)
-    units = engine._configuration.units.values()
+    units = engine._parts.configuration.units.values()
     for unit in units:
-        held = sum(one.unit is unit for one in engine._specifications._insertions.all)
+        held = sum(one.unit is unit for one in engine._parts.specifications._insertions.all)
         read = sum(reader.inputs.count(unit.output) for reader in units)
         assert unit.users == held + read > 0
 

@@ -79,7 +79,7 @@ def commands(sizes):
 
 def told(engine):
     """What clients of `/status/events` see, and how the sinks are."""
-    sinks = engine._application._readers.values()
+    sinks = engine._parts.application._readers.values()
     return (
         list(engine.generator("status").stream.all().rows()),
         [(sink.counters, sink.failure, sink._supervisor._in_a_row) for sink in sinks],
@@ -101,7 +101,7 @@ def lived(world, sizes, cuts):
                 recorded._directory.close()
                 recorded = world.opened(path)
                 assert recorded.recovery.notes == []
-        assert len(recorded.engine._application._readers) == 2
+        assert len(recorded.engine._parts.application._readers) == 2
         return told(recorded.engine)
     finally:
         recorded._directory.close()

@@ -167,7 +167,7 @@ class Run:
         self.publish([(1.0, "uav1", 3.0, 3.0)] * (RANGE + 2))
         for number in [*self.running]:
             self.remove(number)
-        assert not self.engine._configuration.units
+        assert not self.engine._parts.configuration.units
         assert not self.engine.queries._starter._alikes._kinds
 
 

@@ -109,7 +109,8 @@ def told(given, streams, least):
                 case _:
                     now = publish(engine, step, now)
         shared = sum(
-            unit.transformation == "selectInstance" for unit in engine._configuration.units.values()
+            unit.transformation == "selectInstance"
+            for unit in engine._parts.configuration.units.values()
         )
         # Two windows close that are complete.
         publish(engine, [(1.0, "uav1", 3.0, 3.0)] * (RANGE + 2), now)
@@ -117,7 +118,7 @@ def told(given, streams, least):
             ended.append((number, *seen(engine, request)))
         for id, *_ in running.values():
             engine.cancel_event(id)
-        assert not engine._configuration.units
+        assert not engine._parts.configuration.units
         return sorted(ended, key=lambda one: one[0]), shared
 
 
