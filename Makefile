@@ -22,14 +22,14 @@ test: lint image-check ## everything that CI runs
 	$(PYTEST) --hypothesis-profile=ci
 	for way in reused retired; do $(PYTEST) $(SWEPT) --sweeps=$$way --share=0.01 --hypothesis-profile=ci || exit 1; done
 # Laws that hold as well where terms are forgotten at every chance (tests/conftest.py).
-SWEPT := $(addprefix tests/laws/test_,continuous.py algebra.py patterns.py event_time.py shared_requests.py engine.py ntriples.py)
+SWEPT := $(addprefix tests/laws/,$(addprefix continuous/test_,continuous.py algebra.py patterns.py) streams/test_event_time.py $(addprefix engine/test_,shared_requests.py engine.py) converters/test_ntriples.py)
 
 ROUNDS ?= 3
 SECONDS ?= 600
 soak: $(VENV)/installed-dev ## what takes long: a service under use, a thousand deaths, 200,000 random windows, ROUNDS of all laws
 	$(BIN)/python bench/soak.py $(SECONDS)
-	DYKNOW_KILLS=1000 $(BIN)/pytest -n 0 -s tests/service/test_kill.py
-	DYKNOW_QUERY_WINDOWS=200000 DYKNOW_QUERY_SEED=$$(date +%s) $(PYTEST) tests/laws/test_differential.py
+	DYKNOW_KILLS=1000 $(BIN)/pytest -n 0 -s tests/service/durability/test_kill.py
+	DYKNOW_QUERY_WINDOWS=200000 DYKNOW_QUERY_SEED=$$(date +%s) $(PYTEST) tests/laws/continuous/test_differential.py
 	for round in $$(seq $(ROUNDS)); do $(PYTEST) tests/laws --hypothesis-profile=default || exit 1; done
 
 image-check: ## what the Dockerfile does, as a script in an empty folder

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from .continuous.evaluate import evaluate as evaluate
-    from .engine.processes import computational_unit as computational_unit
-    from .engine.processes import sink as sink
-    from .engine.processes import source as source
-    from .engine.reports import Report as Report
-    from .service.client import Client as Client
-    from .streams.single import Sample as Sample
+    from .engine.model.process_reports import Report as Report
+    from .engine.processes.registry import computational_unit as computational_unit
+    from .engine.processes.registry import sink as sink
+    from .engine.processes.registry import source as source
+    from .service.client.client import Client as Client
+    from .streams.single_sample import Sample as Sample
 
 __version__ = "0.1.0"
 __all__ = [
@@ -31,13 +31,13 @@ __all__ = [
 ]
 
 _WHERE = {
-    "Client": "service.client",
-    "Report": "engine.reports",
-    "Sample": "streams.single",
-    "computational_unit": "engine.processes",
+    "Client": "service.client.client",
+    "Report": "engine.model.process_reports",
+    "Sample": "streams.single_sample",
+    "computational_unit": "engine.processes.registry",
     "evaluate": "continuous.evaluate",
-    "sink": "engine.processes",
-    "source": "engine.processes",
+    "sink": "engine.processes.registry",
+    "source": "engine.processes.registry",
 }
 
 
@@ -47,3 +47,7 @@ def __getattr__(name: str) -> Any:
     if module is None:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module(f".{module}", __name__), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

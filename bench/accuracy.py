@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from dyknow.converters.recording import open_recording
-from dyknow.engine.geodesy import SpeedFromCoordinates
+from dyknow.converters.recordings.recording import open_recording
+from dyknow.engine.processes.geodesy import SpeedFromCoordinates
 from dyknow.streams.time import SECOND
 
 SLICE = Path(__file__).parent.parent / "examples" / "adsb.csv.gz"

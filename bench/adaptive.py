@@ -14,7 +14,7 @@ import time
 
 from dyknow.converters.wire import Incoming
 from dyknow.engine.engine import Engine
-from dyknow.engine.views import StreamDeclaration
+from dyknow.engine.model.views import StreamDeclaration
 from dyknow.streams.sample import Field, FieldType, batch_from_rows
 from dyknow.streams.time import SECOND
 
@@ -78,14 +78,14 @@ def mirror() -> None:
         return (time.perf_counter() - begin) * 1e3
 
     second()
-    own = engine._manager.count_subscribers
+    own = engine._parts.manager.count_subscribers
     with_it, without = [], []
     for _ in range(5):
-        engine._manager.count_subscribers = own
+        engine._parts.manager.count_subscribers = own
         with_it.append(second())
-        engine._manager.count_subscribers = lambda counts: None
+        engine._parts.manager.count_subscribers = lambda counts: None
         without.append(second())
-    engine._manager.count_subscribers = own
+    engine._parts.manager.count_subscribers = own
     ratio = statistics.median(with_it) / statistics.median(without) - 1
     print(f"mirror, {STREAMS:,} streams, 1,000 batches of 100 samples a second")
     print(f"{'a second of work':<40} {statistics.median(with_it):>8.1f} ms")

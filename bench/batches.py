@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from dyknow.service.negotiation import ARROW, NDJSON
+from dyknow.service.config.media_types import ARROW, NDJSON
 from journal import Served
 
 SIZE = 8 << 20

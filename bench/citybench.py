@@ -27,8 +27,8 @@ sys.path.insert(0, str(ROOT / "tests" / "support"))
 import citybench  # noqa: E402
 from citybench import SECOND, SERVICE, Schedule  # noqa: E402
 
-from dyknow.continuous.background import Background  # noqa: E402
-from dyknow.continuous.evaluator import ContinuousEvaluator  # noqa: E402
+from dyknow.continuous.evaluation.evaluator import ContinuousEvaluator  # noqa: E402
+from dyknow.continuous.operators.background import Background  # noqa: E402
 from dyknow.languages.csparql import body_sparql, parse_query  # noqa: E402
 from dyknow.rdf.dictionary import TermDictionary  # noqa: E402
 from dyknow.rdf.timed import from_terms  # noqa: E402

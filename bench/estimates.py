@@ -1,4 +1,4 @@
-"""What an operator of a plan costs: the constants of `continuous/estimates.py`.
+"""What an operator of a plan costs: the constants of `continuous/estimation/estimates.py`.
 
 Run by ``python bench/estimates.py``, one process, one core. Each operator runs over windows of few
 and of many rows; its own time, as `explain` measures it, is taken as a constant a call and one a
@@ -14,12 +14,12 @@ import time
 import numpy as np
 from pyoxigraph import NamedNode, Quad, Store
 
-from dyknow.continuous import evaluator as evaluators
-from dyknow.continuous.background import Background
-from dyknow.continuous.estimates import COST, FOREIGN, Way, estimate
-from dyknow.continuous.evaluator import ContinuousEvaluator
-from dyknow.continuous.logical import Plan, inputs, walk
-from dyknow.continuous.profile import Profile
+from dyknow.continuous.algebra.plan import Plan, inputs, walk
+from dyknow.continuous.estimation.estimates import COST, FOREIGN, Way, estimate
+from dyknow.continuous.evaluation import evaluator as evaluators
+from dyknow.continuous.evaluation.evaluator import ContinuousEvaluator
+from dyknow.continuous.operators.background import Background
+from dyknow.continuous.operators.profile import Profile
 from dyknow.languages.csparql import parse_query
 from dyknow.rdf.dictionary import TermDictionary
 from dyknow.rdf.namespaces import RDF_TYPE

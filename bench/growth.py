@@ -18,11 +18,10 @@ from joining import DELAY, inputs
 from measure import MS, Round, batch_of, cut
 from policies import in_order, recent, shuffled
 
-from dyknow.streams.adapting import adapt
-from dyknow.streams.fluent import Retention
 from dyknow.streams.generator import StreamGenerator
-from dyknow.streams.joining import Join
-from dyknow.streams.policy import (
+from dyknow.streams.history import Retention
+from dyknow.streams.joins.join import Join
+from dyknow.streams.policies.policy import (
     AnyChange,
     Approximation,
     Change,
@@ -32,8 +31,9 @@ from dyknow.streams.policy import (
     SampleEvery,
     SynchronizationPolicy,
 )
+from dyknow.streams.policies.select_adaptation import adapt
 from dyknow.streams.sample import Field, FieldType, Schema
-from dyknow.streams.synchronization import Synchronization
+from dyknow.streams.synchronization.synchronization import Synchronization
 
 SIZE, HISTORY, ROUNDS = 10_000, 1_000_000, 10
 

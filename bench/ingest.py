@@ -20,15 +20,15 @@ from pathlib import Path
 import numpy as np
 from pyoxigraph import NamedNode, Quad, Store
 
-from dyknow.continuous.background import Background
-from dyknow.continuous.evaluator import ContinuousEvaluator
+from dyknow.continuous.evaluation.evaluator import ContinuousEvaluator
+from dyknow.continuous.operators.background import Background
 from dyknow.converters import SampleConverter
-from dyknow.converters.arrow import decode_arrow
+from dyknow.converters.arrow.stream import decode_arrow
 from dyknow.converters.ndjson import decode_ndjson
 from dyknow.converters.ntriples import GENERATED, TripleReader
 from dyknow.converters.wire import Incoming
 from dyknow.engine.engine import Engine
-from dyknow.engine.views import StreamDeclaration
+from dyknow.engine.model.views import StreamDeclaration
 from dyknow.languages.csparql import parse_query
 from dyknow.languages.ssl import check_ssl, parse_ssl
 from dyknow.languages.ssl.annotation import StreamAnnotation
@@ -37,7 +37,7 @@ from dyknow.rdf.dictionary import TermDictionary
 from dyknow.rdf.namespaces import DYKNOW, RDF_TYPE
 from dyknow.rdf.timed import Kind, TimedTriples, number_text
 from dyknow.streams.sample import Field, FieldType, Schema
-from dyknow.streams.strings import StringPool
+from dyknow.streams.string_pool import StringPool
 from dyknow.streams.time import format_time
 
 ROOT = Path(__file__).parent.parent

@@ -17,9 +17,9 @@ import tracemalloc
 import numpy as np
 from pyoxigraph import Literal, NamedNode, Quad, Store, Variable
 
-from dyknow.continuous.background import Background
-from dyknow.continuous.evaluator import ContinuousEvaluator
-from dyknow.continuous.instances import TemplateEvaluator
+from dyknow.continuous.evaluation.evaluator import ContinuousEvaluator
+from dyknow.continuous.operators.background import Background
+from dyknow.continuous.sharing.template_instances import TemplateEvaluator
 from dyknow.languages.csparql import bind, parse_template
 from dyknow.rdf.dictionary import TermDictionary
 from dyknow.rdf.namespaces import DYKNOW, RDF_TYPE

@@ -14,8 +14,8 @@ from collections.abc import Callable, Iterable, Iterator
 import numpy as np
 from measure import MS, Arrays, Program, Round, Row, Samples, batch_of, part, print_table
 
-from dyknow.streams.joining import Join
-from dyknow.streams.policy import (
+from dyknow.streams.joins.join import Join
+from dyknow.streams.policies.policy import (
     AnyChange,
     Approximation,
     Change,
@@ -24,7 +24,7 @@ from dyknow.streams.policy import (
     SampleEvery,
     SynchronizationPolicy,
 )
-from dyknow.streams.synchronization import Synchronization
+from dyknow.streams.synchronization.synchronization import Synchronization
 from dyknow.streams.tuples import TupleBatch
 
 DELAY = 20 * MS

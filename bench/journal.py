@@ -21,10 +21,14 @@ from pathlib import Path
 
 import httpx
 
-from dyknow.engine.commands import DeclareStream, Publish, RegisterQuery
-from dyknow.engine.recorded import RecordedEngine
-from dyknow.engine.views import StreamDeclaration
-from dyknow.service.snapshots import Snapshots
+from dyknow.engine.durability.commands import (
+    DeclareStream,
+    Publish,
+    RegisterQuery,
+)
+from dyknow.engine.durability.durable_engine import RecordedEngine
+from dyknow.engine.model.views import StreamDeclaration
+from dyknow.service.durability.fork_snapshot import Snapshots
 from dyknow.streams.sample import Field, FieldType
 
 SAMPLES = 300_000

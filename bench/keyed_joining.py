@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterable, Iterator
 import numpy as np
 from measure import Arrays, Program, Round, Row, Samples, batch_of, part, print_table
 
-from dyknow.streams.keyed_joining import KeyedJoin
+from dyknow.streams.joins.keyed_join import KeyedJoin
 from dyknow.streams.sample import Column, FieldType
 from dyknow.streams.tuples import TupleBatch
 

@@ -33,10 +33,10 @@ import msgspec
 import numpy as np
 
 from dyknow.rdf.namespaces import DYKNOW
-from dyknow.service.cli import app  # noqa: F401 - all loops of a service are known
-from dyknow.service.client import Client
-from dyknow.service.negotiation import ARROW, NDJSON
-from dyknow.streams.compiled import compile_all
+from dyknow.service.cli import serving  # noqa: F401 - all loops of a service are known
+from dyknow.service.client.client import Client
+from dyknow.service.config.media_types import ARROW, NDJSON
+from dyknow.streams.jit import compile_all
 from dyknow.streams.time import parse_time
 
 MS = 10**6

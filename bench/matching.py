@@ -19,7 +19,11 @@ import numpy as np
 
 from dyknow.languages.ssl.annotation import Content, PortAnnotation, Role
 from dyknow.matching.match import match_all
-from dyknow.matching.space import StreamDescription, StreamSpace, TransformationDescription
+from dyknow.matching.space import (
+    StreamDescription,
+    StreamSpace,
+    TransformationDescription,
+)
 from dyknow.matching.tree import Match
 from dyknow.matching.want import Want
 from dyknow.ontology.ontology import Ontology

@@ -18,9 +18,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dyknow.matching.best_quality import best_quality
-from dyknow.matching.hypergraph import Choice, Hypergraph
-from dyknow.matching.least_weight import least_weight
+from dyknow.matching.optimum.best_quality import best_quality
+from dyknow.matching.optimum.hypergraph import Choice, Hypergraph
+from dyknow.matching.optimum.least_weight import least_weight
 
 SIZES = (100, 1_000, 10_000)
 SEEDS = 20

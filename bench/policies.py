@@ -1,4 +1,5 @@
-"""Streams adapted to policies: what `streams.adapting` does a second, against numpy by hand.
+"""Streams adapted to policies: what `streams.policies.select_adaptation` does a second, against
+numpy by hand.
 
 Run by ``make bench`` (``python bench/policies.py``). One process, one core, best of several runs.
 One float a sample. Both get the same batches and pass on the same samples (compared first); numpy
@@ -13,8 +14,7 @@ from collections.abc import Callable, Iterable, Iterator
 import numpy as np
 from measure import MS, Arrays, Program, Round, Row, batch_of, print_table
 
-from dyknow.streams.adapting import adapt
-from dyknow.streams.policy import (
+from dyknow.streams.policies.policy import (
     AnyChange,
     Approximation,
     Duration,
@@ -22,6 +22,7 @@ from dyknow.streams.policy import (
     Policy,
     SampleEvery,
 )
+from dyknow.streams.policies.select_adaptation import adapt
 
 DELAY = 5 * MS
 

@@ -16,10 +16,10 @@ from pathlib import Path
 import numpy as np
 
 from dyknow.converters.wire import Incoming
-from dyknow.engine import sharing
 from dyknow.engine.engine import Engine
+from dyknow.engine.planning import request_sharing
 from dyknow.streams.sample import Column, FieldType, SampleBatch
-from dyknow.streams.strings import StringPool
+from dyknow.streams.string_pool import StringPool
 
 SECOND = 10**9
 UAVS, STEPS, WARM = 1_000, 9, 6
@@ -47,9 +47,9 @@ class Speeds:
 
 def measured(requests: int, own_objects: bool, shared: bool) -> tuple[float, float, int]:
     """Milliseconds to register a request and for a step, and the events of a step."""
-    limits = sharing.SAME_STREAMS, sharing.OWN_OBJECTS
+    limits = request_sharing.SAME_STREAMS, request_sharing.OWN_OBJECTS
     if not shared:
-        sharing.SAME_STREAMS = sharing.OWN_OBJECTS = requests + 1
+        request_sharing.SAME_STREAMS = request_sharing.OWN_OBJECTS = requests + 1
     try:
         engine = Engine()
         engine.annotate("stream speeds contains speed(UAV) = v for every UAV = id")
@@ -63,7 +63,7 @@ def measured(requests: int, own_objects: bool, shared: bool) -> tuple[float, flo
         registering = (time.perf_counter() - begin) / requests * 1e3
         return registering, *_steps(engine)
     finally:
-        sharing.SAME_STREAMS, sharing.OWN_OBJECTS = limits
+        request_sharing.SAME_STREAMS, request_sharing.OWN_OBJECTS = limits
 
 
 def _steps(engine: Engine) -> tuple[float, int]:

@@ -16,10 +16,10 @@ from pathlib import Path
 import numpy as np
 
 from dyknow.converters.ndjson import decode_ndjson, encode_ndjson
-from dyknow.converters.recording import open_recording
+from dyknow.converters.recordings.recording import open_recording
 from dyknow.converters.wire import Incoming
 from dyknow.engine.engine import Engine
-from dyknow.engine.views import StreamDeclaration
+from dyknow.engine.model.views import StreamDeclaration
 from dyknow.streams.sample import SampleBatch, concatenate
 
 ROOT = Path(__file__).parent.parent

@@ -134,7 +134,7 @@ class Soaked:
         workers = [
             status(int(child))
             for child in children
-            if b"isolation.child" in _read(Path(f"/proc/{child}/cmdline"))
+            if b"workers.worker_main" in _read(Path(f"/proc/{child}/cmdline"))
         ]
         own = status(pid)
         streams = len(self._http.get("/streams").json())

@@ -20,10 +20,10 @@ from collections.abc import Callable
 import numpy as np
 from pyoxigraph import Literal, NamedNode, Quad, Store
 
-from dyknow.continuous import kernels
-from dyknow.continuous.background import Background
-from dyknow.continuous.evaluator import ContinuousEvaluator
-from dyknow.continuous.options import Options, Semantics
+from dyknow.continuous.algebra.options import Options, Semantics
+from dyknow.continuous.columns import fold_kernels
+from dyknow.continuous.evaluation.evaluator import ContinuousEvaluator
+from dyknow.continuous.operators.background import Background
 from dyknow.languages.csparql import body_sparql, parse_query
 from dyknow.rdf.dictionary import TermDictionary
 from dyknow.rdf.namespaces import DYKNOW, RDF_TYPE
@@ -192,7 +192,7 @@ def main(rate: int = 1_000_000, panes: int = 12, times: int = 7) -> int:
     warm = time.perf_counter() - begin
     Dyknow(Input(10, 5_000, 2), "set").run()
     print(f"first query in the process, kernels compiled or read from their cache: {warm:.2f} s")
-    print(f"compiled kernels: {kernels.JIT}; {rate:,} triples a pane of 1 s, {panes} panes\n")
+    print(f"compiled kernels: {fold_kernels.JIT}; {rate:,} triples a pane of 1 s, {panes} panes\n")
     print(f"{'':<36}{'M triples/s':>20}")
     head = ("offered", "read", "ms/step", "x numpy")
     print(f"{'objects':>8}  {'evaluator':<26}" + "".join(f"{title:>10}" for title in head))

@@ -28,8 +28,8 @@ from pathlib import Path
 import numpy as np
 from latency import cpu_seconds, service
 
-from dyknow.service.client import Client
-from dyknow.streams.compiled import compile_all
+from dyknow.service.client.client import Client
+from dyknow.streams.jit import compile_all
 
 MS = 10**6
 SECOND = 10**9

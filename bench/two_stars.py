@@ -25,9 +25,9 @@ from dataclasses import dataclass
 import numpy as np
 from pyoxigraph import Literal, NamedNode, Quad, Store
 
-from dyknow.continuous.background import Background
-from dyknow.continuous.evaluator import ContinuousEvaluator
-from dyknow.continuous.results import WindowResult
+from dyknow.continuous.evaluation.evaluator import ContinuousEvaluator
+from dyknow.continuous.operators.background import Background
+from dyknow.continuous.operators.results import WindowResult
 from dyknow.languages.csparql import body_sparql, parse_query
 from dyknow.rdf.dictionary import TermDictionary
 from dyknow.rdf.namespaces import DYKNOW

@@ -21,10 +21,10 @@ from collections.abc import Iterator
 import numpy as np
 from pyoxigraph import NamedNode, Store
 
-from dyknow.continuous import incremental
-from dyknow.continuous.background import Background
-from dyknow.continuous.evaluator import ContinuousEvaluator
-from dyknow.continuous.options import Options, Semantics
+from dyknow.continuous.algebra.options import Options, Semantics
+from dyknow.continuous.evaluation.evaluator import ContinuousEvaluator
+from dyknow.continuous.incremental import aggregation
+from dyknow.continuous.operators.background import Background
 from dyknow.languages.csparql import parse_query
 from dyknow.rdf.dictionary import TermDictionary
 from dyknow.rdf.timed import Kind, ObjectColumn, TimedTriples, TripleRows
@@ -117,18 +117,18 @@ def touched(objects: int) -> None:
     """All objects are in the window; some have a new sample, as many others lose one."""
     print(f"{objects:,} objects, some touched a step, as many expire; median ms a step")
     print(f"{'touched':<10}{'HAVING':<24}{'touched only':>14}{'all groups':>12}{'ratio':>8}")
-    dense = incremental.DENSE
+    dense = aggregation.DENSE
     for few in (1_000, 10_000, 50_000):
         for having in ("HAVING (AVG(?v) > 149.9)", "HAVING (MAX(?v) < 50.1)"):
             found = []
             for share in (dense, 2**60):
-                incremental.DENSE = share
+                aggregation.DENSE = share
                 length = 3 * objects // (2 * few)
                 query = Query(having[8:11], length, objects, having)
                 for _ in query.steps(2 * length, few, in_turn=True):
                     pass
                 found.append(statistics.median(query.steps(100, few, in_turn=True)))
-            incremental.DENSE = dense
+            aggregation.DENSE = dense
             print(
                 f"{few:<10,}{having[7:]:<24}{found[0] * 1e3:>14.3f}{found[1] * 1e3:>12.3f}"
                 f"{found[1] / found[0]:>8.2f}",

@@ -15,12 +15,12 @@ from ..languages.csparql import parse_query
 from ..languages.csparql.ast import ContinuousQuery, Dialect
 from ..rdf.dictionary import Term, TermDictionary
 from ..rdf.timed import TimedTriples, TripleRows, from_terms
-from .background import Background
-from .evaluator import ContinuousEvaluator
-from .flows import Flow, Traffic
-from .options import Bounds, Options, Report, Semantics
-from .profile import Profile
-from .results import WindowResult
+from .algebra.options import Bounds, Options, Report, Semantics
+from .estimation.input_rates import Flow, Traffic
+from .evaluation.evaluator import ContinuousEvaluator
+from .operators.background import Background
+from .operators.profile import Profile
+from .operators.results import WindowResult
 
 TimedTerm: TypeAlias = tuple[int, Term, NamedNode, Term]
 _BATCH = 4096
@@ -100,8 +100,8 @@ class Explained:
 
     ``clock`` tells ns (`time.perf_counter_ns`). Costs are estimated from what the streams have
     given; of one that has given nothing yet, from its ``rates`` (samples a second, by IRI), or as
-    `flows` assumes. Measuring costs about a microsecond an operator, and a sort of the ids of what
-    is read.
+    `input_rates` assumes. Measuring costs about a microsecond an operator, and a sort of the ids of
+    what is read.
     """
 
     def __init__(self, clock: Callable[[], int], rates: Mapping[str, float] | None = None) -> None:

@@ -8,8 +8,8 @@ from typing import Any, Final
 
 import msgspec
 
-from ..streams.pauses import Pauses
 from ..streams.sample import TIME_FIELDS, FieldType, Schema
+from ..streams.yield_points import Pauses
 from .errors import WireError
 from .lines import Part
 from .wire import not_json, shown, time_of

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..streams.compiled import Kernel
+from ..streams.jit import Kernel
 
 LEAST = 4_096
 """Bytes from which on the loops are worth their calls; they are not even compiled before."""

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ..streams.sample import Column, Field, FieldType, SampleBatch
-from ..streams.strings import StringPool
+from ..streams.string_pool import StringPool
 from .errors import EmptyTable, WireError
 from .inference import TRUTH
 from .wire import format_times, text_column

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..streams.compiled import Kernel
-from ..streams.pauses import STRAIGHT, Pauses, slices
+from ..streams.jit import Kernel
+from ..streams.yield_points import STRAIGHT, Pauses, slices
 from .cells import Bytes, Irregular, Positions, Values, known
 
 _LEAST_POWER, _GREATEST_POWER = -342, 308

@@ -15,9 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..languages.attached import attached
-from ..streams.pauses import STRAIGHT, Pauses
-from ..streams.sample import Column, Field, FieldType, Mask, SampleBatch, Schema, Times
-from ..streams.strings import StringPool
+from ..streams.sample import (
+    Column,
+    Field,
+    FieldType,
+    Mask,
+    SampleBatch,
+    Schema,
+    Times,
+)
+from ..streams.string_pool import StringPool
+from ..streams.yield_points import STRAIGHT, Pauses
 from .bad_lines import NO_JSON, PYTHON_TYPES, first_bad, key_twice
 from .errors import WireError
 from .lines import PART, Part, parts

@@ -13,7 +13,14 @@ from typing import Final
 import numpy as np
 
 from ..streams.sample import FieldType, Times
-from ..streams.time import MICROSECOND, MILLISECOND, NANOSECOND, SECOND, TIME_MAX, TIME_MIN
+from ..streams.time import (
+    MICROSECOND,
+    MILLISECOND,
+    NANOSECOND,
+    SECOND,
+    TIME_MAX,
+    TIME_MIN,
+)
 from .errors import WireError
 from .wire import TIME_HINT, TIME_RANGE_HINT, shown, time_of
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from itertools import islice
 from typing import Final, NamedTuple
 
-from ..streams.pauses import Pauses
+from ..streams.yield_points import Pauses
 
 PART: Final = 1 << 16
 """Bytes of a part, and as many as its last line has more."""

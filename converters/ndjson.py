@@ -11,10 +11,10 @@ from dataclasses import replace
 
 import msgspec
 
-from ..streams.pauses import STRAIGHT, Pauses
 from ..streams.sample import SampleBatch, Schema, Value
-from ..streams.strings import StringPool
+from ..streams.string_pool import StringPool
 from ..streams.time import format_time
+from ..streams.yield_points import STRAIGHT, Pauses
 from .bad_lines import NO_JSON
 from .exact import decode_exactly
 from .lines import PART, count_lines

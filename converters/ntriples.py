@@ -30,7 +30,7 @@ from ..rdf.timed import (
     number_text,
     split_term,
 )
-from ..streams.compiled import JIT
+from ..streams.jit import JIT
 from ..streams.sample import Times
 from ..streams.time import TIME_MAX, TIME_MIN, parse_time
 from . import cells

@@ -7,8 +7,8 @@ from typing import Any
 
 import msgspec
 
-from ..streams.pauses import STRAIGHT, Pauses
 from ..streams.sample import TIME_FIELDS, Field, FieldType, Schema
+from ..streams.yield_points import STRAIGHT, Pauses
 from .bad_lines import NO_JSON, PYTHON_TYPES, values_of
 from .errors import WireError
 from .lines import PART, Part, parts

@@ -15,10 +15,18 @@ from typing import Any, assert_never
 import numpy as np
 from numpy.typing import NDArray
 
-from ..streams.compiled import JIT, Kernel
-from ..streams.pauses import STRAIGHT, Pauses
-from ..streams.sample import Column, Field, FieldType, Mask, SampleBatch, Schema, Times
-from ..streams.strings import StringPool
+from ..streams.jit import JIT, Kernel
+from ..streams.sample import (
+    Column,
+    Field,
+    FieldType,
+    Mask,
+    SampleBatch,
+    Schema,
+    Times,
+)
+from ..streams.string_pool import StringPool
+from ..streams.yield_points import STRAIGHT, Pauses
 from . import cells
 from .decimals import floats
 from .wire import Incoming, encoded, pool_of

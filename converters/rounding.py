@@ -19,8 +19,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ..streams.pauses import Pauses
 from ..streams.sample import FieldType, SampleBatch
+from ..streams.yield_points import Pauses
 from .lines import Part
 
 _EXACT: Final = 2.0**53

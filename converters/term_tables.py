@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..rdf.dictionary import NO_TERM, Ids, TermDictionary, TermTable
-from ..streams.strings import StringPool
+from ..streams.string_pool import StringPool
 
 
 class PoolTable(TermTable):

@@ -30,7 +30,7 @@ from ..streams.sample import (
     concatenate,
     empty_batch,
 )
-from ..streams.strings import StringPool
+from ..streams.string_pool import StringPool
 from .errors import ConversionError
 from .to_triples import VALUE, edge_conversion, field_of, stream_iri
 from .values import field_column, field_type

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..rdf.timed import Kind
-from ..streams.compiled import Kernel
+from ..streams.jit import Kernel
 from .cells import Bytes, Irregular, Positions
 
 DATATYPES = (

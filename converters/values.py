@@ -19,7 +19,7 @@ from ..rdf.dictionary import Term, TermDictionary
 from ..rdf.namespaces import OWL, RDF, RDFS, XSD
 from ..rdf.timed import Kind, ObjectColumn, make_term
 from ..streams.sample import Column, Field, FieldType, Mask
-from ..streams.strings import StringPool
+from ..streams.string_pool import StringPool
 from ..streams.time import format_time, parse_time
 from .errors import ConversionError
 from .objects import ObjectTable, object_name

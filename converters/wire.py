@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 
-from ..streams.pauses import Pauses, slices
 from ..streams.sample import (
     TIME_FIELDS,
     Column,
@@ -20,8 +19,9 @@ from ..streams.sample import (
     Times,
     check_field_name,
 )
-from ..streams.strings import Codes, StringPool
+from ..streams.string_pool import Codes, StringPool
 from ..streams.time import TIME_MIN, format_time, parse_time
+from ..streams.yield_points import Pauses, slices
 from .errors import WireError
 from .rounding import Rounded
 

@@ -1,86 +1,50 @@
 """The engine: the one face of the running system for the service, the CLI and tests.
 
 Every method is synchronous and runs to its end; callers see to it that only one runs at a time.
-Time comes in as an argument (`publish`, `tick`); nothing here reads a clock.
+Time comes in as an argument (`publish`, `tick`); nothing here reads a clock. What is done stands in
+the parts (`parts`); the file is long because there is a method for each thing that can be asked.
 """
 
 from __future__ import annotations
 
 import secrets
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TypeVar
 
-import numpy as np
-
-from ..continuous.budget import UNLIMITED, Budget
+from ..continuous.columns.budget import UNLIMITED, Budget
 from ..converters.objects import object_iri
-from ..converters.to_triples import SampleConverter, node_names
 from ..converters.wire import Incoming
 from ..languages.csparql import parse_argument, parse_event_request
-from ..languages.csparql.ast import EventRequest, Template
+from ..languages.csparql.ast import EventRequest
 from ..languages.kpl import parse_policy
 from ..languages.specification import Specification, parse_specification
-from ..languages.ssl.annotation import CheckedAnnotation, StreamAnnotation
+from ..languages.ssl.annotation import CheckedAnnotation
 from ..matching.uncollected import uncollected
 from ..ontology.ontology import Ontology, PreparedOntology
 from ..ontology.reading import TextFormat
-from ..rdf.dictionary import TermDictionary
-from ..rdf.namespaces import DYKNOW, PREFIXES, shorten
+from ..rdf.namespaces import DYKNOW, PREFIXES
 from ..streams.generator import StreamGenerator
-from ..streams.instants import places_in_instants
 from ..streams.rules import INSTANTS
 from ..streams.sample import SampleBatch
 from ..streams.time import SECOND, TIME_MIN
-from ..templates.library import (
-    NoSuchTemplate,
-    TemplateExists,
-    TemplateLibrary,
-    TemplateRefused,
+from .catalog.iri_annotations import DescribedStream, DescribedTransformation
+from .catalog.name_resolution import (
+    checked_strategy,
+    checked_want,
+    iri_of,
 )
-from ..templates.transformations import event_transformation
-from . import explain as explanations
-from .adaptive import Rematch, Wish
-from .annotations import Annotations
-from .application import Application
-from .beginning import beginning_of
-from .behind import Behind, Turns, Went
-from .busy import BusyTime, Stopwatch
-from .changes import Change, ChangeKind, KnownTransformation
-from .configuration import C_SPARQL, Configuration
-from .declared import DeclaredStreams
-from .describing import DescribedStream, DescribedTransformation
-from .errors import (
-    AlreadyExists,
+from .catalog.registered_transformations import (
+    check_quality,
+)
+from .model.beginning import beginning_of
+from .model.errors import (
     BadArguments,
     Conflict,
-    Refused,
-    UnknownEvent,
-    UnknownTemplate,
 )
-from .idleness import Idleness
-from .intake import Intake
-from .knowing import checked_strategy, checked_want, did_you_mean, iri_of
-from .kpl import KplDeclarations
-from .plan_text import plan_text
-from .plans import Plans
-from .processes import PROCESSES, Processes
-from .registered import RegisteredTransformations, check_quality
-from .registered_queries import RegisteredQueries
-from .rematching import Rematching
-from .requests import EventRequests
-from .semantics_manager import SemanticsManager
-from .specifications import Specifications
-from .status import RETENTION, SCHEMA, STATUS, StatusStream
-from .stream_view import rate_of, stream_view
-from .subscriptions import Subscriptions
-from .supervision import DIRECT, Runner
-from .tape import Outcome
-from .transformations import Transformations
-from .unit import ComputationalUnit
-from .users import Users
-from .views import (
+from .model.status_changes import Change, ChangeKind
+from .model.stream_statistics import rate_of, stream_view
+from .model.views import (
     DeclarationView,
     EvaluationView,
     EventView,
@@ -95,9 +59,19 @@ from .views import (
     TemplateView,
     Totals,
 )
-from .window_unit import WindowUnit
-
-AnyUnit = TypeVar("AnyUnit", bound=ComputationalUnit)
+from .parts import Parts, Setting
+from .planning import explain as explanations
+from .processes.external_io import Outcome
+from .processes.registry import PROCESSES, Processes
+from .processes.supervision import DIRECT, Runner
+from .requests.adaptive_subscription import Rematch, Wish
+from .requests.event_requests import EventRequests
+from .requests.subscriptions import Subscriptions
+from .specification.plan_text import plan_text
+from .units.backlog import Turns, Went
+from .units.base import ComputationalUnit
+from .units.windowed import WindowUnit
+from .units.work_time import Stopwatch
 
 
 class Engine:
@@ -130,131 +104,26 @@ class Engine:
         self.epoch = epoch or secrets.token_hex(4)
         if ontology is None:
             ontology = Ontology.open(None if data is None else data / "ontology")
-        self.ontology = ontology
-        self.dictionary = TermDictionary()
         self._now = now
-        self.failures = 0
-        """Number of failures on the status stream: while it stays, nothing more has failed."""
         self._counted = TIME_MIN
         self._measured: int | None = None
-        status = StatusStream(lambda: self._now)
-        self._changed = status.tell
-        self._transformations = Transformations(self.ontology.vocabulary, processes)
-        busy_time = None if stopwatch is None else BusyTime(stopwatch)
-        self.behind = Behind(turns)
+        given = Setting(first_reserved, processes, runner, stopwatch, budget, turns, rules)
+        self._parts = parts = Parts(ontology, lambda: self._now, given)
+        self.ontology = ontology
+        self.dictionary = parts.dictionary
+        self.behind = parts.behind
         """Units whose windows take long, if there are ``turns`` for them."""
-        self._configuration = Configuration(self._changed, first_reserved, busy_time, self.behind)
-        self.rules = self._configuration.rules
+        self.rules = parts.configuration.rules
         """The rules of commands; recovery changes them."""
-        self.rules.version = rules
-        self._manager = SemanticsManager(self.ontology, self._subscribers)
-        self._configuration.annotations = self._manager.annotations
-        self.intake = Intake(self._configuration)
-        self._idleness = Idleness()
-        self._converters: dict[str, SampleConverter] = {}
-        status.listen(self._manager.changed)
-        status.listen(self._heard)
-        self._declared = DeclaredStreams(
-            self.ontology, self.dictionary, self._configuration, self._changed
-        )
-        self.transformations = RegisteredTransformations(
-            self.ontology,
-            self._transformations,
-            self._configuration,
-            self._changed,
-            self._declared.check_name,
-            self._manager.together,
-        )
-        self._annotations = Annotations(
-            self.ontology,
-            self._declared,
-            self.transformations,
-            self._transformations,
-            self._changed,
-        )
-        self._templates = TemplateLibrary(self.ontology)
-        self._plans = Plans(
-            self.ontology,
-            self.dictionary,
-            self._transformations,
-            self._configuration,
-            self._manager.space,
-            self._changed,
-            runner,
-            budget,
-        )
-        status.listen(self._plans.heard)
-        self._requests = EventRequests(
-            self.ontology,
-            self.dictionary,
-            self._templates,
-            self._configuration,
-            self._plans,
-            self._manager.space,
-            self._changed,
-        )
-        self.queries = RegisteredQueries(
-            self.ontology,
-            self.dictionary,
-            self._templates,
-            self._configuration,
-            self._plans,
-            self._manager.space,
-            self._declared,
-            self._changed,
-            self._converter,
-        )
-        self._application = Application(
-            self._configuration,
-            processes,
-            runner=runner,
-            check_name=self._declared.check_name,
-            forget=self._declared.forget_annotation,
-        )
-        self._kpl = KplDeclarations(self.ontology, self._application, self._changed)
-        self._subscriptions = Subscriptions(self._configuration)
-        self._rematching = Rematching(
-            self.ontology,
-            self.dictionary,
-            self._configuration,
-            self._plans,
-            self._manager.space,
-            lambda: self._now,
-            self._subscriptions.adapted,
-        )
-        self._subscriptions.rematch_with(self._rematching)
-        status.listen(self._rematching.heard)
-        self._specifications = Specifications(
-            self.ontology,
-            self._transformations,
-            self._configuration,
-            self._plans,
-            self._subscriptions,
-            self._changed,
-            check_name=self._declared.check_name,
-            users=Users(self._requests, self.queries, self._subscriptions, self._kpl),
-        )
-        status.listen(self._specifications.heard)
-        status.open(self._configuration.add_stream(STATUS, SCHEMA, retention=RETENTION))
-        self.transformations.tell_all()
-        for event, reason in self._templates.broken.items():
-            self._changed(Change(ChangeKind.NOT_RESTORED, shorten(event), specification=reason))
-        self.transformations.restore()
-        self._tell_templates()
-        self._declared.restore_streams()
-        for generator in self._configuration.streams.values():
-            self._idleness.came(generator, now)
-        # Policies depend on the annotations of the streams that they read.
-        with self._manager.together():
-            self._kpl.restore(self._annotations.restore_of)
-        # Queries read streams that are declared, annotated, specified, and each other's; what is
-        # said of their own streams, and specifications that read these, wait for them.
-        self._annotations.restore(later=self.queries.recall())
-        with self._manager.together():
-            self.queries.restore(self._annotations.restore_of)
-            self._specifications.restore()
-            self.queries.restore(self._annotations.restore_of)
-        self.queries.tell_lost()
+        self.intake = parts.intake
+        self.transformations = parts.transformations
+        self.queries = parts.queries
+        parts.restore(now)
+
+    @property
+    def failures(self) -> int:
+        """Number of failures on the status stream: while it stays, nothing more has failed."""
+        return self._parts.failures
 
     @property
     def now(self) -> int:
@@ -265,17 +134,17 @@ class Engine:
 
     def declare(self, declaration: StreamDeclaration) -> StreamView:
         """Make a stream, or change one that nobody has used yet; see `DeclaredStreams`."""
-        if self._configuration.streams.get(declaration.name) is not None:
+        if self._parts.configuration.streams.get(declaration.name) is not None:
             self._refuse_if_source(declaration.name, declaration)
-        generator = self._declared.declare(declaration)
-        self._idleness.came(generator, self._now)
+        generator = self._parts.declared.declare(declaration)
+        self._parts.idleness.came(generator, self._now)
         return self._view(generator)
 
     def annotate(self, ssl: str) -> tuple[CheckedAnnotation, ...]:
         """Annotate streams and transformations by an SSL text; see `Annotations`."""
-        with self._manager.together():
-            annotated = self._annotations.annotate(ssl)
-            self._settle()
+        with self._parts.manager.together():
+            annotated = self._parts.annotations.annotate(ssl)
+            self._parts.settle()
         return annotated
 
     def describe_all(
@@ -284,53 +153,55 @@ class Engine:
         transformations: Sequence[DescribedTransformation] = (),
     ) -> tuple[CheckedAnnotation, ...]:
         """Annotate streams and transformations in names, all of them or none; see `Annotations`."""
-        with self._manager.together():
-            annotations = self._annotations.describe_all(described, transformations)
-            self._settle()
+        with self._parts.manager.together():
+            annotations = self._parts.annotations.describe_all(described, transformations)
+            self._parts.settle()
         return annotations
 
     def set_quality(self, stream: str, quality: float) -> None:
         """How good a stream is now (0..1); raises `UnknownStream` and `BadArguments`."""
-        self._annotations.set_quality(stream, quality)
-        self._settle()
+        self._parts.annotations.set_quality(stream, quality)
+        self._parts.settle()
 
     def annotations(self) -> tuple[CheckedAnnotation, ...]:
         """Every annotation in force: streams first, then transformations."""
-        return self._annotations.all()
+        return self._parts.annotations.all()
 
     def streams(self) -> tuple[StreamView, ...]:
         """All streams, the status stream among them."""
-        return tuple(self._view(generator) for generator in self._configuration.streams.values())
+        return tuple(
+            self._view(generator) for generator in self._parts.configuration.streams.values()
+        )
 
     def stream(self, name: str) -> StreamView:
         """One stream; raises `UnknownStream`."""
-        return self._view(self._configuration.stream(name))
+        return self._view(self._parts.configuration.stream(name))
 
     def has_stream(self, name: str) -> bool:
         """Whether there is a stream of this name already; none is made by asking."""
-        return self._configuration.has(name)
+        return self._parts.configuration.has(name)
 
     def before_demand(self, check: Callable[[], None]) -> None:
         """Call ``check`` before a stream comes into being because somebody asks for it (of late
         samples, of violations), in whatever way; what it raises is what who asks gets."""
-        self._configuration.before_demand = check
+        self._parts.configuration.before_demand = check
 
     def published(self) -> tuple[StreamGenerator, ...]:
         """The streams that people publish to."""
-        there = self._configuration.streams.items()
-        return tuple(each for name, each in there if not self._configuration.is_made(name))
+        there = self._parts.configuration.streams.items()
+        return tuple(each for name, each in there if not self._parts.configuration.is_made(name))
 
     def generators(self) -> tuple[StreamGenerator, ...]:
         """What is behind all streams: for who wants less of each than a view. Cost: O(streams)."""
-        return tuple(self._configuration.streams.values())
+        return tuple(self._parts.configuration.streams.values())
 
     def units(self) -> tuple[ComputationalUnit, ...]:
         """All units that run, to read what they count. Cost: O(units)."""
-        return tuple(self._configuration.units.values())
+        return tuple(self._parts.configuration.units.values())
 
     def generator(self, name: str) -> StreamGenerator:
         """The generator behind a stream, to read and subscribe; raises `UnknownStream`."""
-        return self._configuration.stream(name)
+        return self._parts.configuration.stream(name)
 
     def accepting(self, name: str) -> StreamGenerator:
         """The generator of a stream that takes samples; raises `UnknownStream`, and `Refused` for
@@ -340,18 +211,18 @@ class Engine:
     def on_opened(self, heard: Callable[[str], None]) -> None:
         """Tell ``heard`` of streams that come into being by being asked for: of late samples, of
         violations."""
-        self._configuration.on_opened = heard
+        self._parts.configuration.on_opened = heard
 
     def remove_stream(self, name: str) -> None:
         """Forget a declared stream and its annotation, or one of late samples, which are then only
         counted again; raises `UnknownStream`, `Refused` for another that the system makes, and
         `Conflict` while a unit or KPL needs it."""
-        if name not in self._configuration.late:
+        if name not in self._parts.configuration.late:
             name = self.accepting(name).name
         self._refuse_if_source(name)
-        self._rematching.withdraw(name)
-        self._declared.remove(name)
-        self._settle()
+        self._parts.rematching.withdraw(name)
+        self._parts.declared.remove(name)
+        self._parts.settle()
 
     def publish(
         self,
@@ -374,119 +245,79 @@ class Engine:
         except Exception:
             self._now = before
             raise
-        generator = self._configuration.stream(name)
-        self._idleness.came(generator, self._now)
-        self._rematching.came(generator.name, self._now)
-        self._settle()
-        self._collect()
+        generator = self._parts.configuration.stream(name)
+        self._parts.idleness.came(generator, self._now)
+        self._parts.rematching.came(generator.name, self._now)
+        self._parts.settle()
+        self._parts.collect()
         return accepted
 
     def end(self, name: str) -> None:
         """A recording has come to its end: what waits for more samples is decided now."""
         generator = self.accepting(name)
         generator.end()
-        self._changed(Change(ChangeKind.STREAM_ENDED, generator.name))
-        self._settle()
-        self._collect()
+        self._parts.changed(Change(ChangeKind.STREAM_ENDED, generator.name))
+        self._parts.settle()
+        self._parts.collect()
 
     def tick(self, now: int) -> None:
         """The time is ``now``: streams that are stamped on arrival have nothing before it, others
         may have fallen idle."""
         self._now = max(self._now, now)
-        self._application.tick(now)
-        self._plans.tick(now)
-        units = self._configuration.units
-        for generator in list(self._configuration.streams.values()):
+        self._parts.application.tick(now)
+        self._parts.plans.tick(now)
+        units = self._parts.configuration.units
+        for generator in list(self._parts.configuration.streams.values()):
             if generator.stamped and generator.name not in units and not generator.is_ended:
                 generator.advance(now)
-        self._idleness.tick(tuple(self._configuration.streams.values()), self._now)
+        self._parts.idleness.tick(tuple(self._parts.configuration.streams.values()), self._now)
         for unit in list(units.values()):
             waiting = unit.waits_for
             if not waiting:
                 continue
             # Where everything that has come was stamped on arrival, so will be what is to come.
             begun = set(unit.inputs).difference(waiting)
-            if begun and all(self._configuration.is_stamped(source) for source in begun):
+            if begun and all(self._parts.configuration.is_stamped(source) for source in begun):
                 for source in waiting:
                     unit.advance(source, now)
-        self._rematching.tick(self._now)
-        self._settle()
-        self._collect()
+        self._parts.rematching.tick(self._now)
+        self._parts.settle()
+        self._parts.collect()
         self.ontology.advance()
         if now - SECOND >= self._counted:
             self._counted = now
-            self._count_subscribers()
+            self._parts.count_subscribers()
 
     def go_on(self, *, new: bool = False, begins: bool = True) -> tuple[Went, ...]:
         """Close windows of units that are behind, see `Behind.go_on`; what was done."""
         done = tuple(self.behind.go_on(new=new, begins=begins))
         if done:
-            self._settle()
-            self._collect()
+            self._parts.settle()
+            self._parts.collect()
         return done
 
     def behind_of(self, stream: str) -> tuple[WindowUnit, ...]:
         """The units that are behind and read ``stream``, themselves or through other units."""
-        return self._readers(self.behind.units, stream)
-
-    def _readers(self, units: Iterable[AnyUnit], stream: str) -> tuple[AnyUnit, ...]:
-        """Those of ``units`` that read ``stream``, themselves or through other units."""
-        return tuple(
-            unit
-            for unit in units
-            if any(
-                source.name == stream
-                for one in self._configuration.units_behind(unit)
-                for source in one.inputs
-            )
-        )
+        return self._parts.evaluation.behind(stream)
 
     def failure_of(self, generator: StreamGenerator) -> str | None:
         """Why nothing more comes in a stream: what feeds it has failed. None while something may.
         See `Configuration.failure_of`."""
-        unit = self._configuration.units.get(generator.name)
-        if unit is None or unit.output is not generator:
-            return None
-        return self._configuration.failure_of(unit)
+        return self._parts.evaluation.failure(generator)
 
     def failed(self) -> tuple[FailureView, ...]:
         """The units that were cut off. Cost: O(units), and for each failure O(requests)."""
-        return self._failed(self._configuration.units.values())
+        return self._parts.evaluation.failed()
 
     def evaluation(self, name: str) -> EvaluationView:
         """How far all is that reads stream ``name``; raises `UnknownStream`. Cost: O(units²)."""
-        generator = self._configuration.stream(name)
-        stream, evaluated = generator.stream, generator.stream.last_number
-        readers = self._readers(self._configuration.units.values(), generator.name)
-        for unit in self.behind_of(generator.name):
-            through = unit.output.watermark
-            number = 0 if through is None else stream.number_before(through)
-            evaluated = min(evaluated, number, stream.last_number - 1)
-        return EvaluationView(stream.last_number, evaluated, self._failed(readers))
-
-    def _failed(self, units: Iterable[ComputationalUnit]) -> tuple[FailureView, ...]:
-        found = []
-        for unit in units:
-            if unit.failure is not None:
-                stream = unit.output.name
-                asked = (
-                    *self._requests.of_stream(stream),
-                    *self.queries.of_stream(stream),
-                    *self._subscriptions.of_stream(stream),
-                )
-                found.append(FailureView(unit.name, stream, asked, unit.failure))
-        return tuple(found)
+        return self._parts.evaluation.of(name)
 
     def go_on_again(self, done: Sequence[Went]) -> None:
         """Do what `go_on` did; raises ``ValueError`` where there is no such thing to do."""
         self.behind.again(done)
-        self._settle()
-        self._collect()
-
-    def _collect(self) -> None:
-        # What is half done holds terms that nobody knows of.
-        if not self.behind.is_within:
-            self.dictionary.collect()
+        self._parts.settle()
+        self._parts.collect()
 
     def measure(self) -> None:
         """Let SPARQL see the rates and subscribers there are: whoever asks calls this before.
@@ -497,24 +328,15 @@ class Engine:
         if self._measured is not None and self._now - self._measured < SECOND:
             return
         self._measured = self._now
-        streams = tuple(self._configuration.streams.items())
-        with uncollected(), self._manager.together():
-            self._count_subscribers()
-            self._manager.measure_rates((name, rate_of(each)) for name, each in streams)
-            self._manager.show_samples(streams)
+        streams = tuple(self._parts.configuration.streams.items())
+        with uncollected(), self._parts.manager.together():
+            self._parts.count_subscribers()
+            self._parts.manager.measure_rates((name, rate_of(each)) for name, each in streams)
+            self._parts.manager.show_samples(streams)
 
     def rdf_of(self, name: str, batch: SampleBatch) -> list[str]:
         """Each sample of stream ``name`` as N-Triples; empty text where it says nothing."""
-        converter = self._converter(name)
-        if converter is None or not len(batch):
-            return [""] * len(batch)
-        lines: list[list[str]] = [[] for _ in range(len(batch))]
-        names = node_names(batch.available, places_in_instants(batch.available))
-        # Rows stand for times, since samples of one instant share theirs.
-        numbered = batch.with_available(np.arange(len(batch)))
-        for row, subject, predicate, object in converter.convert(numbered, names):
-            lines[row].append(f"{subject} {predicate} {object} .")
-        return ["\n".join(triples) for triples in lines]
+        return self._parts.rdf.of(name, batch)
 
     # -- templates ---------------------------------------------------------------------------
 
@@ -523,40 +345,21 @@ class Engine:
 
         Raises `LanguageError`, and `AlreadyExists` unless ``replace``.
         """
-        try:
-            template = self._templates.register(text, replace=replace)
-        except TemplateExists as error:
-            raise AlreadyExists(
-                f"there is a template {shorten(error.name)}", "replace it with PUT, or remove it"
-            ) from error
-        except TemplateRefused as error:
-            raise Refused(error.message, error.hint) from error
-        self._tell_templates()
-        self._settle()
-        return self._template_view(template)
+        view = self._parts.templates.register(text, replace=replace)
+        self._parts.settle()
+        return view
 
     def templates(self) -> tuple[TemplateView, ...]:
         """All templates, by name."""
-        return tuple(self.template(name) for name in self._templates.names())
+        return self._parts.templates.views()
 
     def template(self, name: str) -> TemplateView:
         """One template by local name, prefixed name or IRI; raises `UnknownTemplate`."""
-        return self._template_view(self._template(name))
+        return self._parts.templates.view(name)
 
     def remove_template(self, name: str) -> None:
         """Forget a template; raises `UnknownTemplate`, and `Conflict` while a request uses it."""
-        template = self._template(name)
-        users = self._requests.of_event(template.name)
-        if users:
-            raise Conflict(
-                f"template {shorten(template.name)} is used by request {', '.join(users)}",
-                "cancel the requests first",
-            )
-        self._templates.remove(name)
-        self._requests.forget(template)
-        self._changed(
-            Change(ChangeKind.TRANSFORMATION_REMOVED, transformation=shorten(template.name))
-        )
+        self._parts.templates.remove(name)
 
     # -- events ------------------------------------------------------------------------------
 
@@ -581,23 +384,25 @@ class Engine:
         then nothing runs that did not run before.
         """
         begin = beginning_of(since)
-        return self._requests.start(self._event_template(request), request, strategy, begin)
+        return self._parts.requests.start(
+            self._parts.templates.of(request), request, strategy, begin
+        )
 
     def events(self) -> tuple[EventView, ...]:
         """The running requests, oldest first."""
-        return self._requests.views()
+        return self._parts.requests.views()
 
     def event_ids(self) -> tuple[str, ...]:
         """Those of the running requests, oldest first."""
-        return self._requests.ids()
+        return self._parts.requests.ids()
 
     def event(self, id: str) -> EventView:
         """One running request; raises `UnknownRequest`."""
-        return self._requests.view(id)
+        return self._parts.requests.view(id)
 
     def cancel_event(self, id: str) -> None:
         """End a request; units without users stop."""
-        self._requests.cancel(id)
+        self._parts.requests.cancel(id)
 
     # -- subscriptions -----------------------------------------------------------------------
 
@@ -612,7 +417,9 @@ class Engine:
     ) -> SubscriptionView:
         """Subscribe to a stream under a policy; see `Subscriptions.start`. For ``since`` see
         `request_event`."""
-        return self._subscriptions.start(stream, policy, unit, beginning_of(since), keyed=keyed)
+        return self._parts.subscriptions.start(
+            stream, policy, unit, beginning_of(since), keyed=keyed
+        )
 
     def subscribe_to_feature(
         self,
@@ -640,29 +447,29 @@ class Engine:
         parsed = parse_policy(policy, unit)
         begin = beginning_of(since)
         wish = Wish(want, strategy, parsed, begin, staleness, quality, hold_off, keyed)
-        with self._manager.together():
-            return self._subscriptions.start_adaptive(wish)
+        with self._parts.manager.together():
+            return self._parts.subscriptions.start_adaptive(wish)
 
     def rematches(self, id: str) -> Sequence[Rematch]:
         """The switches of a subscription, oldest first; raises `UnknownRequest`. What is given
         holds later ones, too, as they come."""
-        return self._subscriptions.rematches(id)
+        return self._parts.subscriptions.rematches(id)
 
     def subscriptions(self) -> tuple[SubscriptionView, ...]:
         """The subscriptions that run, oldest first."""
-        return self._subscriptions.views()
+        return self._parts.subscriptions.views()
 
     def subscription_ids(self) -> tuple[str, ...]:
         """Those of the subscriptions that run, oldest first."""
-        return self._subscriptions.ids()
+        return self._parts.subscriptions.ids()
 
     def subscription(self, id: str) -> SubscriptionView:
         """One subscription; raises `UnknownRequest`."""
-        return self._subscriptions.view(id)
+        return self._parts.subscriptions.view(id)
 
     def unsubscribe(self, id: str) -> None:
         """Give a subscription up; its stream goes with the last of those that share it."""
-        self._subscriptions.cancel(id)
+        self._parts.subscriptions.cancel(id)
 
     # -- KPL ---------------------------------------------------------------------------------
 
@@ -672,38 +479,38 @@ class Engine:
 
         Raises `LanguageError`, and what `Application.add` raises.
         """
-        with self._manager.together():
-            added = self._kpl.add(text, unit)
-        return tuple(self._kpl.view(key) for key in added)
+        with self._parts.manager.together():
+            added = self._parts.kpl.add(text, unit)
+        return tuple(self._parts.kpl.view(key) for key in added)
 
     def kpl(self) -> tuple[DeclarationView, ...]:
         """Everything declared in KPL, in order."""
-        return self._kpl.views()
+        return self._parts.kpl.views()
 
     def kpl_text(self) -> str:
         """The same as a KPL text, integers in ms."""
-        return self._kpl.text()
+        return self._parts.kpl.text()
 
     def kpl_declaration(self, name: str) -> tuple[DeclarationView, tuple[str, ...]]:
         """One declaration, and the names of all that cannot be without it; raises
         `UnknownDeclaration`."""
-        return self._kpl.view(name), self._kpl.used_by(name)
+        return self._parts.kpl.view(name), self._parts.kpl.used_by(name)
 
     def restore_kpl(self, text: str, unit: str = "ms") -> None:
         """Declare of a KPL text, that an earlier run has taken, what holds; the others are told and
         kept, as after a restart. Raises nothing."""
-        with self._manager.together():
-            self._kpl.add_what_holds(text, unit)
+        with self._parts.manager.together():
+            self._parts.kpl.add_what_holds(text, unit)
 
     def forget_kpl(self, name: str) -> bool:
         """Forget what was declared in KPL by an earlier run and does not hold any more; whether
         there was such a declaration."""
-        return self._kpl.forget(name)
+        return self._parts.kpl.forget(name)
 
     def remove_kpl(self, name: str, *, cascade: bool = False) -> tuple[str, ...]:
         """Stop and forget a declaration; see `Application.remove`."""
-        with self._manager.together():
-            return self._kpl.remove(name, cascade=cascade)
+        with self._parts.manager.together():
+            return self._parts.kpl.remove(name, cascade=cascade)
 
     # -- specifications ----------------------------------------------------------------------
 
@@ -714,18 +521,18 @@ class Engine:
 
     def take_specification(self, specification: Specification) -> SpecificationView:
         """The same with what `parse_specification` made of a text, maybe in another process."""
-        with self._manager.together():
-            view = self._specifications.apply(specification)
-            self._settle()
+        with self._parts.manager.together():
+            view = self._parts.specifications.apply(specification)
+            self._parts.settle()
         return view
 
     def current_specification(self) -> str:
         """The running configuration as an XML text that `apply_specification` takes."""
-        return self._specifications.current()
+        return self._parts.specifications.current()
 
     def insertions(self) -> tuple[InsertionView, ...]:
         """What specifications inserted, in order."""
-        return self._specifications.views()
+        return self._parts.specifications.views()
 
     # -- meaning -----------------------------------------------------------------------------
 
@@ -737,10 +544,10 @@ class Engine:
     def take_ontology(self, prepared: PreparedOntology) -> None:
         """The same with what `Ontology.prepare` made of a text, maybe in another thread."""
         self.ontology.take(prepared)
-        self._converters.clear()
-        self._tell_templates()
-        self._rematching.ontology_changed()
-        self._settle()
+        self._parts.rdf.forget_all()
+        self._parts.templates.tell()
+        self._parts.rematching.ontology_changed()
+        self._parts.settle()
 
     # -- knowing -----------------------------------------------------------------------------
 
@@ -755,20 +562,20 @@ class Engine:
         """Semantic matching without executing: what would give ``feature``, and why."""
         want = checked_want(self.ontology.vocabulary, feature, sort, objects)
         checked_strategy(strategy)
-        without = self._plans.unusable(Since.NOW)
-        (found,) = self._plans.match([want], strategy, without, explained=True)
+        without = self._parts.plans.unusable(Since.NOW)
+        (found,) = self._parts.plans.match([want], strategy, without, explained=True)
         view = explanations.match_view(
-            want, found, strategy, self._manager.space, self._plans.is_running
+            want, found, strategy, self._parts.manager.space, self._parts.plans.is_running
         )
-        supplies = self._plans.made_from([found])
-        texts = [plan_text(supply, self._transformations) for supply in supplies]
+        supplies = self._parts.plans.made_from([found])
+        texts = [plan_text(supply, self._parts.known_transformations) for supply in supplies]
         return replace(view, specification=next(iter(texts), None))
 
     def explain_running(self, id: str) -> str:
         """Each stage of a query or request that runs; raises `UnknownRequest`."""
         if self.queries.has(id):
             return self.queries.explain_running(id)
-        return self._requests.explain_running(id)
+        return self._parts.requests.explain_running(id)
 
     def explain(
         self, *, event: str | None = None, template: str | None = None, query: str | None = None
@@ -776,9 +583,9 @@ class Engine:
         """Every stage of a request, a template or a query, as text for people."""
         if event is not None:
             request = self.parse_request(event)
-            return self._requests.explain(self._event_template(request), request)
+            return self._parts.requests.explain(self._parts.templates.of(request), request)
         if template is not None:
-            return explanations.template(self._template(template))
+            return explanations.template(self._parts.templates.find(template))
         if query is not None:
             return self.queries.explain(query)
         raise BadArguments("explain needs an event, a template or a query")
@@ -786,50 +593,57 @@ class Engine:
     @property
     def next_ids(self) -> tuple[str, str]:
         """What the next request and the next subscription would be called."""
-        return f"event{self._requests.number + 1}", f"subscription{self._subscriptions.number + 1}"
+        return (
+            f"event{self._parts.requests.number + 1}",
+            f"subscription{self._parts.subscriptions.number + 1}",
+        )
 
     def keep_id(self, id: str) -> None:
         """The next request or subscription is called ``id``, as it was in an earlier run, if that
         is later than all there were."""
-        for name, made in (("event", self._requests), ("subscription", self._subscriptions)):
-            number = id.removeprefix(name)
-            if number != id and number.isdigit():
-                made.number_after(int(number) - 1)
+        for made, number in self._numbered(id):
+            made.number_after(number - 1)
 
     def skip_id(self, id: str) -> None:
         """No later request, subscription or query without a name is called ``id``."""
-        for name, made in (("event", self._requests), ("subscription", self._subscriptions)):
+        for made, number in self._numbered(id):
+            made.number_after(number)
+        self._parts.configuration.pass_over(id)
+
+    def _numbered(self, id: str) -> Iterator[tuple[EventRequests | Subscriptions, int]]:
+        """Whose id it is, and its number."""
+        requests, subscriptions = self._parts.requests, self._parts.subscriptions
+        for name, made in (("event", requests), ("subscription", subscriptions)):
             number = id.removeprefix(name)
             if number != id and number.isdigit():
-                made.number_after(int(number))
-        self._configuration.pass_over(id)
+                yield made, int(number)
 
     def tell_not_restored(self, reason: str) -> None:
         """Tell on the status stream what of an earlier run does not go on, and why."""
-        self._changed(Change(ChangeKind.NOT_RESTORED, specification=reason))
+        self._parts.changed(Change(ChangeKind.NOT_RESTORED, specification=reason))
 
     def hear_of_sinks(self, outcomes: Sequence[Outcome]) -> None:
         """What came of calls of sinks counts from now on, and is told on the status stream."""
         for outcome in outcomes:
-            self._application.hear(outcome)
-        self._settle()
+            self._parts.application.hear(outcome)
+        self._parts.settle()
 
     def tell_unkept(self, process: str, reason: str) -> None:
         """Tell on the status stream that what a user-written process remembers is not kept."""
-        self._changed(Change(ChangeKind.UNKEPT, transformation=process, specification=reason))
+        self._parts.changed(Change(ChangeKind.UNKEPT, transformation=process, specification=reason))
 
     def totals(self) -> Totals:
         """How much there is of what people make. Cost: O(ontologies)."""
-        configuration = self._configuration
+        configuration = self._parts.configuration
         return Totals(
             len(configuration.streams) - len(configuration.units),
-            len(self._templates),
-            len(self._requests)
-            + len(self._subscriptions)
+            len(self._parts.templates),
+            len(self._parts.requests)
+            + len(self._parts.subscriptions)
             + len(self.queries)
-            + len(self._specifications),
-            len(self._kpl),
-            len(self._transformations),
+            + len(self._parts.specifications),
+            len(self._parts.kpl),
+            len(self._parts.known_transformations),
             self.ontology.number,
         )
 
@@ -839,122 +653,27 @@ class Engine:
         """
         if text == "self" or ":" in text or text.startswith("<"):
             return text
-        streams = [each.stream for each in self._declared.annotations()]
-        namespaces = {self._configuration.namespaces[name] for name in streams}
+        streams = [each.stream for each in self._parts.declared.annotations()]
+        namespaces = {self._parts.configuration.namespaces[name] for name in streams}
         namespace = namespaces.pop() if len(namespaces) == 1 else DYKNOW
         return f"<{object_iri(text, namespace)}>"
 
     # -- within ------------------------------------------------------------------------------
 
     def _refuse_if_source(self, name: str, declaration: StreamDeclaration | None = None) -> None:
-        if self._application.uses_stream(name) and (
-            declaration is None or not self._declared.is_as_declared(declaration)
+        if self._parts.application.uses_stream(name) and (
+            declaration is None or not self._parts.declared.is_as_declared(declaration)
         ):
             raise Conflict(
                 f"stream {name!r} is a source of KPL declarations",
                 f"remove these first: DELETE /kpl/{name}",
             )
 
-    def _settle(self) -> None:
-        with self._manager.together():
-            self._application.settle()
-            reports = self._configuration.reports
-            while reports:
-                self._annotations.reported(*reports.pop(0))
-            self._rematching.settle()
-
-    def _heard(self, change: Change) -> None:
-        """What is remembered of a stream holds no more."""
-        self.failures += change.kind in (ChangeKind.UNIT_FAILED, ChangeKind.UNIT_STOPPED_BY_RULE)
-        if change.kind is ChangeKind.STREAM_REMOVED:
-            self.intake.forget(change.stream)
-        self._converters.pop(change.stream, None)
-
-    def _count_subscribers(self) -> None:
-        streams = self._configuration.streams.items()
-        self._manager.count_subscribers(
-            (name, each.subscribers + each.listeners) for name, each in streams
-        )
-
-    def _subscribers(self, name: str) -> int:
-        """Those within the engine: what is matched does not depend on who looks on."""
-        generator = self._configuration.streams.get(name)
-        return 0 if generator is None else generator.subscribers
-
     def _view(self, generator: StreamGenerator) -> StreamView:
         name = generator.name
         return stream_view(
             generator,
-            self._configuration.namespaces[name],
-            self._application.producer_of(name),
-            self._manager.annotations.get(name),
+            self._parts.configuration.namespaces[name],
+            self._parts.application.producer_of(name),
+            self._parts.manager.annotations.get(name),
         )
-
-    def _converter(self, name: str) -> SampleConverter | None:
-        """Converts the samples of a stream to RDF, by its annotation; None without one."""
-        source = self._configuration.late.source_of(name)
-        if source is not None:  # a late sample says what it would have said in time
-            return self._converter(source)
-        found = self._converters.get(name)
-        if found is None:
-            found = self.queries.converter(name)
-        if found is None:
-            generator = self._configuration.stream(name)
-            annotation = self._rdf_of(name) or self._manager.annotations.get(name)
-            if annotation is None:
-                return None
-            namespace = self._configuration.namespaces[name]
-            found = self._declared.compile(annotation, generator.schema, namespace)
-            self._converters[name] = found
-        return found
-
-    def _rdf_of(self, name: str) -> StreamAnnotation | None:
-        """How samples of what the system answers are written as triples."""
-        found = self._rematching.of_stream(name)
-        return self._requests.rdf_of(name) if found is None else found.rdf(self.ontology.vocabulary)
-
-    def _tell_templates(self) -> None:
-        """What the event templates take and give, as matching sees it; one may have made known
-        what another needs."""
-        for name in self._templates.names():
-            template = self._templates.get(name)
-            known = event_transformation(
-                template, lambda: self.ontology.vocabulary, self._templates.needs
-            )
-            if known != self._manager.space.transformations.get(known.name):
-                self._changed(
-                    Change(
-                        ChangeKind.TRANSFORMATION_ANNOTATED,
-                        transformation=known.name,
-                        specification=template.source,
-                        described=KnownTransformation(known, C_SPARQL),
-                    )
-                )
-
-    def _template(self, name: str) -> Template:
-        try:
-            return self._templates.get(name)
-        except NoSuchTemplate as error:
-            raise UnknownTemplate(
-                f"there is no template {name!r}", did_you_mean(error.suggestions)
-            ) from error
-
-    def _template_view(self, template: Template) -> TemplateView:
-        return TemplateView(
-            name=template.name,
-            local_name=shorten(template.name).removeprefix("dyknow:"),
-            parameters=tuple(f"?{parameter.value}" for parameter in template.parameters),
-            source=template.source,
-            etag=self._templates.etag(template.name),
-        )
-
-    def _event_template(self, request: EventRequest) -> Template:
-        try:
-            return self._templates.get(request.event)
-        except NoSuchTemplate as error:
-            known = ", ".join(shorten(name) for name in self._templates.names())
-            raise UnknownEvent(
-                f"the ontology knows no event {shorten(request.event)} with a template",
-                did_you_mean(error.suggestions)
-                or (f"there are {known}" if known else "register one with POST /templates"),
-            ) from error

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from .kpl import KplDeclarations
-from .registered_queries import RegisteredQueries
-from .requests import EventRequests
-from .subscriptions import Subscriptions
+from .kpl.declarations import KplDeclarations
+from .requests.continuous_queries import RegisteredQueries
+from .requests.event_requests import EventRequests
+from .requests.subscriptions import Subscriptions
 
 
 class Users:

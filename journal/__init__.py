@@ -1,4 +1,5 @@
 """The data directory: a log of records that survive, checkpoints, and their lock.
 
-Knows bytes only; what they mean is said in engine/commands and engine/checkpoint.
+Knows bytes only; what they mean is said in engine/durability/commands and
+engine/durability/checkpoint.
 """

@@ -18,7 +18,13 @@ import msgspec
 
 from .directory import write_whole
 from .disk import DISK, Disk
-from .errors import JournalBroken, JournalDamaged, JournalFull, UnknownFormat, is_full
+from .errors import (
+    JournalBroken,
+    JournalDamaged,
+    JournalFull,
+    UnknownFormat,
+    is_full,
+)
 from .segment import NUMBER
 
 FORMAT: Final = 1

@@ -11,9 +11,23 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import BinaryIO, Final, TypeAlias
 
-from .checkpoints import LIST, checkpoint_path, gone_from, positions_in, read_checkpoint
+from .checkpoints import (
+    LIST,
+    checkpoint_path,
+    gone_from,
+    positions_in,
+    read_checkpoint,
+)
 from .checkpoints import NAME as CHECKPOINT
-from .directory import FORMAT, MANIFEST, REPAIRED, RESTORING, format_of, holder_of, lacks_format
+from .directory import (
+    FORMAT,
+    MANIFEST,
+    REPAIRED,
+    RESTORING,
+    format_of,
+    holder_of,
+    lacks_format,
+)
 from .errors import JournalDamaged
 from .examination import Examination, examine, judged, open_log, scans_of
 from .high_water import NAME as MARK

@@ -10,11 +10,17 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from enum import StrEnum
 from pathlib import Path
 
 from .disk import DISK, Disk
-from .errors import JournalBroken, JournalDamaged, JournalError, JournalFull, is_full
+from .durability import Durability
+from .errors import (
+    JournalBroken,
+    JournalDamaged,
+    JournalError,
+    JournalFull,
+    is_full,
+)
 from .examination import HINT, Examination, examine
 from .high_water import HighWater, Mark
 from .segment import HEAD, Segment, path_of, size_of, walk
@@ -22,15 +28,6 @@ from .segment import HEAD, Segment, path_of, size_of, walk
 SEGMENT = 64 << 20
 """A file takes so many bytes, and the record that passes them."""
 _RESTART = "restart the service when the disk is sound"
-
-
-class Durability(StrEnum):
-    """When a commit returns."""
-
-    FSYNC = "fsync"
-    """The disk has it: it survives a loss of power."""
-    WRITE = "write"
-    """The operating system has it: it survives the end of the process."""
 
 
 @dataclass(slots=True)

@@ -26,7 +26,14 @@ from typing import Final
 import msgspec
 
 from .checkpoints import KEPT, LIST, checkpoint_in, checkpoint_path, list_bytes
-from .directory import MANIFEST, REPAIRED, check_restored, format_bytes, lacks_format, write_whole
+from .directory import (
+    MANIFEST,
+    REPAIRED,
+    check_restored,
+    format_bytes,
+    lacks_format,
+    write_whole,
+)
 from .disk import DISK, Disk
 from .errors import JournalDamaged
 from .high_water import NAME as MARK

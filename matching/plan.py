@@ -13,7 +13,12 @@ from dataclasses import dataclass, fields, replace
 from operator import attrgetter
 from typing import NamedTuple, TypeAlias, assert_never
 
-from ..languages.ssl.annotation import Content, PortAnnotation, Role, StreamAnnotation
+from ..languages.ssl.annotation import (
+    Content,
+    PortAnnotation,
+    Role,
+    StreamAnnotation,
+)
 from ..languages.ssl.annotation_text import in_ssl
 from ..ontology.units import Conversion, Unit
 from .subject import Subject

@@ -13,10 +13,10 @@ from itertools import zip_longest
 
 import numpy as np
 
-from .best_quality import best_quality
 from .goals import Answer, Apart, Goal, Goals, Offer, Through
-from .hypergraph import Hypergraph
-from .least_weight import least_weight
+from .optimum.best_quality import best_quality
+from .optimum.hypergraph import Hypergraph
+from .optimum.least_weight import least_weight
 from .plan import Node, SelectObject, UseStream, nothing_runs
 from .space import EventDescription
 from .strategy import Kind, Strategy

@@ -5,7 +5,7 @@ Each triple pattern that may match a pair becomes a UNION of itself and of a pat
 the graph that it is asked of, so that GRAPH and FROM need no rule of their own. A variable as
 predicate, a negated path and DESCRIBE see the pairs and not the marks.
 
-Law (tests/laws/test_deep_hierarchies.py): the answers are those over the pairs, with two
+Law (tests/laws/ontology/test_deep_hierarchies.py): the answers are those over the pairs, with two
 exceptions. In `(rdfs:subClassOf/path)+`, a sequence that is repeated, a class of a cycle is a
 sub-class of itself; and what stands above owl:Thing may be a standard term.
 """

@@ -2,8 +2,9 @@
 
 A chain of 2,000 classes has 2 million pairs, which take a store 6 s and 800 MB. Above `MOST_PAIRS`
 the graph of entailments therefore has marks instead of pairs: triples with predicates of its own,
-from which `closure_queries` and `continuous.background` give the same answers. `separation` makes
-them. Law (tests/laws/test_deep_hierarchies.py): the answers are those over the pairs.
+from which `closure_queries` and `continuous.operators.background` give the same answers.
+`separation` makes them. Law (tests/laws/ontology/test_deep_hierarchies.py): the answers are those
+over the pairs.
 """
 
 from __future__ import annotations

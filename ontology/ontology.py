@@ -8,92 +8,57 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 from pyoxigraph import (
-    BlankNode,
     DefaultGraph,
     Literal,
     NamedNode,
     Quad,
-    QueryResultsFormat,
-    QuerySolutions,
-    QueryTriples,
-    RdfFormat,
     Store,
     Triple,
-    parse,
-    serialize,
 )
 
 from ..rdf.dictionary import Term
-from ..rdf.namespaces import OWL, RDF_TYPE, STREAM_SPACE
+from ..rdf.namespaces import OWL
 from . import graphs
-from .churn import Churn
+from .answers import rows_of, serialized
 from .closure import closure_key, entailed
 from .closure_queries import QueryResults, answer
 from .entailment import Change, Entailments, Rules
-from .errors import OntologyError, QueryRefused
+from .errors import OntologyError
+from .quad_store import (
+    QuadStore,
+    StoreChanges,
+    change_of,
+    opened,
+    quads_of,
+    store_of,
+    subject_of,
+    text_of,
+)
 from .query_guard import check_user_query
 from .reading import TextFormat
 from .reasoning import DIRECT, Reasoning
-from .replicas import ChangeLog, as_nquads
+from .registrations import Registrations
 from .shipped import shipped_ontologies, text_hash
+from .static_side import StaticSide
 from .successor import CONCEPTS, Successor, succeed
 from .units import UnitError
 from .validation import ShaclReport, validate
 from .vocabulary import Vocabulary
 
-_Changes: TypeAlias = dict[NamedNode, Change]
-
-_HAS_TEMPLATE = NamedNode(STREAM_SPACE + "hasTemplate")
-_HAS_NAME = NamedNode(STREAM_SPACE + "hasName")
-_HAS_TEXT = NamedNode(STREAM_SPACE + "hasText")
-_EVENT = NamedNode(STREAM_SPACE + "Event")
-_EVENT_TEMPLATE = NamedNode(STREAM_SPACE + "EventTemplate")
-_ANNOTATION = NamedNode(STREAM_SPACE + "Annotation")
-_SPECIFICATION = NamedNode(STREAM_SPACE + "Specification")
 _IMPORTS = NamedNode(OWL + "imports")
 
-_NOT_STATIC = (
-    DefaultGraph(),
-    graphs.CATALOG,
-    graphs.QUERIES,
-    graphs.STREAM_SPACE,
-    graphs.STREAM_SPACE_ENTAILMENTS,
-)
-"""Graphs that continuous queries do not read."""
 _PIECE = 250
 """Triples of the live stream space that are brought into the store in one go: some 10 ms."""
 _MOST_AWAITED = 10_000
 """So many may wait to be brought in; whoever changes more brings some of them in."""
-_TABLES = {
-    "json": QueryResultsFormat.JSON,
-    "xml": QueryResultsFormat.XML,
-    "csv": QueryResultsFormat.CSV,
-    "tsv": QueryResultsFormat.TSV,
-}
-_GRAPHS = {
-    "turtle": RdfFormat.TURTLE,
-    "ntriples": RdfFormat.N_TRIPLES,
-    "jsonld": RdfFormat.JSON_LD,
-    "rdfxml": RdfFormat.RDF_XML,
-}
-
-
-@dataclass(frozen=True, slots=True)
-class StoreChanges:
-    """What a copy of the store lacks, as N-Quads; ``whole`` replaces all that it has."""
-
-    position: int
-    whole: bytes | None
-    added: bytes
-    removed: bytes
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +85,7 @@ class Ontology:
 
     def __init__(self, store: Store, path: Path | None) -> None:
         """Use `open`."""
-        self._store = store
+        self._quads = QuadStore(store, path)
         self._awaited: OrderedDict[Triple, bool] = OrderedDict()
         """Triples of the live stream space that are not in the store yet: whether they come or go.
         Added to by those who tell of changes, who take back what is as it was."""
@@ -132,10 +97,7 @@ class Ontology:
         self.path = path
         self.version = 0
         self._lock = threading.RLock()
-        self._churn = Churn()
-        self._closed: Store | None = None
-        self._closed_churn = Churn()
-        self._log = ChangeLog()
+        self._static = StaticSide(self._quads)
         self._start()
 
     @classmethod
@@ -148,13 +110,13 @@ class Ontology:
         """
         if path is None:
             return cls(Store(), None)
-        return cls(_opened(path), path)
+        return cls(opened(path), path)
 
     @classmethod
     def copied(cls, path: Path) -> Ontology:
         """One in memory with what the folder ``path`` keeps, which stays as it is. Raises
         `OntologyError`."""
-        kept = _opened(path)
+        kept = opened(path)
         store = Store()
         store.extend(kept)
         return cls(store, None)
@@ -168,7 +130,7 @@ class Ontology:
     def store(self) -> Store:
         """All there is. Treat it as read-only. Cost: what `mirror` was told of and is not there."""
         self._bring_in()
-        return self._store
+        return self._quads.store
 
     @property
     def lock(self) -> AbstractContextManager[object]:
@@ -180,7 +142,7 @@ class Ontology:
     @property
     def static_store(self) -> Store:
         """The same, but that the live stream space may be as it was a moment ago."""
-        return self._store
+        return self._quads.store
 
     def quads(self) -> bytes:
         """All there is as N-Quads, sorted."""
@@ -189,15 +151,15 @@ class Ontology:
 
     def __getstate__(self) -> dict[str, Any]:
         """As it is copied, if it is in memory: the lock is each one's own. The store is for who
-        copies (engine/checkpoint)."""
+        copies (engine/durability/checkpoint)."""
         assert self.path is None
         self._bring_in()
         kept = dict(self.__dict__)
-        del kept["_lock"], kept["_telling"], kept["_closed"]
+        del kept["_lock"], kept["_telling"]
         return kept
 
     def __setstate__(self, kept: dict[str, Any]) -> None:
-        self.__dict__.update(kept, _lock=threading.RLock(), _telling=threading.Lock(), _closed=None)
+        self.__dict__.update(kept, _lock=threading.RLock(), _telling=threading.Lock())
 
     # -- ontologies -------------------------------------------------------------------------
 
@@ -243,9 +205,9 @@ class Ontology:
         vocabulary = Vocabulary.from_triples(chain(*entailed))
         with self._lock:
             # A store's iterator goes on with what there was when it was made.
-            now = self._store.quads_for_pattern(None, None, None, None)
+            now = self._quads.store.quads_for_pattern(None, None, None, None)
             held = (self._concepts.held, self._live.held)
-            position = self._log.position
+            position = self._quads.position
         replaced = {graph: triples, graphs.CATALOG: _catalog(hashes)}
         return succeed(position, now, replaced, entailed, held, vocabulary)
 
@@ -264,21 +226,19 @@ class Ontology:
     def _taken_over(self, successor: Successor | None) -> bool:
         """Go on with ``successor``; False where too much has changed since it was made. Cost: as
         much as has changed."""
-        missed = None if successor is None else self._log.since(successor.position)
+        missed = None if successor is None else self._quads.missed(successor.position)
         if successor is None or missed is None:
             return False
         changes = successor.follow(*missed)
-        self._store, self._churn = successor.store, Churn()
-        self._apply(changes)
-        self._log.forget()
+        self._quads.go_on_with(successor.store, changes)
         self._concepts, self._live, self._base = (
             successor.concepts,
             successor.live,
             successor.vocabulary,
         )
         self._changed()
-        self._closed, self._closed_churn = successor.static, Churn()
-        self._follow_statically(
+        self._static.go_on_with(successor.static)
+        self._static.follow(
             *(changes[g] for g in (*CONCEPTS, graphs.CONCEPT_ENTAILMENTS) if g in changes)
         )
         return True
@@ -300,7 +260,7 @@ class Ontology:
 
     def imports(self) -> tuple[str, ...]:
         """What the loaded ontologies import; it was not fetched. Load it by `load` if needed."""
-        quads = self._store.quads_for_pattern(None, _IMPORTS, None, DefaultGraph())
+        quads = self._quads.store.quads_for_pattern(None, _IMPORTS, None, DefaultGraph())
         return tuple(sorted({q.object.value for q in quads if isinstance(q.object, NamedNode)}))
 
     def static_graph(self, iri: str) -> bool:
@@ -314,134 +274,42 @@ class Ontology:
         another store, or has other triples, when `version` has changed. Treat it as read-only.
         """
         with self._lock:
-            if self._closed is None:
-                store = Store()
-                static = self._ontology_triples() | self._concepts.held | self._concepts.current
-                store.extend(Quad(t.subject, t.predicate, t.object) for t in static)
-                self._closed, self._closed_churn = store, Churn()
-            return self._closed
+            return self._static.store(self._static_triples)
 
-    def _follow_statically(self, *changes: Change) -> None:
-        """Bring `closed_store` up to date: these changes of concepts, and of what they entail, are
-        in the store already."""
-        if self._closed is None:
-            return
-        for change in changes:
-            self._closed.extend(Quad(t.subject, t.predicate, t.object) for t in change.added)
-            for triple in change.removed:
-                if not self._is_static(triple):
-                    self._closed.remove(Quad(triple.subject, triple.predicate, triple.object))
-            self._closed_churn.note(change.added, change.removed)
-        self._closed = self._closed_churn.over(self._closed)
+    def _static_triples(self) -> frozenset[Triple]:
+        return self._ontology_triples() | self._concepts.held | self._concepts.current
 
-    def _is_static(self, triple: Triple) -> bool:
-        quads = self._store.quads_for_pattern(triple.subject, triple.predicate, triple.object, None)
-        return any(quad.graph_name not in _NOT_STATIC for quad in quads)
+    # -- what people registered ---------------------------------------------------------------
 
-    # -- templates, annotations, declared streams --------------------------------------------
+    @property
+    def registered(self) -> Registrations:
+        """Templates, annotations, declared streams and so on, as texts."""
+        return Registrations(self)
 
-    def set_template(self, event: str, source: str) -> None:
-        """Makes ``event`` (an IRI) an event concept with this template text, or replaces it."""
-        concept = _iri(event)
-        kept = {
-            Triple(concept, RDF_TYPE, _EVENT),
-            Triple(concept, RDF_TYPE, _EVENT_TEMPLATE),
-            Triple(concept, _HAS_TEMPLATE, Literal(source)),
-        }
-        self._keep(graphs.TEMPLATES, concept, kept)
+    def about(
+        self, subject: NamedNode | None, predicate: NamedNode, graph: NamedNode
+    ) -> Iterator[Quad]:
+        """What a graph says by ``predicate``, of ``subject`` or of all."""
+        return self._quads.about(subject, predicate, graph)
 
-    def remove_template(self, event: str) -> None:
-        """Removes the event concept's template, and the concept. KeyError if there is none."""
-        if event not in self.templates():
-            raise KeyError(event)
-        self._keep(graphs.TEMPLATES, _iri(event), set())
+    def keep(self, graph: NamedNode, subject: NamedNode, triples: set[Triple]) -> None:
+        """Makes ``triples`` all that ``graph`` says of ``subject``."""
+        with self._lock:
+            before = {quad.triple for quad in self._quads.about(subject, None, graph)}
+            change = change_of(frozenset(before), frozenset(triples))
+            _, implied = self._concepts.update(change.added, change.removed)
+            self._quads.apply({graph: change, graphs.CONCEPT_ENTAILMENTS: implied})
+            self._quads.flush()
+            self._static.follow(change, implied)
+            self._changed()
 
-    def templates(self) -> dict[str, str]:
-        """Event concept IRI -> template text."""
-        quads = self._store.quads_for_pattern(None, _HAS_TEMPLATE, None, graphs.TEMPLATES)
-        return {_subject(q): _text(q) for q in sorted(quads, key=str)}
-
-    def set_annotation(self, subject_name: str, source: str) -> None:
-        """Keeps the SSL text of the stream, source or unit of this name."""
-        node = graphs.annotation_node(subject_name)
-        self._keep(graphs.ANNOTATIONS, node, _named_text(node, _ANNOTATION, subject_name, source))
-
-    def remove_annotation(self, subject_name: str) -> None:
-        """Forgets the SSL text. KeyError if there is none."""
-        if subject_name not in self.annotations():
-            raise KeyError(subject_name)
-        self._keep(graphs.ANNOTATIONS, graphs.annotation_node(subject_name), set())
-
-    def annotations(self) -> dict[str, str]:
-        """Name of the stream, source or unit -> SSL text."""
-        return self._named_texts(graphs.ANNOTATIONS)
-
-    def set_stream(self, name: str, declaration_json: str) -> None:
-        """Keeps the declaration of a stream."""
-        node = graphs.declaration_node(name)
-        kept = _named_text(node, _SPECIFICATION, name, declaration_json)
-        self._keep(graphs.DECLARATIONS, node, kept)
-
-    def remove_stream(self, name: str) -> None:
-        """Forgets the declaration. KeyError if there is none."""
-        if name not in self.streams():
-            raise KeyError(name)
-        self._keep(graphs.DECLARATIONS, graphs.declaration_node(name), set())
-
-    def streams(self) -> dict[str, str]:
-        """Name of a declared stream -> its declaration as JSON text."""
-        return self._named_texts(graphs.DECLARATIONS)
-
-    def set_transformation(self, name: str, description_json: str) -> None:
-        """Keeps the description of a transformation."""
-        node = graphs.transformation_node(name)
-        kept = _named_text(node, _SPECIFICATION, name, description_json)
-        self._keep(graphs.TRANSFORMATIONS, node, kept)
-
-    def remove_transformation(self, name: str) -> None:
-        """Forgets the description. KeyError if there is none."""
-        if name not in self.transformations():
-            raise KeyError(name)
-        self._keep(graphs.TRANSFORMATIONS, graphs.transformation_node(name), set())
-
-    def transformations(self) -> dict[str, str]:
-        """Name of a registered transformation -> its description as JSON text."""
-        return self._named_texts(graphs.TRANSFORMATIONS)
-
-    def set_query(self, name: str, registration_json: str) -> None:
-        """Keeps the registration of a continuous query."""
-        node = graphs.query_node(name)
-        self._keep_aside(
-            graphs.QUERIES, node, _named_text(node, _SPECIFICATION, name, registration_json)
-        )
-
-    def remove_query(self, name: str) -> None:
-        """Forgets the registration, if there is one."""
-        self._keep_aside(graphs.QUERIES, graphs.query_node(name), set())
-
-    def queries(self) -> dict[str, str]:
-        """Name of a registered continuous query -> its registration as JSON text."""
-        return self._named_texts(graphs.QUERIES)
-
-    def set_kpl(self, text: str) -> None:
-        """Keeps all KPL declarations; empty text forgets them."""
-        node = graphs.KPL
-        kept = _named_text(node, _SPECIFICATION, "KPL", text) if text else set()
-        self._keep(graphs.KPL, node, kept)
-
-    def kpl(self) -> str:
-        """The KPL declarations; empty if there are none."""
-        return self._named_texts(graphs.KPL).get("KPL", "")
-
-    def set_specifications(self, text: str) -> None:
-        """Keeps what specifications inserted, as one text; empty text forgets it."""
-        node = graphs.SPECIFICATIONS
-        kept = _named_text(node, _SPECIFICATION, "specifications", text) if text else set()
-        self._keep(graphs.SPECIFICATIONS, node, kept)
-
-    def specifications(self) -> str:
-        """What specifications inserted; empty if nothing."""
-        return self._named_texts(graphs.SPECIFICATIONS).get("specifications", "")
+    def keep_aside(self, graph: NamedNode, subject: NamedNode, triples: set[Triple]) -> None:
+        """The same of what nothing follows from and no continuous query reads: to them the
+        ontology is as it was, and they need not look at it anew."""
+        with self._lock:
+            before = {quad.triple for quad in self._quads.about(subject, None, graph)}
+            self._quads.apply({graph: change_of(frozenset(before), frozenset(triples))})
+            self._quads.flush()
 
     # -- the live stream space ---------------------------------------------------------------
 
@@ -490,7 +358,7 @@ class Ontology:
         finally:
             with self._telling:
                 self._arriving.clear()
-        self._apply({graphs.STREAM_SPACE: held, graphs.STREAM_SPACE_ENTAILMENTS: implied})
+        self._quads.apply({graphs.STREAM_SPACE: held, graphs.STREAM_SPACE_ENTAILMENTS: implied})
 
     # -- questions ----------------------------------------------------------------------------
 
@@ -508,43 +376,18 @@ class Ontology:
         one that has nothing. Cost: O(changes), or a dump of the store, for which nobody waits."""
         self._bring_in()
         with self._lock:
-            store, now = self._store, self._log.position
-            found = None if position is None else self._log.since(position)
-        if found is None:
-            # It may have some of what comes next, which the copy is told once more: no harm.
-            whole = store.dump(format=RdfFormat.N_QUADS)
-            return StoreChanges(now, _bytes(whole), b"", b"")
-        came, went = found
-        return StoreChanges(now, None, as_nquads(came), as_nquads(went))
+            known = self._quads.since(position)
+        return known()
 
     def query_rows(self, sparql: str) -> tuple[tuple[str, ...], list[tuple[Term | None, ...]]]:
         """Variables and rows of a SELECT; None is unbound. `QueryRefused` for another form."""
-        results = self.query(sparql)
-        if not isinstance(results, QuerySolutions):
-            raise QueryRefused("a table is wanted, so the query must be a SELECT", 1, 1)
-        variables = tuple(variable.value for variable in results.variables)
-        return variables, [tuple(_rdf11(term) for term in solution) for solution in results]
+        return rows_of(self.query(sparql))
 
     def query_serialized(self, sparql: str, accept_format: str) -> bytes:
         """The answer as bytes. Formats: json, xml, csv, tsv for SELECT and ASK; turtle, ntriples,
         jsonld, rdfxml for CONSTRUCT and DESCRIBE. `QueryRefused` if the two do not go together.
         """
-        results = self.query(sparql)
-        known: Iterable[str]
-        if isinstance(results, QueryTriples):
-            known = _GRAPHS
-            if accept_format in _GRAPHS:
-                return _bytes(serialize(results, format=_GRAPHS[accept_format]))
-        else:
-            known = _TABLES
-            if accept_format in _TABLES:
-                return _bytes(results.serialize(format=_TABLES[accept_format]))
-        raise QueryRefused(
-            f"the answer to this query cannot be given as {accept_format}",
-            1,
-            1,
-            f"ask for {', '.join(known)}",
-        )
+        return serialized(self.query(sparql), accept_format)
 
     def validate(self) -> ShaclReport:
         """Whether the stream space is well-formed by shapes.ttl."""
@@ -565,24 +408,24 @@ class Ontology:
         self._live = Entailments(Rules(()))
         self._concepts = Entailments(Rules(()))
         emptied = {
-            graph: Change(frozenset(), self._graph(graph))
+            graph: Change(frozenset(), self._quads.graph(graph))
             for graph in (graphs.STREAM_SPACE, graphs.STREAM_SPACE_ENTAILMENTS)
         }
-        self._apply(emptied)
+        self._quads.apply(emptied)
         self._reload(new, hashes)
 
     def _asserted(
         self, new: dict[NamedNode, frozenset[Triple]], hashes: dict[str, str]
     ) -> frozenset[Triple]:
-        loaded = {NamedNode(iri): self._graph(NamedNode(iri)) for iri in hashes} | new
+        loaded = {NamedNode(iri): self._quads.graph(NamedNode(iri)) for iri in hashes} | new
         return frozenset().union(*loaded.values())
 
     def _kept_closure(self, key: str) -> frozenset[Triple] | None:
         """What the ontologies entail, if it was computed from these."""
-        is_kept = Triple(graphs.ENTAILMENTS, graphs.CLOSED, Literal(key)) in self._graph(
+        is_kept = Triple(graphs.ENTAILMENTS, graphs.CLOSED, Literal(key)) in self._quads.graph(
             graphs.CATALOG
         )
-        return self._graph(graphs.ENTAILMENTS) if is_kept else None
+        return self._quads.graph(graphs.ENTAILMENTS) if is_kept else None
 
     def _reload(
         self,
@@ -611,107 +454,27 @@ class Ontology:
             graphs.STREAM_SPACE_ENTAILMENTS: live.current,
             graphs.CATALOG: _catalog(hashes),
         }
-        self._apply({graph: _change(self._graph(graph), then) for graph, then in wanted.items()})
-        self._flush()
+        now = {graph: self._quads.graph(graph) for graph in wanted}
+        self._quads.apply({graph: change_of(now[graph], then) for graph, then in wanted.items()})
+        self._quads.flush()
         self._concepts, self._live, self._base = concepts, live, vocabulary
-        self._closed = None
+        self._static.go_on_with(None)
         self._changed()
-
-    def _keep(self, graph: NamedNode, subject: NamedNode, triples: set[Triple]) -> None:
-        """Makes ``triples`` all that ``graph`` says of ``subject``."""
-        with self._lock:
-            before = {q.triple for q in self._store.quads_for_pattern(subject, None, None, graph)}
-            change = _change(frozenset(before), frozenset(triples))
-            _, implied = self._concepts.update(change.added, change.removed)
-            self._apply({graph: change, graphs.CONCEPT_ENTAILMENTS: implied})
-            self._flush()
-            self._follow_statically(change, implied)
-            self._changed()
-
-    def _keep_aside(self, graph: NamedNode, subject: NamedNode, triples: set[Triple]) -> None:
-        """The same of what nothing follows from and no continuous query reads: to them the
-        ontology is as it was, and they need not look at it anew."""
-        with self._lock:
-            before = {q.triple for q in self._store.quads_for_pattern(subject, None, None, graph)}
-            self._apply({graph: _change(frozenset(before), frozenset(triples))})
-            self._flush()
 
     def _changed(self) -> None:
         self.version += 1
-        self.vocabulary = self._base.with_events(self.templates(), self.version)
-
-    def _apply(self, changes: _Changes) -> None:
-        """Writes changes of named graphs and of the default graph, which is their merge.
-
-        A triple leaves the default graph when no named graph holds it any more.
-        """
-        added = {
-            Quad(t.subject, t.predicate, t.object, g) for g, c in changes.items() for t in c.added
-        }
-        removed = {
-            Quad(t.subject, t.predicate, t.object, g) for g, c in changes.items() for t in c.removed
-        }
-        merged = {q.triple for q in added if q.graph_name != graphs.CATALOG}
-        left = {q.triple for q in removed if q.graph_name != graphs.CATALOG} - merged
-        added |= {Quad(t.subject, t.predicate, t.object) for t in merged}
-        removed |= {
-            Quad(t.subject, t.predicate, t.object) for t in left if not self._elsewhere(t, removed)
-        }
-        if not added and not removed:
-            return
-        self._churn.note(added, removed)
-        self._log.note(added, removed)
-        if not removed:
-            self._store.extend(added)  # all at once, and without a text to be parsed
-        elif any(_has_blank(quad) for quad in removed | added):
-            # SPARQL's DELETE DATA names no blank nodes, so these go one after the other: what
-            # comes first, so that nothing that stays is missing in between.
-            self._store.extend(added)
-            for quad in removed:
-                self._store.remove(quad)
-        else:
-            self._store.update(
-                f"DELETE DATA {{ {_data(removed)} }} ; INSERT DATA {{ {_data(added)} }}"
-            )
-        # A store in memory does not grow by what came and went.
-        if self.path is None:
-            self._store = self._churn.over(self._store)
-
-    def _elsewhere(self, triple: Triple, removed: set[Quad]) -> bool:
-        holders = self._store.quads_for_pattern(
-            triple.subject, triple.predicate, triple.object, None
-        )
-        return any(
-            quad not in removed and quad.graph_name not in (DefaultGraph(), graphs.CATALOG)
-            for quad in holders
-        )
-
-    def _flush(self) -> None:
-        if self.path is not None:
-            self._store.flush()
+        self.vocabulary = self._base.with_events(self.registered.templates(), self.version)
 
     def _hashes(self) -> dict[str, str]:
-        quads = self._store.quads_for_pattern(None, graphs.LOADED, None, graphs.CATALOG)
-        return {_subject(q): _text(q) for q in quads}
-
-    def _graph(self, graph: NamedNode) -> frozenset[Triple]:
-        quads = self._store.quads_for_pattern(None, None, None, graph)
-        return frozenset(quad.triple for quad in quads)
+        quads = self._quads.store.quads_for_pattern(None, graphs.LOADED, None, graphs.CATALOG)
+        return {subject_of(q): text_of(q) for q in quads}
 
     def _ontology_triples(self) -> frozenset[Triple]:
         names = [NamedNode(iri) for iri in self._hashes()]
-        return frozenset().union(*map(self._graph, [*names, graphs.ENTAILMENTS]))
+        return frozenset().union(*map(self._quads.graph, [*names, graphs.ENTAILMENTS]))
 
     def _concept_triples(self) -> frozenset[Triple]:
-        return frozenset().union(*map(self._graph, CONCEPTS))
-
-    def _named_texts(self, graph: NamedNode) -> dict[str, str]:
-        names = self._store.quads_for_pattern(None, _HAS_NAME, None, graph)
-        found = {}
-        for quad in sorted(names, key=str):
-            for text in self._store.quads_for_pattern(quad.subject, _HAS_TEXT, None, graph):
-                found[_text(quad)] = _text(text)
-        return found
+        return frozenset().union(*map(self._quads.graph, CONCEPTS))
 
 
 def _catalog(hashes: dict[str, str]) -> frozenset[Triple]:
@@ -719,30 +482,6 @@ def _catalog(hashes: dict[str, str]) -> frozenset[Triple]:
     loaded = {Triple(NamedNode(g), graphs.LOADED, Literal(h)) for g, h in hashes.items()}
     closed = Triple(graphs.ENTAILMENTS, graphs.CLOSED, Literal(closure_key(hashes)))
     return frozenset(loaded | {closed})
-
-
-def quads_of(store: Store) -> bytes:
-    """All of a store as N-Quads, sorted: each quad a line, blank nodes by their names."""
-    return b"".join(sorted(f"{quad} .\n".encode() for quad in store))
-
-
-def store_of(quads: bytes) -> Store:
-    """The inverse of `quads_of`: one in memory."""
-    store = Store()
-    store.extend(parse(quads, RdfFormat.N_QUADS))
-    return store
-
-
-def _opened(path: Path) -> Store:
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-        return Store(path)
-    except OSError as error:
-        reason = "is in use by another process" if "lock" in str(error).lower() else "is broken"
-        raise OntologyError(
-            f"the store {path} {reason}: {error}",
-            hint="stop the other process, or name another data folder",
-        ) from error
 
 
 def _ontology_graph(name: str) -> NamedNode:
@@ -753,56 +492,3 @@ def _ontology_graph(name: str) -> NamedNode:
     if graph in graphs.SYSTEM:
         raise OntologyError(f"the name {name} is the system's own")
     return graph
-
-
-def _iri(text: str) -> NamedNode:
-    try:
-        return NamedNode(text)
-    except ValueError as error:
-        raise OntologyError(f"{text!r} is no IRI: {error}") from error
-
-
-def _named_text(node: NamedNode, kind: NamedNode, name: str, text: str) -> set[Triple]:
-    return {
-        Triple(node, RDF_TYPE, kind),
-        Triple(node, _HAS_NAME, Literal(name)),
-        Triple(node, _HAS_TEXT, Literal(text)),
-    }
-
-
-def _change(before: frozenset[Triple], then: frozenset[Triple]) -> Change:
-    return Change(then - before, before - then)
-
-
-def _has_blank(quad: Quad) -> bool:
-    return isinstance(quad.subject, BlankNode) or isinstance(quad.object, BlankNode)
-
-
-def _data(quads: Iterable[Quad]) -> str:
-    """Quads as SPARQL's QuadData."""
-    parts = []
-    for quad in quads:
-        triple = f"{quad.subject} {quad.predicate} {quad.object} ."
-        is_named = isinstance(quad.graph_name, NamedNode)
-        parts.append(f"GRAPH {quad.graph_name} {{ {triple} }}" if is_named else triple)
-    return "\n".join(parts)
-
-
-def _subject(quad: Quad) -> str:
-    assert isinstance(quad.subject, NamedNode)
-    return quad.subject.value
-
-
-def _text(quad: Quad) -> str:
-    assert isinstance(quad.object, Literal)
-    return quad.object.value
-
-
-def _rdf11(term: object) -> Term | None:
-    assert term is None or isinstance(term, NamedNode | BlankNode | Literal)
-    return term
-
-
-def _bytes(data: bytes | None) -> bytes:
-    assert data is not None  # None only if an output file is given
-    return data

@@ -1,7 +1,7 @@
 """Whoever reads RDF texts and computes what they entail: this process, or one that can be stopped.
 
 Both may take as long as they like with what a stranger wrote, and recurse into it. The service
-gives `Ontology.prepare` one that has limits (service/isolation); `DIRECT` has none.
+gives `Ontology.prepare` one that has limits (service/workers); `DIRECT` has none.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """What copies of the store have to be told: the changes since they last asked.
 
-Copies are in other processes, which may be ended while they work (service/isolation). The log keeps
+Copies are in other processes, which may be ended while they work (service/workers). The log keeps
 the last changes only; who asks for older ones gets everything anew.
 """
 

@@ -27,7 +27,14 @@ from ..rdf.namespaces import OWL, RDF, RDF_TYPE, RDFS
 from . import deep_hierarchies
 from .deep_hierarchies import is_standard, mark
 from .entailment import DOMAIN, RANGE, Rules
-from .hierarchy import OF_CLASSES, OF_PROPERTIES, Hierarchy, Inclusion, Node, edges
+from .hierarchy import (
+    OF_CLASSES,
+    OF_PROPERTIES,
+    Hierarchy,
+    Inclusion,
+    Node,
+    edges,
+)
 
 Saying: TypeAlias = tuple[NamedNode, NamedNode | BlankNode | Literal | Triple]
 """A predicate and an object."""
@@ -51,8 +58,8 @@ _PLAIN_KINDS: Final = frozenset(
 class Separation:
     """``asserted`` in two parts: `rest` is for owlrl, `plain` are the nodes that it lacks.
 
-    Law (tests/laws/test_ontology.py): owlrl's closure of ``asserted`` is `closed` of its closure
-    of `rest`, but for noise, where `closed` gives an answer.
+    Law (tests/laws/ontology/test_ontology.py): owlrl's closure of ``asserted`` is `closed` of its
+    closure of `rest`, but for noise, where `closed` gives an answer.
     """
 
     def __init__(self, asserted: Set[Triple]) -> None:

@@ -8,27 +8,25 @@ import anyio
 from fastapi import FastAPI
 
 from .. import __version__
+from ..engine.durability.durable_engine import RecordedEngine
 from ..engine.engine import Engine
-from ..engine.recorded import RecordedEngine
 from ..journal.errors import JournalError
 from ..streams.time import Clock
-from . import problems
-from .access import Access, Gate, client_key
-from .answers import PART, Answers, LongAnswers
-from .body import BodyLimit, UnderWay
-from .context import Service
-from .decoding import Decoding
-from .descriptors import places
-from .event_clients import EventClients
-from .isolation.services import Isolation, Windows
-from .keeper import Keeper
-from .live import LiveBodies
-from .logs import log
-from .memory import Memory
-from .metrics import Metrics
-from .observe import Observe
-from .openapi import openapi_schema
-from .quotas import Quotas
+from .admission.gate import Access, Gate, client_key
+from .admission.memory_limit import Memory
+from .admission.quotas import Quotas
+from .admission.sessions import Sessions
+from .admission.token_file import TokenFile
+from .admission.tokens import Tokens
+from .config.file_limits import places
+from .config.logs import log
+from .config.settings import Settings
+from .durability.command_queue import Keeper
+from .http import problems
+from .http.access_log import Observe
+from .http.body_limit import BodyLimit, UnderWay
+from .http.body_timeouts import SlowBodies
+from .http.response_limit import PART, Answers, LongAnswers
 from .routes import (
     annotations,
     docs,
@@ -52,12 +50,14 @@ from .routes import (
     templates,
     transformations,
 )
-from .sessions import Sessions
-from .settings import Settings
-from .slow_bodies import SlowBodies
-from .sse import Feeds
-from .token_file import TokenFile
-from .tokens import Tokens
+from .runtime.context import Service
+from .runtime.live_ingest import LiveBodies
+from .runtime.metrics import Metrics
+from .runtime.openapi import openapi_schema
+from .sse.clients import EventClients
+from .sse.feeds import Feeds
+from .turns.batch_decoding import Decoding
+from .workers.services import Isolation, Windows
 
 # Looked through in this order for each request: the most frequent ones first.
 RESOURCES = (

@@ -14,11 +14,11 @@ from typing import Any
 import uvicorn
 from fastapi import FastAPI
 
-from .bounds import Bounds
-from .context import Service
-from .event_response import TRANSPORT
-from .protocols import protocol
-from .settings import Settings
+from .config.settings import Settings
+from .http.connection_limits import Bounds
+from .http.uvicorn_protocols import protocol
+from .runtime.context import Service
+from .sse.response import TRANSPORT
 
 GRACE = 5
 """Seconds that open requests have to end when the service stops."""

@@ -18,11 +18,11 @@ from typing import Protocol
 
 import numpy as np
 
-from .constraints import Content, contents
-from .fluent import FluentStream, Retention
+from .history import FluentStream, Retention
 from .instants import repeated
 from .rules import Rules
 from .sample import (
+    Content,
     Field,
     Mask,
     SampleBatch,
@@ -30,10 +30,11 @@ from .sample import (
     Schema,
     Times,
     concatenate,
+    contents,
     empty_batch,
     widened,
 )
-from .strings import StringPool
+from .string_pool import StringPool
 from .time import HOUR, TIME_MAX, TIME_MIN
 
 
@@ -95,7 +96,7 @@ class StreamGenerator:
     Samples stamped on arrival are never late. ``idle`` (ns): after how long without samples the
     stream is not waited for, by the clock of whoever calls `fall_idle`; None: it always is.
     ``ahead`` (ns): how far ahead of the clock a sample may be stamped that comes from outside;
-    the service judges it (`engine/intake`), the generator takes what it is offered.
+    the service judges it (`engine/configuration/ingest`), the generator takes what it is offered.
     ``rules`` are those of all streams of an engine.
 
     Law (tests/laws): the stream, its counters and its watermark do not depend on how the offered

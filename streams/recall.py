@@ -3,7 +3,7 @@
 
 Each function gives what the definition gives over all samples that the stream ever had, or raises
 `Forgotten`: an answer that depends on forgotten samples is never guessed. Called by
-service/routes/samples; tests/laws/test_recall.py compares with the definitions.
+service/routes/samples; tests/laws/streams/test_recall.py compares with the definitions.
 """
 
 from __future__ import annotations
@@ -12,9 +12,16 @@ from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 
-from .fluent import FluentStream
+from .history import FluentStream
 from .sample import SampleBatch
-from .time import TIME_MAX, TIME_MIN, format_duration, format_time, parse_duration, read_time
+from .time import (
+    TIME_MAX,
+    TIME_MIN,
+    format_duration,
+    format_time,
+    parse_duration,
+    read_time,
+)
 
 
 @dataclass(frozen=True, slots=True)

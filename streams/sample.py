@@ -17,7 +17,7 @@ from typing import Any, TypeAlias, assert_never
 import numpy as np
 from numpy.typing import NDArray
 
-from .strings import OVERHEAD, StringPool
+from .string_pool import OVERHEAD, StringPool
 
 Times: TypeAlias = NDArray[np.int64]
 Mask: TypeAlias = NDArray[np.bool_]
@@ -384,3 +384,13 @@ def problem_of(kind: FieldType, value: Value) -> str | None:
             return None if isinstance(value, str) else f"is a string, got {value!r}"
         case _:
             assert_never(kind)
+
+
+Content = tuple[Any, ...]
+"""Valid time and values of a sample: all but when it became available."""
+
+
+def contents(batch: SampleBatch) -> list[Content]:
+    """The content of each sample; columns in order of their names."""
+    columns = [batch.columns[name].tolist() for name in sorted(batch.columns)]
+    return list(zip(batch.valid.tolist(), *columns, strict=True))

@@ -56,7 +56,7 @@ class TemplateLibrary:
         self._templates: dict[str, Template] = {}
         self.broken: dict[str, str] = {}
         """Kept texts that cannot be read any more, by event, with the reason: left as they are."""
-        for event, source in ontology.templates().items():
+        for event, source in ontology.registered.templates().items():
             try:
                 self._templates[event] = parse_template(source)
             except LanguageError as error:
@@ -72,7 +72,7 @@ class TemplateLibrary:
         if template.name in self._templates and not replace:
             raise TemplateExists(template.name)
         self._check(template)
-        self._ontology.set_template(template.name, text)
+        self._ontology.registered.set_template(template.name, text)
         self._templates[template.name] = template
         return template
 
@@ -83,7 +83,7 @@ class TemplateLibrary:
     def remove(self, name: str) -> Template:
         """Take the template out and give it back. Raises `NoSuchTemplate`."""
         iri = self._resolve(name)
-        self._ontology.remove_template(iri)
+        self._ontology.registered.remove_template(iri)
         return self._templates.pop(iri)
 
     def __len__(self) -> int:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from dataclasses import field as attribute
 from typing import Final, Literal, TypeAlias
 
-from ...streams.policy import Approximation, Order
+from ...streams.policies.policy import Approximation, Order
 from ..errors import Span
 
 KEYWORDS: Final = frozenset(

@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import Final, assert_never
 
 from ...ontology.vocabulary import Vocabulary
-from ...streams.policy import Policy
+from ...streams.policies.policy import Policy
 from ..errors import LanguageError, Span
 from . import ast
 from .constraints import UNITS, to_policy

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, assert_never
 
-from ...streams.policy import (
+from ...streams.policies.policy import (
     AnyChange,
     AnyUpdate,
     Approximation,

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final, TypeAlias, assert_never
 
-from ...streams.policy import Policy, SynchronizationPolicy
+from ...streams.policies.policy import Policy, SynchronizationPolicy
 from ...streams.sample import Field, FieldType, Schema
 from .ast import KEYWORDS
 

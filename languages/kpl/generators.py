@@ -34,7 +34,14 @@ from .declarations import (
     ValueSort,
 )
 from .scope import Scope
-from .sorts import fits, format_fields, misfit, misfit_hint, of_many_objects, tuple_sort
+from .sorts import (
+    fits,
+    format_fields,
+    misfit,
+    misfit_hint,
+    of_many_objects,
+    tuple_sort,
+)
 
 _FORMS: Final = {
     "join": "join(pos[car1], speed[car1])",

@@ -15,12 +15,19 @@ from typing import Final
 from lark import Lark, Token, Tree
 from lark.exceptions import UnexpectedInput
 
-from ...streams.policy import Approximation, Order
+from ...streams.policies.policy import Approximation, Order
 from ...streams.sample import LONGEST_NAME
 from ..errors import LanguageError, Span
 from ..hints import did_you_mean
 from ..remembered import remembered
-from ..syntax import check_names, expected_hint, span_of, syntax_error, tokens, trees
+from ..syntax import (
+    check_names,
+    expected_hint,
+    span_of,
+    syntax_error,
+    tokens,
+    trees,
+)
 from . import ast
 
 _LONGEST_LABEL: Final = 5 * LONGEST_NAME

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from decimal import Decimal
 from typing import Final, assert_never
 
-from ...streams.policy import (
+from ...streams.policies.policy import (
     AnyChange,
     AnyUpdate,
     Approximation,

@@ -7,11 +7,15 @@ part of what it is: two specifications that differ in their spans or source only
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from dataclasses import field as attribute
 from typing import TypeAlias
 
 from ..errors import Span
+
+RESERVED = "dyknow_reserved"
+"""Names of streams that the system invents begin so (SPEC §5); none is used twice."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,3 +80,17 @@ class Specification:
     insertions: tuple[UnitSpecification, ...]
     removals: tuple[Removal, ...]
     source: str = attribute(compare=False)
+
+
+def elements_of(insertions: Iterable[UnitSpecification]) -> Iterator[UnitSpecification]:
+    """All units of a text, those that are read by others among them."""
+    todo = list(insertions)
+    while todo:
+        element = todo.pop()
+        yield element
+        todo += [given for given in element.inputs if isinstance(given, UnitSpecification)]
+
+
+def is_reserved(name: str) -> bool:
+    """Whether a name is one that DyKnow assigns. In a text it only ties `stream` to `cu`."""
+    return name.startswith(RESERVED) and name.removeprefix(RESERVED).isdigit()

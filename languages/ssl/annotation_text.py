@@ -1,8 +1,8 @@
 """Checked annotations as SSL: what JSON and Turtle say, as the text that says the same (SPEC §3).
 
-Law (tests/laws/test_annotations.py): ``check_ssl(parse_ssl(text), text, vocabulary)`` of a text
-made here with ``vocabulary`` gives the annotation back. Used by the engine and by matching, for
-streams of which nothing was written in SSL.
+Law (tests/laws/languages/test_annotations.py): ``check_ssl(parse_ssl(text), text, vocabulary)`` of
+a text made here with ``vocabulary`` gives the annotation back. Used by the engine and by matching,
+for streams of which nothing was written in SSL.
 """
 
 from __future__ import annotations

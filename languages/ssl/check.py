@@ -14,7 +14,13 @@ from typing import assert_never
 
 from pyoxigraph import NamedNode
 
-from ...ontology.units import DIMENSIONLESS, Unit, UnitError, dimension, format_unit
+from ...ontology.units import (
+    DIMENSIONLESS,
+    Unit,
+    UnitError,
+    dimension,
+    format_unit,
+)
 from ...ontology.vocabulary import SELF, Vocabulary
 from ...rdf.namespaces import DYKNOW, PREFIXES, local_name
 from ...streams.sample import TIME_FIELDS

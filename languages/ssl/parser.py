@@ -16,7 +16,14 @@ from lark.exceptions import UnexpectedInput
 from ...ontology.units import PERCENT, POWERS
 from ..errors import LanguageError, Span
 from ..remembered import remembered
-from ..syntax import check_names, expected_hint, span_of, syntax_error, tokens, trees
+from ..syntax import (
+    check_names,
+    expected_hint,
+    span_of,
+    syntax_error,
+    tokens,
+    trees,
+)
 from .ast import (
     Argument,
     CompunitDeclaration,

@@ -4,16 +4,12 @@ from __future__ import annotations
 
 import signal
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from types import FrameType
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import httpx
 import typer
 
-from ...engine.views import Since
-from ...rdf.namespaces import shorten
-from ..client import Client, Event, ServiceError
 from .output import (
     DEFAULT_URL,
     Json,
@@ -26,8 +22,12 @@ from .output import (
     show_table,
     show_text,
     show_values,
+    unless_gone,
 )
-from .reading import Beginning
+from .parameters import NOW, Beginning
+
+if TYPE_CHECKING:
+    from ..client.client import Client, Event
 
 STRATEGY: Any = typer.Option(
     help="How a plan is chosen: fast, cost, quality, weighted; with parameters: "
@@ -82,9 +82,9 @@ def events(
                 _tell(view)
                 err().print("waiting for events; Ctrl-C ends", markup=False)
             # Others may have asked before: what came until the request is their past.
-            begin = view["position"] if since == Since.NOW else "start"
+            begin = view["position"] if since == NOW else "start"
             seen = show_events(client.events(view["stream"], since=begin), count, as_json)
-            if not seen and since == Since.NOW and not as_json:
+            if not seen and since == NOW and not as_json:
                 # It ends at once when what it reads has ended; nothing new will come.
                 hint = "the recording has ended; --since start begins with its past"
                 err().print(f"hint: {hint}", markup=False)
@@ -96,8 +96,7 @@ def events(
             err().print("stopped", markup=False)
         finally:
             if not keep:
-                # The service may be gone already; then there is nothing to give up.
-                with suppress(ServiceError, httpx.TransportError):
+                with unless_gone():
                     client.cancel_event(view["id"])
 
 
@@ -133,6 +132,8 @@ def _tell(view: dict[str, Any]) -> None:
 
 
 def _list(client: Client, as_json: bool) -> None:
+    from ...rdf.namespaces import shorten
+
     found = client.requests()
     if as_json:
         show_lines(found)

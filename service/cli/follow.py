@@ -4,17 +4,16 @@ come; under a policy if one is given."""
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import suppress
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import httpx
 import typer
 
-from ...engine.views import Since
-from ..client import Client, Event, ServiceError
 from .events import STRATEGY, show_events, stoppable
-from .output import DEFAULT_URL, Json, Url, connect, err
-from .reading import Beginning
+from .output import DEFAULT_URL, Json, Url, connect, err, unless_gone
+from .parameters import NOW, Beginning
+
+if TYPE_CHECKING:
+    from ..client.client import Client, Event
 
 
 def follow(
@@ -82,8 +81,7 @@ def follow(
         except KeyboardInterrupt:
             err().print("stopped", markup=False)
         finally:
-            # The service may be gone already; then there is nothing to give up.
-            with suppress(ServiceError, httpx.TransportError):
+            with unless_gone():
                 client.unsubscribe(view["id"])
 
 
@@ -92,4 +90,4 @@ def _events(client: Client, view: dict[str, Any]) -> Iterator[Event]:
         # Its stream began with the request: nothing of it is somebody else's past.
         return client.subscription_events(view["id"], since="start")
     since = view["since"]  # a duration as the time that it means
-    return client.events(view["stream"], since=None if since == Since.NOW else since)
+    return client.events(view["stream"], since=None if since == NOW else since)

@@ -7,8 +7,17 @@ from typing import Annotated
 
 import typer
 
-from ..negotiation import JSON_LD, NTRIPLES, RDF_XML, TURTLE
-from .output import DEFAULT_URL, Json, Url, connect, fail, show_json, show_lines, show_text
+from ..config.media_types import JSON_LD, NTRIPLES, RDF_XML, TURTLE
+from .output import (
+    DEFAULT_URL,
+    Json,
+    Url,
+    connect,
+    fail,
+    show_json,
+    show_lines,
+    show_text,
+)
 from .streams import read_text
 
 MEDIA_TYPES = {

@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from datetime import UTC, datetime
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.cells import cell_len
@@ -16,8 +17,19 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from ...streams.time import DAY, HOUR, MICROSECOND, MILLISECOND, MINUTE, SECOND, parse_duration
-from ..client import URL, Client
+from ...streams.time import (
+    DAY,
+    HOUR,
+    MICROSECOND,
+    MILLISECOND,
+    MINUTE,
+    SECOND,
+    parse_duration,
+)
+from ..config.defaults import URL
+
+if TYPE_CHECKING:
+    from ..client.client import Client
 
 Url = Annotated[
     str, typer.Option("--url", envvar="DYKNOW_URL", help="Where the service is.", metavar="URL")
@@ -40,7 +52,21 @@ _UNITS = (
 
 def connect(url: str) -> Client:
     """A client of the service at ``url``, with the token that the command was given."""
+    from ..client.client import Client
+
     return Client(url, token=TOKEN_GIVEN.get())
+
+
+@contextmanager
+def unless_gone() -> Iterator[None]:
+    """For what is given up at the end: the service may be gone already, and what it was asked for
+    with it."""
+    import httpx
+
+    from ..client.connection import ServiceError
+
+    with suppress(ServiceError, httpx.TransportError):
+        yield
 
 
 def out() -> Console:

@@ -8,9 +8,17 @@ from typing import Annotated, Any
 import typer
 
 from ...streams.time import format_time
-from ..negotiation import CSV, JSON_LD, NTRIPLES, SPARQL_JSON, SPARQL_XML, TSV, TURTLE
+from ..config.media_types import (
+    CSV,
+    JSON_LD,
+    NTRIPLES,
+    SPARQL_JSON,
+    SPARQL_XML,
+    TSV,
+    TURTLE,
+)
 from .events import STRATEGY
-from .knowing import show_bindings
+from .introspection import show_bindings
 from .output import (
     DEFAULT_URL,
     Json,
@@ -22,7 +30,16 @@ from .output import (
     show_table,
     show_text,
 )
-from .reading import Beginning, Bounds, BoundsWord, Origin, Report, ReportWord, Semantics, origin_of
+from .parameters import (
+    Beginning,
+    Bounds,
+    BoundsWord,
+    Origin,
+    Report,
+    ReportWord,
+    Semantics,
+    origin_of,
+)
 from .streams import text_or_file
 
 query = typer.Typer(

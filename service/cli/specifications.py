@@ -6,7 +6,15 @@ from typing import Annotated
 
 import typer
 
-from .output import DEFAULT_URL, Json, Url, connect, show_json, show_table, show_text
+from .output import (
+    DEFAULT_URL,
+    Json,
+    Url,
+    connect,
+    show_json,
+    show_table,
+    show_text,
+)
 from .streams import text_or_file
 
 specification = typer.Typer(help="Specifications in XML: apply, show, list.", no_args_is_help=True)

@@ -6,7 +6,16 @@ from typing import Annotated
 
 import typer
 
-from .output import DEFAULT_URL, Json, Url, connect, show_json, show_lines, show_table, show_text
+from .output import (
+    DEFAULT_URL,
+    Json,
+    Url,
+    connect,
+    show_json,
+    show_lines,
+    show_table,
+    show_text,
+)
 from .streams import text_or_file
 
 template = typer.Typer(help="Event templates: add, list, show, remove.", no_args_is_help=True)

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from ..tokens import FORM, Scope, is_name, line_of, new_token
+from ..admission.tokens import FORM, Scope, is_name, line_of, new_token
 from .output import Json, err, fail, out, show_json
 
 

@@ -27,7 +27,12 @@ from .streams import (
     StreamIn,
     StreamModel,
 )
-from .subscriptions import AdaptiveModel, RematchModel, SubscriptionIn, SubscriptionModel
+from .subscriptions import (
+    AdaptiveModel,
+    RematchModel,
+    SubscriptionIn,
+    SubscriptionModel,
+)
 from .transformations import (
     ContentsIn,
     PortModel,

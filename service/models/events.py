@@ -6,9 +6,9 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, Field, StringConstraints
 
-from ...engine import views
-from ...engine.commands import RequestEvent
-from ...engine.standing import Waiting
+from ...engine.durability.accepted_commands import Waiting
+from ...engine.durability.commands import RequestEvent
+from ...engine.model import views
 from .parts import Body, Name, Since, Strategy
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from pydantic import BaseModel, Field
 
-from ...engine import views
+from ...engine.model import views
 
 
 class DeclarationModel(BaseModel):

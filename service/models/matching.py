@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import BaseModel, Field
 
-from ...engine import views
+from ...engine.model import views
 from .events import PlanModel
 from .parts import MOST_ARGUMENTS, Body, Name, Strategy
 

@@ -6,8 +6,8 @@ from urllib.parse import quote
 
 from pydantic import BaseModel, Field
 
-from ...engine import views
-from ...engine.standing import Waiting, query_view
+from ...engine.durability.accepted_commands import Waiting, query_view
+from ...engine.model import views
 from .events import PlanModel
 from .parts import iso
 

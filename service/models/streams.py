@@ -8,10 +8,15 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, BaseModel, BeforeValidator, Field, field_validator
 
 from ...converters.rounding import Rounded
-from ...engine import views
+from ...engine.model import views
 from ...rdf.namespaces import DYKNOW
-from ...streams import fluent, sample
-from ...streams.sample import IN_FIELD_NAMES, LONGEST_NAME, TIME_FIELDS, check_field_name
+from ...streams import history, sample
+from ...streams.sample import (
+    IN_FIELD_NAMES,
+    LONGEST_NAME,
+    TIME_FIELDS,
+    check_field_name,
+)
 from ...streams.time import FOREVER, HOUR, format_duration
 from .parts import Body, Duration, iso, signed
 
@@ -120,13 +125,13 @@ class StreamIn(Body):
         DYKNOW, min_length=1, description="where the objects of id fields have their names"
     )
 
-    def declaration(self, name: str, usual: fluent.Retention) -> views.StreamDeclaration:
+    def declaration(self, name: str, usual: history.Retention) -> views.StreamDeclaration:
         """For the engine; ``usual`` is the history kept when the request does not say. Who says how
         many samples has so many, however large they are."""
         fields = tuple(sample.Field(f.name, sample.FieldType(f.type)) for f in self.fields)
         asked = self.retention
         most = usual.bytes if asked.bytes is None and asked.samples is None else asked.bytes
-        kept = fluent.Retention(asked.samples or usual.samples, asked.age, most)
+        kept = history.Retention(asked.samples or usual.samples, asked.age, most)
         return views.StreamDeclaration(
             name, fields, self.lateness, kept, self.namespace, self.idle, self.ahead
         )

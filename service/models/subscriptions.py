@@ -6,10 +6,10 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, Field
 
-from ...engine import views
-from ...engine.adaptive import Rematch
-from ...engine.commands import Subscribe, SubscribeToFeature
-from ...engine.standing import Waiting
+from ...engine.durability.accepted_commands import Waiting
+from ...engine.durability.commands import Subscribe, SubscribeToFeature
+from ...engine.model import views
+from ...engine.requests.adaptive_subscription import Rematch
 from ...streams.time import SECOND, format_duration, format_time
 from .parts import MOST_ARGUMENTS, Body, Duration, Name, Quality, Since, Strategy
 

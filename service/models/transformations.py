@@ -6,14 +6,20 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from ...engine.describing import (
+from ...engine.catalog.iri_annotations import (
     DescribedArgument,
     DescribedPort,
     DescribedStream,
     DescribedTransformation,
 )
-from ...engine.registered import TransformationView
-from ...languages.ssl.annotation import Argument, Content, PortAnnotation, Role, SourceAnnotation
+from ...engine.catalog.registered_transformations import TransformationView
+from ...languages.ssl.annotation import (
+    Argument,
+    Content,
+    PortAnnotation,
+    Role,
+    SourceAnnotation,
+)
 from ...ontology.units import format_unit
 from ...ontology.vocabulary import SELF
 from ...rdf.namespaces import shorten

@@ -9,25 +9,23 @@ from fastapi import APIRouter, Request
 from fastapi.responses import PlainTextResponse, Response
 from pydantic import Field
 
-from ...engine.commands import Annotate, Describe
-from ...engine.describing import DescribedStream, DescribedTransformation
-from ...engine.turtle_annotations import format_annotations
-from ...engine.turtle_descriptions import read_annotations
-from ...languages.ssl.ast import StreamDeclaration
-from ..context import Context, Service
-from ..isolation.serving import while_connected
-from ..listing import listed
-from ..models import AnnotationModel, ContentsIn, schema_of, text_schema
-from ..negotiation import JSON, TEXT, TURTLE, accepted, content_type, json_value, utf8
-from ..parsing import (
-    MOST_CONTENTS,
-    MOST_DECLARATIONS,
-    check_length,
-    check_number,
-    read_ssl,
-    too_long,
+from ...engine.catalog.annotation_turtle import format_annotations
+from ...engine.catalog.iri_annotations import (
+    DescribedStream,
+    DescribedTransformation,
 )
-from ..problems import Problem, responses
+from ...engine.catalog.transformation_turtle import read_annotations
+from ...engine.durability.commands import Annotate, Describe
+from ...languages.ssl.ast import StreamDeclaration
+from ..config.media_types import JSON, TEXT, TURTLE
+from ..config.text_bounds import MOST_CONTENTS, MOST_DECLARATIONS
+from ..http.json_lists import listed
+from ..http.negotiation import accepted, content_type, json_value, utf8
+from ..http.problems import Problem, responses
+from ..http.text_limits import check_length, check_number, read_ssl, too_long
+from ..models import AnnotationModel, ContentsIn, schema_of, text_schema
+from ..runtime.context import Context, Service
+from ..workers.route_calls import while_connected
 
 router = APIRouter(tags=["annotations"])
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from fastapi import APIRouter, Response
 from fastapi.responses import RedirectResponse
 
-from ..problems import Problem
+from ..http.problems import Problem
 
 router = APIRouter(include_in_schema=False)
 

@@ -7,13 +7,22 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request, Response
 
-from ...engine.commands import CancelEvent, RequestEvent
-from ...engine.standing import REQUEST
-from ..context import Context
-from ..listing import listed
-from ..models import BEGINNING, EventIn, EventModel, Since, Strategy, schema_of, text_schema
-from ..negotiation import JSON, TEXT, content_type, json_value, utf8
-from ..problems import responses
+from ...engine.durability.accepted_commands import REQUEST
+from ...engine.durability.commands import CancelEvent, RequestEvent
+from ..config.media_types import JSON, TEXT
+from ..http.json_lists import listed
+from ..http.negotiation import content_type, json_value, utf8
+from ..http.problems import responses
+from ..models import (
+    BEGINNING,
+    EventIn,
+    EventModel,
+    Since,
+    Strategy,
+    schema_of,
+    text_schema,
+)
+from ..runtime.context import Context
 
 router = APIRouter(tags=["events"])
 

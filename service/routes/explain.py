@@ -5,13 +5,14 @@ from __future__ import annotations
 from fastapi import APIRouter, Query, Request
 from fastapi.responses import JSONResponse, PlainTextResponse, Response
 
-from ...engine.views import MatchView
+from ...engine.model.views import MatchView
 from ...languages.csparql import parse_query
-from ..context import Context
+from ..config.media_types import JSON, TEXT
+from ..http.negotiation import accepted
+from ..http.problems import Problem, responses
+from ..http.text_limits import parse_aside
 from ..models import ExplainModel, Strategy
-from ..negotiation import JSON, TEXT, accepted
-from ..parsing import parse_aside
-from ..problems import Problem, responses
+from ..runtime.context import Context
 
 router = APIRouter(tags=["explain"])
 

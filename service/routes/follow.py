@@ -7,13 +7,13 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request, Response
 
-from ...engine.adaptive import Rematch
-from ..context import Context, Service
-from ..following import MOST_STREAMS, follow_many
-from ..negotiation import EVENT_STREAM
-from ..problems import responses
-from ..sse import event_stream
-from .direct import direct
+from ...engine.requests.adaptive_subscription import Rematch
+from ..config.media_types import EVENT_STREAM
+from ..http.problems import responses
+from ..runtime.context import Context, Service
+from ..sse.feeds import event_stream
+from ..sse.multi_stream import MOST_STREAMS, follow_many
+from .fast_route import direct
 
 EVENTS: dict[int | str, dict[str, Any]] = {
     200: {

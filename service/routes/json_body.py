@@ -8,7 +8,7 @@ from typing import Any
 from fastapi import Request, Response
 from fastapi.routing import APIRoute
 
-from ..negotiation import read_json
+from ..http.negotiation import read_json
 
 
 class _JsonRequest(Request):

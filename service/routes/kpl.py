@@ -7,13 +7,19 @@ from typing import Annotated, Literal
 from fastapi import APIRouter, Query, Request
 from fastapi.responses import PlainTextResponse, Response
 
-from ...engine.commands import AddKpl, RemoveKpl
-from ..context import Context
-from ..listing import listed
-from ..models import DeclarationModel, OneDeclarationModel, RemovedModel, text_schema
-from ..negotiation import JSON, TEXT, accepted, text_body
-from ..parsing import check_length, read_kpl
-from ..problems import responses
+from ...engine.durability.commands import AddKpl, RemoveKpl
+from ..config.media_types import JSON, TEXT
+from ..http.json_lists import listed
+from ..http.negotiation import accepted, text_body
+from ..http.problems import responses
+from ..http.text_limits import check_length, read_kpl
+from ..models import (
+    DeclarationModel,
+    OneDeclarationModel,
+    RemovedModel,
+    text_schema,
+)
+from ..runtime.context import Context
 
 router = APIRouter(tags=["kpl"])
 

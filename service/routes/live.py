@@ -8,12 +8,13 @@ from fastapi import APIRouter, Header, Request, Response
 from starlette.requests import ClientDisconnect
 
 from ...converters.errors import AheadOfClock
-from ..context import Context, Service
-from ..live import LiveLines, LiveSamples, LiveTables
-from ..logs import log
+from ..config.logs import log
+from ..config.media_types import ARROW, NDJSON
+from ..http.negotiation import content_type
+from ..http.problems import Problem, problem_of, responses
 from ..models import AcceptedModel
-from ..negotiation import ARROW, NDJSON, content_type
-from ..problems import Problem, problem_of, responses
+from ..runtime.context import Context, Service
+from ..runtime.live_ingest import LiveLines, LiveSamples, LiveTables
 from .publish import BODY
 
 router = APIRouter(tags=["samples"])

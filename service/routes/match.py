@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from fastapi import APIRouter, Depends
 
-from ..context import Context
+from ..http.problems import responses
 from ..models import MatchIn, MatchModel
-from ..problems import responses
+from ..runtime.context import Context
 from .json_body import JsonRoute
 from .streams import json_only
 

@@ -9,18 +9,23 @@ import anyio.to_thread
 from fastapi import APIRouter, Query, Request
 from pyoxigraph import NamedNode
 
-from ...engine.commands import LoadOntology
+from ...engine.durability.commands import LoadOntology
 from ...ontology.errors import OntologyError
 from ...ontology.graphs import STREAM_SPACE_ONTOLOGY
 from ...ontology.ontology import PreparedOntology
 from ...ontology.reading import TextFormat
 from ...ontology.reasoning import Reasoning
 from ...rdf.namespaces import OWL, RDF_TYPE, shorten
-from ..context import Context
-from ..isolation.serving import while_connected
-from ..models import OntologyModel, OntologyReportModel, ViolationModel, text_schema
-from ..negotiation import ONTOLOGY_FORMATS, content_type, utf8
-from ..problems import Problem, responses
+from ..http.negotiation import ONTOLOGY_FORMATS, content_type, utf8
+from ..http.problems import Problem, responses
+from ..models import (
+    OntologyModel,
+    OntologyReportModel,
+    ViolationModel,
+    text_schema,
+)
+from ..runtime.context import Context
+from ..workers.route_calls import while_connected
 
 router = APIRouter(tags=["ontologies"])
 

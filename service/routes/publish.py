@@ -8,12 +8,13 @@ from fastapi import APIRouter, Header, Request, Response
 from msgspec.structs import replace
 
 from ...converters.errors import AheadOfClock
-from ...engine.commands import Publish
-from ..context import Context
+from ...engine.durability.commands import Publish
+from ..config.media_types import ARROW, JSON, NDJSON
+from ..http.negotiation import content_type
+from ..http.problems import Problem, responses
 from ..models import AcceptedModel
-from ..negotiation import ARROW, JSON, NDJSON, content_type
-from ..problems import Problem, responses
-from .direct import direct
+from ..runtime.context import Context
+from .fast_route import direct
 
 KEY_LENGTH = 200
 """The longest Idempotency-Key."""

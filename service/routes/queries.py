@@ -8,18 +8,19 @@ import anyio.to_thread
 from fastapi import APIRouter, Path, Query, Request, Response
 from fastapi.responses import JSONResponse, PlainTextResponse
 
-from ...continuous.options import Bounds, Report, Semantics
-from ...engine.commands import RegisterQuery, RemoveQuery
-from ...engine.standing import QUERY, query_view
+from ...continuous.algebra.options import Bounds, Report, Semantics
+from ...engine.durability.accepted_commands import QUERY, query_view
+from ...engine.durability.commands import RegisterQuery, RemoveQuery
 from ...streams.time import format_time
-from ..context import Context
-from ..listing import listed
+from ..config.media_types import JSON, SPARQL_QUERY, TEXT
+from ..http.json_lists import listed
+from ..http.negotiation import accepted, text_body
+from ..http.problems import responses
+from ..http.sparql_results import GRAPHS, RESULTS, many_windows, one_window
+from ..http.text_limits import parse_aside, parse_continuous
+from ..http.time_parameters import Time, time_of
 from ..models import BEGINNING, QueryModel, Since, Strategy, text_schema
-from ..negotiation import JSON, SPARQL_QUERY, TEXT, accepted, text_body
-from ..parsing import parse_aside, parse_continuous
-from ..problems import responses
-from ..sparql_results import GRAPHS, RESULTS, many_windows, one_window
-from ..times import Time, time_of
+from ..runtime.context import Context
 
 router = APIRouter(tags=["queries"])
 

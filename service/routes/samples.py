@@ -9,16 +9,17 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Query, Request, Response
 
-from ...engine.errors import UnknownStream
+from ...engine.model.errors import UnknownStream
 from ...streams import recall
-from ...streams.fluent import FluentStream
+from ...streams.history import FluentStream
 from ...streams.sample import SampleBatch
 from ...streams.time import TIME_MAX
-from ..context import Context, Service
-from ..history import history_answer
-from ..negotiation import ARROW, CSV, JSON, NDJSON, NTRIPLES, accepted
-from ..problems import Problem, responses
-from ..times import Time, time_of
+from ..config.media_types import ARROW, CSV, JSON, NDJSON, NTRIPLES
+from ..http.history_encoding import history_answer
+from ..http.negotiation import accepted
+from ..http.problems import Problem, responses
+from ..http.time_parameters import Time, time_of
+from ..runtime.context import Context, Service
 
 router = APIRouter(tags=["samples"])
 
@@ -77,8 +78,8 @@ async def read_samples(
     kind = accepted(request, FORMATS)
     stream = service.engine.generator(name).stream
     question = _question(asked, asked.limit or service.settings.history_limit)
-    # Nobody has a place for it yet (service/answers): few at a time, so that many who ask at once
-    # take no more than there are places for.
+    # Nobody has a place for it yet (service/http/response_limit): few at a time, so that many who
+    # ask at once take no more than there are places for.
     async with service.histories:
         batch = question(stream)
         return await history_answer(kind, batch, partial(_triples, service, name))

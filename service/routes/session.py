@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from fastapi import APIRouter, Depends, Request, Response
 
-from ..context import Context
+from ..admission.sessions import set_cookie
+from ..http.problems import Problem, responses
 from ..models import SessionIn, SessionModel
-from ..problems import Problem, responses
-from ..sessions import set_cookie
+from ..runtime.context import Context
 from .json_body import JsonRoute
 from .streams import json_only
 

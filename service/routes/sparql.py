@@ -2,7 +2,7 @@
 
 The dataset is fixed: the merge of all graphs. Queries are checked first (no SERVICE, no updates,
 bounded size) and evaluated in worker processes, a few at a time, with limits of time, memory, rows
-and bytes (`isolation`).
+and bytes (`service/workers`).
 """
 
 from __future__ import annotations
@@ -14,12 +14,19 @@ from fastapi import APIRouter, Query, Request, Response
 
 from ...ontology.errors import QueryRefused
 from ...ontology.query_guard import LONGEST_TEXT, query_form
-from ..context import Context, Service
-from ..isolation.messages import Failed, Refused, TooMuch, Truth, Written
-from ..isolation.serving import while_connected
-from ..negotiation import FORM, SPARQL_QUERY, accepted, content_type, utf8
-from ..problems import Problem, responses
-from ..sparql_results import BOOLEANS, GRAPHS, RESULTS, answer, result_too_large
+from ..config.media_types import FORM, SPARQL_QUERY
+from ..http.negotiation import accepted, content_type, utf8
+from ..http.problems import Problem, responses
+from ..http.sparql_results import (
+    BOOLEANS,
+    GRAPHS,
+    RESULTS,
+    answer,
+    result_too_large,
+)
+from ..runtime.context import Context, Service
+from ..workers.messages import Failed, Refused, TooMuch, Truth, Written
+from ..workers.route_calls import while_connected
 
 router = APIRouter(tags=["sparql"])
 

@@ -6,13 +6,14 @@ from typing import Any
 
 from fastapi import APIRouter, Request, Response
 
-from ...engine.commands import ApplySpecification
-from ..context import Context
-from ..isolation.serving import while_connected
+from ...engine.durability.commands import ApplySpecification
+from ..config.media_types import TEXT_XML, XML
+from ..http.negotiation import content_type
+from ..http.problems import responses
+from ..http.text_limits import check_length
 from ..models import InsertionModel, SpecificationModel, text_schema
-from ..negotiation import TEXT_XML, XML, content_type
-from ..parsing import check_length
-from ..problems import responses
+from ..runtime.context import Context
+from ..workers.route_calls import while_connected
 
 router = APIRouter(tags=["specifications"])
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from fastapi import APIRouter, Query, Request, Response
 
 from ... import __version__
-from ...engine.standing import QUERY, REQUEST, SUBSCRIPTION
+from ...engine.durability.accepted_commands import QUERY, REQUEST, SUBSCRIPTION
 from ...streams.time import format_time
-from ..context import Context
+from ..http.problems import responses
 from ..models import StatusModel, WaitingModel
-from ..problems import responses
+from ..runtime.context import Context
 from .follow import EVENTS, SINCE, follow
 
 router = APIRouter(tags=["status"])

@@ -6,15 +6,21 @@ from typing import Annotated
 
 from fastapi import APIRouter, Depends, Path, Request, Response
 
-from ...engine.commands import DeclareStream, EndStream, RemoveStream, SetQuality
-from ...engine.errors import UnknownStream
-from ...streams.fluent import Retention
+from ...engine.durability.commands import (
+    DeclareStream,
+    EndStream,
+    RemoveStream,
+    SetQuality,
+)
+from ...engine.model.errors import UnknownStream
+from ...streams.history import Retention
 from ...streams.sample import LONGEST_NAME
-from ..context import Context, Service
-from ..listing import listed
+from ..config.media_types import JSON
+from ..http.json_lists import listed
+from ..http.negotiation import content_type
+from ..http.problems import responses
 from ..models import EvaluationModel, QualityIn, StreamIn, StreamModel
-from ..negotiation import JSON, content_type
-from ..problems import responses
+from ..runtime.context import Context, Service
 from .json_body import JsonRoute
 
 router = APIRouter(tags=["streams"], route_class=JsonRoute)

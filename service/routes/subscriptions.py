@@ -7,14 +7,18 @@ from typing import Any
 
 from fastapi import APIRouter, Depends, Query, Request, Response
 
-from ...engine.commands import Subscribe, SubscribeToFeature, Unsubscribe
+from ...engine.durability.accepted_commands import SUBSCRIPTION
+from ...engine.durability.commands import (
+    Subscribe,
+    SubscribeToFeature,
+    Unsubscribe,
+)
 from ...engine.engine import Engine
-from ...engine.standing import SUBSCRIPTION
-from ..context import Context
-from ..listing import listed
+from ..config.media_types import EVENT_STREAM
+from ..http.json_lists import listed
+from ..http.problems import Problem, responses
 from ..models import RematchModel, SubscriptionIn, SubscriptionModel
-from ..negotiation import EVENT_STREAM
-from ..problems import Problem, responses
+from ..runtime.context import Context
 from .follow import SINCE, follow
 from .json_body import JsonRoute
 from .streams import json_only

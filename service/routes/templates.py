@@ -8,16 +8,17 @@ from urllib.parse import quote
 from fastapi import APIRouter, Header, Path, Request, Response
 from fastapi.responses import JSONResponse, PlainTextResponse
 
-from ...engine.commands import RegisterTemplate, RemoveTemplate
-from ...engine.errors import UnknownTemplate
-from ...engine.views import TemplateView
+from ...engine.durability.commands import RegisterTemplate, RemoveTemplate
+from ...engine.model.errors import UnknownTemplate
+from ...engine.model.views import TemplateView
 from ...languages.csparql import parse_template
 from ...rdf.namespaces import local_name, shorten
-from ..context import Context, Service
+from ..config.media_types import JSON, SPARQL_QUERY, TEXT
+from ..http.negotiation import accepted, text_body
+from ..http.problems import Problem, responses
+from ..http.text_limits import parse_aside, parse_registration
 from ..models import TemplateModel, text_schema
-from ..negotiation import JSON, SPARQL_QUERY, TEXT, accepted, text_body
-from ..parsing import parse_aside, parse_registration
-from ..problems import Problem, responses
+from ..runtime.context import Context, Service
 
 router = APIRouter(tags=["templates"])
 

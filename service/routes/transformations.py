@@ -7,23 +7,30 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Path, Request, Response
 
-from ...engine.commands import (
+from ...engine.catalog.iri_annotations import DescribedTransformation
+from ...engine.catalog.transformation_turtle import read_transformations
+from ...engine.durability.commands import (
     ChangeTransformation,
     RegisterAnnotatedTransformation,
     RegisterTransformations,
     RemoveTransformation,
 )
-from ...engine.describing import DescribedTransformation
-from ...engine.errors import UnknownTransformation
-from ...engine.turtle_descriptions import read_transformations
+from ...engine.model.errors import UnknownTransformation
 from ...languages.ssl import parse_ssl
-from ..context import Context, Service
-from ..isolation.serving import while_connected
-from ..listing import listed
-from ..models import TransformationIn, TransformationModel, WorthIn, schema_of, text_schema
-from ..negotiation import JSON, TURTLE, content_type, json_value, utf8
-from ..parsing import check_number, read_ssl
-from ..problems import Problem, responses
+from ..config.media_types import JSON, TURTLE
+from ..http.json_lists import listed
+from ..http.negotiation import content_type, json_value, utf8
+from ..http.problems import Problem, responses
+from ..http.text_limits import check_number, read_ssl
+from ..models import (
+    TransformationIn,
+    TransformationModel,
+    WorthIn,
+    schema_of,
+    text_schema,
+)
+from ..runtime.context import Context, Service
+from ..workers.route_calls import while_connected
 from .json_body import JsonRoute
 from .streams import json_only
 

@@ -21,8 +21,8 @@ from citybench import SECOND, SERVICE, Schedule
 from shared_data import needs
 
 import dyknow
-from dyknow.continuous.background import Background
-from dyknow.continuous.evaluator import ContinuousEvaluator
+from dyknow.continuous.evaluation.evaluator import ContinuousEvaluator
+from dyknow.continuous.operators.background import Background
 from dyknow.languages.csparql import parse_query
 from dyknow.rdf.dictionary import TermDictionary
 from dyknow.rdf.timed import from_terms

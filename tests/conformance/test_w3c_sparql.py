@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 import pytest
 import w3c_sparql as w3c
 import w3c_table
+from places import ROOT
 from pyoxigraph import BlankNode, Literal, NamedNode, Store
 from rdflib.compare import isomorphic
 from shared_data import needs
@@ -23,7 +23,7 @@ from dyknow.sparql import LanguageError, parse_sparql, print_query
 
 pytestmark = needs(w3c.FOLDER)
 
-DOCUMENT = Path(__file__).parents[2] / "docs" / "sparql-conformance.md"
+DOCUMENT = ROOT / "docs" / "sparql-conformance.md"
 BEGIN, END = "<!-- tables: begin -->\n", "<!-- tables: end -->\n"
 
 

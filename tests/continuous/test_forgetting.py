@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from pyoxigraph import Literal, NamedNode, Store, Variable
 
-from dyknow.continuous import incremental
-from dyknow.continuous.background import Background
-from dyknow.continuous.evaluator import ContinuousEvaluator
-from dyknow.continuous.flows import Traffic
-from dyknow.continuous.instances import TemplateEvaluator
-from dyknow.continuous.options import Options
+from dyknow.continuous.algebra.options import Options
+from dyknow.continuous.estimation.input_rates import Traffic
+from dyknow.continuous.evaluation.evaluator import ContinuousEvaluator
+from dyknow.continuous.incremental import aggregation
+from dyknow.continuous.operators.background import Background
+from dyknow.continuous.sharing.template_instances import TemplateEvaluator
 from dyknow.languages.csparql import parse_query
 from dyknow.rdf import dictionary as module
 from dyknow.rdf.dictionary import TermDictionary
@@ -76,7 +76,7 @@ QUERIES = {
 @pytest.mark.parametrize("name", QUERIES)
 def test_an_hour_of_new_terms_is_flat(name, monkeypatch) -> None:
     monkeypatch.setattr(module, "FLOOR", 256)
-    monkeypatch.setattr(incremental, "COMPACT", 16)
+    monkeypatch.setattr(aggregation, "COMPACT", 16)
     head, body, *how = QUERIES[name]
     asked = Asked(head, body, "[RANGE 40s STEP 20s]", semantics=how[0] if how else "bag")
     dictionary, most, came = asked.dictionary, 0, 0

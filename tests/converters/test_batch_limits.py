@@ -8,9 +8,9 @@ from dataclasses import replace
 import pyarrow as pa
 import pytest
 
-from dyknow.converters.arrow import ArrowWriter, decode_arrow
-from dyknow.converters.arrow_messages import ArrowMessages
-from dyknow.converters.arrow_sizes import SCHEMA, check_sizes, message_at, size_of
+from dyknow.converters.arrow.messages import ArrowMessages
+from dyknow.converters.arrow.sizes import SCHEMA, check_sizes, message_at, size_of
+from dyknow.converters.arrow.stream import ArrowWriter, decode_arrow
 from dyknow.converters.errors import WireError
 from dyknow.converters.ndjson import decode_ndjson
 from dyknow.converters.wire import BatchLimits

@@ -9,7 +9,7 @@ from dyknow.converters.objects import ObjectTable
 from dyknow.converters.term_tables import PoolTable
 from dyknow.rdf.dictionary import TermDictionary
 from dyknow.streams.sample import Column, FieldType
-from dyknow.streams.strings import StringPool
+from dyknow.streams.string_pool import StringPool
 
 PLACE = "http://example.org/"
 LONG = '"1.2345678901234567890123"^^<http://www.w3.org/2001/XMLSchema#double>'

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from dyknow.converters.arrow import bytes_of_table, decode_arrow
+from dyknow.converters.arrow.stream import bytes_of_table, decode_arrow
 from dyknow.converters.ndjson import decode_ndjson
 from dyknow.converters.rounding import Rounded
 from dyknow.streams.sample import Field, FieldType, Schema

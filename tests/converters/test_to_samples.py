@@ -6,12 +6,23 @@ import numpy as np
 import pytest
 from pyoxigraph import Literal, NamedNode
 
-from dyknow.converters import ConversionError, ResultConverter, TripleConverter, result_schema
+from dyknow.converters import (
+    ConversionError,
+    ResultConverter,
+    TripleConverter,
+    result_schema,
+)
 from dyknow.languages.ssl.annotation import Content, Role, StreamAnnotation
 from dyknow.ontology.units import parse_unit
 from dyknow.rdf.dictionary import TermDictionary
 from dyknow.rdf.namespaces import DYKNOW, XSD
-from dyknow.rdf.timed import Kind, ObjectColumn, TimedTriples, TripleRows, from_terms
+from dyknow.rdf.timed import (
+    Kind,
+    ObjectColumn,
+    TimedTriples,
+    TripleRows,
+    from_terms,
+)
 from dyknow.streams.sample import Field, FieldType, Schema
 
 SPEED, HEIGHT = DYKNOW + "speed", DYKNOW + "altitude"

@@ -8,7 +8,12 @@ import pyarrow as pa
 import pytest
 
 from dyknow.converters import WireError
-from dyknow.converters.arrow import ArrowMissing, bytes_of_table, decode_arrow, encode_arrow
+from dyknow.converters.arrow.stream import (
+    ArrowMissing,
+    bytes_of_table,
+    decode_arrow,
+    encode_arrow,
+)
 from dyknow.converters.csv_table import encode_csv
 from dyknow.converters.ndjson import decode_ndjson, encode_ndjson, sample_json
 from dyknow.streams.sample import Field, FieldType, Schema, batch_from_rows

@@ -1,12 +1,11 @@
 """An engine in memory and the template that everybody uses."""
 
-from pathlib import Path
-
 import pytest
+from places import ROOT
 
 from dyknow.engine.engine import Engine
 
-LIBRARY = Path(__file__).parent.parent.parent / "templates" / "library"
+LIBRARY = ROOT / "templates" / "library"
 
 
 @pytest.fixture

@@ -9,8 +9,9 @@ from typing import Any
 import pytest
 from growing import entries, grown, growth
 
-from dyknow.engine import configuration, engine
-from dyknow.engine.commands import (
+from dyknow.engine import parts
+from dyknow.engine.configuration import configuration
+from dyknow.engine.durability.commands import (
     AddKpl,
     Annotate,
     ApplySpecification,
@@ -31,12 +32,12 @@ from dyknow.engine.commands import (
     Tick,
     Unsubscribe,
 )
-from dyknow.engine.recorded import RecordedEngine
-from dyknow.engine.views import StreamDeclaration
+from dyknow.engine.durability.durable_engine import RecordedEngine
+from dyknow.engine.model.views import StreamDeclaration
 from dyknow.ontology import replicas
 from dyknow.rdf.dictionary import TermDictionary
-from dyknow.streams import fluent
-from dyknow.streams.fluent import Retention
+from dyknow.streams import history
+from dyknow.streams.history import Retention
 from dyknow.streams.sample import Field, FieldType
 
 FIELDS = (Field("id", FieldType.STRING), Field("v", FieldType.FLOAT))
@@ -122,8 +123,8 @@ def test_what_comes_and_goes_leaves_nothing(
     # What is kept of what was is kept of the last: of few, so that these have come soon.
     monkeypatch.setattr(replicas, "MOST", 100)
     monkeypatch.setattr(configuration, "_REMEMBERED", 10)
-    monkeypatch.setattr(engine, "RETENTION", Retention(samples=20))
-    monkeypatch.setattr(fluent, "_TEXTS", 20)
+    monkeypatch.setattr(parts, "RETENTION", Retention(samples=20))
+    monkeypatch.setattr(history, "_TEXTS", 20)
     recorded = RecordedEngine(tmp_path, now=0)
     kept = Retention(samples=100)
     recorded.do(DeclareStream(StreamDeclaration("s", FIELDS, retention=kept)))

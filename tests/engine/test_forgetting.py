@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 from feeding import feed, samples
 
-from dyknow.continuous import incremental
-from dyknow.engine import starting
+from dyknow.continuous.incremental import aggregation
 from dyknow.engine.engine import Engine
-from dyknow.engine.kept_windows import KeptWindows
-from dyknow.engine.merge_unit import Whose, _Naming
-from dyknow.engine.views import StreamDeclaration
+from dyknow.engine.model.result_windows import KeptWindows
+from dyknow.engine.model.views import StreamDeclaration
+from dyknow.engine.planning import query_start
+from dyknow.engine.units.merge import Whose, _Naming
 from dyknow.rdf import dictionary as module
 from dyknow.rdf.dictionary import TermDictionary
 from dyknow.streams.sample import Column, Field, FieldType, SampleBatch
-from dyknow.streams.strings import StringPool
+from dyknow.streams.string_pool import StringPool
 
 DYKNOW = "http://www.ida.liu.se/dyknow/"
 S5 = f"<{DYKNOW}s5.trdf>"
@@ -31,8 +31,8 @@ QUERIES = {
 @pytest.mark.parametrize("integers", [False, True])
 def test_an_hour_of_new_names_is_flat(integers, monkeypatch) -> None:
     monkeypatch.setattr(module, "FLOOR", 256)
-    monkeypatch.setattr(incremental, "COMPACT", 16)
-    monkeypatch.setattr(starting, "KeptWindows", partial(KeptWindows, windows=2))
+    monkeypatch.setattr(aggregation, "COMPACT", 16)
+    monkeypatch.setattr(query_start, "KeptWindows", partial(KeptWindows, windows=2))
     engine = Engine(epoch="test")
     if integers:
         named = (

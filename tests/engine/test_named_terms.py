@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from dyknow.engine.commands import (
+from dyknow.engine.durability.commands import (
     Annotate,
     ApplySpecification,
     DeclareStream,
@@ -24,7 +24,7 @@ from dyknow.engine.commands import (
     Unsubscribe,
 )
 from dyknow.engine.engine import Engine
-from dyknow.engine.views import StreamDeclaration
+from dyknow.engine.model.views import StreamDeclaration
 from dyknow.languages.specification.markup import NAMESPACE
 from dyknow.streams.sample import Field, FieldType
 

@@ -5,7 +5,7 @@ from feeding import feed, flight, samples
 
 from dyknow.converters.wire import Incoming
 from dyknow.engine.engine import Engine
-from dyknow.engine.errors import (
+from dyknow.engine.model.errors import (
     AlreadyExists,
     BadArguments,
     Conflict,
@@ -16,7 +16,7 @@ from dyknow.engine.errors import (
     UnknownRequest,
     UnknownStream,
 )
-from dyknow.engine.views import Since
+from dyknow.engine.model.views import Since
 
 COORDINATES = (
     "stream coordinates contains latitude(UAV) = lat [deg], longitude(UAV) = lon [deg] "

@@ -1,4 +1,4 @@
-"""The log, case by case; tests/laws/test_journal.py has what holds of all of them."""
+"""The log, case by case; tests/laws/journal/test_journal.py has what holds of all of them."""
 
 import errno
 import itertools
@@ -9,9 +9,15 @@ import zlib
 import pytest
 from simulated_disk import Killed, SimulatedDisk
 
-from dyknow.journal.errors import JournalBroken, JournalDamaged, JournalFull, UnknownFormat
+from dyknow.journal.durability import Durability
+from dyknow.journal.errors import (
+    JournalBroken,
+    JournalDamaged,
+    JournalFull,
+    UnknownFormat,
+)
 from dyknow.journal.high_water import NAME, Mark, read_mark
-from dyknow.journal.log import Durability, Log
+from dyknow.journal.log import Log
 from dyknow.journal.segment import framed, header_of, path_of, scan, walk
 
 

@@ -7,10 +7,13 @@ import weakref
 
 from pyoxigraph import Literal
 
-from dyknow.continuous.evaluation import _parted_call, foreign_calls
-from dyknow.continuous.expressions import Call, Const, Var
+from dyknow.continuous.algebra.expressions import Call, Const, Var
+from dyknow.continuous.columns.expression_evaluation import (
+    _parted_call,
+    foreign_calls,
+)
 from dyknow.converters.exact import _decoder
-from dyknow.engine.results import _form
+from dyknow.engine.model.result_schema import _form
 from dyknow.languages.attached import attached
 from dyknow.ontology.ontology import Ontology
 from dyknow.sparql import parse_sparql

@@ -7,6 +7,7 @@ import os
 from pathlib import Path
 
 import pytest
+from places import TESTS
 from pyoxigraph import RdfFormat, parse
 
 from dyknow.languages.csparql import (
@@ -20,7 +21,10 @@ from dyknow.languages.csparql import (
 )
 from dyknow.languages.errors import LanguageError
 from dyknow.languages.kpl import ValueSort, check_kpl, format_kpl, parse_kpl
-from dyknow.languages.specification import format_specification, parse_specification
+from dyknow.languages.specification import (
+    format_specification,
+    parse_specification,
+)
 from dyknow.languages.ssl import (
     CheckedAnnotation,
     StreamAnnotation,
@@ -33,7 +37,7 @@ from dyknow.ontology.units import format_unit
 from dyknow.ontology.vocabulary import Vocabulary
 from dyknow.rdf.namespaces import PREFIXES, shorten
 
-CASES = Path(__file__).parent.parent / "cases"
+CASES = TESTS / "cases"
 
 ONTOLOGY = """
 dyknow:Thing a owl:Class .

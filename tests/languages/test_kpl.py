@@ -4,6 +4,7 @@ import os
 from pathlib import Path
 
 import pytest
+from places import TESTS
 from pyoxigraph import RdfFormat, parse
 
 from dyknow.languages.errors import LanguageError
@@ -36,7 +37,7 @@ from dyknow.languages.kpl import (
 )
 from dyknow.ontology.vocabulary import Vocabulary
 from dyknow.rdf.namespaces import DYKNOW, PREFIXES
-from dyknow.streams.policy import (
+from dyknow.streams.policies.policy import (
     AnyChange,
     AnyUpdate,
     Approximation,
@@ -69,7 +70,7 @@ foreach car in cars with any change {
 strmgen speeds = aggregate(speed[car] foreach car in cars)
 sink Log(speeds)
 """
-CASES = Path(__file__).parents[1] / "cases" / "kpl_dynamic"
+CASES = TESTS / "cases" / "kpl_dynamic"
 POS, SPEED = ValueSort("pos", None), ValueSort("speed", None)
 
 

@@ -1,9 +1,9 @@
 """docs/queries.md: what it shows is parsed, printed and refused as it says."""
 
 import re
-from pathlib import Path
 
 import pytest
+from places import ROOT
 
 from dyknow.languages.csparql import (
     Dialect,
@@ -14,7 +14,7 @@ from dyknow.languages.csparql import (
 )
 from dyknow.languages.errors import LanguageError
 
-PAGE = (Path(__file__).parents[2] / "docs" / "queries.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "queries.md").read_text(encoding="utf-8")
 EXAMPLES = re.findall(r"```sparql\n(.*?)```", PAGE, re.S)
 REFUSED = re.findall(r"```sparql refused\n(.*?)```\n\n```text\n(.*?)```", PAGE, re.S)
 

@@ -1,7 +1,7 @@
 """Clauses of query texts: windows, dialects, streams by name, accessors of time (SPEC §5).
 
 What is printed and what is refused, with its place, are golden cases (tests/cases/csparql); laws
-are in tests/laws/test_query_texts.py.
+are in tests/laws/languages/test_query_texts.py.
 """
 
 import pytest

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from lxml import etree
+from places import ROOT, TESTS
 
 from dyknow.languages.errors import LanguageError, Span
 from dyknow.languages.specification import (
@@ -25,8 +26,8 @@ from dyknow.languages.specification.decoding import MAX_BYTES
 from dyknow.languages.specification.markup import MAX_DEPTH, NAMESPACE
 
 HERE = Span(0, 0)
-PAGE = Path(__file__).parents[2] / "docs" / "specifications.md"
-CASES = Path(__file__).parent.parent / "cases" / "specification"
+PAGE = ROOT / "docs" / "specifications.md"
+CASES = TESTS / "cases" / "specification"
 XSD = Path(parser.__file__).with_name("specification.xsd")
 
 

@@ -4,7 +4,13 @@ import pytest
 from pyoxigraph import RdfFormat, parse
 
 from dyknow.languages.errors import LanguageError
-from dyknow.languages.ssl import Content, Role, StreamAnnotation, check_ssl, parse_ssl
+from dyknow.languages.ssl import (
+    Content,
+    Role,
+    StreamAnnotation,
+    check_ssl,
+    parse_ssl,
+)
 from dyknow.ontology.units import parse_unit
 from dyknow.ontology.vocabulary import Vocabulary
 from dyknow.rdf.namespaces import DYKNOW, PREFIXES

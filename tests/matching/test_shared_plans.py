@@ -8,8 +8,13 @@ from dataclasses import replace
 
 import pytest
 
-from dyknow.engine.sharing import _Outlines
-from dyknow.languages.ssl.annotation import Content, PortAnnotation, Role, StreamAnnotation
+from dyknow.engine.planning.request_sharing import _Outlines
+from dyknow.languages.ssl.annotation import (
+    Content,
+    PortAnnotation,
+    Role,
+    StreamAnnotation,
+)
 from dyknow.matching.match import Match, match, render
 from dyknow.matching.plan import below_of, nodes_of, nodes_of_supply
 from dyknow.matching.render import MOST_LINES

@@ -15,6 +15,7 @@ from pyoxigraph import Literal, NamedNode, Triple
 from dyknow.ontology import ontology as module
 from dyknow.ontology.entailment import Entailments
 from dyknow.ontology.ontology import Ontology
+from dyknow.ontology.quad_store import Changes, QuadStore
 from dyknow.rdf.namespaces import RDF_TYPE, STREAM_SPACE
 
 
@@ -122,13 +123,13 @@ def test_whoever_asks_sees_all_of_it(look: str) -> None:
 def test_who_tells_of_changes_does_not_wait_for_the_store(monkeypatch: pytest.MonkeyPatch) -> None:
     ontology = Ontology.open()
     made: list[int] = []
-    apply = Ontology._apply
+    apply = QuadStore.apply
 
-    def noted(self: Ontology, changes: module._Changes) -> None:
+    def noted(self: QuadStore, changes: Changes) -> None:
         made.append(sum(len(c.added) + len(c.removed) for c in changes.values()))
         apply(self, changes)
 
-    monkeypatch.setattr(Ontology, "_apply", noted)
+    monkeypatch.setattr(QuadStore, "apply", noted)
     ontology.mirror(STREAMS, [])
     assert made == []
     ontology.advance()

@@ -17,6 +17,7 @@ from pyoxigraph import NamedNode, Store, Triple
 from dyknow.ontology import replicas, successor
 from dyknow.ontology.errors import OntologyError
 from dyknow.ontology.ontology import Ontology
+from dyknow.ontology.quad_store import QuadStore
 from dyknow.ontology.reasoning import DIRECT
 from dyknow.ontology.vocabulary import Vocabulary
 from dyknow.rdf.namespaces import DYKNOW, RDF_TYPE, STREAM_SPACE
@@ -49,19 +50,19 @@ class Change:
         typed = Triple(own(f"u{self.number}"), RDF_TYPE, own("ComputationalUnit"))
         match self.kind:
             case 0:
-                ontology.set_template(name, f"text {self.number}")
-            case 1 if name in ontology.templates():
-                ontology.remove_template(name)
+                ontology.registered.set_template(name, f"text {self.number}")
+            case 1 if name in ontology.registered.templates():
+                ontology.registered.remove_template(name)
             case 2:
-                ontology.set_annotation(f"s{self.number}", "said")
+                ontology.registered.set_annotation(f"s{self.number}", "said")
             case 3:
                 ontology.mirror([reads, typed], [])
             case 4:
                 ontology.mirror([], [reads])
             case 5:
-                ontology.set_query(f"q{self.number}", "{}")
+                ontology.registered.set_query(f"q{self.number}", "{}")
             case 6:
-                ontology.set_kpl(f"source float s{self.number}" if self.number else "")
+                ontology.registered.set_kpl(f"source float s{self.number}" if self.number else "")
 
 
 changes = st.lists(st.builds(Change, st.integers(0, 6), st.integers(0, 2)), max_size=6)
@@ -110,7 +111,7 @@ def test_taking_it_reads_nothing_that_was_read(monkeypatch: pytest.MonkeyPatch) 
 
     monkeypatch.setattr(Vocabulary, "from_triples", never)
     monkeypatch.setattr(Ontology, "_reload", never)
-    monkeypatch.setattr(Ontology, "_graph", never)
+    monkeypatch.setattr(QuadStore, "graph", never)
     monkeypatch.setattr(Ontology, "_ontology_triples", never)
     ontology.take(prepared)
     assert ontology.vocabulary.is_sort(DYKNOW + "Ship")
@@ -121,7 +122,7 @@ def test_where_too_much_has_changed_it_is_made_anew(monkeypatch: pytest.MonkeyPa
     ontology = Ontology.open()
     prepared = ontology.prepare(SHIPS, name="urn:ships")
     monkeypatch.setattr(replicas, "MOST", 3)
-    ontology.set_template(DYKNOW + "Alarm", "text")
+    ontology.registered.set_template(DYKNOW + "Alarm", "text")
     ontology.take(prepared)
     assert ontology.vocabulary.is_sort(DYKNOW + "Ship")
     assert ontology.query(f"ASK {{ <{DYKNOW}Alarm> <{STREAM_SPACE}hasTemplate> 'text' }}")

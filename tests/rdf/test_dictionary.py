@@ -7,8 +7,19 @@ from hypothesis import strategies as st
 from pyoxigraph import Literal, NamedNode
 
 from dyknow.rdf import dictionary as module
-from dyknow.rdf.dictionary import NO_TERM, ForgottenTerm, TermDictionary, TermTable
-from dyknow.rdf.timed import Kind, ObjectColumn, TimedTriples, TripleRows, from_terms
+from dyknow.rdf.dictionary import (
+    NO_TERM,
+    ForgottenTerm,
+    TermDictionary,
+    TermTable,
+)
+from dyknow.rdf.timed import (
+    Kind,
+    ObjectColumn,
+    TimedTriples,
+    TripleRows,
+    from_terms,
+)
 
 
 class Hand:

@@ -13,16 +13,16 @@ import httpx
 import pytest
 from typer.testing import CliRunner, Result
 
+from dyknow.engine.durability.durable_engine import RecordedEngine
 from dyknow.engine.engine import Engine
-from dyknow.engine.recorded import RecordedEngine
-from dyknow.journal.log import Durability
+from dyknow.journal.durability import Durability
 from dyknow.service.app import create_app
 from dyknow.service.cli import app
-from dyknow.service.client import Client
-from dyknow.service.logs import LOG_NAME
-from dyknow.service.pausing import Pausing
+from dyknow.service.client.client import Client
+from dyknow.service.config.logs import LOG_NAME
+from dyknow.service.config.settings import Settings
 from dyknow.service.server import running
-from dyknow.service.settings import Settings
+from dyknow.service.turns.window_turns import Pausing
 from dyknow.streams.time import SECOND
 
 START = 1_633_633_973 * SECOND

@@ -15,15 +15,16 @@ import pytest
 from growing import entries, grown, growth
 from uvicorn import Server
 
-from dyknow.engine import configuration, engine, intake
+from dyknow.engine import engine, parts
+from dyknow.engine.configuration import configuration, ingest
 from dyknow.ontology import replicas
 from dyknow.rdf.dictionary import TermDictionary
 from dyknow.service.app import create_app
-from dyknow.service.pausing import Pausing
+from dyknow.service.config.settings import Settings
 from dyknow.service.server import running
-from dyknow.service.settings import Settings
-from dyknow.streams import fluent
-from dyknow.streams.fluent import FluentStream, Retention
+from dyknow.service.turns.window_turns import Pausing
+from dyknow.streams import history
+from dyknow.streams.history import FluentStream, Retention
 from dyknow.streams.time import SECOND
 
 NDJSON = {"content-type": "application/x-ndjson"}
@@ -282,9 +283,9 @@ def test_what_comes_and_goes_leaves_nothing(
     monkeypatch.setattr(replicas, "MOST", 0)
     monkeypatch.setattr(configuration, "_REMEMBERED", 10)
     monkeypatch.setattr(configuration, "RETENTION", Retention(samples=20))
-    monkeypatch.setattr(intake, "_KEYS_KEPT", 10)
-    monkeypatch.setattr(fluent, "_TEXTS", 10)
-    monkeypatch.setattr(engine, "RETENTION", Retention(samples=20))
+    monkeypatch.setattr(ingest, "_KEYS_KEPT", 10)
+    monkeypatch.setattr(history, "_TEXTS", 10)
+    monkeypatch.setattr(parts, "RETENTION", Retention(samples=20))
     app = create_app(engine.Engine(turns=Pausing(5, 60)), settings, clock)
     sizes = []
     with (

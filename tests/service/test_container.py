@@ -15,20 +15,25 @@ from typing import Any
 
 import httpx
 import pytest
-import typer.main
 import yaml
+from places import ROOT
 
 from dyknow.engine.engine import Engine
+from dyknow.service.admission.tokens import (
+    Scope,
+    Tokens,
+    TokensError,
+    line_of,
+    new_token,
+)
 from dyknow.service.app import create_app
-from dyknow.service.cli import app as commands
-from dyknow.service.context import Service
-from dyknow.service.descriptors import RESERVED
+from dyknow.service.cli.main import command as command_of
+from dyknow.service.config.file_limits import RESERVED
+from dyknow.service.config.settings import Settings
+from dyknow.service.runtime.context import Service
 from dyknow.service.server import GRACE, running
-from dyknow.service.settings import Settings
-from dyknow.service.tokens import Scope, Tokens, TokensError, line_of, new_token
 from dyknow.streams.time import Clock
 
-ROOT = Path(__file__).parents[2]
 DOCKERFILE = (ROOT / "docker" / "Dockerfile").read_text()
 UNIT = (ROOT / "docs" / "operations.md").read_text().partition("```ini\n")[2].partition("```")[0]
 
@@ -76,7 +81,7 @@ def test_what_is_built_is_there(service: dict[str, Any]) -> None:
 def test_the_command_is_one_and_its_paths_agree(service: dict[str, Any]) -> None:
     assert json.loads(last("ENTRYPOINT")) == ["dyknow"]
     command, *options = json.loads(last("CMD"))
-    known = typer.main.get_command(commands).commands[command]  # type: ignore[attr-defined]
+    known = command_of(command)
     context = known.make_context(command, options)
     assert str(context.params["data"]) == last("VOLUME")
     assert context.params["host"] == "0.0.0.0"
@@ -191,7 +196,7 @@ def test_the_unit_of_systemd_is_one_of_this_program() -> None:
     lines = dict(line.split("=", 1) for line in UNIT.splitlines() if "=" in line)
     program, command, *options = shlex.split(lines["ExecStart"])
     assert program.endswith("/dyknow")
-    known = typer.main.get_command(commands).commands[command]  # type: ignore[attr-defined]
+    known = command_of(command)
     # The folder of the tokens is of that machine.
     made = [each if each != "/etc/dyknow/tokens" else __file__ for each in options]
     assert str(known.make_context(command, made).params["data"]).startswith("/var/lib/")

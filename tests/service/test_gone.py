@@ -13,12 +13,12 @@ from hosting import hosting
 from waiting import until
 
 from dyknow.engine.engine import Engine
-from dyknow.engine.unit import ComputationalUnit
-from dyknow.engine.window_unit import WindowUnit
-from dyknow.service.context import Service
-from dyknow.service.pausing import Pausing
-from dyknow.service.settings import Settings
-from dyknow.service.sse import Cursor, Feed
+from dyknow.engine.units.base import ComputationalUnit
+from dyknow.engine.units.windowed import WindowUnit
+from dyknow.service.config.settings import Settings
+from dyknow.service.runtime.context import Service
+from dyknow.service.sse.feeds import Cursor, Feed
+from dyknow.service.turns.window_turns import Pausing
 from dyknow.streams.generator import StreamGenerator
 
 STREAM = {"fields": {"id": "string", "v": "float"}}

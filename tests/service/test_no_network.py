@@ -9,12 +9,12 @@ from collections.abc import Iterator
 import httpx
 import pytest
 
-from dyknow.continuous.asking import NOTHING
+from dyknow.continuous.columns.oxigraph_port import NOTHING
 from dyknow.engine.engine import Engine
 from dyknow.service.app import create_app
-from dyknow.service.isolation.services import Windows
+from dyknow.service.config.settings import Settings
 from dyknow.service.server import running
-from dyknow.service.settings import Settings
+from dyknow.service.workers.services import Windows
 
 SSL = "stream s5 contains speed(UAV) = spd [km.h-1] for every UAV = id"
 RDF = "http://www.w3.org/1999/02/22-rdf-syntax-ns#"

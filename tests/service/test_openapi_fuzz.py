@@ -10,7 +10,7 @@ from schemathesis.checks import not_a_server_error, status_code_conformance
 
 from dyknow.engine.engine import Engine
 from dyknow.service.app import create_app
-from dyknow.service.settings import Settings
+from dyknow.service.config.settings import Settings
 
 
 @schemathesis.serializer(
@@ -31,7 +31,7 @@ def raw_bytes(ctx: schemathesis.SerializationContext, value: Any) -> bytes:
 
 
 app = create_app(Engine(epoch="e1"), Settings(body_limit=1 << 16), lambda: 10**18)
-# Event streams have no end of their own; tests/service/test_sse.py is about them.
+# Event streams have no end of their own; tests/service/sse/test_sse.py is about them.
 schema = schemathesis.openapi.from_asgi("/openapi.json", app).exclude(path_regex="/events$")
 
 

@@ -2,9 +2,9 @@
 
 import pytest
 
-from dyknow.streams import fluent
-from dyknow.streams.fluent import FluentStream, Retention, join_availtimes
+from dyknow.streams import history
 from dyknow.streams.generator import StreamGenerator
+from dyknow.streams.history import FluentStream, Retention, join_availtimes
 from dyknow.streams.sample import (
     Field,
     FieldType,
@@ -13,7 +13,7 @@ from dyknow.streams.sample import (
     batch_from_rows,
     concatenate,
 )
-from dyknow.streams.strings import StringPool
+from dyknow.streams.string_pool import StringPool
 
 SCHEMA = Schema((Field("v", FieldType.STRING),))
 
@@ -202,7 +202,7 @@ def test_histories_of_a_number_of_bytes_are_few_runs(monkeypatch, weights, size)
         copied.append(sum(map(len, batches)))
         return concatenate(batches)
 
-    monkeypatch.setattr(fluent, "concatenate", counted)
+    monkeypatch.setattr(history, "concatenate", counted)
     kept = Retention(bytes=1_000_000)
     made, at = FluentStream(SCHEMA, kept, {"v": StringPool()}), 0
     texts = []

@@ -6,8 +6,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dyknow.streams.latest import Latest
-from dyknow.streams.numbering import TextNumbering
+from dyknow.streams.key_numbering import TextNumbering
+from dyknow.streams.latest_by_key import Latest
 from dyknow.streams.sample import (
     Field,
     FieldType,
@@ -16,7 +16,7 @@ from dyknow.streams.sample import (
     batch_from_rows,
     concatenate,
 )
-from dyknow.streams.strings import StringPool
+from dyknow.streams.string_pool import StringPool
 
 SCHEMA = Schema((Field("name", FieldType.STRING), Field("v", FieldType.INTEGER)))
 names = st.none() | st.sampled_from(["a", "b", "c", "d", "e"])

@@ -5,8 +5,8 @@ Times are seconds, values km/h unless a stream says otherwise.
 
 from dyknow.converters.wire import Incoming
 from dyknow.engine.engine import Engine
-from dyknow.engine.processes import Processes
-from dyknow.engine.views import StreamDeclaration
+from dyknow.engine.model.views import StreamDeclaration
+from dyknow.engine.processes.registry import Processes
 from dyknow.streams.sample import Field, FieldType, batch_from_rows
 from dyknow.streams.time import SECOND
 
@@ -116,5 +116,5 @@ class World:
 
     def everything(self):
         """All that there is: streams, units, triples of the mirror."""
-        parts = self.engine._configuration
-        return set(parts.streams), set(parts.units), self.engine._manager.assertions()
+        parts = self.engine._parts.configuration
+        return set(parts.streams), set(parts.units), self.engine._parts.manager.assertions()

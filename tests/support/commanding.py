@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 from random import Random
 
-from dyknow.engine import commands as c
-from dyknow.engine.errors import DyknowError
-from dyknow.engine.views import Since, StreamDeclaration
+from dyknow.engine.durability import commands as c
+from dyknow.engine.model.errors import DyknowError
+from dyknow.engine.model.views import Since, StreamDeclaration
 from dyknow.languages.errors import LanguageError
 from dyknow.ontology.errors import OntologyError
-from dyknow.streams.fluent import Retention
+from dyknow.streams.history import Retention
 from dyknow.streams.recall import Forgotten
 from dyknow.streams.sample import Field, FieldType
 from dyknow.streams.time import SECOND

@@ -2,8 +2,8 @@
 
 ``python tests/support/directory_of_before.py TARGET`` writes ``TARGET/before_instants.tar.xz``:
 data directories and, in ``expected.json``, what the engine told when it wrote them. The archive is
-a fixture of tests/engine/test_directory_of_before.py and is never made anew: this script only shows
-how it came to be. `told` is used by the test, too.
+a fixture of tests/engine/durability/test_directory_of_before.py and is never made anew: this script
+only shows how it came to be. `told` is used by the test, too.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from dyknow.engine import commands as c
-from dyknow.engine import recorded as recording
-from dyknow.engine.recorded import RecordedEngine
-from dyknow.engine.views import Since, StreamDeclaration
+from dyknow.engine.durability import commands as c
+from dyknow.engine.durability import durable_engine as recording
+from dyknow.engine.durability.durable_engine import RecordedEngine
+from dyknow.engine.model.views import Since, StreamDeclaration
 from dyknow.journal.checkpoints import parts_of, read_checkpoint
-from dyknow.streams.fluent import Retention
+from dyknow.streams.history import Retention
 from dyknow.streams.sample import Field, FieldType
 from dyknow.streams.time import SECOND
 

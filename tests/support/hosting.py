@@ -7,12 +7,12 @@ from contextlib import contextmanager
 
 import httpx
 
+from dyknow.engine.durability.durable_engine import RecordedEngine
 from dyknow.engine.engine import Engine
-from dyknow.engine.recorded import RecordedEngine
 from dyknow.service.app import create_app
-from dyknow.service.context import Service
+from dyknow.service.config.settings import Settings
+from dyknow.service.runtime.context import Service
 from dyknow.service.server import running
-from dyknow.service.settings import Settings
 from dyknow.streams.time import Clock
 
 

@@ -14,9 +14,9 @@ from random import Random
 
 from commanding import REFUSALS, life, state
 
-from dyknow.engine.commands import done
+from dyknow.engine.durability.commands import done
+from dyknow.engine.durability.durable_engine import RecordedEngine
 from dyknow.engine.engine import Engine
-from dyknow.engine.recorded import RecordedEngine
 
 LENGTH = 60
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from hypothesis import strategies as st
 from pyoxigraph import Literal, NamedNode
 
-from dyknow.continuous.expressions import Call, Const, Var
-from dyknow.continuous.logical import (
+from dyknow.continuous.algebra.expressions import Call, Const, Var
+from dyknow.continuous.algebra.plan import (
     START,
     STOP,
     Aggregate,

@@ -21,11 +21,11 @@ from pathlib import Path
 
 import httpx
 
-from dyknow.engine.recorded import RecordedEngine
+from dyknow.engine.durability.durable_engine import RecordedEngine
 from dyknow.journal.disk import Disk
 from dyknow.service.app import create_app
+from dyknow.service.config.settings import Settings
 from dyknow.service.server import bind, run
-from dyknow.service.settings import Settings
 
 OPERATIONS = ("allocate", "write", "sync", "sync_folder", "rename", "remove", "open")
 

@@ -2,7 +2,7 @@
 
 from hypothesis import strategies as st
 
-from dyknow.streams.policy import (
+from dyknow.streams.policies.policy import (
     AnyChange,
     AnyUpdate,
     Approximation,

@@ -8,7 +8,13 @@ from __future__ import annotations
 
 from itertools import combinations, pairwise
 
-from dyknow.streams.policy import AnyChange, Approximation, ChangeBy, Order, Policy
+from dyknow.streams.policies.policy import (
+    AnyChange,
+    Approximation,
+    ChangeBy,
+    Order,
+    Policy,
+)
 
 Sample = tuple[int, int, object]
 

@@ -1,12 +1,12 @@
 """Streams, units and what is told of them, for tests of user-written processes."""
 
-from dyknow.engine.joined_unit import FunctionProcess
-from dyknow.engine.processes import Processes
-from dyknow.engine.supervision import DIRECT
-from dyknow.engine.views import Since
+from dyknow.engine.model.views import Since
+from dyknow.engine.processes.registry import Processes
+from dyknow.engine.processes.supervision import DIRECT
+from dyknow.engine.units.join import FunctionProcess
 from dyknow.streams.generator import StreamGenerator
 from dyknow.streams.sample import Field, FieldType, Schema, batch_from_rows
-from dyknow.streams.strings import StringPool
+from dyknow.streams.string_pool import StringPool
 
 OPEN = Schema(())
 

@@ -2,7 +2,7 @@
 short ways to write specifications."""
 
 from dyknow.engine.engine import Engine
-from dyknow.engine.processes import Processes
+from dyknow.engine.processes.registry import Processes
 from dyknow.streams.time import SECOND
 
 NAMESPACE = "http://www.dyknow.eu/ontology#Specification"
@@ -101,22 +101,22 @@ def units(engine):
     """The units that run: transformation, inputs and output of each, with the number of users."""
     return [
         (unit.transformation, tuple(s.name for s in unit.inputs), unit.output.name, unit.users)
-        for unit in engine._configuration.units.values()
+        for unit in engine._parts.configuration.units.values()
     ]
 
 
 def state(engine):
     """All that an engine is, as far as one can see it: streams, units, names, what is kept, what
     was told, and every triple."""
-    configuration = engine._configuration
+    configuration = engine._parts.configuration
     return (
         sorted(configuration.streams),
         units(engine),
         dict(configuration.aliases),
         sorted(configuration.named),
         [(view.name, view.unit, view.failure) for view in engine.insertions()],
-        engine.ontology.specifications(),
+        engine.ontology.registered.specifications(),
         sorted(map(str, engine.ontology.query_rows("SELECT * WHERE { ?s ?p ?o }")[1])),
-        sorted(map(str, engine._manager.assertions())),
+        sorted(map(str, engine._parts.manager.assertions())),
         list(engine.generator("status").stream.all().rows()),
     )

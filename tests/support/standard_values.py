@@ -1,10 +1,10 @@
 """SPARQL's operators and aggregates on literals, as the standards define them.
 
 Oxigraph calls them in the differential test where its own operators differ from SPARQL 1.1 or
-stop at 64 bits (`CORRECTED` in ``tests/laws/test_differential.py``). Numbers are exact: integers
-are Python's, decimals are fractions. Slow on purpose, and written without the product's code.
-Where the standard leaves the answer open a function returns `ANY`, which equals any term. Over 400
-lines: one short function for each operator and aggregate.
+stop at 64 bits (`CORRECTED` in ``tests/laws/continuous/test_differential.py``). Numbers are exact:
+integers are Python's, decimals are fractions. Slow on purpose, and written without the product's
+code. Where the standard leaves the answer open a function returns `ANY`, which equals any term.
+Over 400 lines: one short function for each operator and aggregate.
 """
 
 import math

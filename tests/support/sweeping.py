@@ -15,13 +15,13 @@ from unittest.mock import patch
 
 import numpy as np
 
-from dyknow.continuous.columns import TermValues
-from dyknow.continuous.evaluator import ContinuousEvaluator
-from dyknow.continuous.instances import TemplateEvaluator
+from dyknow.continuous.columns.relation import TermValues
+from dyknow.continuous.evaluation.evaluator import ContinuousEvaluator
+from dyknow.continuous.sharing.template_instances import TemplateEvaluator
 from dyknow.converters.ntriples import TripleReader
 from dyknow.rdf.dictionary import ForgottenTerm, TermDictionary
 from dyknow.rdf.timed import Kind
-from dyknow.streams import fluent
+from dyknow.streams import history
 
 WAYS = ("reused", "retired")
 _EVALUATORS = (ContinuousEvaluator, TemplateEvaluator)
@@ -53,7 +53,7 @@ def at_every_chance(way: str) -> Iterator[None]:
 @contextmanager
 def texts_at_every_chance() -> Iterator[None]:
     """However few texts have come."""
-    with patch.multiple(fluent, _TEXTS=-1, _SHARE=-1):
+    with patch.multiple(history, _TEXTS=-1, _SHARE=-1):
         yield
 
 

@@ -1,8 +1,12 @@
 """A unit at work that makes one stream of several, object by object."""
 
 from dyknow.converters.objects import ObjectTable
-from dyknow.engine.synchronization_unit import SynchronizationUnit, TakenField, schema_of
-from dyknow.engine.views import Since
+from dyknow.engine.model.views import Since
+from dyknow.engine.units.synchronization import (
+    SynchronizationUnit,
+    TakenField,
+    schema_of,
+)
 from dyknow.ontology.units import Conversion
 from dyknow.rdf.dictionary import TermDictionary
 from dyknow.rdf.namespaces import DYKNOW

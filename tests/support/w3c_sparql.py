@@ -24,9 +24,9 @@ from rdflib.namespace import RDF, XSD
 from rdflib_definition import to_rdflib
 from shared_data import DATA
 
-from dyknow.continuous.background import Background
-from dyknow.continuous.evaluator import ContinuousEvaluator
-from dyknow.continuous.options import Options, Semantics
+from dyknow.continuous.algebra.options import Options, Semantics
+from dyknow.continuous.evaluation.evaluator import ContinuousEvaluator
+from dyknow.continuous.operators.background import Background
 from dyknow.languages.csparql import parse_query
 from dyknow.languages.errors import LanguageError
 from dyknow.rdf.dictionary import TermDictionary

@@ -3,7 +3,11 @@
 import pytest
 from pyoxigraph import BlankNode, Literal, NamedNode, Variable
 
-from dyknow.languages.csparql import parse_argument, parse_event_request, parse_template
+from dyknow.languages.csparql import (
+    parse_argument,
+    parse_event_request,
+    parse_template,
+)
 from dyknow.rdf.namespaces import DYKNOW, XSD
 from dyknow.templates.instantiate import ArgumentError, instantiate
 from dyknow.templates.library import shipped

@@ -1,0 +1,1 @@
+"""Relations in columns: expressions over them, order, sums, and the compiled loops beneath."""

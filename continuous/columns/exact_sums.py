@@ -1,0 +1,383 @@
+"""Sums that forget exactly: what was added can be subtracted, and nothing is left of it.
+
+A float64 is an integer times a power of two. Here a sum is kept as *digits*, int64 counts of the
+*grains* 2^28, 2^-12, 2^-52 … (a digit a 40 bits, as many as the values need); adding or
+subtracting a value changes its two or three digits, exactly. So a sum depends on the bag of its
+terms alone, not on their order, their history or how they were put together: integers are a group
+under addition, float64s are not. Only `values` rounds, once. After Kulisch's long accumulator.
+
+Integers are summed the same way, in digits of 32 bits.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...streams.jit import JIT, Kernel
+from .fold_kernels import read_only
+
+At = NDArray[np.int32] | NDArray[np.int64] | None
+"""Groups, one a row; None: the groups 0, 1, 2 … in order."""
+
+BITS = 40
+_HALF = 2 ** (BITS - 1)
+_LOWEST, _HIGHEST = -26, 24
+"""Digits for float64: from 2^988 down to 2^-1012. What is smaller is cut off a value."""
+_TERMS = 2**21
+"""Each adds less than 2^40 to a digit: so many fit before carries have to be settled."""
+
+
+def _grain(digit: int) -> float:
+    return 2.0 ** (BITS * digit + 28)
+
+
+def _add(
+    digits: Any,
+    counts: Any,
+    at: Any,
+    values: Any,
+    numbers: Any,
+    start: int,
+    sign: float,
+    grains: Any,
+    inverse: Any,
+) -> int:
+    """``sign`` times each value and its number to its group; returns the row where it stopped.
+
+    Without ``at`` the groups are 0, 1, 2 …; without ``numbers`` each is 1. A block of rows is added
+    or none of it: it stops at one with a value that the digits cannot hold. First the digits of a
+    block are found, without branches, so that they are in vectors.
+    """
+    depth, rows = digits.shape[0], values.shape[0]
+    limit = grains[0] * 2.0**BITS
+    rest, counted = np.empty(512, np.float64), np.empty(512, np.int64)
+    parts = np.empty((depth, 512), np.int64)
+    counted[:] = np.int64(sign)
+    for begin in range(start, rows, 512):
+        size = min(512, rows - begin)
+        beyond = 0
+        for i in range(size):
+            rest[i] = sign * values[begin + i]
+            beyond += not abs(rest[i]) < limit
+        if beyond > 0:
+            return begin
+        for k in range(depth):
+            row = parts[k]
+            for i in range(size):
+                part = np.int64(rest[i] * inverse[k])
+                row[i] = part
+                rest[i] -= part * grains[k]
+        for i in range(size):
+            beyond += rest[i] != 0.0
+        if beyond > 0:
+            return begin
+        if numbers.shape[0] > 0:
+            for i in range(size):
+                counted[i] = np.int64(sign * numbers[begin + i])
+        if at.shape[0] > 0:
+            for k in range(depth):
+                row, total = parts[k], digits[k]
+                for i in range(size):
+                    total[np.uint64(at[begin + i])] += row[i]
+            for i in range(size):
+                counts[np.uint64(at[begin + i])] += counted[i]
+        else:
+            for k in range(depth):
+                row, total = parts[k], digits[k, begin : begin + size]
+                for i in range(size):
+                    total[i] += row[i]
+            total = counts[begin : begin + size]
+            for i in range(size):
+                total[i] += counted[i]
+    return int(rows)
+
+
+def _round(digits: Any, rows: Any, grains: Any, out: Any) -> None:
+    """``out[i]``: the sum of group ``rows[i]``. Carries are settled first: so digits are unique."""
+    depth = digits.shape[0]
+    for i in range(rows.shape[0]):
+        group = np.uint64(rows[i])
+        carry = np.int64(0)
+        total = 0.0
+        for j in range(depth):
+            k = depth - 1 - j
+            digit = digits[k, group] + carry
+            carry = (digit + _HALF) >> BITS
+            total += (digit - (carry << BITS)) * grains[k]
+        if carry != 0:
+            total += carry * (grains[0] * 2.0**BITS)
+        out[i] = total
+
+
+def _add_signature() -> Any:
+    from numba import types
+
+    value, ints = read_only(types.float64, "C"), types.int64[::1]
+    return types.int64(
+        types.Array(types.int64, 2, "C"),
+        ints,
+        read_only(types.int32, "C"),
+        value,
+        value,
+        types.int64,
+        types.float64,
+        types.float64[::1],
+        types.float64[::1],
+    )
+
+
+def _round_signature() -> Any:
+    from numba import types
+
+    return types.void(
+        types.Array(types.int64, 2, "C"),
+        read_only(types.int64),
+        types.float64[::1],
+        types.float64[::1],
+    )
+
+
+_add_kernel = Kernel(_add, _add_signature)
+_round_kernel = Kernel(_round, _round_signature)
+_NO_NUMBERS = np.zeros(0, np.float64)
+_NO_GROUPS = np.zeros(0, np.int32)
+
+
+class Totals(ABC):
+    """Sums and counts by group, of one kind of number.
+
+    Law: after ``add(…, 1)`` and ``add(…, -1)`` of the same rows all is as before, to the last bit;
+    the order of calls does not count. Cost: a few nanoseconds a row added, and a group read.
+    Memory: 8 bytes a group for the count, and 8 for each digit.
+    """
+
+    def __init__(self, depth: int) -> None:
+        self.digits: NDArray[np.int64] = np.zeros((depth, 0), np.int64)
+        self.counts: NDArray[np.int64] = np.zeros(0, np.int64)
+
+    def reserve(self, groups: int) -> None:
+        """Make room for ``groups`` groups."""
+        if len(self.counts) < groups:
+            capacity = max(groups, 2 * len(self.counts), 64)
+            self.digits = _wider(self.digits, (len(self.digits), capacity))
+            counts = np.zeros(capacity, np.int64)
+            counts[: len(self.counts)] = self.counts
+            self.counts = counts
+
+    def keep(self, kept: NDArray[np.int64]) -> None:
+        """Forget all groups but these (ascending), which become 0, 1, 2 …"""
+        self.reserve(int(kept.max(initial=-1)) + 1)
+        self.digits = np.ascontiguousarray(self.digits[:, kept])
+        self.counts = self.counts[kept]
+
+    @abstractmethod
+    def add(self, at: At, values: NDArray[Any], numbers: NDArray[Any] | None, sign: int) -> None:
+        """``sign`` times (value, number) to each row's group; a group may have several rows.
+
+        ``numbers``: how many rows a value stands for; None: 1, where ``at`` is given.
+        """
+
+    @abstractmethod
+    def values(self, rows: NDArray[np.int64]) -> NDArray[Any]:
+        """The sums of the groups ``rows``."""
+
+
+class FloatTotals(Totals):
+    """Sums of float64, rounded once (within one unit of the last place).
+
+    Infinities and NaNs are counted apart. A sum of finite values beyond float64 is infinite.
+    """
+
+    def __init__(self) -> None:
+        super().__init__(2)
+        self._top = -1
+        self._others: NDArray[np.int64] | None = None
+        self._terms = 0
+        self._measure()
+
+    def add(self, at: At, values: NDArray[Any], numbers: NDArray[Any] | None, sign: int) -> None:
+        if at is not None and len(values) > _TERMS:
+            for first in range(0, len(values), _TERMS):
+                part = slice(first, first + _TERMS)
+                self.add(at[part], values[part], None if numbers is None else numbers[part], sign)
+            return
+        self._settle(1 if at is None else len(values))
+        start = 0
+        while True:
+            start = self._added(at, values, numbers, start, sign)
+            if start == len(values):
+                return
+            finite = np.isfinite(values)
+            if not finite.all():
+                self._count_others(at, values, ~finite, sign)
+                values = np.where(finite, values, 0.0)
+            elif not self._deepen(values):
+                tiny = np.abs(values) < 2.0**-900
+                values = values.copy()
+                values[tiny] = np.trunc(values[tiny] * 2.0**1012) * 2.0**-1012
+
+    def values(self, rows: NDArray[np.int64]) -> NDArray[Any]:
+        if JIT:
+            out = np.empty(len(rows), np.float64)
+            _round_kernel(self.digits, rows, self._grains, out)
+        else:
+            digits = self.digits[:, rows]
+            carry: NDArray[np.int64] = np.zeros(len(rows), np.int64)
+            out = np.zeros(len(rows), np.float64)
+            for k in reversed(range(len(digits))):
+                digit = digits[k] + carry
+                carry = (digit + _HALF) >> BITS
+                out += (digit - (carry << BITS)) * self._grains[k]
+            out[carry != 0] += carry[carry != 0] * self._limit
+        if self._others is not None:
+            nan, above, below = self._others[:, rows]
+            out[above > 0] = np.inf
+            out[below > 0] = -np.inf
+            out[(nan > 0) | ((above > 0) & (below > 0))] = np.nan
+        return out
+
+    def reserve(self, groups: int) -> None:
+        super().reserve(groups)
+        if self._others is not None:
+            self._others = _wider(self._others, (3, len(self.counts)))
+
+    def keep(self, kept: NDArray[np.int64]) -> None:
+        super().keep(kept)
+        if self._others is not None:
+            others = self._others[:, kept]
+            self._others = np.ascontiguousarray(others) if others.any() else None
+        # What only those that left needed: an outlier is not paid for for ever.
+        wanted = np.flatnonzero(self.digits.any(axis=1))
+        if len(wanted) and len(wanted) < len(self.digits) > 2:
+            first, last = int(wanted[0]), max(int(wanted[-1]), int(wanted[0]) + 1)
+            self.digits = np.ascontiguousarray(self.digits[first : last + 1])
+            self._top -= first
+            self._measure()
+
+    def _added(
+        self, at: At, values: NDArray[Any], numbers: NDArray[Any] | None, start: int, sign: int
+    ) -> int:
+        if JIT:
+            where = _NO_GROUPS if at is None else np.ascontiguousarray(at, np.int32)
+            columns = (values, _NO_NUMBERS if numbers is None else numbers)
+            stop: int = _add_kernel(
+                self.digits,
+                self.counts,
+                where,
+                *map(np.ascontiguousarray, columns),
+                start,
+                float(sign),
+                self._grains,
+                self._inverse,
+            )
+            return stop
+        if not np.all(np.abs(values) < self._limit):
+            return start
+        rest, parts = values.copy(), []
+        for grain in self._grains:
+            part = np.trunc(rest / grain)
+            rest -= part * grain
+            parts.append(part.astype(np.int64))
+        if rest.any():
+            return start
+        for row, part in zip(self.digits, parts, strict=True):
+            _add_at(row, at, sign * part)
+        more = np.ones(len(values), np.int64) if numbers is None else numbers.astype(np.int64)
+        _add_at(self.counts, at, sign * more)
+        return len(values)
+
+    def _count_others(
+        self, at: At, values: NDArray[Any], which: NDArray[np.bool_], sign: int
+    ) -> None:
+        if self._others is None:
+            self._others = np.zeros((3, len(self.counts)), np.int64)
+        groups = np.flatnonzero(which) if at is None else at[which]
+        odd = values[which]
+        for row, hit in zip(self._others, (np.isnan(odd), odd > 0, odd < 0), strict=True):
+            np.add.at(row, groups[hit], sign)
+
+    def _deepen(self, values: NDArray[Any]) -> bool:
+        """Digits for the greatest of the values, and for the last bit of each, if there are any."""
+        _, exponents = np.frexp(values[values != 0])
+        mantissa = np.abs(np.frexp(values[values != 0])[0] * 2.0**53).astype(np.int64)
+        lowest_bit = np.frexp((mantissa & -mantissa).astype(np.float64))[1] - 1
+        top = -((-(int(exponents.max()) - 28 - BITS)) // BITS)
+        bottom = (int((exponents - 53 + lowest_bit).min()) - 28) // BITS
+        top = min(max(top, self._top), _HIGHEST)
+        bottom = max(min(bottom, self._top - len(self.digits) + 1), _LOWEST)
+        if top - bottom + 1 == len(self.digits):
+            return False
+        digits = np.zeros((top - bottom + 1, self.digits.shape[1]), np.int64)
+        first = top - self._top
+        digits[first : first + len(self.digits)] = self.digits
+        self.digits, self._top = digits, top
+        self._measure()
+        return True
+
+    def _measure(self) -> None:
+        self._grains = np.array([_grain(self._top - k) for k in range(len(self.digits))])
+        self._inverse = 1 / self._grains
+        self._limit = _grain(self._top + 1) if self._top < _HIGHEST else np.inf
+
+    def _settle(self, terms: int) -> None:
+        """Carry what has gathered, before a digit overflows."""
+        self._terms += terms
+        if self._terms < _TERMS:
+            return
+        self._terms = terms + 1
+        if self._top < _HIGHEST:
+            self.digits = np.concatenate([np.zeros_like(self.digits[:1]), self.digits])
+            self._top += 1
+            self._measure()
+        for k in range(len(self.digits) - 1, 0, -1):
+            carry = (self.digits[k] + _HALF) >> BITS
+            self.digits[k] -= carry << BITS
+            self.digits[k - 1] += carry
+        if not self.digits[0].any() and len(self.digits) > 2:
+            self.digits = np.ascontiguousarray(self.digits[1:])
+            self._top -= 1
+            self._measure()
+
+
+class IntegerTotals(Totals):
+    """Sums of int64, exact at any size: in two digits of 32 bits.
+
+    ``values`` are int64, or Python integers where one does not fit.
+    """
+
+    def __init__(self) -> None:
+        super().__init__(2)
+
+    def add(self, at: At, values: NDArray[Any], numbers: NDArray[Any] | None, sign: int) -> None:
+        _add_at(self.digits[0], at, sign * (values >> 32))
+        _add_at(self.digits[1], at, sign * (values & 0xFFFFFFFF))
+        more = np.ones(len(values), np.int64) if numbers is None else numbers
+        _add_at(self.counts, at, sign * more)
+
+    def add_high(self, at: At, values: NDArray[np.int64], sign: int) -> None:
+        """The same with 2^32 times each value, and no count."""
+        _add_at(self.digits[0], at, sign * values)
+
+    def values(self, rows: NDArray[np.int64]) -> NDArray[Any]:
+        high, low = self.digits[:, rows]
+        high += low >> 32
+        if np.all((high >= -(2**31)) & (high < 2**31)):
+            return np.asarray((high << 32) + (low & 0xFFFFFFFF))
+        return np.asarray(high.astype(object) * 2**32 + (low & 0xFFFFFFFF).astype(object))
+
+
+def _add_at(state: NDArray[np.int64], at: At, values: NDArray[np.int64]) -> None:
+    if at is None:
+        state[: len(values)] += values
+    else:
+        np.add.at(state, at, values)
+
+
+def _wider(digits: NDArray[np.int64], shape: tuple[int, int]) -> NDArray[np.int64]:
+    wider = np.zeros(shape, np.int64)
+    wider[:, : digits.shape[1]] = digits
+    return wider

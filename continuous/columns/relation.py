@@ -1,0 +1,408 @@
+"""Columns of terms: relations, the values of terms, keys to join and group by."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from decimal import Decimal
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+from pyoxigraph import Literal
+
+from ...rdf.dictionary import NO_TERM, Term, TermDictionary, TermTable
+from ...rdf.timed import (
+    Intern,
+    Kind,
+    ObjectColumn,
+    TripleRows,
+    make_literal,
+    split_term,
+)
+from ...streams.sample import Mask
+from ..values import decimals
+from ..values.literals import Sort, canonical, exact_literal, worth_of
+from .budget import UNLIMITED, Budget
+
+
+class NeedsOxigraph(Exception):
+    """The columns cannot say this exactly for the data at hand: the window goes to Oxigraph."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Relation:
+    """Solutions in columns by variable name, all of length ``rows``; null = unbound.
+
+    ``key``: variables that no two rows agree on, where that is known.
+    """
+
+    columns: Mapping[str, ObjectColumn]
+    rows: int
+    key: frozenset[str] | None = None
+
+    def column(self, name: str) -> ObjectColumn:
+        """The column of a variable; of one that is never bound, nulls."""
+        found = self.columns.get(name)
+        if found is not None:
+            return found
+        return unbound(self.rows)
+
+    def take(self, rows: NDArray[Any]) -> Relation:
+        """The rows at ``rows`` (a mask or indices without repetition)."""
+        count = int(np.count_nonzero(rows)) if rows.dtype == np.bool_ else len(rows)
+        columns = {name: column.take(rows) for name, column in self.columns.items()}
+        return Relation(columns, count, self.key)
+
+
+Pairs: TypeAlias = tuple[ObjectColumn, ObjectColumn]
+"""Subjects and objects of triples of one predicate: two columns of one length, without nulls."""
+
+
+class TermValues(TermTable):
+    """What the terms of a dictionary are and are worth, in arrays by id that follow its growth.
+
+    Of each: its `Sort`, its float64 and int64 value, its effective boolean value, and the id of its
+    `canonical` term, which stays as long as it does. Cost: Python once a distinct term, once more
+    when it comes again after it was forgotten.
+    """
+
+    def __init__(self, dictionary: TermDictionary, budget: Budget = UNLIMITED) -> None:
+        self.dictionary = dictionary
+        self.budget = budget
+        """What operators on these terms may make of a window."""
+        self._sort: NDArray[np.int8] = np.zeros(0, np.int8)
+        self._number: NDArray[np.float64] = np.zeros(0, np.float64)
+        self._integer: NDArray[np.int64] = np.zeros(0, np.int64)
+        self._true: NDArray[np.bool_] = np.zeros(0, np.bool_)
+        self._long: dict[int, Decimal] = {}
+        self._canonical: NDArray[np.int32] = np.zeros(0, np.int32)
+        self._tag: NDArray[np.int8] = np.zeros(0, np.int8)
+        self._bits: NDArray[np.int64] = np.zeros(0, np.int64)
+        self._size = 0
+        self._place = 0
+        """How many of the ids that are used again have been looked at."""
+        self._waiting: list[int] = []
+        """Those of them that had not been looked at when terms were forgotten last."""
+        dictionary.follow(self)
+
+    def sorts(self, ids: NDArray[np.int32]) -> NDArray[np.int8]:
+        """`Sort` of each id; an absent term (`NO_TERM`) is OTHER."""
+        self._follow()
+        return np.where(ids < 0, np.int8(Sort.OTHER), self._sort[ids])
+
+    def canonical(self, column: ObjectColumn) -> ObjectColumn:
+        """The column with every TERM in its one spelling, so that equal values are equal ids."""
+        if column.kind is not Kind.TERM:
+            return column
+        self._follow()
+        ids = column.values
+        same = np.where(ids < 0, ids, self._canonical[ids])
+        return column if np.array_equal(same, ids) else ObjectColumn(Kind.TERM, same, column.null)
+
+    def typed(self, column: ObjectColumn, kind: Kind) -> ObjectColumn:
+        """A TERM column whose terms are all of ``kind`` as a column of that kind."""
+        values: NDArray[Any]
+        if kind is Kind.INTEGER:
+            values = self._integer[column.values]
+        elif kind is Kind.BOOLEAN:
+            values = self._integer[column.values] != 0
+        else:
+            values = self._number[column.values]
+        return ObjectColumn(kind, values, column.null)
+
+    def encoded(self, column: ObjectColumn) -> tuple[NDArray[np.int8], NDArray[np.int64]]:
+        """Each object as a tag (its `Kind`) and 64 bits; equal exactly where the terms are equal,
+        whatever kind of column they stand in, and however they are spelled. None is null."""
+        if column.kind is not Kind.TERM:
+            return np.full(len(column), column.kind, np.int8), bits(column.values)
+        self._follow()
+        return self._tag[column.values], self._bits[column.values]
+
+    @property
+    def encodings(self) -> tuple[NDArray[np.int8], NDArray[np.int64]]:
+        """By id what `encoded` gives for a term."""
+        self._follow()
+        return self._tag, self._bits
+
+    @property
+    def sorts_by_id(self) -> NDArray[np.int8]:
+        """`Sort` of every id of the dictionary."""
+        self._follow()
+        return self._sort
+
+    def true(self, ids: NDArray[np.int32]) -> NDArray[np.bool_]:
+        """The effective boolean value of terms that have one (SPARQL 1.1 §17.2.2)."""
+        self._follow()
+        answer: NDArray[np.bool_] = self._true[ids]
+        return answer
+
+    def approximate(self, column: ObjectColumn) -> NDArray[np.float64]:
+        """The float64 nearest to each number, in a column of numbers or of `LONG` ones."""
+        if column.kind is not Kind.TERM:
+            return column.values.astype(np.float64, copy=False)
+        self._follow()
+        nearest: NDArray[np.float64] = self._number[column.values]
+        return nearest
+
+    def exact(self, column: ObjectColumn, rows: Iterable[int]) -> list[Decimal]:
+        """The integers or decimals at ``rows`` of a column of them or of `LONG` ones."""
+        self._follow()
+        values = [column.values[row].item() for row in rows]
+        match column.kind:
+            case Kind.INTEGER:
+                return [Decimal(value) for value in values]
+            case Kind.DECIMAL:
+                return [decimals.of_code(value) for value in values]
+        return [self._long[id] for id in values]
+
+    def implied(self, marked: NDArray[np.bool_]) -> NDArray[np.int32]:
+        """See `dictionary.TermTable`."""
+        return self._canonical[np.flatnonzero(marked[: self._size])]
+
+    def forget(self, freed: NDArray[np.bool_]) -> None:
+        """See `dictionary.TermTable`."""
+        self._long = {id: value for id, value in self._long.items() if not freed[id]}
+        waiting = [*self._waiting, *self.dictionary.reused[self._place :]]
+        self._waiting = [id for id in waiting if not freed[id]]
+        self._place = 0
+
+    def _follow(self) -> None:
+        dictionary = self.dictionary
+        # A canonical term may be new to the dictionary: then it is looked at in its turn.
+        while (
+            self._size < len(dictionary)
+            or self._place < len(dictionary.reused)
+            or self._waiting
+            or not len(self._sort)
+        ):
+            size = len(dictionary)
+            if len(self._sort) <= size:
+                capacity = max(2 * size, 64)
+                self._sort = _enlarged(self._sort, capacity)
+                self._number = _enlarged(self._number, capacity)
+                self._integer = _enlarged(self._integer, capacity)
+                self._true = _enlarged(self._true, capacity)
+                self._canonical = _enlarged(self._canonical, capacity)
+                self._tag = _enlarged(self._tag, capacity)
+                self._bits = _enlarged(self._bits, capacity)
+            # An IRI or blank node is itself; only literals have to be looked at.
+            new = slice(self._size, size)
+            self._sort[new] = Sort.NODE
+            self._canonical[new] = self._bits[new] = np.arange(self._size, size)
+            terms: list[tuple[int, Term | None]] = list(
+                enumerate(dictionary.terms(self._size), self._size)
+            )
+            if self._waiting or self._place < len(dictionary.reused):
+                terms += self._used_again()
+            self._size = size
+            for id, term in terms:
+                if isinstance(term, Literal):
+                    self._note(id, term)
+
+    def _used_again(self) -> list[tuple[int, Term | None]]:
+        """Ids that have other terms than when they were looked at, as nothing is known of them."""
+        ids = [*self._waiting, *self.dictionary.reused[self._place :]]
+        self._waiting, self._place = [], len(self.dictionary.reused)
+        at = np.array(ids, np.int64)
+        self._sort[at], self._number[at], self._integer[at] = Sort.NODE, 0.0, 0
+        self._true[at] = False
+        self._canonical[at] = self._bits[at] = at
+        self._tag[at] = Kind.TERM
+        return [(id, self.dictionary.term(id)) for id in ids]
+
+    def _note(self, id: int, literal: Literal) -> None:
+        worth = worth_of(literal)
+        self._sort[id], self._number[id], self._integer[id] = (
+            worth.sort,
+            worth.number,
+            worth.integer,
+        )
+        self._true[id] = worth.true
+        if worth.long is not None:
+            self._long[id] = worth.long
+        spelled = canonical(literal)
+        intern = self.dictionary.transient_id
+        self._canonical[id] = id if spelled == literal else intern(spelled)
+        # A number that no column holds (a long decimal) is the term itself.
+        kind, value = split_term(spelled, intern)
+        self._tag[id] = kind
+        self._bits[id] = bits(np.array([value], kind.dtype))[0]
+
+
+def _enlarged(array: NDArray[Any], capacity: int) -> NDArray[Any]:
+    larger = np.zeros(capacity, array.dtype)
+    larger[: len(array)] = array
+    return larger
+
+
+def either(left: Mask | None, right: Mask | None) -> Mask | None:
+    """Null where either is null."""
+    if left is None:
+        return right
+    return left if right is None else left | right
+
+
+def term_column(terms: Sequence[Term | None], intern: Intern) -> ObjectColumn:
+    """A column of ``terms`` (None = null), canonical, in numbers if they are all of one kind."""
+    terms = [None if term is None else canonical(term) for term in terms]
+    pairs = [(Kind.TERM, NO_TERM) if t is None else split_term(t, intern) for t in terms]
+    null = np.array([t is None for t in terms], np.bool_)
+    kinds = {kind for (kind, _), term in zip(pairs, terms, strict=True) if term is not None}
+    mask = null if null.any() else None
+    if len(kinds) == 1 and (kind := next(iter(kinds))) is not Kind.TERM:
+        values = [
+            0 if term is None else value for (_, value), term in zip(pairs, terms, strict=True)
+        ]
+        return ObjectColumn(kind, np.array(values, kind.dtype), mask)
+    ids = [NO_TERM if term is None else intern(term) for term in terms]
+    return ObjectColumn(Kind.TERM, np.array(ids, np.int32), mask)
+
+
+def exact_column(kind: Kind, values: Sequence[Decimal | None], intern: Intern) -> ObjectColumn:
+    """INTEGERs or DECIMALs of any size as a column (None = null): terms where one needs that."""
+    known = [None if value is None else exact_literal(kind, value) for value in values]
+    return term_column(known, intern)
+
+
+def as_terms(column: ObjectColumn, dictionary: TermDictionary) -> ObjectColumn:
+    """The column with every object as an id. Cost: Python once a distinct value."""
+    if column.kind is Kind.TERM:
+        return column
+    distinct, inverse = np.unique(bits(column.values), return_inverse=True)
+    values = decoded(column.kind, distinct).values.tolist()
+    ids = dictionary.transient_ids(make_literal(column.kind, value) for value in values)
+    return ObjectColumn(Kind.TERM, ids[inverse.reshape(-1)], column.null)
+
+
+def bits(values: NDArray[Any]) -> NDArray[np.int64]:
+    """A number for each value, the same only for the same term: float64 by its bits."""
+    if values.dtype == np.float64:
+        return np.ascontiguousarray(values).view(np.int64)
+    return values.astype(np.int64)
+
+
+def decoded(kind: Kind, bits: NDArray[np.int64]) -> ObjectColumn:
+    """A column of this kind from its `bits`."""
+    if kind.dtype == np.float64:
+        return ObjectColumn(kind, bits.view(np.float64))
+    return ObjectColumn(kind, bits.astype(kind.dtype, copy=False))
+
+
+def decoded_terms(
+    tags: NDArray[np.int8], bits: NDArray[np.int64], dictionary: TermDictionary
+) -> ObjectColumn:
+    """Objects of several kinds (`TermValues.encoded`), as terms. Cost: Python once a distinct
+    number."""
+    ids = np.full(len(tags), NO_TERM, np.int32)
+    for tag in np.unique(tags).tolist():
+        at = np.flatnonzero(tags == tag)
+        ids[at] = as_terms(decoded(Kind(tag), bits[at]), dictionary).values
+    return ObjectColumn(Kind.TERM, ids)
+
+
+def unbound(rows: int, kind: Kind = Kind.TERM) -> ObjectColumn:
+    """A column of nothing."""
+    values = np.full(rows, NO_TERM if kind is Kind.TERM else 0, kind.dtype)
+    return ObjectColumn(kind, values, np.ones(rows, np.bool_))
+
+
+def take_or_null(column: ObjectColumn, rows: NDArray[np.int64]) -> ObjectColumn:
+    """The column at ``rows``, null where that is -1."""
+    absent = rows < 0
+    if not absent.any():
+        return column.take(rows)
+    if not len(column):
+        return unbound(len(rows), column.kind)
+    taken = column.take(np.where(absent, 0, rows))
+    return ObjectColumn(taken.kind, taken.values, absent | ~taken.present)
+
+
+def scattered(
+    places: Sequence[NDArray[np.int64]], parts: Sequence[ObjectColumn], dictionary: TermDictionary
+) -> ObjectColumn:
+    """One column of the parts, each at its places, which are all rows together."""
+    at = np.concatenate(places)
+    back = np.empty(len(at), np.int64)
+    back[at] = np.arange(len(at))
+    return concatenate(parts, dictionary).take(back)
+
+
+def coalesce(first: ObjectColumn, second: ObjectColumn, dictionary: TermDictionary) -> ObjectColumn:
+    """The first where it is bound, else the second."""
+    if first.null is None:
+        return first
+    if first.kind is not second.kind:
+        first, second = (as_terms(column, dictionary) for column in (first, second))
+    assert first.null is not None
+    null = first.null & ~second.present
+    values = np.where(first.null, second.values, first.values).astype(first.kind.dtype)
+    return ObjectColumn(first.kind, values, null if null.any() else None)
+
+
+def concatenate(columns: Sequence[ObjectColumn], dictionary: TermDictionary) -> ObjectColumn:
+    """One column after the other; of mixed kinds, as terms."""
+    if len(columns) == 1:
+        return columns[0]
+    if len({column.kind for column in columns}) > 1:
+        columns = [as_terms(column, dictionary) for column in columns]
+    null = None
+    if any(column.null is not None for column in columns):
+        null = np.concatenate([~column.present for column in columns])
+    return ObjectColumn(columns[0].kind, np.concatenate([c.values for c in columns]), null)
+
+
+def concatenate_rows(parts: Sequence[TripleRows]) -> TripleRows:
+    """One table of rows of one shape (same predicates, kinds and sort)."""
+    first = parts[0]
+    if len(parts) == 1:
+        return first
+    objects = {}
+    for predicate, column in first.objects.items():
+        columns = [part.objects[predicate] for part in parts]
+        null = None
+        if any(part.null is not None for part in columns):
+            null = np.concatenate([~part.present for part in columns])
+        values = np.concatenate([part.values for part in columns])
+        objects[predicate] = ObjectColumn(column.kind, values, null)
+    return TripleRows(
+        np.concatenate([part.time for part in parts]),
+        np.concatenate([part.valid for part in parts]),
+        np.concatenate([part.subject for part in parts]),
+        objects,
+        first.sort,
+    )
+
+
+def key_codes(
+    columns: Iterable[Sequence[ObjectColumn]], dictionary: TermDictionary
+) -> list[NDArray[np.int64]]:
+    """Codes for rows of several tables: equal codes where all their key columns agree.
+
+    ``columns`` gives for each key column its parts, one a table; the answer is one array a table.
+    A null agrees with a null only.
+    """
+    lengths: list[int] = []
+    combined: NDArray[np.int64] | None = None
+    for parts in columns:
+        lengths = [len(part) for part in parts]
+        if len({part.kind for part in parts}) > 1:
+            parts = [as_terms(part, dictionary) for part in parts]
+        code = np.concatenate([bits(part.values) for part in parts])
+        if any(part.null is not None for part in parts):
+            null = np.concatenate([~part.present for part in parts])
+            code = np.unique(np.where(null, 0, code), return_inverse=True)[1].reshape(-1) + 1
+            code = np.where(null, 0, code)
+        if combined is None:
+            combined = code
+        else:
+            left = np.unique(combined, return_inverse=True)[1].reshape(-1)
+            right = np.unique(code, return_inverse=True)[1].reshape(-1)
+            combined = left * (int(right.max(initial=0)) + 1) + right
+    assert combined is not None
+    return np.split(combined, np.cumsum(lengths)[:-1])
+
+
+def first_rows(codes: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The first row of each distinct code, in order of appearance."""
+    return np.sort(np.unique(codes, return_index=True)[1]).astype(np.int64)

@@ -1,0 +1,209 @@
+"""The execution of a plan over one window after the other: what is folded as it comes, what is
+joined by a compiled loop, and what is computed from the rows of each window anew.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cached_property
+
+from ...rdf.timed import TripleRows
+from ...streams.jit import JIT
+from ..algebra.plan import (
+    DEFAULT,
+    AnyScan,
+    Closure,
+    Plan,
+    Scan,
+    TypeScan,
+    outputs,
+    walk,
+)
+from ..algebra.triple_times import names_now
+from ..algebra.volatile_functions import has_chance
+from ..columns.relation import Relation
+from ..incremental.aggregate_shape import Shape, shape_of
+from ..incremental.aggregation import Incremental
+from ..operators.profile import Profile
+from ..operators.sources import StaticSide, WindowSource
+from ..pattern_join.plan_cut import needed_outside, pattern_parts, served_parts
+from ..pattern_join.solver import PatternSolver
+from ..windows.contents import Contents
+from ..windows.window_schedule import Windowing
+
+_SCANS = (Scan, TypeScan, AnyScan, Closure)
+
+
+class Execution:
+    """How ``plan`` is executed over ``windows``, whose rows others may read too.
+
+    ``folds``: an aggregate is computed incrementally, where that can be.
+    """
+
+    def __init__(
+        self, plan: Plan, windows: Windowing, static: StaticSide, *, folds: bool = True
+    ) -> None:
+        self.plan = plan
+        self.windows = windows
+        self.static = static
+        self.names_now = names_now(plan)
+        self.has_chance = has_chance(plan)
+        self.distinct = windows.options.semantics == "set"
+        self.incremental: Incremental | None = None
+        self.patterns: PatternSolver | None = None
+        self.served: tuple[Plan, ...] = ()
+        """The parts that the compiled loop solves."""
+        self.not_folded = self._not_folded() if folds else "it is not to be folded"
+        """Why `incremental` is None, where it is."""
+        self._folded: int | None = None
+        if not self.not_folded:
+            self._fold_aggregate()
+
+    @property
+    def shape(self) -> Shape | str:
+        """How the plan is computed incrementally, or why it is not."""
+        return self.not_folded if self.incremental is None else self.incremental.shape
+
+    @property
+    def retains(self) -> bool:
+        """Whether the rows of a window are read again when it has closed."""
+        return self.incremental is None or self.incremental.shape.retains
+
+    def join_patterns(self, shown: frozenset[str]) -> None:
+        """Have the parts of the plan that are joins of patterns solved by a compiled loop, which
+        keeps the rows in a form of its own: so nobody else may read the windows. ``shown`` are the
+        variables that are looked at in what the plan gives."""
+        windows = self.windows.schedule.windows
+        counted = any(one.counted for one in windows)
+        if self.incremental is not None or not JIT or self.names_now or self.has_chance or counted:
+            return
+        plan = pattern_parts(self.plan)
+        parts = tuple(served_parts(plan))
+        if not parts:
+            return
+        self.plan, self.served = plan, parts
+        graphs = [one.graph for one in windows]
+        needed = needed_outside(plan, parts)
+        wanted = [
+            (part, names | (shown & outputs(part)))
+            for part, names in zip(parts, needed, strict=True)
+        ]
+        self.patterns = PatternSolver(wanted, graphs, self.static, distinct=self.distinct)
+        covered = {id(node) for part in parts for node in walk(part)}
+        alone = all(id(node) in covered for node in walk(plan) if isinstance(node, _SCANS))
+        self.windows.contents.read_by(self.patterns, alone=alone)
+
+    def fold(self, end: int, profile: Profile | None = None) -> None:
+        """The panes up to ``end`` that have content, oldest first; others are skipped. The first
+        time it is the whole window. ``profile`` takes what that costs."""
+        if self.incremental is None:
+            return
+        scan, rows = self.incremental.shape.scan, 0
+        begin = 0 if profile is None else profile.clock()
+        window = self.windows.schedule.windows[0]
+        assert window.grid is not None
+        low, _ = window.bounds(end)
+        intakes = self.windows.contents.intakes.values()
+        done = low if self._folded is None else max(low, self._folded)
+        pane = self.windows.schedule.pane
+        while True:
+            times = [intake.earliest(done) for intake in intakes]
+            time = min((time for time in times if time is not None), default=None)
+            if time is None or time > end:
+                break
+            done = time + (window.grid.origin - time) % pane
+            tables = [t for intake in intakes for t in intake.between(done - pane, done)]
+            self.incremental.fold(done, tables)
+            if profile is not None:
+                predicate = self.static.terms.dictionary.find(scan.predicate)
+                columns = (table.objects.get(predicate) for table in tables)
+                rows += sum(int(c.present.sum()) for c in columns if c is not None)
+        self.incremental.evict(low)
+        self._folded = end
+        if profile is not None:
+            profile.add(scan, rows, 0)
+            profile.beside(scan, profile.clock() - begin)
+
+    def sources(self, rows: WindowRows, profile: Profile | None = None) -> Iterator[WindowSource]:
+        """What the plan can be executed over: first with what is folded, then, for a window that
+        columns cannot fold, without. ``profile`` takes what the operators cost."""
+        if self.incremental is not None:
+            yield _Source(self, rows, self.incremental, profile)
+        yield _Source(self, rows, None, profile)
+
+    def _fold_aggregate(self) -> None:
+        shape = shape_of(self.plan, self.static)
+        if isinstance(shape, str):
+            self.not_folded = shape
+            return
+        schedule = self.windows.schedule
+        window = schedule.windows[0].range
+        assert window is not None
+        self.incremental = Incremental(
+            shape,
+            self.static,
+            self.static.terms,
+            window // schedule.pane,
+            distinct=self.distinct,
+        )
+
+    def _not_folded(self) -> str:
+        """Why windows cannot be folded pane by pane, whatever the plan computes."""
+        schedule = self.windows.schedule
+        if not schedule.uniform:
+            return "the windows are several, or not of time alone"
+        if self.windows.differs or self.windows.options.report != "non-empty":
+            return "windows without content are evaluated too"
+        if self.names_now:
+            return "it asks for NOW()"
+        if self.has_chance:
+            return "it asks for what is drawn anew for each window"
+        for node in walk(self.plan):
+            if not isinstance(node, _SCANS):
+                continue
+            if node.graph != schedule.windows[0].graph:
+                return "it reads several graphs"
+            if isinstance(node, TypeScan) and node.graph != DEFAULT:
+                return "what a named window says of sorts is not folded"
+            if isinstance(node, Scan) and node.times.names:
+                return "it asks when triples were said"
+        return ""
+
+
+class WindowRows:
+    """The rows of the windows at an end, brought together when somebody looks at them."""
+
+    def __init__(self, contents: Contents, end: int) -> None:
+        self.contents = contents
+        self.end = end
+
+    @cached_property
+    def tables(self) -> Mapping[str, Sequence[TripleRows]]:
+        """By graph, input by input."""
+        return self.contents.tables(self.end)
+
+
+class _Source(WindowSource):
+    """The leaves of windows, and what is at hand without them: the groups of the incremental
+    aggregate, the joins of patterns."""
+
+    def __init__(
+        self,
+        execution: Execution,
+        rows: WindowRows,
+        incremental: Incremental | None,
+        profile: Profile | None,
+    ) -> None:
+        named = execution.windows.schedule.named
+        super().__init__(execution.static, named, execution.distinct, profile)
+        self.rows = rows
+        self.incremental = incremental
+        self.patterns = execution.patterns
+
+    def tables(self, graph: str) -> Sequence[TripleRows]:
+        return self.rows.tables.get(graph, ())
+
+    def ready(self, plan: Plan) -> Relation | None:
+        if self.incremental is not None:
+            return self.incremental.ready(plan, self)
+        return None if self.patterns is None else self.patterns.solve(plan)

@@ -1,0 +1,1 @@
+"""The operators of a plan over columns: joins, groups, paths, the forms of results."""

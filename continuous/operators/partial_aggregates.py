@@ -1,0 +1,483 @@
+"""Partial aggregates: what is kept of an aggregate's rows, by group, so that parts can be merged.
+
+A `Partial` keeps integers, decimals, floats and doubles apart (SPARQL promotes only at the end),
+and counts what is no number. Law: merging the partials of the parts of a bag is the partial of
+the bag (sums of float64 up to rounding), whatever the parts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from decimal import Decimal
+from fractions import Fraction
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...rdf.dictionary import Term
+from ...rdf.timed import Kind, ObjectColumn
+from ..columns.exact_sums import At
+from ..columns.fold_kernels import Groups, RowFold, mirrored
+from ..columns.relation import (
+    NeedsOxigraph,
+    TermValues,
+    either,
+    exact_column,
+    scattered,
+    term_column,
+)
+from ..values import decimals
+from ..values.decimals import Mantissas
+from ..values.exact_values import Number, Singles, extreme, summed
+from ..values.literals import LONG, Sort
+
+SAFE = 2**62
+TERMS, ERRORS, SINGLES = 0, 1, 2
+"""Columns of what no array of numbers holds: other terms, errors of the argument, `Singles`."""
+_GREAT = 2.0**960
+"""2^60 doubles that are less than this have a finite sum."""
+_CERTAIN = 2.0**53
+"""Below, integers and decimals that are equal as float64 are equal."""
+
+Key: TypeAlias = tuple[Kind, int]
+"""A kind of number and, of decimals, the scale of their mantissas (`decimals.SCALES`); else 0."""
+
+
+def dtype_of(key: Key) -> np.dtype[Any]:
+    """How the values of a `Key` are held: integers and mantissas as int64."""
+    return np.dtype(np.int64 if key[0] <= Kind.DECIMAL else np.float64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Numbers:
+    """The values of one `Key` by group, all of shape ``(groups,)`` but ``ends``.
+
+    ``sums``: float64, int64, or Python integers where one does not fit. ``ends``: shape
+    ``(groups, 2)``, the least value and the least mirrored one (`sliding_extremes`).
+    """
+
+    sums: NDArray[Any]
+    counts: NDArray[np.int64]
+    ends: NDArray[Any] | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Part:
+    """Rows of one `Key`; with None, of no number: ``column`` is `TERMS` or `ERRORS`.
+
+    ``singles``: the values are numbers of Python, each to be kept by itself (`Singles`).
+    """
+
+    key: Key | None
+    subjects: NDArray[np.int32]
+    values: NDArray[Any]
+    skip: NDArray[np.bool_] | None = None
+    column: int = TERMS
+
+    @property
+    def single(self) -> bool:
+        return self.column == SINGLES
+
+
+def parts_of(
+    subjects: NDArray[np.int32],
+    column: ObjectColumn,
+    skip: NDArray[np.bool_] | None,
+    terms: TermValues,
+    *,
+    by_value: bool = False,
+) -> Iterator[Part]:
+    """The rows but those in ``skip``, each kind of number once. A null that is not skipped is an
+    error.
+
+    ``by_value``: the `Key` of a number follows from the number alone, so that a row that is taken
+    away later has the key it had when it was added, whatever rows come with it.
+    """
+    if column.null is not None:
+        failed = column.null if skip is None else column.null & ~skip
+        if failed.any():
+            yield Part(None, subjects[failed], column.values[failed], column=ERRORS)
+        skip = column.null if skip is None else column.null | skip
+    if column.kind.is_number:
+        yield from _number_parts(column.kind, subjects, column.values, skip, by_value)
+        return
+    rows = np.arange(len(subjects)) if skip is None else np.flatnonzero(~skip)
+    if column.kind is Kind.BOOLEAN:
+        yield Part(None, subjects[rows], column.values[rows])
+        return
+    sorts = terms.sorts(column.values[rows])
+    for sort in np.unique(sorts).tolist():
+        at = rows[sorts == sort]
+        part = ObjectColumn(Kind.TERM, column.values[at])
+        if Sort.INTEGER <= sort <= Sort.DOUBLE:
+            kind = Kind(sort)
+            values = terms.typed(part, kind).values
+            yield from _number_parts(kind, subjects[at], values, None, by_value)
+        elif sort in LONG:
+            kind = Kind.INTEGER if sort == Sort.LONG_INTEGER else Kind.DECIMAL
+            yield _single(kind, subjects[at], terms.exact(part, range(len(at))))
+        else:
+            yield Part(None, subjects[at], part.values)
+
+
+def _number_parts(
+    kind: Kind,
+    subjects: NDArray[np.int32],
+    values: NDArray[Any],
+    skip: NDArray[np.bool_] | None,
+    by_value: bool,
+) -> Iterator[Part]:
+    """Rows of one kind; decimals as mantissas of one scale, if they have one and may share it."""
+    if kind is Kind.INTEGER:
+        yield Part((kind, 0), subjects, values, skip)
+    elif kind is not Kind.DECIMAL:
+        if not len(values) or -_GREAT < values.min() <= values.max() < _GREAT:
+            yield Part((kind, 0), subjects, values, skip)
+            return
+        great = np.isfinite(values) & (np.abs(values) >= _GREAT)
+        great = great if skip is None else great & ~skip
+        if great.any():
+            yield _single(kind, subjects[great], values[great].tolist())
+            skip = great if skip is None else great | skip
+        yield Part((kind, 0), subjects, values, skip)
+    else:
+        if skip is not None:
+            rows = np.flatnonzero(~skip)
+            subjects, values = subjects[rows], values[rows]
+        found = None if by_value else decimals.mantissas(values)
+        if found is not None:
+            yield Part((kind, found.scale), subjects, found.values)
+        else:
+            yield from _decimal_parts(subjects, values)
+
+
+def _decimal_parts(subjects: NDArray[np.int32], codes: NDArray[np.float64]) -> Iterator[Part]:
+    """Decimals of several scales, a part each."""
+    rows = np.arange(len(subjects))
+    for scale in decimals.SCALES:
+        fits, found = decimals.fitting(codes[rows], scale)
+        if fits.any():
+            yield Part((Kind.DECIMAL, scale), subjects[rows[fits]], found.values[fits])
+            rows = rows[~fits]
+    if len(rows):
+        numbers = [decimals.of_code(code) for code in codes[rows].tolist()]
+        yield _single(Kind.DECIMAL, subjects[rows], numbers)
+
+
+def _single(kind: Kind, subjects: NDArray[np.int32], values: Sequence[Number]) -> Part:
+    kept = np.empty(len(values), object)
+    kept[:] = values
+    return Part((kind, 0), subjects, kept, column=SINGLES)
+
+
+class NumberFold:
+    """Rows of one `Key` folded by group, integers exactly.
+
+    A sum of int64 wraps around at 64 bits. Where it might, the upper halves of the values are
+    summed too, which tells how often it did.
+    """
+
+    def __init__(self, key: Key, extremes: bool) -> None:
+        self._rows = RowFold(dtype_of(key), extremes)
+        self._high: RowFold | None = None
+        self._bound = 0
+
+    def add(
+        self,
+        subjects: NDArray[np.int32],
+        values: NDArray[Any],
+        skip: NDArray[np.bool_] | None,
+        groups: Groups,
+    ) -> None:
+        """Fold the rows that are not in ``skip``, one after the other."""
+        if values.dtype == np.int64 and len(values):
+            self._bound += _greatest(values) * len(values)
+            if self._bound >= SAFE:
+                if self._high is None:
+                    self._high = RowFold(np.dtype(np.int64), False)
+                self._high.add(subjects, values >> 32, skip, groups)
+        self._rows.add(subjects, values, skip, groups)
+
+    def take(self, used: int) -> tuple[At, NDArray[Any], NDArray[np.int64] | None]:
+        """What was folded, and begin anew: see `RowFold.take`.
+
+        The third: integers whose 2^32-fold the first of the columns lacks, None: of none.
+        """
+        at, columns = self._rows.take(used)
+        self._bound = 0
+        if self._high is None:
+            return at, columns, None
+        self._high.reserve(used)
+        high = self._high.state[slice(used) if at is None else at, 0].copy()
+        self._high = None
+        # In the lower halves no sum can leave 64 bits: 2^30 rows of 32 bits.
+        columns[0] -= high << 32
+        return at, columns, high
+
+    def take_all(self, used: int) -> tuple[NDArray[Any], NDArray[np.int64] | None]:
+        """As `take`, but of each group, also where few were touched."""
+        at, columns, high = self.take(used)
+        if at is None:
+            return columns, high
+        whole = np.repeat(self._rows.empty[:, np.newaxis], used, axis=1)
+        whole[:, at] = columns
+        if high is not None:
+            above = np.zeros(used, np.int64)
+            above[at] = high
+            high = above
+        return whole, high
+
+
+@dataclass(slots=True, eq=False)
+class Partial:
+    """One argument's rows by group.
+
+    ``others``: shape ``(groups, 3)``, how many are `TERMS`, `ERRORS` and `SINGLES`, None: none are.
+    Cost and memory: see `RowFold` and `Singles`.
+    """
+
+    numbers: dict[Key, Numbers] = field(default_factory=dict)
+    others: NDArray[np.int64] | None = None
+    singles: Singles = field(default_factory=Singles)
+
+    @classmethod
+    def of(
+        cls,
+        subjects: NDArray[np.int32],
+        column: ObjectColumn,
+        groups: Groups,
+        terms: TermValues,
+        extremes: bool,
+    ) -> Partial:
+        """All rows of ``column`` for the groups of ``subjects``, which are there."""
+        made = cls()
+        for part in parts_of(subjects, column, None, terms):
+            if part.key is None or part.single:
+                if made.others is None:
+                    made.others = np.zeros((groups.used, 3), np.int64)
+                at = groups.groups(part.subjects)
+                np.add.at(made.others[:, part.column], at, 1)
+                if part.key is not None:
+                    made.singles.add(at, part.key[0], part.values, 1)
+                continue
+            fold = NumberFold(part.key, extremes)
+            fold.add(part.subjects, part.values, part.skip, groups)
+            columns, high = fold.take_all(groups.used)
+            sums, counts = columns[0], columns[1].astype(np.int64)
+            if high is not None:
+                sums = high.astype(object) * 2**32 + sums.astype(object)
+            made.numbers[part.key] = Numbers(sums, counts, columns[2:].T if extremes else None)
+        return made
+
+    def merged(self, groups: NDArray[np.int64], rows: NDArray[np.int64], count: int) -> Partial:
+        """The partial of ``count`` groups where group ``groups[i]`` takes in our ``rows[i]``."""
+        made = Partial(singles=self.singles.merged(groups, rows))
+        for key, mine in self.numbers.items():
+            sums = mine.sums
+            if sums.dtype == np.int64 and len(sums) and _greatest(sums) * len(rows) >= SAFE:
+                sums = sums.astype(object)
+            total, counts = np.zeros(count, sums.dtype), np.zeros(count, np.int64)
+            with np.errstate(all="ignore"):
+                np.add.at(total, groups, sums[rows])
+            np.add.at(counts, groups, mine.counts[rows])
+            ends = None
+            if mine.ends is not None:
+                ends = np.full((count, 2), _nothing(mine.ends.dtype), mine.ends.dtype)
+                np.minimum.at(ends, groups, mine.ends[rows])
+            made.numbers[key] = Numbers(total, counts, ends)
+        if self.others is not None:
+            made.others = np.zeros((count, 3), np.int64)
+            np.add.at(made.others, groups, self.others[rows])
+        return made
+
+    def finish(
+        self, function: str, groups: NDArray[np.int64], terms: TermValues, star: bool = False
+    ) -> ObjectColumn:
+        """The aggregate's value for all ``groups``: null where it is an error or unbound."""
+        keys = sorted(key for key, of in self.numbers.items() if of.counts.any())
+        numbers = np.zeros(len(groups), np.int64)
+        for key in keys:
+            numbers = numbers + self.numbers[key].counts
+        others = self.others
+        if others is not None:
+            numbers = numbers + others[:, SINGLES]
+        if function == "COUNT":
+            if others is not None:
+                numbers = numbers + others[:, TERMS] + (others[:, ERRORS] if star else 0)
+            return ObjectColumn(Kind.INTEGER, numbers)
+        is_extreme = function in ("MIN", "MAX")
+        wrong: NDArray[np.bool_] | None = None
+        if others is not None:
+            # One error among the values makes the aggregate an error; so does a term in a sum.
+            if is_extreme and others[:, TERMS].any():
+                raise NeedsOxigraph(f"{function} over terms that are no numbers")
+            wrong = np.asarray((others[:, TERMS] > 0) | (others[:, ERRORS] > 0))
+        if is_extreme and not numbers.all():
+            wrong = numbers == 0 if wrong is None else wrong | (numbers == 0)
+        null = wrong if wrong is not None and wrong.any() else None
+        single = np.zeros(len(groups), np.bool_)
+        single[list(self.singles.groups)] = True
+        if not keys:
+            column = ObjectColumn(Kind.INTEGER, np.zeros(len(groups), np.int64))
+        elif is_extreme:
+            column, doubtful = self._extreme(function, keys, len(groups), terms)
+            single |= doubtful
+        else:
+            column = self._total(function == "AVG", keys, numbers, terms)
+        if single.any():
+            at, rest = np.flatnonzero(single), np.flatnonzero(~single)
+            found = [self._one_by_one(function, keys, group) for group in at.tolist()]
+            few = term_column(found, terms.dictionary.transient_id)
+            column = scattered([at, rest], [few, column.take(rest)], terms.dictionary)
+        return ObjectColumn(column.kind, column.values, either(null, column.null))
+
+    def _one_by_one(self, function: str, keys: list[Key], group: int) -> Term | None:
+        """The aggregate's value for one group, of any numbers."""
+        there = [key for key in keys if self.numbers[key].counts[group]]
+        singles = list(self.singles.numbers(group))
+        if function in ("MIN", "MAX"):
+            ends = [(key[0], self._end(key, group, function == "MIN")) for key in there]
+            return extreme(
+                [*ends, *((kind, value) for kind, value, _ in singles)], function == "MIN"
+            )
+        sums = [(key[0], _number(key, self.numbers[key].sums[group]), 1) for key in there]
+        count = sum(times for _, _, times in singles)
+        count += sum(int(self.numbers[key].counts[group]) for key in there)
+        return summed([*sums, *singles], count if function == "AVG" else None)
+
+    def _end(self, key: Key, group: int, least: bool) -> Number:
+        ends = self.numbers[key].ends
+        assert ends is not None
+        return _number(key, ends[group, 0] if least else mirrored(ends[group : group + 1, 1])[0])
+
+    def _total(
+        self, average: bool, keys: list[Key], numbers: NDArray[np.int64], terms: TermValues
+    ) -> ObjectColumn:
+        if len(keys) == 1:
+            kind, scale = keys[0]
+            sums = self.numbers[keys[0]].sums
+            return _sum_column(kind, sums, scale, numbers, average, terms)
+        promoted = np.full(len(numbers), int(Kind.INTEGER))
+        for key in keys:
+            promoted = np.where(self.numbers[key].counts > 0, int(key[0]), promoted)
+        places, parts = [], []
+        for code in np.unique(promoted).tolist():
+            at = np.flatnonzero(promoted == code)
+            own = [key for key in keys if key[0] <= code]
+            scale = max((key[1] for key in own), default=0) if code <= Kind.DECIMAL else 0
+            values: NDArray[Any] = np.zeros(len(at), np.int64)
+            for key in own:
+                part = self.numbers[key].sums[at]
+                if code > Kind.DECIMAL:
+                    with np.errstate(all="ignore"):
+                        values = values + part.astype(np.float64) / 10.0 ** key[1]
+                else:
+                    values = _exact_sum(values, part, scale - key[1])
+            places.append(at)
+            parts.append(_sum_column(Kind(code), values, scale, numbers[at], average, terms))
+        return scattered(places, parts, terms.dictionary)
+
+    def _extreme(
+        self, function: str, keys: list[Key], rows: int, terms: TermValues
+    ) -> tuple[ObjectColumn, NDArray[np.bool_]]:
+        """The extremes, and for which groups float64 could not tell two numbers apart."""
+        side = 0 if function == "MIN" else 1
+        ends = {}
+        for key in keys:
+            found = self.numbers[key].ends
+            assert found is not None
+            values = mirrored(found[:, 1]) if side else found[:, 0]
+            ends[key] = values / 10.0 ** key[1] if key[0] is Kind.DECIMAL else values
+        doubtful = np.zeros(rows, np.bool_)
+        if len(keys) == 1:
+            return ObjectColumn(keys[0][0], ends[keys[0]]), doubtful
+        worst = np.inf if side == 0 else -np.inf
+        best = np.full(rows, worst)
+        chosen = np.full(rows, -1)
+        for i, key in enumerate(keys):
+            there = self.numbers[key].counts > 0
+            value = np.where(there, ends[key].astype(np.float64), worst)
+            doubtful |= there & (chosen >= 0) & (value == best) & (np.abs(value) >= _CERTAIN)
+            better = (value < best) if side == 0 else (value > best)
+            # A NaN is the extreme, whichever number stands beside it.
+            better |= ((chosen < 0) & there) | np.isnan(value)
+            best, chosen = np.where(better, value, best), np.where(better, i, chosen)
+        places, parts = [], []
+        for i in np.unique(chosen).tolist():
+            at = np.flatnonzero(chosen == i)
+            key = keys[max(i, 0)]
+            parts.append(ObjectColumn(key[0], ends[key][at]))
+            places.append(at)
+        return scattered(places, parts, terms.dictionary), doubtful
+
+
+def _number(key: Key, value: Any) -> Number:
+    """A sum or an extreme of the arrays as a number of Python."""
+    if key[0] <= Kind.DECIMAL:
+        return decimals.scaled(int(value), key[1])
+    return float(value)
+
+
+def _exact_sum(total: NDArray[Any], part: NDArray[Any], places: int) -> NDArray[Any]:
+    """``total + part * 10**places``, in Python integers where int64 might overflow."""
+    if total.dtype == part.dtype == np.int64 and len(part):
+        greatest = max(_greatest(part) * 10**places, _greatest(total))
+        if greatest < SAFE // 2:
+            return np.asarray(total + part * 10**places)
+    return np.asarray(total.astype(object) + part.astype(object) * 10**places)
+
+
+def _sum_column(
+    kind: Kind,
+    sums: NDArray[Any],
+    scale: int,
+    numbers: NDArray[np.int64],
+    average: bool,
+    terms: TermValues,
+) -> ObjectColumn:
+    """Sums as they are shown; ``scale``: of exact ones, which are mantissas."""
+    if kind > Kind.DECIMAL:
+        return ObjectColumn(kind, sums / np.maximum(numbers, 1) if average else sums)
+    whole = sums
+    if sums.dtype == object:
+        # Some are beyond 64 bits, few as a rule: those are computed one by one.
+        fits = np.array([-(2**63) <= value < 2**63 for value in sums], np.bool_)
+        whole = np.where(fits, sums, 0).astype(np.int64)
+    else:
+        fits = np.ones(len(sums), np.bool_)
+    if average:
+        # The average of integers is a decimal (SPARQL 1.1 §18.5.1.4), of nothing the integer 0.
+        kind = Kind.DECIMAL
+        values, known = decimals.quotients(whole, scale, np.maximum(numbers, 1))
+        known &= fits
+    elif kind is Kind.INTEGER:
+        values, known = whole, fits
+    else:
+        values, known = decimals.coded(Mantissas(whole, scale))
+        known &= fits
+    column = ObjectColumn(kind, values)
+    if known.all():
+        return column
+    at, rest = np.flatnonzero(~known), np.flatnonzero(known)
+    exact: list[Decimal | None] = []
+    for value, count in zip(sums[at].tolist(), numbers[at].tolist(), strict=True):
+        found = Fraction(int(value), 10**scale)
+        if average:
+            exact.append(decimals.quotient(found, Fraction(max(count, 1))))
+        else:
+            exact.append(decimals.scaled(int(value), scale))
+    few = exact_column(kind, exact, terms.dictionary.transient_id)
+    return scattered([at, rest], [few, column.take(rest)], terms.dictionary)
+
+
+def _nothing(dtype: np.dtype[Any]) -> Any:
+    return np.inf if dtype == np.float64 else 2**63 - 1
+
+
+def _greatest(values: NDArray[Any]) -> int:
+    """The greatest absolute value."""
+    if values.strides == (0,):
+        return abs(int(values[0]))
+    return max(abs(int(values.max())), abs(int(values.min())))

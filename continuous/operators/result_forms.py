@@ -1,0 +1,181 @@
+"""Heads: solutions become a table, triples or an answer, in columns ([Events14 §V.A])."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import assert_never
+
+import numpy as np
+from numpy.typing import NDArray
+from pyoxigraph import BlankNode, NamedNode
+
+from ...rdf.dictionary import Ids
+from ...rdf.timed import Kind, ObjectColumn, TimedTriples, TripleRows, split_term
+from ..algebra.expressions import Const, Var
+from ..algebra.plan import Ask, Blank, Construct, Head, Select, TemplatePosition
+from ..columns.relation import (
+    Relation,
+    TermValues,
+    concatenate,
+    first_rows,
+    key_codes,
+)
+from ..values.literals import Sort
+from .results import Solutions, WindowResult
+
+
+def finish(head: Head, relation: Relation, start: int, end: int, terms: TermValues) -> WindowResult:
+    """The result of the window ``start`` … ``end`` with these solutions."""
+    match head:
+        case Select(variables):
+            columns = {name: relation.columns[name] for name in variables}
+            solutions = Solutions(variables, columns, terms.dictionary, relation.rows)
+            return WindowResult(start, end, solutions=solutions)
+        case Ask():
+            return WindowResult(start, end, answer=relation.rows > 0)
+        case Construct():
+            return WindowResult(start, end, triples=construct(head, relation, end, terms))
+        case _:
+            assert_never(head)
+
+
+def head_variables(head: Head) -> frozenset[str]:
+    """The variables that the head shows."""
+    match head:
+        case Select(variables):
+            return frozenset(variables)
+        case Construct(template):
+            places = (place for triple in template for place in triple)
+            return frozenset(place.name for place in places if isinstance(place, Var))
+        case Ask():
+            return frozenset()
+        case _:
+            assert_never(head)
+
+
+def construct(head: Construct, relation: Relation, time: int, terms: TermValues) -> TimedTriples:
+    """The template's triples for every solution, at τ = ``time``: a graph, so each triple once.
+
+    Ill-formed triples (an unbound variable, a literal as subject, no IRI as predicate) are left
+    out. Templates about one subject, with a solution a subject, give wide rows.
+    """
+    wide = _wide(head, relation, time, terms)
+    if wide is not None:
+        return TimedTriples(terms.dictionary, (wide,) if len(wide) else ())
+    found = instantiated(head, relation, time, terms)
+    tables = []
+    for id, parts in found.items():
+        subject_ids = np.concatenate([part.subjects for part in parts])
+        column = concatenate([part.objects for part in parts], terms.dictionary)
+        if len(subject_ids) > 1 and (len(parts) > 1 or not parts[0].unique):
+            keys = [[ObjectColumn(Kind.TERM, subject_ids)], [column]]
+            rows = first_rows(key_codes(keys, terms.dictionary)[0])
+            subject_ids, column = subject_ids[rows], column.take(rows)
+        tables.append(_table(time, subject_ids, {id: column}))
+    return TimedTriples(terms.dictionary, tuple(table for table in tables if len(table)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Instantiated:
+    """What one triple of a template gives of one predicate: the solutions (``rows``) with a
+    well-formed triple, its subjects and objects. ``unique``: no two of them are equal."""
+
+    rows: NDArray[np.int64]
+    subjects: Ids
+    objects: ObjectColumn
+    unique: bool
+
+
+def instantiated(
+    head: Construct, relation: Relation, time: int, terms: TermValues
+) -> dict[int, list[Instantiated]]:
+    """The well-formed triples of every solution, by the id of the predicate."""
+    found: dict[int, list[Instantiated]] = {}
+    for template in head.template:
+        subjects, objects = (_position(template[i], relation, time, terms) for i in (0, 2))
+        if subjects is None or objects is None:
+            continue
+        keep = _nodes(subjects, terms) & objects.present
+        named = {p.name for p in template if isinstance(p, Var)}
+        unique = relation.key is not None and relation.key <= named
+        if isinstance(template[1], Const):
+            if isinstance(template[1].term, NamedNode):
+                rows, id = np.flatnonzero(keep), terms.dictionary.transient_id(template[1].term)
+                whole = ObjectColumn(objects.kind, objects.values[rows])
+                part = Instantiated(rows, subjects.values[rows], whole, unique)
+                found.setdefault(id, []).append(part)
+            continue
+        predicates = _position(template[1], relation, time, terms)
+        if predicates is None:
+            continue
+        rows = np.flatnonzero(keep & _iris(predicates, terms))
+        subjects, predicates, objects = (c.take(rows) for c in (subjects, predicates, objects))
+        objects = ObjectColumn(objects.kind, objects.values)
+        for id in predicates.values[first_rows(predicates.values)].tolist():
+            at = np.flatnonzero(predicates.values == id)
+            part = Instantiated(rows[at], subjects.values[at], objects.take(at), unique)
+            found.setdefault(id, []).append(part)
+    return found
+
+
+def _wide(head: Construct, relation: Relation, time: int, terms: TermValues) -> TripleRows | None:
+    """Rows of all the template's objects, where each solution is about a subject of its own."""
+    subjects = {subject for subject, _, _ in head.template}
+    predicates = {predicate for _, predicate, _ in head.template}
+    if len(subjects) != 1 or len(predicates) != len(head.template):
+        return None
+    subject = next(iter(subjects))
+    if not isinstance(subject, Var) or relation.key != frozenset({subject.name}):
+        return None
+    column = relation.columns.get(subject.name)
+    if column is None or not all(isinstance(p, Const) for p in predicates):
+        return None
+    keep = _nodes(column, terms)
+    some = np.zeros(relation.rows, np.bool_)
+    objects: dict[int, ObjectColumn] = {}
+    for _, predicate, object in head.template:
+        assert isinstance(predicate, Const)
+        values = _position(object, relation, time, terms)
+        if values is not None and isinstance(predicate.term, NamedNode):
+            objects[terms.dictionary.transient_id(predicate.term)] = values
+            some |= values.present
+    keep &= some
+    if keep.all():
+        return _table(time, column.values, objects)
+    return _table(time, column.values[keep], {id: c.take(keep) for id, c in objects.items()})
+
+
+def _table(time: int, subjects: Ids, objects: dict[int, ObjectColumn]) -> TripleRows:
+    times = np.full(len(subjects), time, np.int64)
+    return TripleRows(times, times, subjects, objects)
+
+
+def _position(
+    position: TemplatePosition, relation: Relation, time: int, terms: TermValues
+) -> ObjectColumn | None:
+    if isinstance(position, Var):
+        return relation.columns.get(position.name)
+    if isinstance(position, Blank):
+        # One a solution, the same wherever the input is cut: so its name says which.
+        nodes = (
+            BlankNode(f"{position.label}t{time}r{row}".replace("-", "m"))
+            for row in range(relation.rows)
+        )
+        return ObjectColumn(Kind.TERM, terms.dictionary.transient_ids(nodes))
+    kind, value = split_term(position.term, terms.dictionary.transient_id)
+    return ObjectColumn(kind, np.full(relation.rows, value, kind.dtype))
+
+
+def _nodes(column: ObjectColumn, terms: TermValues) -> NDArray[np.bool_]:
+    """Where there is a term that may be a subject: an IRI or a blank node."""
+    if column.kind is not Kind.TERM:
+        return np.zeros(len(column), np.bool_)
+    return np.asarray(column.present & (terms.sorts(column.values) == Sort.NODE))
+
+
+def _iris(column: ObjectColumn, terms: TermValues) -> NDArray[np.bool_]:
+    keep = _nodes(column, terms)
+    for id in np.unique(column.values[keep]).tolist():
+        if not isinstance(terms.dictionary.term(id), NamedNode):
+            keep &= column.values != id
+    return keep

@@ -1,0 +1,1 @@
+"""What columns do not do: a window as a store of Oxigraph."""

@@ -1,0 +1,288 @@
+"""Cohorts: instances of a template that one computation serves, over windows that all share.
+
+They all read the contents of the template's windows, so that a cohort costs its plan, its partial
+aggregates and its table, but no rows.
+"""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import takewhile
+from typing import TypeAlias
+
+import numpy as np
+from pyoxigraph import Variable
+
+from ...languages.csparql import bind
+from ...languages.csparql.ast import ContinuousQuery, StreamOperator
+from ...rdf.dictionary import Term
+from ...sparql import ast
+from ..algebra.plan import (
+    Distinct,
+    Extend,
+    Filter,
+    Project,
+    Query,
+    Select,
+    outputs,
+)
+from ..algebra.plan_text import describe, describe_query
+from ..algebra.rewrite_rules import optimize
+from ..algebra.template_parameters import Joint, Step, Unfit, joint
+from ..algebra.unsupported import Unsupported
+from ..columns.expression_evaluation import evaluate, holds
+from ..columns.relation import NeedsOxigraph, Relation
+from ..estimation.costs import cost_table
+from ..estimation.estimates import estimate
+from ..estimation.input_rates import Flow
+from ..estimation.pattern_sizes import Known
+from ..evaluation.execution import Execution, WindowRows
+from ..evaluation.solver import Reading, Solver
+from ..operators.executor import distinct, execute, united
+from ..operators.result_forms import finish
+from ..operators.sources import StaticSide
+from ..windows.window_schedule import Windowing
+from .instance_results import Apart, Common, Joined
+from .instance_table import INSTANCE, InstanceTable
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where a cohort is found: by what its instances agree on, and by number."""
+
+    key: tuple[object, ...]
+    serial: int
+
+
+LARGEST = 2_000_000
+"""So many pairs of a solution and an instance are looked at at a time."""
+OwnQuery: TypeAlias = Callable[[int, Mapping[str, Term]], ContinuousQuery]
+"""The query of an instance, by its number and its terms in the table of its cohort."""
+
+
+class Alone:
+    """Instances with the same arguments, evaluated as their own query is."""
+
+    def __init__(
+        self, query: ContinuousQuery, windows: Windowing, static: StaticSide, place: Place
+    ) -> None:
+        self.place = place
+        self._solver = Solver(query, windows, static)
+        self._members = array("q")
+
+    @property
+    def live(self) -> int:
+        return len(self._members)
+
+    def add(self, number: int, arguments: Mapping[str, Term]) -> None:
+        self._members.append(number)
+
+    def remove(self, number: int) -> None:
+        self._members.remove(number)
+
+    def explain(self) -> str:
+        return self._solver.explain({})
+
+    def fold(self, end: int) -> None:
+        """The rows up to ``end`` are there."""
+        self._solver.fold(end)
+
+    def results(self, end: int, *, reports: bool) -> tuple[Common, ...]:
+        found = self._solver.result(end, reports=reports)
+        if found is None:
+            return ()
+        return (Common(np.array(self._members, np.int64), found),)
+
+
+class Together:
+    """Instances that agree on the fixed parameters: the plan is computed once, then joined with
+    the table of their other arguments.
+
+    ``own`` gives the query of an instance by itself. ``alone``: no other cohort reads the windows.
+
+    Cost a window: that of the plan, then `InstanceTable.join`, then numpy a column on what that
+    gives. A window that columns cannot judge is evaluated for each instance alone.
+    """
+
+    def __init__(
+        self,
+        own: OwnQuery,
+        windows: Windowing,
+        static: StaticSide,
+        place: Place,
+        joint: Joint,
+        *,
+        alone: bool = False,
+    ) -> None:
+        self.windows = windows
+        self.static = static
+        self.terms = static.terms
+        self.place = place
+        self.joint = joint
+        self.table = InstanceTable(joint, self.terms)
+        self._own = own
+        self._execution = Execution(joint.plan, windows, static)
+        if alone:
+            self._execution.join_patterns(outputs(joint.plan))
+        self._alone: dict[int, Solver] = {}
+
+    def explain(self) -> str:
+        """The shared plan, how it is computed, and what is done to what the join gives."""
+        lines = describe_query(Query(self.joint.head, self.joint.plan))
+        shape = self._execution.shape
+        if isinstance(shape, str):
+            lines.append(f"in columns, each window anew: {shape}")
+        else:
+            lines.append("in columns, incrementally")
+        lines += [f"then {describe(step)[0]}" for step in self.joint.rest]
+        return "\n".join(lines)
+
+    def costs(self, flows: Mapping[str, Flow]) -> Iterator[str]:
+        """What the shared plan is likely to cost; ``flows`` is what is known of the inputs."""
+        execution, options = self._execution, self.windows.options
+        distinct = options.semantics == "set"
+        known = Known(self.windows.schedule, self.static, flows, distinct)
+        shape = None if isinstance(execution.shape, str) else execution.shape
+        costs = estimate(execution.plan, known, shape, execution.served)
+        return cost_table(execution.plan, costs, known, None)
+
+    @property
+    def live(self) -> int:
+        return self.table.live
+
+    def add(self, number: int, arguments: Mapping[str, Term]) -> None:
+        self.table.add(number, arguments)
+
+    def remove(self, number: int) -> None:
+        self.table.remove(number)
+
+    def fold(self, end: int) -> None:
+        """The rows up to ``end`` are there."""
+        self._execution.fold(end)
+
+    def results(self, end: int, *, reports: bool) -> tuple[Joined | Common | Apart, ...]:
+        numbers, alive = self.table.members()
+        start, shown = self.windows.span(end)
+        rows = WindowRows(self.windows.contents, end)
+        for source in self._execution.sources(rows):
+            head = self.joint.head
+            try:
+                relation = execute(self._execution.plan, source, self.terms)
+                if not self.table.columns:
+                    # They do not differ at all.
+                    self.terms.budget.check_result(relation.rows)
+                    result = finish(head, relation, start, shown, self.terms)
+                    return (Common(numbers[alive], result),)
+                relation = self._solutions(relation)
+                self.terms.budget.check(relation.rows, "a join with the instances")
+            except NeedsOxigraph:
+                continue
+            self._alone = {}
+            return (Joined(start, shown, head, relation, numbers, alive, self.terms),)
+        return (self._each(rows),)
+
+    def _solutions(self, relation: Relation) -> Relation:
+        """What the instances have of the solutions of the plan."""
+        pieces: list[Relation] = []
+        after: tuple[Step, ...] = ()
+        for piece in self._pieces(relation):
+            joined, decided = self.table.join(piece)
+            rest = self.joint.rest[1:] if decided else self.joint.rest
+            alone = tuple(takewhile(lambda step: not isinstance(step, Distinct), rest))
+            for step in alone:
+                joined = self._step(step, joined)
+            pieces.append(joined)
+            after = rest[len(alone) :]
+        found = pieces[0]
+        if len(pieces) > 1:
+            found = replace(united(pieces, self.terms), key=found.key)
+        for step in after:
+            found = self._step(step, found)
+        return found
+
+    def _pieces(self, relation: Relation) -> Sequence[Relation]:
+        """The solutions, so many at a time that they fit in memory with all instances, where each
+        meets each."""
+        size = relation.rows
+        if not self.joint.joined and self.joint.search is None:
+            size = max(1, LARGEST // self.live)
+        if size >= relation.rows:
+            return (relation,)
+        starts = range(0, relation.rows, size)
+        return [relation.take(np.arange(i, min(i + size, relation.rows))) for i in starts]
+
+    def _step(self, step: Step, relation: Relation) -> Relation:
+        columns, terms = relation.columns, self.terms
+        match step:
+            case Filter(condition):
+                return relation.take(holds(condition, columns, relation.rows, terms))
+            case Extend(variable, expression):
+                if variable in columns:
+                    raise NeedsOxigraph(f"?{variable} is bound twice")
+                value = evaluate(expression, columns, relation.rows, terms)
+                return Relation({**columns, variable: value}, relation.rows, relation.key)
+            case Project(variables):
+                # Parameters are known everywhere in a template.
+                own = (*self.joint.joined, *self.joint.compared, INSTANCE)
+                kept = {name: relation.column(name) for name in variables}
+                kept |= {name: columns[name] for name in own if name in columns}
+                key = relation.key
+                key = key if key is not None and key <= kept.keys() else None
+                return Relation(kept, relation.rows, key)
+            case Distinct():
+                return relation if relation.key is not None else distinct(relation, terms)
+
+    def _each(self, rows: WindowRows) -> Apart:
+        """Every instance alone. Cost: a plan each, and an evaluation each."""
+        numbers, alive = self.table.members()
+        found = {}
+        for row in np.flatnonzero(alive).tolist():
+            number = int(numbers[row])
+            if number not in self._alone:
+                columns = self.table.columns.items()
+                query = self._own(number, {name: column.term(row) for name, column in columns})
+                self._alone[number] = Solver(query, self.windows, self.static, folds=False)
+            found[number] = self._alone[number].solve(rows)
+        return Apart(found)
+
+
+def joint_of(
+    windows: Windowing,
+    query: ContinuousQuery,
+    arguments: Mapping[str, Term],
+    fixed: tuple[str, ...] = (),
+) -> tuple[Joint | None, dict[str, str]]:
+    """How instances that agree with ``arguments`` on the fixed parameters are computed together:
+    these are ``fixed`` and those that the reasons name. None where nothing is left to share."""
+    reasons = dict.fromkeys(fixed, "")
+    if query.operator is not StreamOperator.RSTREAM:
+        why = f"{query.operator} compares the results of an instance"
+        return None, dict.fromkeys(arguments, why)
+    bound = bind(query, {Variable(name): term for name, term in arguments.items()})
+    reading = Reading.of(bound, windows.schedule)
+    before = {variable.value: term for variable, term in query.bindings.items()}
+    for name in arguments.keys() & _graph_names(reading.tree):
+        reasons[name] = f"?{name} is a graph"
+    try:
+        head = reading.translated({**before, **arguments}).head
+        while True:
+            names = [name for name in arguments if name not in reasons]
+            if not names:
+                return None, reasons
+            found = reading.translated(before | {name: arguments[name] for name in reasons})
+            shown = head if isinstance(head, Select) else found.head
+            plan, _ = optimize(found.plan)
+            try:
+                return joint(Query(shown, plan), names), reasons
+            except Unfit as unfit:
+                reasons |= {name: str(unfit) for name in names if unfit.name in (name, "")}
+    except (Unsupported, ValueError) as unsupported:
+        return None, dict.fromkeys(arguments, str(unsupported))
+
+
+def _graph_names(tree: ast.Query) -> frozenset[str]:
+    """The variables after GRAPH or WINDOW."""
+    graphs = (node for node in ast.walk(tree) if isinstance(node, ast.Graph))
+    return frozenset(graph.name.value for graph in graphs if isinstance(graph.name, Variable))

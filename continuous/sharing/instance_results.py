@@ -1,0 +1,272 @@
+"""What a window gives for all instances of a template: columns with an instance number a row."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...rdf.timed import Kind, ObjectColumn, TripleRows
+from ..algebra.plan import Ask, Construct, Head, Select
+from ..columns.relation import (
+    Relation,
+    TermValues,
+    concatenate,
+    first_rows,
+    key_codes,
+)
+from ..operators.result_forms import finish, instantiated
+from ..operators.results import Solutions, WindowResult
+from .instance_table import INSTANCE
+
+Numbers: TypeAlias = NDArray[np.int64]
+"""Instance numbers: of instances, ascending; of rows, as the rows are."""
+
+
+@dataclass(frozen=True, eq=False)
+class Common:
+    """Instances that all have the same result."""
+
+    instances: Numbers
+    result: WindowResult
+
+    def of(self, instance: int) -> WindowResult | None:
+        return self.result if _has(self.instances, instance) else None
+
+    @property
+    def reported(self) -> Numbers:
+        return self.instances
+
+    @property
+    def answered(self) -> Numbers:
+        some = self.result.answer is not None or self.result.size > 0
+        return self.instances if some else self.instances[:0]
+
+    def silent(self) -> Iterator[tuple[Numbers, WindowResult]]:
+        if not len(self.answered):
+            yield self.instances, self.result
+
+    @property
+    def rows(self) -> int:
+        return self.result.size * len(self.instances)
+
+    def solutions(self) -> Iterator[tuple[Numbers, Solutions]]:
+        found = self.result.solutions
+        if found is not None:
+            rows = np.tile(np.arange(len(found)), len(self.instances))
+            yield np.repeat(self.instances, len(found)), found.take(rows)
+
+    def triples(self) -> Iterator[tuple[Numbers, TripleRows]]:
+        for table in () if self.result.triples is None else self.result.triples.tables:
+            rows = np.tile(np.arange(len(table)), len(self.instances))
+            yield np.repeat(self.instances, len(table)), table.take(rows)
+
+    def holding(self) -> Numbers:
+        return self.instances if self.result.answer else self.instances[:0]
+
+
+@dataclass(frozen=True, eq=False)
+class Apart:
+    """Instances that each have a result of their own, numbers ascending."""
+
+    results: Mapping[int, WindowResult]
+
+    def of(self, instance: int) -> WindowResult | None:
+        return self.results.get(instance)
+
+    @property
+    def reported(self) -> Numbers:
+        return np.array([*self.results], np.int64)
+
+    @property
+    def answered(self) -> Numbers:
+        return self._those(lambda result: result.answer is not None or result.size > 0)
+
+    def silent(self) -> Iterator[tuple[Numbers, WindowResult]]:
+        for part in self._parts():
+            yield from part.silent()
+
+    @property
+    def rows(self) -> int:
+        return sum(result.size for result in self.results.values())
+
+    def solutions(self) -> Iterator[tuple[Numbers, Solutions]]:
+        for part in self._parts():
+            yield from part.solutions()
+
+    def triples(self) -> Iterator[tuple[Numbers, TripleRows]]:
+        for part in self._parts():
+            yield from part.triples()
+
+    def holding(self) -> Numbers:
+        return self._those(lambda result: bool(result.answer))
+
+    def _parts(self) -> Iterator[Common]:
+        for number, result in self.results.items():
+            yield Common(np.array([number], np.int64), result)
+
+    def _those(self, chosen: Callable[[WindowResult], bool]) -> Numbers:
+        return np.array([n for n, result in self.results.items() if chosen(result)], np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class Joined:
+    """The solutions of all instances of a cohort in one relation.
+
+    ``numbers``: of the rows of the cohort's table, to which `INSTANCE` points; only those that are
+    ``alive`` have a result.
+    """
+
+    start: int
+    end: int
+    head: Head
+    relation: Relation
+    numbers: Numbers
+    alive: NDArray[np.bool_]
+    terms: TermValues
+
+    def of(self, instance: int) -> WindowResult | None:
+        row = int(np.searchsorted(self.numbers, instance))
+        if row == len(self.numbers) or self.numbers[row] != instance or not self.alive[row]:
+            return None
+        order, ordered = self._by_instance
+        low, high = np.searchsorted(ordered, [row, row + 1])
+        found = _of_one(self.relation.take(order[low:high]))
+        return finish(self.head, found, self.start, self.end, self.terms)
+
+    def __post_init__(self) -> None:
+        self.terms.dictionary.hold(self)
+
+    def held(self) -> Iterator[NDArray[np.int32]]:
+        """See `dictionary.Holder`."""
+        for column in self.relation.columns.values():
+            yield column.held
+
+    @property
+    def reported(self) -> Numbers:
+        return self.numbers[self.alive]
+
+    @property
+    def answered(self) -> Numbers:
+        return self.reported if isinstance(self.head, Ask) else np.unique(self._numbers)
+
+    def silent(self) -> Iterator[tuple[Numbers, WindowResult]]:
+        others = np.setdiff1d(self.reported, self.answered, assume_unique=True)
+        if len(others):
+            nothing = self.relation.take(np.zeros(0, np.int64))
+            yield others, finish(self.head, nothing, self.start, self.end, self.terms)
+
+    @property
+    def rows(self) -> int:
+        return self.relation.rows
+
+    def solutions(self) -> Iterator[tuple[Numbers, Solutions]]:
+        if isinstance(self.head, Select):
+            found = finish(self.head, self.relation, self.start, self.end, self.terms).solutions
+            assert found is not None
+            yield self._numbers, found
+
+    def triples(self) -> Iterator[tuple[Numbers, TripleRows]]:
+        """As `result_forms.construct`, each triple once an instance."""
+        if not isinstance(self.head, Construct):
+            return
+        relation = _of_one(self.relation)
+        parts_of = instantiated(self.head, relation, self.end, self.terms)
+        for predicate, parts in parts_of.items():
+            numbers = np.concatenate([self._numbers[part.rows] for part in parts])
+            subjects = np.concatenate([part.subjects for part in parts])
+            objects = concatenate([part.objects for part in parts], self.terms.dictionary)
+            if len(subjects) > 1 and (len(parts) > 1 or not parts[0].unique):
+                keys = [
+                    [ObjectColumn(Kind.INTEGER, numbers)],
+                    [ObjectColumn(Kind.TERM, subjects)],
+                    [objects],
+                ]
+                once = first_rows(key_codes(keys, self.terms.dictionary)[0])
+                numbers, subjects, objects = numbers[once], subjects[once], objects.take(once)
+            if len(numbers):
+                times = np.full(len(numbers), self.end, np.int64)
+                yield numbers, TripleRows(times, times, subjects, {predicate: objects})
+
+    def holding(self) -> Numbers:
+        return np.unique(self._numbers)
+
+    @cached_property
+    def _numbers(self) -> Numbers:
+        numbers: Numbers = self.numbers[self.relation.columns[INSTANCE].values]
+        return numbers
+
+    @cached_property
+    def _by_instance(self) -> tuple[Numbers, Numbers]:
+        rows = self.relation.columns[INSTANCE].values
+        order = np.argsort(rows, kind="stable")
+        return order, rows[order]
+
+
+@dataclass(frozen=True, eq=False)
+class InstanceResults:
+    """The results of the window with end ``end`` (ns), of all instances that are there.
+
+    Law: ``of(i)`` is what instance i alone would give. Cost: columns are made when asked for; `of`
+    sorts the solutions once, then looks one up. Memory: the solutions and the table's numbers.
+    """
+
+    start: int
+    end: int
+    parts: tuple[Common | Apart | Joined, ...]
+
+    def of(self, instance: int) -> WindowResult | None:
+        """The result of one instance; None if it was not there when the window closed."""
+        return next((r for part in self.parts if (r := part.of(instance)) is not None), None)
+
+    @property
+    def instances(self) -> Numbers:
+        """The instances that have a result, which may be empty, ascending."""
+        return np.sort(np.concatenate([_NONE, *(part.reported for part in self.parts)]))
+
+    @property
+    def answered(self) -> Numbers:
+        """The instances that have solutions (of an ASK: an answer), ascending."""
+        return np.sort(np.concatenate([_NONE, *(part.answered for part in self.parts)]))
+
+    def silent(self) -> Iterator[tuple[Numbers, WindowResult]]:
+        """The instances whose result has no solutions, ascending, with that result: it is one for
+        many."""
+        for part in self.parts:
+            yield from part.silent()
+
+    @property
+    def size(self) -> int:
+        """How many solutions all instances have together (of common results, how many rows)."""
+        return sum(part.rows for part in self.parts)
+
+    def solutions(self) -> Iterator[tuple[Numbers, Solutions]]:
+        """Of a SELECT: tables of solutions, with the instance of each."""
+        for part in self.parts:
+            yield from part.solutions()
+
+    def triples(self) -> Iterator[tuple[Numbers, TripleRows]]:
+        """Of a CONSTRUCT: tables of triples, with the instance of each row."""
+        for part in self.parts:
+            yield from part.triples()
+
+    def holding(self) -> Numbers:
+        """Of an ASK: the instances whose answer is yes, ascending."""
+        return np.sort(np.concatenate([_NONE, *(part.holding() for part in self.parts)]))
+
+
+_NONE: Numbers = np.zeros(0, np.int64)
+
+
+def _of_one(relation: Relation) -> Relation:
+    """With the key that the rows of one instance have among each other."""
+    return replace(relation, key=None if relation.key is None else relation.key - {INSTANCE})
+
+
+def _has(ascending: Numbers, number: int) -> bool:
+    at = int(np.searchsorted(ascending, number))
+    return at < len(ascending) and int(ascending[at]) == number

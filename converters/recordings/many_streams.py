@@ -1,0 +1,241 @@
+"""Recordings of many streams: flight logs, lines that name their stream, folders, several files.
+
+Called by ``dyknow replay`` and by whoever reasons over recorded streams without a service.
+"""
+
+from __future__ import annotations
+
+import heapq
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from itertools import islice, pairwise
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from ...streams.sample import FieldType
+from ...streams.time import SECOND, TIME_MIN
+from ..errors import EmptyTable, WireError
+from ..inference import TimeReader
+from ..wire import Incoming
+from .names import valid_name
+from .recording import (
+    Recording,
+    ValueChunk,
+    decode_lines,
+    open_recording,
+    open_rows,
+    read_lines,
+)
+from .ulog import open_ulog
+
+STREAM: Final = "stream"
+"""The key of a line that says which stream the sample is of."""
+_NDJSON: Final = (".ndjson", ".jsonl")
+_TABLES: Final = (".csv", *_NDJSON, ".arrow", ".arrows", ".feather")
+_LOG: Final = ".ulg"
+_NAMED = re.compile(r"([A-Za-z][A-Za-z0-9_]*)=(.+)", re.DOTALL).fullmatch
+
+Types = Mapping[str, Mapping[str, FieldType]]
+
+
+@dataclass(frozen=True, slots=True)
+class Recordings(Mapping[str, Recording]):
+    """Recordings by the name of their stream, in the order of names.
+
+    ``dropouts`` counts the gaps in which a flight recorder logged nothing, ``lost`` is their
+    length in ns; ``notes`` say what is not there as it was recorded.
+    """
+
+    _by_name: Mapping[str, Recording] = field(default_factory=dict)
+    dropouts: int = 0
+    lost: int = 0
+    notes: tuple[str, ...] = ()
+
+    def __getitem__(self, name: str) -> Recording:
+        return self._by_name[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._by_name)
+
+    def __len__(self) -> int:
+        return len(self._by_name)
+
+
+def open_recordings(
+    paths: Sequence[Path | str],
+    time_column: str | None = None,
+    time_unit: str | None = None,
+    types: Types | None = None,
+    *,
+    utc: bool = False,
+    abstract_unit: str = "s",
+    skip_empty: bool = False,
+) -> Recordings:
+    """Look through all files of ``paths``; each stream has its own fields and string pools.
+
+    A path is a flight log ``.ulg`` (a stream a topic), an NDJSON file whose lines carry
+    ``"stream": "name"`` (many streams), any other table (one stream, called like the file), a
+    folder of such files, or ``NAME=FILE`` for a table under another name. ``time_column``,
+    ``time_unit``, ``abstract_unit`` and ``types`` (by stream and field) are of tables, as for
+    `open_recording`; ``utc`` is of flight logs, as for `open_ulog`.
+
+    With ``skip_empty`` a table without rows is no stream, else an error.
+
+    Raises `WireError`, also when two files have a stream of one name; `OSError` when a file cannot
+    be read. Memory: a flight log is held whole, and so is the text of a file of many streams.
+    """
+    found: dict[str, Recording] = {}
+    notes: list[str] = []
+    dropouts = lost = 0
+    for name, path in _files(paths):
+        if path.name.lower().endswith(_LOG):
+            if name is not None:
+                raise _many(name, path)
+            log = open_ulog(path, utc=utc)
+            opened = dict(log.recordings)
+            dropouts, lost = dropouts + log.dropouts, lost + log.lost
+            notes.extend(log.notes)
+        elif has_many_streams(path):
+            if name is not None:
+                raise _many(name, path)
+            times = TimeReader(time_unit, abstract_unit)
+            opened = _open_many(path, time_column, times, types or {})
+        else:
+            name = name or valid_name(_stem(path), STREAM)
+            kinds = (types or {}).get(name)
+            opened = {}
+            try:
+                opened[name] = open_recording(
+                    path, time_column, time_unit, kinds, abstract_unit=abstract_unit
+                )
+            except EmptyTable:
+                if not skip_empty:
+                    raise
+        for stream, recording in opened.items():
+            if stream in found:
+                raise WireError(
+                    None,
+                    f"{path.name}: there is a stream {stream!r} in another file already",
+                    "give a table another name: NAME=FILE",
+                )
+            found[stream] = recording
+    return Recordings(dict(sorted(found.items())), dropouts, lost, tuple(notes))
+
+
+def in_order(
+    recordings: Mapping[str, Recording], step: int = SECOND
+) -> Iterator[tuple[str, Incoming]]:
+    """All samples of all streams in order of available time, as ``(stream, batch)``.
+
+    Time is cut at the multiples of ``step`` (ns): what is available in one slice comes before
+    what is in a later one; within a slice a batch of each stream, by its first available time,
+    then by name. The rows of each stream stay in their order. Deterministic.
+
+    Cost: O(streams log streams) a slice, nothing per sample. Memory: a chunk of each stream.
+    """
+    if step <= 0:
+        raise ValueError("a slice of time is longer than 0")
+    parts = [_slices(name, recording, step) for name, recording in sorted(recordings.items())]
+    for (_, _, name), incoming in heapq.merge(*parts, key=lambda part: part[0]):
+        yield name, incoming
+
+
+def has_many_streams(path: Path) -> bool:
+    """Whether ``path`` is an NDJSON file whose first line says which stream it is of."""
+    if not path.name.lower().removesuffix(".gz").endswith(_NDJSON):
+        return False
+    for _, rows in decode_lines(islice(read_lines(path), 1)):
+        return isinstance(rows[0].get(STREAM), str)
+    return False
+
+
+def _slices(
+    name: str, recording: Recording, step: int
+) -> Iterator[tuple[tuple[int, int, str], Incoming]]:
+    """A stream in slices, each with what it is ordered by."""
+    reached = TIME_MIN
+    for incoming in recording:
+        # A table's own available times may step back; such a row comes with those before it.
+        times = np.maximum(np.maximum.accumulate(incoming.batch.available), reached)
+        reached = int(times[-1])
+        slots = times // step
+        edges = [0, *(np.flatnonzero(slots[1:] != slots[:-1]) + 1).tolist(), len(times)]
+        for start, end in pairwise(edges):
+            batch = incoming.batch.take(slice(start, end))
+            order = (int(slots[start]), int(times[start]), name)
+            yield order, Incoming(batch, incoming.stamped)
+
+
+def _files(paths: Sequence[Path | str]) -> Iterator[tuple[str | None, Path]]:
+    """Every file, with the name it was given."""
+    for given in paths:
+        named = _NAMED(given) if isinstance(given, str) and not Path(given).exists() else None
+        path = Path(given if named is None else named[2])
+        if not path.is_dir():
+            yield (None if named is None else named[1]), path
+            continue
+        if named is not None:
+            raise _many(named[1], path)
+        inside = sorted(p for p in path.iterdir() if p.is_file() and _is_recording(p))
+        if not inside:
+            raise WireError(None, f"{path}: there is no recording in this folder")
+        yield from ((None, p) for p in inside)
+
+
+def _is_recording(path: Path) -> bool:
+    return path.name.lower().removesuffix(".gz").endswith((*_TABLES, _LOG))
+
+
+def _stem(path: Path) -> str:
+    name = path.name
+    for ending in (".gz", *_TABLES):
+        if name.lower().endswith(ending):
+            name = name[: -len(ending)]
+    return name
+
+
+def _open_many(
+    path: Path, time_column: str | None, times: TimeReader, types: Types
+) -> dict[str, Recording]:
+    """A recording for each stream that the lines of the file name."""
+    texts: dict[str, list[tuple[int, bytes]]] = {}
+    for number, line in read_lines(path):
+        for _, (row,) in decode_lines([(number, line)]):
+            name = row.get(STREAM)
+            if not isinstance(name, str):
+                raise WireError(
+                    number,
+                    f"{STREAM!r} is missing, and the lines before name their stream",
+                    'write "stream": "name" in every line or in none',
+                )
+            if valid_name(name, STREAM) != name:
+                raise WireError(
+                    number,
+                    f"{name!r} is no name of a stream",
+                    "a name has letters, digits and _, and begins with a letter",
+                )
+            texts.setdefault(name, []).append((number, line))
+    # The times of one file are in one unit: the greatest of all streams tells which.
+    found: dict[str, Recording] = {}
+    for name, numbered in texts.items():
+        rows: Callable[[], Iterator[ValueChunk]] = partial(_rows, numbered)
+        found[name] = open_rows(rows, time_column, times, types.get(name), {})
+    return found
+
+
+def _rows(numbered: Sequence[tuple[int, bytes]]) -> Iterator[ValueChunk]:
+    for lines, rows in decode_lines(numbered):
+        plain: list[dict[str, Any]] = [
+            {key: value for key, value in row.items() if key != STREAM} for row in rows
+        ]
+        yield lines, plain
+
+
+def _many(name: str, path: Path) -> WireError:
+    return WireError(
+        None, f"{path.name} holds many streams, {name!r} can name only one", "leave the name out"
+    )

@@ -1,0 +1,326 @@
+"""Recorded tables as streams: CSV, packed CSV, NDJSON and Arrow, for ``dyknow replay``.
+
+The valid time is the time column. The available time is the ``available`` column if there is one,
+else the valid time. A row with a step back becomes available with the row before it; rows of one
+time are one instant (SPEC §1).
+"""
+
+from __future__ import annotations
+
+import gzip
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from ...streams.sample import (
+    Column,
+    Field,
+    FieldType,
+    SampleBatch,
+    SampleError,
+    Schema,
+    Times,
+    column_from_values,
+)
+from ...streams.string_pool import StringPool
+from ...streams.time import TIME_MIN
+from ..arrow.stream import (
+    arrow_field_type,
+    column_from_arrow,
+    read_arrow,
+    times_from_arrow,
+)
+from ..csv_table import CHUNK, TextChunk, column_from_cells, read_csv
+from ..errors import EmptyTable, WireError
+from ..inference import TextColumnType, TimeReader, time_column
+from ..wire import BOM, Incoming, not_json
+
+ValueChunk = tuple[list[int], list[dict[str, Any]]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recording:
+    """A table that was looked through once: its fields, how many rows, and the way to read them.
+
+    Iterating reads it again from the start, in chunks, in the table's order; the text columns of
+    all chunks share ``pools``. Raises `WireError` with the line.
+    """
+
+    schema: Schema
+    rows: int
+    pools: dict[str, StringPool]
+    read: Callable[[], Iterator[SampleBatch]] = field(repr=False)
+    """The rows with the times that stand in the table; the valid time where there is one only."""
+    _has_available: bool = False
+
+    def __iter__(self) -> Iterator[Incoming]:
+        last = TIME_MIN
+        for batch in self.read():
+            if not self._has_available:
+                batch = batch.with_available(running_maximum(batch.valid, last))
+            if len(batch):
+                last = int(batch.available[-1])
+                yield Incoming(batch, False)
+
+
+def open_recording(
+    path: Path | str,
+    time_column: str | None = None,
+    time_unit: str | None = None,
+    types: Mapping[str, FieldType] | None = None,
+    pools: dict[str, StringPool] | None = None,
+    abstract_unit: str = "s",
+) -> Recording:
+    """Look through the table at ``path``: ``.csv .csv.gz .ndjson .ndjson.gz .arrow``.
+
+    ``time_column``: else ``valid``, ``timestamp``, ``time`` or ``t``. ``time_unit`` of numeric
+    times: ``s ms us ns``, else by their magnitude; ``abstract_unit`` where they are small.
+    ``types`` of fields: else by their values (CSV: columns named like identifiers stay text).
+    ``pools`` to encode text with.
+
+    Raises `WireError` with the line, `OSError` when the file cannot be read.
+    Cost: the file is read twice. Memory: a chunk of rows, and every distinct text (Arrow: all).
+    """
+    path = Path(path)
+    name = path.name.lower().removesuffix(".gz")
+    if path.is_fifo():
+        raise WireError(
+            None,
+            f"{path.name} is a pipe, and a recording is read several times",
+            "write it to a file first: then its rows are counted and sorted by time",
+        )
+    pools = {} if pools is None else pools
+    times = TimeReader(time_unit, abstract_unit)
+    if name.endswith(".csv"):
+        return open_cells(lambda: read_csv(path), time_column, times, types or {}, pools)
+    if name.endswith((".ndjson", ".jsonl")):
+        return open_rows(lambda: decode_lines(read_lines(path)), time_column, times, types, pools)
+    if name.endswith((".arrow", ".arrows", ".feather")) and name == path.name.lower():
+        return _open_arrow(path, time_column, times, types or {}, pools)
+    raise WireError(
+        None,
+        f"{path.name}: unknown kind of table",
+        "recordings end in .csv, .csv.gz, .ndjson, .ndjson.gz or .arrow",
+    )
+
+
+def open_cells(
+    cells_again: Callable[[], Iterator[TextChunk]],
+    wanted: str | None,
+    times: TimeReader,
+    types: Mapping[str, FieldType],
+    pools: dict[str, StringPool],
+) -> Recording:
+    """Look through the cells of a table, which ``cells_again`` gives each time it is called.
+
+    Other arguments and errors as for `open_recording`, with one unit of time.
+    """
+    observed: dict[str, TextColumnType] = {}
+    valid, count = "", 0
+    for lines, cells in cells_again():
+        if not observed:
+            valid = time_column(list(cells), wanted)
+            observed = {name: TextColumnType(name) for name in cells}
+        count += len(lines)
+        for name, column in observed.items():
+            if name in (valid, "available"):
+                times.observe(cells[name])
+            else:
+                column.observe(cells[name])
+    if not count:
+        raise EmptyTable(1, "the table has no rows")
+    clocks = (valid, "available")
+    schema = _schema([(n, c.type) for n, c in observed.items() if n not in clocks], types)
+    _make_pools(schema, pools)
+    stamped_column = "available" in observed and valid != "available"
+
+    def read() -> Iterator[SampleBatch]:
+        for lines, cells in cells_again():
+            valid_times = times.read(cells[valid], lines, valid)
+            available = valid_times
+            if stamped_column:
+                available = times.read(cells["available"], lines, "available")
+            columns = {
+                f.name: column_from_cells(f, cells[f.name], lines, pools.get(f.name))
+                for f in schema.fields
+            }
+            yield SampleBatch(available, valid_times, columns)
+
+    return Recording(schema, count, pools, read, stamped_column)
+
+
+def open_rows(
+    rows_again: Callable[[], Iterator[ValueChunk]],
+    wanted: str | None,
+    times: TimeReader,
+    types: Mapping[str, FieldType] | None,
+    pools: dict[str, StringPool],
+) -> Recording:
+    """Look through rows of named values, which ``rows_again`` gives each time it is called.
+
+    ``times`` has its unit when the recording is iterated: tables of one file may share it.
+    Raises `WireError` with the line.
+    """
+    seen: dict[str, set[type]] = {}
+    with_available = count = 0
+    for _, rows in rows_again():
+        for row in rows:
+            for name, value in row.items():
+                seen.setdefault(name, set()).add(type(value))
+        with_available += sum("available" in row for row in rows)
+        count += len(rows)
+    if not count:
+        raise EmptyTable(None, "the table has no rows")
+    valid = time_column(list(seen), wanted)
+    stamped_column = "available" in seen and valid != "available"
+    if stamped_column and with_available != count:
+        raise WireError(None, "'available' is in some samples and not in others")
+    clocks = (valid, "available")
+    for _, rows in rows_again():
+        for clock in clocks:
+            times.observe(row.get(clock) for row in rows)
+    schema = _schema([(n, _json_type(t)) for n, t in seen.items() if n not in clocks], types or {})
+    _make_pools(schema, pools)
+
+    def read() -> Iterator[SampleBatch]:
+        for lines, rows in rows_again():
+            valid_times = times.read([row.get(valid) for row in rows], lines, valid)
+            available = valid_times
+            if stamped_column:
+                given = [row["available"] for row in rows]
+                available = times.read(given, lines, "available")
+            columns = {
+                f.name: _json_column(f, [row.get(f.name) for row in rows], lines, pools)
+                for f in schema.fields
+            }
+            yield SampleBatch(available, valid_times, columns)
+
+    return Recording(schema, count, pools, read, stamped_column)
+
+
+def _open_arrow(
+    path: Path,
+    wanted: str | None,
+    times: TimeReader,
+    types: Mapping[str, FieldType],
+    pools: dict[str, StringPool],
+) -> Recording:
+    table = read_arrow(path)
+    if not table.num_rows:
+        raise EmptyTable(None, "the table has no rows")
+    valid = time_column(table.column_names, wanted)
+    stamped_column = "available" in table.column_names and valid != "available"
+    valid_times = times_from_arrow(table.column(valid), valid, times)
+    available = valid_times
+    if stamped_column:
+        available = times_from_arrow(table.column("available"), "available", times)
+    clocks = (valid, "available")
+    schema = _schema(
+        [
+            (name, arrow_field_type(name, table.column(name).type))
+            for name in table.column_names
+            if name not in clocks
+        ],
+        types,
+    )
+    columns = {f.name: column_from_arrow(f, table.column(f.name), pools) for f in schema.fields}
+    whole = SampleBatch(available, valid_times, columns)
+
+    def read() -> Iterator[SampleBatch]:
+        for start in range(0, len(whole), CHUNK):
+            yield whole.take(slice(start, start + CHUNK))
+
+    return Recording(schema, len(whole), pools, read, stamped_column)
+
+
+def read_lines(path: Path) -> Iterator[tuple[int, bytes]]:
+    """The lines of a text file that are not blank, with their numbers from 1."""
+    opened = gzip.open if path.suffix == ".gz" else open
+    with opened(path, "rb") as file:
+        for number, line in enumerate(file, 1):
+            if number == 1:
+                line = line.removeprefix(BOM)
+            if line.strip():
+                yield number, line
+
+
+def decode_lines(numbered: Iterable[tuple[int, bytes]]) -> Iterator[ValueChunk]:
+    """Line numbers and objects in chunks; raises `WireError` with the line."""
+    lines: list[int] = []
+    rows: list[dict[str, Any]] = []
+    for number, line in numbered:
+        lines.append(number)
+        rows.append(_decode_line(number, line))
+        if len(rows) == CHUNK:
+            yield lines, rows
+            lines, rows = [], []
+    if rows:
+        yield lines, rows
+
+
+def _decode_line(number: int, line: bytes) -> dict[str, Any]:
+    try:
+        row = msgspec.json.decode(line)
+    except RecursionError:
+        raise WireError(
+            number, "the value is nested too deeply", "values of a sample are plain"
+        ) from None
+    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
+        raise WireError(number, not_json(error)) from None
+    if not isinstance(row, dict):
+        raise WireError(number, f"a sample is a JSON object, got {type(row).__name__}")
+    for name, value in row.items():
+        if isinstance(value, list | dict):
+            raise WireError(number, f"field {name!r} is nested: values are plain")
+    return row
+
+
+def _json_type(types: set[type]) -> FieldType:
+    """One type for all values of a field; a mixture is text."""
+    present = types - {type(None)}
+    if present == {bool}:
+        return FieldType.BOOLEAN
+    if present == {int}:
+        return FieldType.INTEGER
+    if present and present <= {int, float}:
+        return FieldType.FLOAT
+    return FieldType.STRING
+
+
+def _json_column(
+    field: Field, values: list[Any], lines: Sequence[int], pools: Mapping[str, StringPool]
+) -> Column:
+    if field.type is FieldType.STRING:
+        values = [v if v is None or isinstance(v, str) else _json_text(v) for v in values]
+    try:
+        return column_from_values(field, values, pools.get(field.name))
+    except SampleError as error:
+        line = None if error.row is None else lines[error.row]
+        raise WireError(line, str(error)) from None
+
+
+def _json_text(value: object) -> str:
+    return msgspec.json.encode(value).decode()
+
+
+def _schema(found: Sequence[tuple[str, FieldType]], types: Mapping[str, FieldType]) -> Schema:
+    names = [name for name, _ in found]
+    for name in types:
+        if name not in names:
+            raise WireError(None, f"there is no column {name!r}", f"fields: {', '.join(names)}")
+    return Schema(tuple(Field(name, types.get(name, type)) for name, type in found))
+
+
+def _make_pools(schema: Schema, pools: dict[str, StringPool]) -> None:
+    for f in schema.fields:
+        if f.type is FieldType.STRING:
+            pools.setdefault(f.name, StringPool())
+
+
+def running_maximum(times: Times, last: int) -> Times:
+    """``max(time, one before)`` for each: the least times from ``last`` on that do not decrease."""
+    return np.maximum.accumulate(np.maximum(times, last))

@@ -1,0 +1,1 @@
+"""Which streams and units there are, and what is published to them."""

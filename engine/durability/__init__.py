@@ -1,0 +1,1 @@
+"""Commands that are recorded, checkpoints, and the start that does them again."""

@@ -1,0 +1,574 @@
+"""What can be done to an engine, as values: each can be written down, and done again.
+
+An engine is a function of its commands: the same ones in the same order make the same streams with
+the same samples under the same numbers, in another process, too. That is what the journal rests on
+(docs/design/0007-the-journal.md). So a command holds all that it depends on, time included, in the
+forms in which people say it: texts, and batches as they came.
+
+The written form (MessagePack, a map with the member ``do``) is a promise: members are added with
+defaults, and never change their meaning. tests/cases/journal has one of each.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from typing import Any, Final, Literal, TypeAlias
+
+import msgspec
+import numpy as np
+
+from ...continuous.algebra.options import Bounds, Report, Semantics
+from ...converters.arrow.sizes import declares_more
+from ...converters.arrow.stream import decode_arrow
+from ...converters.errors import AheadOfClock, ConversionError
+from ...converters.lines import Part
+from ...converters.ndjson import decode_ndjson
+from ...converters.wire import BatchLimits, Incoming
+from ...languages.errors import LanguageError
+from ...languages.specification import Specification
+from ...languages.ssl.annotation import CheckedAnnotation
+from ...ontology.errors import OntologyError, QueryRefused
+from ...ontology.ontology import PreparedOntology
+from ...ontology.reading import TextFormat
+from ...streams.recall import Forgotten
+from ...streams.rules import UNIQUE_TIMES
+from ...streams.sample import Schema
+from ...streams.string_pool import StringPool
+from ...streams.time import SECOND, TIME_MAX, format_duration, format_time
+from ...streams.yield_points import STRAIGHT, Pauses
+from ..catalog.iri_annotations import DescribedStream, DescribedTransformation
+from ..catalog.registered_transformations import TransformationView
+from ..engine import Engine
+from ..model.errors import DyknowError
+from ..model.views import (
+    DeclarationView,
+    EventView,
+    QueryView,
+    Since,
+    SpecificationView,
+    StreamDeclaration,
+    StreamView,
+    SubscriptionView,
+    TemplateView,
+)
+from ..processes.external_io import Outcome, Reading
+from ..units.backlog import Went
+
+BatchKind: TypeAlias = Literal["ndjson", "arrow"]
+
+
+REFUSALS = (
+    DyknowError,
+    LanguageError,
+    ConversionError,
+    OntologyError,
+    QueryRefused,
+    Forgotten,
+    ValueError,
+)
+"""What commands raise that are refused: nothing was done then that was asked for."""
+
+
+class Command(
+    msgspec.Struct, frozen=True, tag_field="do", omit_defaults=True, forbid_unknown_fields=True
+):
+    """Something to do. `apply` raises what the engine does; then nothing was done."""
+
+    def apply(self, engine: Engine) -> Any:
+        raise NotImplementedError
+
+
+class Tick(Command, frozen=True, tag="tick"):
+    """The time is ``now`` (ns). ``readings``: what sources said, once it is done."""
+
+    now: int
+    readings: tuple[Reading, ...] = ()
+
+    def apply(self, engine: Engine) -> None:
+        engine.tick(self.now)
+
+
+class Publish(Command, frozen=True, tag="publish"):
+    """A batch for a stream, as it came at ``now`` (ns)."""
+
+    stream: str
+    kind: BatchKind
+    body: bytes
+    now: int
+    key: str | None = None
+    """The Idempotency-Key."""
+
+    def apply(self, engine: Engine) -> int:
+        return self.apply_decoded(engine, self.decode(engine))
+
+    def is_large(self, most: int) -> bool:
+        """Whether it is more than so many bytes, once it is decompressed."""
+        if len(self.body) > most:
+            return True
+        return self.kind == "arrow" and declares_more(self.body, most)
+
+    def decode(self, engine: Engine, limits: BatchLimits | None = None) -> Incoming:
+        """The batch, by the fields that the stream has now. Raises `WireError`, also for more than
+        ``limits``: what is done again has none, for it was taken."""
+        generator = engine.accepting(self.stream)
+        return self._decode(generator.schema, generator.stream.pools, limits, STRAIGHT)
+
+    def decode_apart(self, engine: Engine, limits: BatchLimits, pauses: Pauses) -> Incoming | None:
+        """`decode` with moments for others, or None: the stream has other fields than when it
+        began. It changes nothing: texts get codes of their own, and those of the stream when it
+        takes the batch, so that they are the same when all is done again."""
+        schema = engine.accepting(self.stream).schema
+        incoming = self._decode(schema, {}, limits, pauses)
+        generator = engine.accepting(self.stream)
+        if generator.schema == schema:
+            generator.stream.find_places(incoming.batch, pauses)
+        return incoming if engine.accepting(self.stream).schema == schema else None
+
+    def _decode(
+        self,
+        schema: Schema,
+        pools: dict[str, StringPool],
+        limits: BatchLimits | None,
+        pauses: Pauses,
+    ) -> Incoming:
+        decode = decode_ndjson if self.kind == "ndjson" else decode_arrow
+        return decode(self.body, schema, pools, limits, pauses)
+
+    def check_ahead(self, engine: Engine, incoming: Incoming) -> None:
+        """Raise `AheadOfClock` where a sample is stamped further ahead of the clock, ``now``, than
+        its stream allows (SPEC §5, "Time of windows").
+
+        Contract: called once for what comes from outside, before it is done, and never for what is
+        done again.
+        """
+        generator = engine.accepting(self.stream)
+        if incoming.stamped or engine.intake.is_used(self.stream, self.key):
+            return
+        latest = min(self.now + generator.ahead, TIME_MAX)
+        available = incoming.batch.available
+        if int(available.max()) <= latest:
+            return
+        row = int(np.argmax(available > latest))
+        time = int(available[row])
+        raise AheadOfClock(
+            row + 1 if self.kind == "arrow" else Part(self.body, 1).number(row),
+            f"'available' is {format_time(time)}, {format_duration(time - self.now)} ahead of the "
+            f"clock; stream {self.stream!r} takes {format_duration(generator.ahead)} at most",
+            'correct the time; declare the stream of a simulation with "ahead": "oo"',
+            latest,
+        )
+
+    def apply_decoded(self, engine: Engine, incoming: Incoming) -> int:
+        """`apply`, for who has decoded it already."""
+        # Only what comes under a key is ever compared.
+        digest = b"" if self.key is None else hashlib.blake2b(self.body, digest_size=16).digest()
+        return engine.publish(self.stream, incoming, self.now, self.key, digest)
+
+
+class Begin(Command, frozen=True, tag="begin"):
+    """The life of an engine begins at ``now`` (ns), by a ``program``. The first of all commands.
+
+    Of its ``epoch`` the ids of events are. ``processes``: the modules of the user-written ones
+    that the program has, by their names. ``rules`` (`Rules.version`) are those of the commands that
+    follow; programs that wrote none had the first ones.
+    """
+
+    epoch: str
+    now: int
+    program: str
+    processes: dict[str, str] = {}
+    rules: int = UNIQUE_TIMES
+
+    def apply(self, engine: Engine) -> None:
+        engine.epoch = self.epoch
+        engine.rules.version = self.rules
+
+
+class Refused(Command, frozen=True, tag="refused"):
+    """A command that was refused when it was given: it may have left a number used, or stopped a
+    query that did not hold any more."""
+
+    command: bytes
+
+    def apply(self, engine: Engine) -> None:
+        try:
+            read(self.command).apply(engine)
+        except REFUSALS:
+            return
+
+
+class GoOn(Command, frozen=True, tag="go on"):
+    """Close windows of units that are behind: those that were ``done``."""
+
+    done: tuple[Went, ...] = ()
+
+    def apply(self, engine: Engine) -> None:
+        engine.go_on_again(self.done)
+
+
+class HearOfSinks(Command, frozen=True, tag="sinks"):
+    """What went wrong in sinks that were called by the commands before it, when these were done
+    first: sinks are not called again."""
+
+    outcomes: tuple[Outcome, ...]
+
+    def apply(self, engine: Engine) -> None:
+        engine.hear_of_sinks(self.outcomes)
+
+
+class TellUnkept(Command, frozen=True, tag="unkept"):
+    """What ``process`` remembers is in no checkpoint, for this ``reason``: those who look on are
+    told."""
+
+    process: str
+    reason: str
+
+    def apply(self, engine: Engine) -> None:
+        engine.tell_unkept(self.process, self.reason)
+
+
+class EndStream(Command, frozen=True, tag="end stream"):
+    stream: str
+
+    def apply(self, engine: Engine) -> None:
+        engine.end(self.stream)
+
+
+class DeclareStream(Command, frozen=True, tag="declare stream"):
+    declaration: StreamDeclaration
+
+    def apply(self, engine: Engine) -> StreamView:
+        return engine.declare(self.declaration)
+
+
+class RemoveStream(Command, frozen=True, tag="remove stream"):
+    stream: str
+
+    def apply(self, engine: Engine) -> None:
+        engine.remove_stream(self.stream)
+
+
+class OpenStream(Command, frozen=True, tag="open stream"):
+    """Somebody asked for a stream that is there from then on: late samples, violations."""
+
+    stream: str
+
+    def apply(self, engine: Engine) -> None:
+        engine.generator(self.stream)
+
+
+class SetQuality(Command, frozen=True, tag="set quality"):
+    stream: str
+    quality: float
+
+    def apply(self, engine: Engine) -> None:
+        engine.set_quality(self.stream, self.quality)
+
+
+class Annotate(Command, frozen=True, tag="annotate"):
+    ssl: str
+
+    def apply(self, engine: Engine) -> tuple[CheckedAnnotation, ...]:
+        return engine.annotate(self.ssl)
+
+
+class Describe(Command, frozen=True, tag="describe"):
+    described: tuple[DescribedStream, ...]
+    transformations: tuple[DescribedTransformation, ...] | None = None
+
+    def apply(self, engine: Engine) -> tuple[CheckedAnnotation, ...]:
+        return engine.describe_all(self.described, self.transformations or ())
+
+
+class RegisterTemplate(Command, frozen=True, tag="register template"):
+    text: str
+    replace: bool = False
+
+    def apply(self, engine: Engine) -> TemplateView:
+        return engine.register_template(self.text, replace=self.replace)
+
+
+class RemoveTemplate(Command, frozen=True, tag="remove template"):
+    name: str
+
+    def apply(self, engine: Engine) -> None:
+        engine.remove_template(self.name)
+
+
+class RequestEvent(Command, frozen=True, tag="request event"):
+    """By its ``text``; or by its name and arguments, each as text."""
+
+    text: str | None = None
+    event: str = ""
+    arguments: tuple[str, ...] = ()
+    strategy: str = "fast"
+    since: str = Since.NOW
+
+    def apply(self, engine: Engine) -> EventView:
+        if self.text is None:
+            request = engine.make_request(self.event, self.arguments)
+        else:
+            request = engine.parse_request(self.text)
+        return engine.request_event(request, self.strategy, self.since)
+
+
+class CancelEvent(Command, frozen=True, tag="cancel event"):
+    id: str
+
+    def apply(self, engine: Engine) -> None:
+        engine.cancel_event(self.id)
+
+
+class Subscribe(Command, frozen=True, tag="subscribe"):
+    stream: str
+    policy: str = ""
+    unit: str = "ms"
+    since: str = Since.NOW
+    keyed: bool | None = None
+    """Whether the policy holds for each object by itself; None in journals of earlier versions,
+    where it does not."""
+
+    def apply(self, engine: Engine) -> SubscriptionView:
+        keyed = self.keyed is True
+        return engine.subscribe(self.stream, self.policy, self.unit, self.since, keyed=keyed)
+
+
+class SubscribeToFeature(Command, frozen=True, tag="subscribe to feature"):
+    """Durations in ns."""
+
+    feature: str
+    sort: str | None = None
+    objects: tuple[str, ...] = ()
+    strategy: str = "fast"
+    policy: str = ""
+    unit: str = "ms"
+    since: str = Since.NOW
+    staleness: int | None = None
+    quality: float = 0.0
+    hold_off: int = 2 * SECOND
+    keyed: bool | None = None
+
+    def apply(self, engine: Engine) -> SubscriptionView:
+        return engine.subscribe_to_feature(
+            self.feature,
+            sort=self.sort,
+            objects=self.objects,
+            strategy=self.strategy,
+            policy=self.policy,
+            unit=self.unit,
+            since=self.since,
+            staleness=self.staleness,
+            quality=self.quality,
+            hold_off=self.hold_off,
+            keyed=self.keyed is True,
+        )
+
+
+class Unsubscribe(Command, frozen=True, tag="unsubscribe"):
+    id: str
+
+    def apply(self, engine: Engine) -> None:
+        engine.unsubscribe(self.id)
+
+
+class RegisterQuery(Command, frozen=True, tag="register query"):
+    text: str
+    semantics: Semantics | None = None
+    bounds: Bounds = "(]"
+    origin: int = 0
+    report: Report = "non-empty"
+    strategy: str = "fast"
+    since: str = Since.NOW
+    name: str = ""
+    """What a query is called whose text says no name, unless it is shared: written down, so that
+    it has it also where another program does it again."""
+
+    def apply(self, engine: Engine) -> QueryView:
+        return engine.queries.register(
+            self.text,
+            semantics=self.semantics,
+            bounds=self.bounds,
+            origin=self.origin,
+            report=self.report,
+            strategy=self.strategy,
+            since=self.since,
+            name=self.name,
+        )
+
+
+class RemoveQuery(Command, frozen=True, tag="remove query"):
+    name: str
+
+    def apply(self, engine: Engine) -> None:
+        engine.queries.remove(self.name)
+
+
+class AddKpl(Command, frozen=True, tag="add kpl"):
+    text: str
+    unit: str = "ms"
+
+    def apply(self, engine: Engine) -> tuple[DeclarationView, ...]:
+        return engine.add_kpl(self.text, self.unit)
+
+
+class RemoveKpl(Command, frozen=True, tag="remove kpl"):
+    name: str
+    cascade: bool = False
+
+    def apply(self, engine: Engine) -> tuple[str, ...]:
+        return engine.remove_kpl(self.name, cascade=self.cascade)
+
+
+class ApplySpecification(Command, frozen=True, tag="apply specification"):
+    text: bytes
+
+    def apply(self, engine: Engine) -> SpecificationView:
+        return engine.apply_specification(self.text)
+
+    def apply_prepared(self, engine: Engine, specification: Specification) -> SpecificationView:
+        """`apply`, for who has read the text already."""
+        return engine.take_specification(specification)
+
+
+class LoadOntology(Command, frozen=True, tag="load ontology"):
+    text: str
+    name: str
+    format: TextFormat = "turtle"
+
+    def apply(self, engine: Engine) -> None:
+        engine.load_ontology(self.text, name=self.name, format=self.format)
+
+    def apply_prepared(self, engine: Engine, prepared: PreparedOntology) -> None:
+        """`apply`, for who has read the text already."""
+        engine.take_ontology(prepared)
+
+
+class RegisterTransformations(Command, frozen=True, tag="register transformations"):
+    described: tuple[DescribedTransformation, ...]
+    replace: bool = False
+
+    def apply(self, engine: Engine) -> tuple[TransformationView, ...]:
+        return engine.transformations.register_all(self.described, replace=self.replace)
+
+
+class RegisterAnnotatedTransformation(
+    Command, frozen=True, tag="register annotated transformation"
+):
+    ssl: str
+    implementation: str | None = None
+    parameters: dict[str, str] | None = None
+    cost: float = 1.0
+    quality: float = 1.0
+    replace: bool = False
+
+    def apply(self, engine: Engine) -> tuple[TransformationView, ...]:
+        view = engine.transformations.register_annotated(
+            self.ssl,
+            implementation=self.implementation,
+            parameters=self.parameters,
+            cost=self.cost,
+            quality=self.quality,
+            replace=self.replace,
+        )
+        return (view,)
+
+
+class ChangeTransformation(Command, frozen=True, tag="change transformation"):
+    name: str
+    cost: float | None = None
+    quality: float | None = None
+
+    def apply(self, engine: Engine) -> TransformationView:
+        engine.transformations.change(self.name, cost=self.cost, quality=self.quality)
+        return engine.transformations.view(self.name)
+
+
+class RemoveTransformation(Command, frozen=True, tag="remove transformation"):
+    name: str
+
+    def apply(self, engine: Engine) -> None:
+        engine.transformations.remove(self.name)
+
+
+AnyCommand: TypeAlias = (
+    Begin
+    | Refused
+    | TellUnkept
+    | Tick
+    | Publish
+    | GoOn
+    | HearOfSinks
+    | EndStream
+    | DeclareStream
+    | RemoveStream
+    | OpenStream
+    | SetQuality
+    | Annotate
+    | Describe
+    | RegisterTemplate
+    | RemoveTemplate
+    | RequestEvent
+    | CancelEvent
+    | Subscribe
+    | SubscribeToFeature
+    | Unsubscribe
+    | RegisterQuery
+    | RemoveQuery
+    | AddKpl
+    | RemoveKpl
+    | ApplySpecification
+    | LoadOntology
+    | RegisterTransformations
+    | RegisterAnnotatedTransformation
+    | ChangeTransformation
+    | RemoveTransformation
+)
+DEFINING = (
+    DeclareStream,
+    Annotate,
+    Describe,
+    RegisterTemplate,
+    RequestEvent,
+    Subscribe,
+    SubscribeToFeature,
+    RegisterQuery,
+    ApplySpecification,
+    LoadOntology,
+    RegisterTransformations,
+    RegisterAnnotatedTransformation,
+)
+"""Commands by which people say what there is to be, for as long as they do not take it back."""
+_ENCODER = msgspec.msgpack.Encoder()
+_DECODER: msgspec.msgpack.Decoder[AnyCommand] = msgspec.msgpack.Decoder(AnyCommand)
+
+
+ReadAlready: TypeAlias = Incoming | PreparedOntology | Specification
+"""What the batch or text of a command says, for who has read it already."""
+
+
+ANYTIME: Final = (Publish, Tick, EndStream)
+"""What can be done while a window is half done: units put by what they hear. For all else no window
+is half done."""
+
+
+def done(engine: Engine, command: Command, known: ReadAlready | None = None) -> Any:
+    """Do ``command``, of which ``known`` is read already. Gives what it gives."""
+    match command, known:
+        case Publish(), Incoming():
+            return command.apply_decoded(engine, known)
+        case LoadOntology(), PreparedOntology():
+            return command.apply_prepared(engine, known)
+        case ApplySpecification(), Specification():
+            return command.apply_prepared(engine, known)
+        case _:
+            return command.apply(engine)
+
+
+def written(command: Command) -> bytes:
+    """The command as bytes; the inverse of `read`."""
+    return _ENCODER.encode(command)
+
+
+def read(data: bytes) -> Command:
+    """The command that was written. Raises ``msgspec.DecodeError``."""
+    return _DECODER.decode(data)

@@ -1,0 +1,1 @@
+"""Declarations in KPL: checked, started, proved, printed."""

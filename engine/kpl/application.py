@@ -1,0 +1,489 @@
+"""A knowledge processing application: the network of processes that KPL declares
+([DyKnow10 §5.2-5.3]).
+
+Each source, each label and each declared stream is a generator of the configuration; equal terms
+share one adapted stream. Declarations may be added and removed while samples flow. What is added
+begins with the kept history of the streams it reads, as Def. 5.33-5.35 speak of whole streams.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable, Iterable, Sequence
+from typing import assert_never
+
+from ...languages.kpl import (
+    CheckedDeclaration,
+    CompunitDeclaration,
+    ForeachDeclaration,
+    GeneratorDeclaration,
+    Signature,
+    SinkDeclaration,
+    SortDeclaration,
+    SourceDeclaration,
+    StreamDeclaration,
+    ValueSort,
+    format_kpl,
+)
+from ...streams.generator import StreamGenerator
+from ...streams.history import Retention
+from ...streams.sample import SampleBatch
+from ...streams.time import TIME_MAX
+from ..configuration.configuration import Configuration
+from ..model.errors import Conflict, UnknownDeclaration
+from ..model.status_changes import Change, ChangeKind, Role
+from ..processes.external_io import Outcome
+from ..processes.registry import Processes, SourceImplementation
+from ..processes.supervision import DIRECT, Runner
+from ..units.base import ComputationalUnit
+from ..units.foreach import ConfigurationProcess
+from ..units.mediation import MediationUnit
+from ..units.sampled_source import SampledSource
+from ..units.sink import Sink
+from ..units.violations import SUFFIX
+from .check import Admission
+from .network import Network, is_needed
+
+Process = ComputationalUnit | SampledSource | Sink | ConfigurationProcess
+"""What may run for a declaration."""
+
+
+class Application:
+    """The processes of checked declarations, connected.
+
+    ``processes`` implements computational units (Def. 5.28), sampled sources and sinks, ``runner``
+    calls them. ``retention`` and ``lateness`` (ns) are those of the streams that it makes. A
+    ``rehearsal`` has no world around it: every source is published to, as a recording is, and no
+    sink is called. ``check_name`` raises `Refused` for names that are the system's own; ``forget``
+    hears of streams that are no more.
+
+    `add` takes all of its declarations or none; `remove` likewise. Whoever feeds the streams calls
+    `settle` afterwards: only then configuration and mediation processes act.
+    """
+
+    def __init__(
+        self,
+        configuration: Configuration,
+        processes: Processes,
+        *,
+        runner: Runner = DIRECT,
+        retention: Retention | None = None,
+        lateness: int = 0,
+        rehearsal: bool = False,
+        check_name: Callable[[str], None] = lambda _: None,
+        forget: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        self.signature = Signature()
+        self.sampled: dict[str, SampledSource] = {}
+        """The sources that the system reads, by name."""
+        self._configuration = configuration
+        self._processes = processes
+        self._runner = runner
+        self._rehearsal = rehearsal
+        self._forget = forget
+        self._network = Network(
+            configuration,
+            processes,
+            runner,
+            retention,
+            lateness,
+            self._has_news,
+            self._promised,
+        )
+        self._admission = Admission(
+            configuration, processes, self._network, check_name, rehearsal=rehearsal
+        )
+        self._own: set[str] = set()
+        self._units: dict[str, ComputationalUnit] = {}
+        self._readers: dict[str, Sink | ConfigurationProcess] = {}
+        self._news: dict[MediationUnit | ConfigurationProcess, None] = {}
+        self._is_new = False
+
+    # -- what there is -----------------------------------------------------------------------
+
+    def stream_of(self, key: str) -> StreamGenerator | None:
+        """The stream that a declaration makes or names; None for sorts and units."""
+        declaration = self.signature.find(key)
+        match declaration:
+            case GeneratorDeclaration() | SourceDeclaration() | StreamDeclaration():
+                return self._configuration.stream(declaration.key)
+            case _:
+                return None
+
+    def samples_of(self, name: str) -> SampleBatch:
+        """All kept samples of a declared stream, a label or a source; raises `UnknownStream`."""
+        return self._configuration.stream(name).stream.all()
+
+    def process_of(self, key: str) -> Process | None:
+        """What runs for a declaration."""
+        return self._units.get(key) or self.sampled.get(key) or self._readers.get(key)
+
+    def producer_of(self, stream: str) -> str | None:
+        """The name of the process that makes a stream, whoever asked for it; None if none does."""
+        maker: ComputationalUnit | SampledSource | None = self._configuration.units.get(stream)
+        maker = maker or self.sampled.get(stream)
+        if maker is None and stream in self._configuration.system:
+            maker = self._configuration.late.maker_of(stream)
+            maker = maker or self._configuration.units.get(stream.removesuffix(SUFFIX))
+        return None if maker is None else maker.name
+
+    def uses_stream(self, name: str) -> bool:
+        """Whether ``name`` is the stream of a declared source."""
+        return self.signature.source(name) is not None
+
+    def declaration(self, name: str) -> CheckedDeclaration:
+        """By name, label or key; raises `UnknownDeclaration`."""
+        found = self.signature.find(name)
+        if found is None:
+            near = difflib.get_close_matches(name, self.signature.by_key, n=3)
+            raise UnknownDeclaration(
+                f"nothing called {name!r} was declared in KPL",
+                f"did you mean {' or '.join(near)}?" if near else "GET /kpl shows what was",
+            )
+        return found
+
+    # -- change ------------------------------------------------------------------------------
+
+    def add(
+        self,
+        declarations: Iterable[CheckedDeclaration],
+        started: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        """Start what the declarations ask for, in order; they were checked against `signature`.
+        ``started`` hears the key of each.
+
+        Raises, with nothing changed, `UnknownFeature` for a computational unit without an
+        implementation, `Conflict` where an implementation or a stream is otherwise than declared,
+        `AlreadyExists` for a name that another stream has, `Refused` for one of the system.
+        """
+        new = tuple(declarations)
+        for declaration in new:
+            self._admission.check(declaration, self.signature)
+        self.signature = self.signature.with_declarations(new)
+        for declaration in new:
+            self._start(declaration)
+            started(declaration.key)
+        self._is_new = True
+        self.settle()
+
+    def remove(self, name: str, *, cascade: bool = False) -> tuple[str, ...]:
+        """Stop and forget a declaration, with ``cascade`` also what cannot be without it.
+
+        Gives the keys of what was removed, users first. Raises `UnknownDeclaration`; `Conflict`
+        where other declarations need it and ``cascade`` is not said, and where something outside
+        of KPL reads one of the streams.
+        """
+        found = self.declaration(name)
+        dependents = self.signature.dependents(found.key)
+        if dependents and not cascade:
+            raise Conflict(
+                f"{found.key} is needed by {_some(dependents)}",
+                "remove these first, or all together with cascade",
+            )
+        keys = (*dependents, found.key)
+        made = {key for key in keys if key in self._units or key in self._own}
+        outside = self._configuration.readers_outside(made, self._is_ours)
+        if outside:
+            stream, reader = outside
+            raise Conflict(
+                f"stream {stream!r} is read by {reader}", "cancel the requests that need it first"
+            )
+        for key in keys:
+            self.stop(self.signature.by_key[key])
+        self.signature = self.signature.without(keys)
+        self._is_new = True
+        self.settle()
+        return keys
+
+    def _is_ours(self, unit: ComputationalUnit) -> bool:
+        """Whether a unit is KPL's own and does without a stream: another object's is left."""
+        return unit.output.name in self._units
+
+    def settle(self) -> None:
+        """Let configuration and mediation processes act on what has come.
+
+        In rounds, as long as one has something to do: what is over goes, every ``foreach`` acts on
+        one set, and mediations take the streams that came. Once no set is left they pass on what
+        is decided. They read each other in no circle, and none reads the status stream that hears
+        of what they do, so this ends.
+        """
+        while True:
+            acted = self._reap()
+            configuring = [p for p in self._news if isinstance(p, ConfigurationProcess)]
+            if configuring or acted:  # those who wait for what they may make know more now
+                self._news.update(dict.fromkeys(self._mediations))
+            for process in configuring:
+                if process.step():
+                    acted = self._is_new = True
+                else:
+                    self._news.pop(process, None)
+            self._review()
+            mediations = [
+                p
+                for p in self._news
+                if isinstance(p, MediationUnit) and self._units.get(p.output.name) is p
+            ]
+            for unit in mediations:
+                unit.connect_inputs()
+            if acted:
+                continue
+            if not mediations:
+                self._news.clear()
+                self._forget_past()
+                return
+            for unit in mediations:
+                self._news.pop(unit, None)
+                unit.pass_on()
+
+    def _forget_past(self) -> None:
+        """Let go of lives that every mediation at work has left behind."""
+        past = self._network.past
+        for feature in list(past):
+            behind = [
+                unit.done
+                for unit in self._mediations
+                if unit.feature == feature and unit.failure is None and not unit.output.is_ended
+            ]
+            done = min(behind, default=TIME_MAX)
+            kept = {
+                key: needed
+                for key, lives in past[feature].items()
+                if (needed := [life for life in lives if is_needed(life, done)])
+            }
+            past[feature] = kept
+            if not kept:
+                del past[feature]
+
+    def _reap(self) -> bool:
+        """Take away generators of objects that have left, once they have seen the last of them."""
+        acted = False
+        for process in self._configuring:
+            if process.leaving and process.reap():
+                acted = self._is_new = True
+        return acted
+
+    def _review(self) -> None:
+        """Streams came or went: whoever waits for one looks again, until that changes nothing."""
+        while self._is_new:
+            self._is_new = False
+            for process in self._configuring:
+                if process.review():
+                    self._is_new = True
+            for unit in self._mediations:
+                if unit.may_find:
+                    unit.look_again()
+
+    def _promised(self, feature: str) -> int:
+        """What configuration processes are still to make of a feature, or to make anew, says
+        nothing available by then: as their sets say, and those of what they read."""
+        promised, todo, seen = TIME_MAX, [feature], {feature}
+        while todo:
+            wanted = todo.pop()
+            for process in self._configuring:
+                if wanted in process.makes:
+                    promised = min(promised, process.promised)
+                    read = process.reads - seen
+                    todo += read
+                    seen |= read
+        return promised
+
+    @property
+    def _mediations(self) -> list[MediationUnit]:
+        return [unit for unit in self._units.values() if isinstance(unit, MediationUnit)]
+
+    @property
+    def _configuring(self) -> list[ConfigurationProcess]:
+        return [p for p in self._readers.values() if isinstance(p, ConfigurationProcess)]
+
+    def _has_news(self, process: MediationUnit | ConfigurationProcess) -> None:
+        self._news[process] = None
+
+    def tick(self, now: int) -> None:
+        """The time is ``now`` (ns): read the sources that are due."""
+        for source in list(self.sampled.values()):
+            source.tick(now)
+
+    # -- starting and stopping ---------------------------------------------------------------
+
+    def _start(self, declaration: CheckedDeclaration) -> None:
+        match declaration:
+            case SourceDeclaration(name, sort):
+                self._start_source(name, sort)
+            case GeneratorDeclaration():
+                unit = self._network.start_generator(declaration)
+                if unit is not None:
+                    self._units[declaration.key] = unit
+            case StreamDeclaration(name):
+                self._units[name] = self._network.start_stream(declaration)
+            case ForeachDeclaration():
+                self._start_foreach(declaration)
+            case SinkDeclaration():
+                self._start_sink(declaration)
+            case CompunitDeclaration() | SortDeclaration():
+                pass
+            case _:
+                assert_never(declaration)
+
+    def _start_source(self, name: str, sort: ValueSort) -> None:
+        implementation = self._processes.sources.get(name)
+        if name not in self._configuration.streams:
+            self._own.add(name)
+            output = self._network.stream(name, sort.schema)
+            if implementation is not None and not self._rehearsal:
+                self._read(implementation, output)
+
+    def _read(self, implementation: SourceImplementation, output: StreamGenerator) -> None:
+        source = SampledSource(
+            implementation,
+            output,
+            None,
+            on_event=lambda source, event, text: self._tell_source(ChangeKind(event), source, text),
+            runner=self._runner,
+            name=self._configuration.unit_name(),
+            on_report=self._configuration.report,
+        )
+        self.sampled[output.name] = source
+        self._configuration.system.add(output.name)
+        self._tell_source(ChangeKind.UNIT_STARTED, source, f"source {output.name}")
+
+    def _start_foreach(self, declaration: ForeachDeclaration) -> None:
+        process = ConfigurationProcess(
+            self._configuration.unit_name(),
+            declaration,
+            self._network.term(declaration.members),
+            self,
+            on_event=lambda process, event, text: self._tell_reader(
+                ChangeKind(event), process, text
+            ),
+            on_news=self._has_news,
+        )
+        self._attach(declaration.key, process, format_kpl(declaration))
+        process.begin()
+
+    # For configuration processes: see `Generators`.
+
+    def start(self, declaration: GeneratorDeclaration, after: int, until: int | None) -> str | None:
+        """Start a generator of one object; why not, if that cannot be."""
+        key = declaration.key
+        missing = self._network.missing(declaration)
+        if missing is not None:
+            return f"there is no {missing}"
+        if self._configuration.has(key):
+            return f"there is another {key}"
+        unit = self._network.start_generator(declaration, after, until)
+        assert unit is not None, "a foreach has no generators of sources"
+        self._units[key] = unit
+        self._is_new = True
+        return None
+
+    def end(self, declaration: GeneratorDeclaration, until: int) -> None:
+        """Let a generator see nothing that is available later than ``until``."""
+        self._units[declaration.key].end_after(until)
+
+    def has_seen(self, declaration: GeneratorDeclaration) -> int:
+        """Up to when a generator has seen samples."""
+        return self._units[declaration.key].seen
+
+    def void(self, declaration: GeneratorDeclaration) -> None:
+        """Take a generator away that another one takes the place of, from its beginning."""
+        self._units[declaration.key].output.is_void = True
+        self.stop(declaration)
+
+    def is_over(self, declaration: GeneratorDeclaration) -> bool:
+        """Whether a generator has seen all that it is to see."""
+        unit = self._units[declaration.key]
+        return unit.output.is_ended or unit.failure is not None
+
+    def has_inputs(self, declaration: GeneratorDeclaration) -> bool:
+        """Whether the streams that a generator reads are there still."""
+        return self._configuration.reads_what_is_there(self._units[declaration.key])
+
+    def stop(self, declaration: CheckedDeclaration) -> None:
+        """Stop what runs for a declaration."""
+        key = declaration.key
+        unit = self._units.pop(key, None)
+        if unit is not None:
+            output = unit.output
+            read = [self._configuration.life_of(source) for source in unit.inputs]
+            if any(life.is_void for life in read):
+                output.is_void = True
+            if output.ends_at is None:  # with the life of what it read, if that is over
+                ends = [life.ends_at for life in read if life.ends_at is not None]
+                output.ends_at = min(ends, default=None)
+            is_over = output.ends_at is not None and not output.is_void
+            if is_over and isinstance(declaration, GeneratorDeclaration):
+                lives = self._network.past.setdefault(declaration.label.feature, {})
+                lives.setdefault(key, []).append(output)
+            self._configuration.remove_unit(unit)
+            if isinstance(unit, MediationUnit):
+                self._news.pop(unit, None)
+        self._configuration.aliases.pop(key, None)
+        sampled = self.sampled.pop(key, None)
+        if sampled is not None:
+            sampled.stop()
+            self._configuration.system.discard(key)
+            self._tell_source(ChangeKind.UNIT_STOPPED, sampled)
+        reader = self._readers.pop(key, None)
+        if reader is not None:
+            self._configuration.detach(reader)
+            self._tell_reader(ChangeKind.UNIT_STOPPED, reader)
+            if isinstance(reader, ConfigurationProcess):
+                self._news.pop(reader, None)
+        if key in self._own:
+            self._own.discard(key)
+            self._configuration.remove_stream(key)
+        if not self._configuration.has(key):
+            self._forget(key)
+
+    def _start_sink(self, declaration: SinkDeclaration) -> None:
+        implementation = self._admission.sink_implementation(declaration)
+        if implementation is None:
+            return
+        sink = Sink(
+            implementation,
+            [self._network.term(term) for term in declaration.terms],
+            on_event=lambda sink, event, text: self._tell_reader(ChangeKind(event), sink, text),
+            runner=self._runner,
+            name=self._configuration.unit_name(),
+        )
+        self._attach(declaration.key, sink, format_kpl(declaration))
+        sink.start()
+
+    def hear(self, outcome: Outcome) -> None:
+        """What came of calls of a sink, which may be gone by now."""
+        for reader in tuple(self._readers.values()):
+            if isinstance(reader, Sink) and reader.name == outcome.sink:
+                reader.hear(outcome)
+
+    def _attach(self, key: str, reader: Sink | ConfigurationProcess, specification: str) -> None:
+        self._readers[key] = reader
+        self._configuration.attach(reader)
+        self._tell_reader(ChangeKind.UNIT_STARTED, reader, specification)
+
+    # -- what is told ------------------------------------------------------------------------
+
+    def _tell_source(self, kind: ChangeKind, source: SampledSource, text: str = "") -> None:
+        name = source.implementation.name
+        self._configuration.told(
+            Change(kind, source.output.name, source.name, name, (), text, Role.SOURCE)
+        )
+
+    def _tell_reader(
+        self, kind: ChangeKind, reader: Sink | ConfigurationProcess, text: str = ""
+    ) -> None:
+        name = reader.implementation.name if isinstance(reader, Sink) else "foreach"
+        self._configuration.told(
+            Change(
+                kind,
+                "",
+                reader.name,
+                name,
+                tuple(source.name for source in reader.inputs),
+                text,
+                Role.SINK,
+            )
+        )
+
+
+def _some(names: Sequence[str]) -> str:
+    return ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")

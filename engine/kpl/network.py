@@ -1,0 +1,304 @@
+"""Making the processes of KPL declarations and connecting them ([DyKnow10 Def. 5.33-5.35])."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import assert_never
+
+from ...languages.kpl import (
+    OBJECT_FIELD,
+    Aggregate,
+    Compute,
+    FromSource,
+    GeneratorDeclaration,
+    JoinOf,
+    Select,
+    SelectObject,
+    StreamDeclaration,
+    Synchronize,
+    Term,
+    ValueSort,
+    format_kpl,
+    format_term,
+)
+from ...streams.generator import StreamGenerator
+from ...streams.history import Retention
+from ...streams.joins.join import Join
+from ...streams.joins.mediation import Mediation
+from ...streams.policies.policy import Order, Policy
+from ...streams.policies.select_adaptation import adapt
+from ...streams.sample import Schema
+from ...streams.synchronization.synchronization import Late, Synchronization
+from ..configuration.configuration import POLICY, Configuration
+from ..configuration.policy_keys import policy_keys
+from ..model.errors import UnknownFeature
+from ..model.status_changes import ChangeKind
+from ..model.views import Since
+from ..processes.registry import Processes, UnitImplementation
+from ..processes.supervision import ProcessEvent, Runner
+from ..units.base import ComputationalUnit
+from ..units.join import FunctionProcess
+from ..units.mediation import MediationUnit, Past
+from ..units.policy import AdaptationUnit, ObjectSelectionUnit, TupleUnit
+from ..units.violations import Violations
+
+
+class Network:
+    """Starts the units of generators and streams over a configuration's streams.
+
+    What is made is used once, by its declaration; equal terms share one adapted stream, which is
+    there as long as somebody reads it. ``on_news`` hears of mediations that have something to do;
+    what is still to be made of a feature says nothing that is available by ``promised(feature)``.
+    """
+
+    def __init__(
+        self,
+        configuration: Configuration,
+        processes: Processes,
+        runner: Runner,
+        retention: Retention | None,
+        lateness: int,
+        on_news: Callable[[MediationUnit], None],
+        promised: Callable[[str], int],
+    ) -> None:
+        self._configuration = configuration
+        self._processes = processes
+        self._runner = runner
+        self._retention = retention
+        self._lateness = lateness
+        self._on_news = on_news
+        self._promised = promised
+        self.past: dict[str, dict[str, list[StreamGenerator]]] = {}
+        """By feature the streams that labels had in lives that are over, for mediations of the
+        feature that are behind."""
+
+    def stream(self, name: str, schema: Schema | None) -> StreamGenerator:
+        """A new stream; an open one without ``schema``."""
+        return self._configuration.add_stream(
+            name, schema or Schema(()), lateness=self._lateness, retention=self._retention
+        )
+
+    def missing(self, declaration: GeneratorDeclaration) -> str | None:
+        """The first label that a generator reads and that is not there."""
+        labels = (str(term.label) for term in _read(declaration))
+        return next((label for label in labels if not self._configuration.has(label)), None)
+
+    def implementation(self, name: str, key: str) -> UnitImplementation:
+        """The code of a computational unit; raises `UnknownFeature`."""
+        found = self._processes.units.get(name)
+        if found is None:
+            known = ", ".join(self._processes.units) or "none"
+            raise UnknownFeature(
+                f"computational unit {name!r} of {key} has no implementation",
+                f"write it with @dyknow.computational_unit and load its module; there are: {known}",
+            )
+        return found
+
+    def start_generator(
+        self,
+        declaration: GeneratorDeclaration,
+        after: int | None = None,
+        until: int | None = None,
+    ) -> ComputationalUnit | None:
+        """Start what a label stands for; None for a source's, which is its stream.
+
+        With ``after`` (ns) it sees nothing that was available by then, with ``until`` nothing that
+        is available later.
+        """
+        unit: ComputationalUnit
+        key, process = declaration.key, declaration.process
+        match process:
+            case FromSource(name):
+                self._configuration.aliases[key] = name
+                return None
+            case Compute(name, terms):
+                unit = FunctionProcess(
+                    *self._identity(name, terms, declaration, declaration.sort.schema, after),
+                    implementation=self.implementation(name, key),
+                    on_event=self._told,
+                    on_report=self._configuration.report,
+                    runner=self._runner,
+                )
+            case JoinOf(terms):
+                unit = TupleUnit(
+                    *self._identity("join", terms, declaration, None, after),
+                    kernel=Join(len(terms)),
+                    identifiers=process.identifiers,
+                    inner_times=process.inner_times,
+                )
+            case Synchronize(terms):
+                unit = self._synchronization(declaration, process, after)
+            case SelectObject(term):
+                unit = ObjectSelectionUnit(
+                    *self._identity(
+                        "selectObject", (term,), declaration, declaration.sort.schema, after
+                    ),
+                    object=declaration.label.objects[0],
+                )
+                unit.output.stream.pools.update(unit.inputs[0].stream.pools)
+            case Aggregate() | Select():
+                unit = self._mediation(declaration, process, after)
+            case _:
+                assert_never(process)
+        self._start(unit, unit.parameters["kpl"], after, until)
+        return unit
+
+    def start_stream(self, declaration: StreamDeclaration) -> AdaptationUnit:
+        """Start the subscription that a declared stream is."""
+        violations = self._configuration.violations(declaration.name, self._retention)
+        unit = self._adaptation(declaration.term, declaration.name, violations)
+        self._start(unit, format_kpl(declaration))
+        return unit
+
+    def term(self, term: Term, after: int | None = None) -> StreamGenerator:
+        """The stream of a term; the same term is the same stream, unless another annotation has
+        come in between that names the objects otherwise."""
+        if term.policy.is_default:
+            return self._configuration.stream(str(term.label))
+
+        def build() -> ComputationalUnit:
+            unit = self._adaptation(term, self._configuration.reserved_name(), None)
+            self._configuration.start(unit, Since.START, after=after)
+            return unit
+
+        return self._configuration.share((term, self._keys(term), after), build).output
+
+    def _start(
+        self,
+        unit: ComputationalUnit,
+        specification: str,
+        after: int | None = None,
+        until: int | None = None,
+    ) -> None:
+        unit.users += 1
+        self._configuration.start(unit, Since.START, specification, after, until)
+
+    def _keys(self, term: Term) -> tuple[str, ...]:
+        """The fields for each of whose objects the policy of a term holds by itself."""
+        return policy_keys(self._configuration, self._configuration.stream(str(term.label)))
+
+    def _adaptation(self, term: Term, name: str, violations: Violations | None) -> AdaptationUnit:
+        source = self._configuration.stream(str(term.label))
+        output = self.stream(name, None if source.is_open else source.schema)
+        output.stream.pools.update(source.stream.pools)
+        return AdaptationUnit(
+            *self._configuration.identity(POLICY, [source], output, {"term": format_term(term)}),
+            policy=term.policy,
+            keys=self._keys(term),
+            violations=violations,
+        )
+
+    def _synchronization(
+        self, declaration: GeneratorDeclaration, process: Synchronize, after: int | None
+    ) -> TupleUnit:
+        violations = self._configuration.violations(declaration.key, self._retention)
+        labels = [str(term.label) for term in process.terms]
+
+        def late(samples: Late) -> None:
+            violations.late(samples, labels[samples.input])
+
+        # An order of each object by itself is none of the stream.
+        monotone = [
+            term.policy.effective_order is not Order.ANY and not self._keys(term)
+            for term in process.terms
+        ]
+        return TupleUnit(
+            *self._identity("sync", process.terms, declaration, None, after),
+            kernel=Synchronization(process.policy, monotone, late),
+            identifiers=process.identifiers,
+            violations=violations,
+        )
+
+    def _mediation(
+        self, declaration: GeneratorDeclaration, process: Aggregate | Select, after: int | None
+    ) -> MediationUnit:
+        specification = format_kpl(declaration)
+
+        def stream_of(object: str) -> StreamGenerator | None:
+            term = process.pattern.bound(process.variable, object)
+            return self.term(term) if self._configuration.has(str(term.label)) else None
+
+        def past_of(object: str, after: int) -> list[Past]:
+            term = process.pattern.bound(process.variable, object)
+            lives = self.past.get(term.label.feature, {}).get(str(term.label), ())
+            return [_past(life, term.policy) for life in lives if is_needed(life, after)]
+
+        def changed(
+            unit: MediationUnit,
+            gained: Sequence[StreamGenerator],
+            lost: Sequence[StreamGenerator],
+        ) -> None:
+            self._configuration.change_inputs(unit, gained, lost, specification)
+
+        is_aggregate = isinstance(process, Aggregate)
+        name = "aggregate" if is_aggregate else "select"
+        schema = declaration.sort.schema
+        identity = self._identity(name, (process.members,), declaration, schema, after)
+        pools = self._configuration.stream(declaration.key).stream.pools
+        return MediationUnit(
+            *identity,
+            kernel=Mediation(
+                OBJECT_FIELD if is_aggregate else None, pools, self._configuration.rules
+            ),
+            feature=process.pattern.label.feature,
+            select=not is_aggregate,
+            stream_of=stream_of,
+            promised=lambda: self._promised(process.pattern.label.feature),
+            past_of=past_of,
+            life_of=self._configuration.life_of,
+            on_inputs=changed,
+            on_news=self._on_news,
+            on_event=self._told,
+        )
+
+    def _told(self, unit: ComputationalUnit, event: ProcessEvent, text: str) -> None:
+        self._configuration.tell(ChangeKind(event), unit, text)
+
+    def _identity(
+        self,
+        transformation: str,
+        terms: Sequence[Term],
+        declaration: GeneratorDeclaration,
+        schema: Schema | None,
+        after: int | None,
+    ) -> tuple[object, ...]:
+        inputs = [self.term(term, after) for term in terms]
+        output = self.stream(declaration.key, schema)
+        parameters = {"kpl": format_kpl(declaration)}
+        return self._configuration.identity(transformation, inputs, output, parameters)
+
+
+def is_needed(life: StreamGenerator, after: int) -> bool:
+    """Whether a life that is over may say something that is available after ``after`` (ns)."""
+    return life.ends_at is not None and life.ends_at > after
+
+
+def _past(life: StreamGenerator, policy: Policy) -> Past:
+    """What a mediation would have read of a stream, had it been there. A label has no annotation
+    when its life begins: the policy is of the whole stream."""
+    assert life.ends_at is not None
+    segments = life.stream.since(0)
+    if policy.is_default:
+        return Past(life, [segment.batch for segment in segments], life.ends_at)
+    adaptation = adapt(policy, rules=life.rules)
+    batches = [made for segment in segments for made in adaptation.push(segment.batch)]
+    return Past(life, [*batches, *adaptation.end()], life.ends_at)
+
+
+def _read(declaration: GeneratorDeclaration) -> Sequence[Term]:
+    """The terms whose streams a generator needs to begin."""
+    match declaration.process:
+        case Aggregate(_, _, members) | Select(_, _, members):
+            return (members,)
+        case _:
+            return declaration.terms
+
+
+def sort_name(name: str) -> str:
+    """A sort's one spelling: terms of the domain go without their prefix."""
+    return name.removeprefix("dyknow:")
+
+
+def schema_text(sort: ValueSort | Schema) -> str:
+    """Fields as KPL writes them."""
+    return ", ".join(f"{field.name} {field.type}" for field in sort.fields or ())

@@ -1,0 +1,1 @@
+"""What the engine speaks of: status, changes, errors, views, the schemas of results."""

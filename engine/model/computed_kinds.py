@@ -1,0 +1,89 @@
+"""What kind of number or boolean an expression gives, where that can be known without its data
+(SPARQL 1.1 §17.3-17.4). `result_schema` types the fields of output streams by it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence, Set
+from typing import Final
+
+from pyoxigraph import Literal
+
+from ...continuous.algebra.expressions import (
+    ARITHMETIC,
+    COMPARISONS,
+    Call,
+    Const,
+    Expression,
+    Var,
+)
+from ...rdf.datatypes import INTEGERS
+from ...rdf.timed import DATATYPES, Kind
+
+_BOOLEANS: Final = frozenset(
+    {*COMPARISONS, "&&", "||", "!", "BOUND", "SAMETERM", "ISIRI", "ISBLANK", "ISLITERAL"}
+    | {"ISNUMERIC", "REGEX", "CONTAINS", "STRSTARTS", "STRENDS", "LANGMATCHES"}
+)
+_INTEGERS: Final = frozenset({"STRLEN", "YEAR", "MONTH", "DAY", "HOURS", "MINUTES"})
+_SAME: Final = frozenset({"NEGATE", "ABS", "CEIL", "FLOOR", "ROUND"})
+_KINDS: Final = {datatype.value: kind for kind, datatype in DATATYPES.items()}
+_CASTS: Final = {f"<{datatype}>": kind for datatype, kind in _KINDS.items()}
+
+
+def kind_of(
+    expression: Expression, kinds: Mapping[str, Kind], others: Set[str] = frozenset()
+) -> Kind | None:
+    """The kind of the values of ``expression``; None where it is not known, or neither.
+
+    ``kinds`` are those of variables, ``others`` variables that hold something else. Arithmetic on
+    what is not known gives some number: a DOUBLE has room for it.
+    """
+    match expression:
+        case Var(name):
+            return kinds.get(name)
+        case Const(term):
+            return _of_literal(term) if isinstance(term, Literal) else None
+        case Call(name, arguments):
+            if name in _BOOLEANS:
+                return Kind.BOOLEAN
+            if name in _INTEGERS:
+                return Kind.INTEGER
+            if name in _CASTS:
+                return _CASTS[name]
+            if name == "RAND":
+                return Kind.DOUBLE
+            if name == "SECONDS":
+                return Kind.DECIMAL
+            if name in ("IF", "COALESCE"):
+                chosen = arguments[1:] if name == "IF" else arguments
+                return one_kind([kind_of(one, kinds, others) for one in chosen])
+            if name in _SAME or name in ARITHMETIC:
+                return _of_numbers(name, arguments, kinds, others)
+    return None
+
+
+def one_kind(found: Sequence[Kind | None]) -> Kind | None:
+    """The kind that holds the values of all of these; None where there is none."""
+    known = {kind for kind in found if kind is not None}
+    if None in found or not known:
+        return None
+    if len(known) > 1 and not all(kind.is_number for kind in known):
+        return None
+    return max(known)
+
+
+def _of_numbers(
+    name: str, arguments: Sequence[Expression], kinds: Mapping[str, Kind], others: Set[str]
+) -> Kind | None:
+    if any(isinstance(one, Var) and one.name in others for one in arguments):
+        return None
+    found = [kind_of(one, kinds, others) for one in arguments]
+    numbers = [kind for kind in found if kind is not None and kind.is_number]
+    if len(numbers) < len(found):
+        return Kind.DOUBLE if name in ARITHMETIC else None
+    least = Kind.DECIMAL if name == "/" else Kind.INTEGER
+    return max(least, *numbers)
+
+
+def _of_literal(literal: Literal) -> Kind | None:
+    datatype = literal.datatype.value
+    return Kind.INTEGER if datatype in INTEGERS else _KINDS.get(datatype)

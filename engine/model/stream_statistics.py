@@ -1,0 +1,87 @@
+"""A stream's view: what the engine tells about it now."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from ...continuous.estimation.input_rates import ASSUMED_SUBJECTS, Flow, Said
+from ...languages.ssl.annotation import StreamAnnotation
+from ...rdf.namespaces import RDF_TYPE
+from ...streams.generator import StreamGenerator
+from ...streams.time import SECOND
+from .views import StreamView
+
+_RECENT = 1_000
+"""Samples over which the rate is taken."""
+
+
+def stream_view(
+    generator: StreamGenerator,
+    namespace: str,
+    producer: str | None,
+    annotation: StreamAnnotation | None,
+) -> StreamView:
+    """The stream as it is now; ``producer`` names the process that makes it, if the system does.
+
+    Cost: O(1) but for the few last batches, from which rate and lag are read.
+    """
+    stream = generator.stream
+    recent = stream.since(max(stream.first_number, stream.last_number - 1))
+    last_available = int(recent[-1].batch.available[-1]) if recent else 0
+    last_valid = int(recent[-1].batch.valid[-1]) if recent else None
+    return StreamView(
+        name=generator.name,
+        fields=generator.schema.fields,
+        namespace=namespace,
+        lateness=generator.lateness,
+        idle=generator.idle,
+        ahead=generator.ahead,
+        is_idle=generator.is_idle,
+        retention=stream.retention,
+        stamped=generator.stamped,
+        ended=generator.is_ended,
+        counters=generator.counters,
+        samples_kept=len(stream),
+        first_number=stream.first_number,
+        last_number=stream.last_number,
+        watermark=generator.watermark,
+        first_available=stream.first_available,
+        last_available=stream.last_available,
+        last_valid=last_valid,
+        rate=rate_of(generator),
+        lag=last_available - last_valid if last_valid is not None else None,
+        annotation=None if annotation is None else annotation.source,
+        producer=producer,
+        subscribers=generator.subscribers + generator.listeners,
+    )
+
+
+def rate_of(generator: StreamGenerator) -> float:
+    """Samples a second, over the last thousand. Cost: O(1) but for the few last batches."""
+    stream = generator.stream
+    recent = stream.since(max(stream.first_number, stream.last_number - _RECENT))
+    if not recent:
+        return 0.0
+    number = sum(len(segment.batch) for segment in recent)
+    span = int(recent[-1].batch.available[-1]) - int(recent[0].batch.available[0])
+    return (number - 1) * SECOND / max(span, SECOND)
+
+
+def flow_of(generator: StreamGenerator, annotations: Iterable[StreamAnnotation]) -> Flow | None:
+    """What a query that reads the stream so may expect of it, for the estimates of its costs; None
+    where no rate is known.
+
+    Each sample is taken to say all that it could. How many objects a sort has is not known.
+    """
+    rate = rate_of(generator)
+    if not rate:
+        return None
+    said: dict[str, Said] = {}
+    for content in (content for one in annotations for content in one.contents):
+        subject = content.roles[0] if content.roles else None
+        of_sort = subject is not None and subject.sort is not None
+        said[content.feature] = Said(rate, ASSUMED_SUBJECTS if of_sort else 1.0)
+        if of_sort:
+            said[RDF_TYPE.value] = Said(rate, ASSUMED_SUBJECTS, 1.0)
+    subjects = None if RDF_TYPE.value in said or not said else 1.0
+    return Flow(rate, subjects, said or None)

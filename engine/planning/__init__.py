@@ -1,0 +1,1 @@
+"""From a plan of matching, or a query, to units that run and are shared."""

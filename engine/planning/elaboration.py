@@ -1,0 +1,371 @@
+"""From a specification to the shapes of its units ([Introspection15 §3.2]).
+
+Every `cu` is checked here, with its place: its transformation, its parameters, what it reads, and
+which field of that feeds which input. Nothing is started; `apply` carries out what is
+elaborated.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass, replace
+
+from ...languages.errors import LanguageError, Span
+from ...languages.kpl import format_policy, parse_policy
+from ...languages.specification import (
+    Input,
+    Parameter,
+    StreamReference,
+    UnitSpecification,
+)
+from ...languages.specification.ast import elements_of, is_reserved
+from ...languages.ssl.annotation import Content
+from ...matching.plan import Compute, SelectObject, Synchronize, contents_of
+from ...matching.space import TransformationDescription
+from ...ontology.vocabulary import Vocabulary
+from ...rdf.namespaces import shorten
+from ...streams.generator import StreamGenerator
+from ...streams.policies.policy import Policy
+from ..catalog.name_resolution import iri_of
+from ..catalog.transformation_library import Transformation, Transformations
+from ..configuration.configuration import POLICY, SELECT_OBJECT, SYNCHRONIZE, Configuration
+from ..configuration.policy_keys import annotated_contents
+from ..model.errors import DyknowError, UnknownFeature, UnknownStream
+from ..units.base import ComputationalUnit
+from .unit_shapes import LONGEST_ROW, Running, Shape
+from .wiring import (
+    Fields,
+    Piece,
+    Unfit,
+    fields_of,
+    selected,
+    together,
+    transformed,
+)
+
+SYSTEM = {SELECT_OBJECT: ("field", "object"), SYNCHRONIZE: (), POLICY: ("policy",)}
+"""The transformations of the system that a specification can name, with their parameters."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Elaborated:
+    """An element and what it comes to."""
+
+    element: UnitSpecification
+    piece: Piece
+
+    @property
+    def shape(self) -> Shape:
+        """The shape of its unit."""
+        assert isinstance(self.piece.what, Shape)
+        return self.piece.what
+
+
+class Elaboration:
+    """Elaborates the insertions of one text, ``source``.
+
+    ``removed`` are units that the same text removes. ``restoring``: the text is of an earlier run,
+    whose invented names are no more.
+    """
+
+    def __init__(
+        self,
+        source: str,
+        vocabulary: Vocabulary,
+        transformations: Transformations,
+        configuration: Configuration,
+        running: Running,
+        removed: Collection[ComputationalUnit] = (),
+        *,
+        restoring: bool = False,
+    ) -> None:
+        self._source = source
+        self._vocabulary = vocabulary
+        self._transformations = transformations
+        self._configuration = configuration
+        self._running = running
+        self._removed = removed
+        self._restoring = restoring
+        self._named: dict[str, UnitSpecification] = {}
+        self._pieces: dict[int, Piece] = {}
+
+    def elaborate(self, insertions: Sequence[UnitSpecification]) -> tuple[Elaborated, ...]:
+        """All elements of the text, each behind those that it reads; raises `LanguageError`."""
+        self._named = {one.name: one for one in elements_of(insertions) if one.name is not None}
+        made = []
+        for element in self._in_order(insertions):
+            piece = self._pieces[id(element)] = self._piece(element)
+            made.append(Elaborated(element, piece))
+        return tuple(made)
+
+    # -- order -------------------------------------------------------------------------------
+
+    def _in_order(self, insertions: Sequence[UnitSpecification]) -> Iterable[UnitSpecification]:
+        """Inputs first. A stack of what is under way: names may make a row of any length."""
+        done: dict[int, bool] = {}
+        for top in insertions:
+            stack = [] if id(top) in done else [(top, iter(top.inputs))]
+            done.setdefault(id(top), False)
+            while stack:
+                element, rest = stack[-1]
+                for given in rest:
+                    below = self._element(given)
+                    if below is None or done.get(id(below)):
+                        continue
+                    if id(below) in done:
+                        raise self._circle([one for one, _ in stack], below, given.span)
+                    done[id(below)] = False
+                    stack.append((below, iter(below.inputs)))
+                    break
+                else:
+                    stack.pop()
+                    done[id(element)] = True
+                    yield element
+
+    def _element(self, given: Input) -> UnitSpecification | None:
+        return self._named.get(given.name) if isinstance(given, StreamReference) else given
+
+    def _circle(
+        self, path: Sequence[UnitSpecification], back: UnitSpecification, span: Span
+    ) -> LanguageError:
+        start = next(i for i, element in enumerate(path) if element is back)
+        names = [f"`{element.name or element.type}`" for element in (*path[start:], back)]
+        return LanguageError(
+            f"units read each other in a circle: {' reads '.join(names)}",
+            self._source,
+            span,
+            "let one of them read a stream that there is without it",
+        )
+
+    # -- one element -------------------------------------------------------------------------
+
+    def _piece(self, element: UnitSpecification) -> Piece:
+        pieces = [self._input(given) for given in element.inputs]
+        try:
+            match element.type:
+                case "selectObject":
+                    made = self._selection(element, pieces)
+                case "synchronize":
+                    self._check_parameters(element)
+                    made = self._unit(element, pieces, (), together(pieces))
+                case "policy":
+                    made = self._adaptation(element, pieces)
+                case _:
+                    made = self._transformation(element, pieces)
+        except Unfit as error:
+            span = element.span if error.input is None else element.inputs[error.input].span
+            raise LanguageError(error.message, self._source, span, error.hint) from error
+        assert isinstance(made.what, Shape)
+        if made.what.row > LONGEST_ROW:
+            raise LanguageError(
+                f"more than {LONGEST_ROW} units read each other in a row here",
+                self._source,
+                element.span,
+                "let one unit do the work of several",
+            )
+        return made
+
+    def _unit(
+        self,
+        element: UnitSpecification,
+        pieces: Sequence[Piece],
+        parameters: tuple[tuple[str, str], ...],
+        recipe: Compute | SelectObject | Synchronize,
+    ) -> Piece:
+        inputs = self._inputs(pieces, recipe)
+        shape = self._running.shapes.of(element.type, parameters, inputs)
+        return Piece(shape, contents_of(recipe), fields_of(recipe, pieces), recipe)
+
+    def _inputs(
+        self, pieces: Sequence[Piece], recipe: Compute | SelectObject | Synchronize
+    ) -> tuple[Shape | str, ...]:
+        """One input for each of a transformation's, or a single one for all, as `Running` has
+        them: the same stream for each of several is one for all, and so is what is brought
+        together before."""
+        inputs = tuple(piece.what for piece in pieces)
+        if not isinstance(recipe, Compute) or len(pieces) < 2 or len(recipe.inputs) == 0:
+            return inputs
+        return inputs if isinstance(recipe.inputs[0].node, Synchronize) else inputs[:1]
+
+    def _selection(self, element: UnitSpecification, pieces: Sequence[Piece]) -> Piece:
+        given = self._check_parameters(element)
+        self._check_alone(element, pieces)
+        object = given["object"]
+        try:
+            iri = iri_of(object.value)
+        except (LanguageError, UnknownFeature) as error:
+            text = error.message if isinstance(error, LanguageError) else error.detail
+            raise self._error(object.span or element.span, f"`object`: {text}") from error
+        field = given["field"].value.strip()
+        parameters = (("field", field), ("object", shorten(iri)))
+        return self._unit(element, pieces, parameters, selected(pieces[0], field, iri))
+
+    def _adaptation(self, element: UnitSpecification, pieces: Sequence[Piece]) -> Piece:
+        given = self._check_parameters(element)["policy"]
+        self._check_alone(element, pieces)
+        try:
+            policy = parse_policy(given.value)
+        except LanguageError as error:
+            place = f"column {error.column} of the policy"
+            raise self._error(
+                given.span or element.span, f"{place}: {error.message}", error.hint
+            ) from error
+        if policy.is_default:
+            raise self._error(
+                given.span or element.span,
+                "the policy asks for nothing",
+                "write constraints as after `with` in KPL: any change, max delay 5s",
+            )
+        (piece,) = pieces
+        parameters = (("policy", format_policy(policy)),)
+        shape = self._running.shapes.of(element.type, parameters, (piece.what,))
+        return Piece(shape, piece.contents, piece.fields, policy)
+
+    def _transformation(self, element: UnitSpecification, pieces: Sequence[Piece]) -> Piece:
+        known = self._transformations.get(element.type)
+        if known is None:
+            raise self._unknown(element)
+        overriding = self._overriding(element, known)
+        described = TransformationDescription.of(known.annotation)
+        node = transformed(described, pieces, self._vocabulary)
+        return self._unit(element, pieces, overriding, replace(node, parameters=overriding))
+
+    def _unknown(self, element: UnitSpecification) -> LanguageError:
+        known = (*self._transformations, *SYSTEM)
+        near = difflib.get_close_matches(element.type, known, n=3)
+        return LanguageError(
+            f"there is no transformation called `{element.type}`",
+            self._source,
+            element.span,
+            f"did you mean {' or '.join(near)}?" if near else f"there are: {', '.join(known)}",
+        )
+
+    # -- parameters --------------------------------------------------------------------------
+
+    def _check_parameters(self, element: UnitSpecification) -> dict[str, Parameter]:
+        """The parameters of a transformation of the system: these, and no other."""
+        wanted = SYSTEM[element.type]
+        names = ", ".join(wanted) or "none"
+        for parameter in element.parameters:
+            if parameter.name not in wanted:
+                raise self._error(
+                    parameter.span or element.span,
+                    f"`{element.type}` has no parameter `{parameter.name}`",
+                    f"its parameters are: {names}",
+                )
+        given = {parameter.name: parameter for parameter in element.parameters}
+        for name in wanted:
+            if name not in given:
+                raise self._error(
+                    element.span,
+                    f"`{element.type}` has no `{name}`",
+                    f'add <spec:parameter name="{name}" value="…" />',
+                )
+        return given
+
+    def _check_alone(self, element: UnitSpecification, pieces: Sequence[Piece]) -> None:
+        if len(pieces) != 1:
+            raise self._error(
+                element.span,
+                f"`{element.type}` takes 1 input, and {len(pieces) or 'none'} "
+                f"{'are' if len(pieces) > 1 else 'is'} here",
+                "one `cu` or `stream`",
+            )
+
+    def _overriding(
+        self, element: UnitSpecification, known: Transformation
+    ) -> tuple[tuple[str, str], ...]:
+        """The parameters that are not what the transformation has without them."""
+        given = {parameter.name: parameter.value for parameter in element.parameters}
+        try:
+            self._check(known, given)
+        except DyknowError as error:
+            culprit = self._culprit(element, known, given)
+            raise self._error(
+                culprit or element.span,
+                f"no unit can be made of `{known.name}`: {error.detail}",
+                error.hint or "see GET /transformations",
+            ) from error
+        own = self._transformations.parameters_of(known)
+        return tuple(
+            sorted((name, value) for name, value in given.items() if own.get(name) != value)
+        )
+
+    def _check(self, known: Transformation, given: dict[str, str]) -> None:
+        self._transformations.check(replace(known, parameters={**known.parameters, **given}))
+
+    def _culprit(
+        self, element: UnitSpecification, known: Transformation, given: dict[str, str]
+    ) -> Span | None:
+        """The parameter without which it would do."""
+        for parameter in element.parameters:
+            others = {name: value for name, value in given.items() if name != parameter.name}
+            try:
+                self._check(known, others)
+            except DyknowError:
+                continue
+            return parameter.span
+        return None
+
+    # -- streams -----------------------------------------------------------------------------
+
+    def _input(self, given: Input) -> Piece:
+        element = self._element(given)
+        if element is not None:
+            return self._pieces[id(element)]
+        assert isinstance(given, StreamReference)
+        return self._stream(given)
+
+    def _stream(self, given: StreamReference) -> Piece:
+        """A stream that there is already."""
+        generator = self._found(given)
+        unit = self._configuration.units.get(generator.name)
+        if unit is not None and unit in self._removed:
+            raise self._error(
+                given.span,
+                f"stream `{given.name}` is removed by this text",
+                "read another one, or leave the removal out",
+            )
+        if unit is not None and self._running.is_broken(unit):
+            why = unit.failure or "a unit behind it has failed"
+            raise self._error(
+                given.span,
+                f"nothing more comes of stream `{given.name}`: {why}",
+                "remove what makes it, and insert it anew",
+            )
+        fields: Fields = {field.name: field.type for field in generator.schema.fields}
+        made = self._running.producer(generator)
+        what = generator.name if made is None else self._running.shape_of[generator.name]
+        return Piece(what, self._contents_of(generator), fields)
+
+    def _found(self, given: StreamReference) -> StreamGenerator:
+        try:
+            if self._restoring and is_reserved(given.name):
+                raise UnknownStream("DyKnow had made it")
+            return self._configuration.stream(given.name)
+        except UnknownStream:
+            known = (*self._named, *self._configuration.streams, *self._configuration.aliases)
+            near = difflib.get_close_matches(given.name, known, n=3)
+            raise self._error(
+                given.span,
+                f"there is no stream called `{given.name}`, nor a `cu` of that name here",
+                f"did you mean {' or '.join(near)}?" if near else "GET /streams shows all",
+            ) from None
+
+    def _contents_of(self, generator: StreamGenerator) -> tuple[Content, ...]:
+        generator = self._configuration.life_of(generator)
+        unit = self._running.producer(generator)
+        match None if unit is None else self._configuration.key_of(unit):
+            case (Compute() | SelectObject() | Synchronize() as node, _):
+                return contents_of(node)
+            case _:
+                return annotated_contents(self._configuration, generator.name)
+
+    def _error(self, span: Span, message: str, hint: str = "") -> LanguageError:
+        return LanguageError(message, self._source, span, hint or "see docs/specifications.md")
+
+
+def policy_of(piece: Piece) -> Policy | None:
+    """The policy of an adaptation; None of another unit."""
+    return piece.recipe if isinstance(piece.recipe, Policy) else None

@@ -1,0 +1,8 @@
+"""User-written units, sources and sinks: how they are registered, loaded and called.
+
+Programs that embed an engine take `PROCESSES` from here (docs/processes.md).
+"""
+
+from .registry import PROCESSES, Processes
+
+__all__ = ["PROCESSES", "Processes"]

@@ -1,0 +1,1 @@
+"""What people ask for: events, queries, subscriptions, and the matching that follows changes."""

@@ -1,0 +1,91 @@
+"""Why a query that runs has given nothing yet: what it read, and what that lacks.
+
+Called by the views of requests and registered queries (`event_requests`, `continuous_queries`). All
+of it is what was counted and what annotations and the ontology say; nothing is guessed.
+"""
+
+from __future__ import annotations
+
+from ...languages.csparql import parse_query
+from ...languages.errors import LanguageError
+from ...languages.kpl import format_policy
+from ...languages.ssl.annotation import Content
+from ...matching.want import Want
+from ...ontology.vocabulary import Vocabulary
+from ...rdf.namespaces import shorten
+from ...streams.policies.policy import PolicyCounters
+from ...templates.needs import NeedsError, needs
+from ..configuration.configuration import Configuration
+from ..units.base import ComputationalUnit
+from ..units.policy import AdaptationUnit
+from ..units.shared_query import InstanceUnit
+from ..units.windowed import WindowUnit
+
+
+def why_empty(
+    configuration: Configuration, unit: ComputationalUnit, vocabulary: Vocabulary
+) -> str | None:
+    """``12,000 samples read, 0 triples: no stream that it reads is annotated with …``; None once
+    the unit has given a sample. Cost: O(units behind it), and the reading of its query."""
+    evaluating = unit.template if isinstance(unit, InstanceUnit) else unit
+    if unit.output.stream.last_number or not isinstance(evaluating, WindowUnit):
+        return None
+    lost = _dropped(configuration, evaluating)
+    if evaluating.late:
+        lost.append(f"{evaluating.late:,} came too late for their windows")
+    if not evaluating.samples:
+        streams = ", ".join(source.name for source in evaluating.reads)
+        return "; ".join([f"no sample read yet from {streams}", *lost])
+    causes = [
+        cause
+        for want in _wants(unit, vocabulary)
+        if (cause := _lacking(want, evaluating.contents, vocabulary)) is not None
+    ]
+    if not causes and not evaluating.triples:
+        causes = ["no sample had an object that the annotation speaks of, and a value"]
+    elif not causes and not evaluating.windows:
+        causes = ["no window has closed yet"]
+    elif not causes:
+        causes = [f"none of {evaluating.windows:,} windows fulfilled the query's conditions"]
+    said = f"{evaluating.samples:,} samples read, {evaluating.triples:,} triples"
+    return f"{said}: {'; '.join(dict.fromkeys([*causes, *lost]))}"
+
+
+def _wants(unit: ComputationalUnit, vocabulary: Vocabulary) -> tuple[Want, ...]:
+    """What the query needs of streams; nothing where that cannot be told."""
+    try:
+        return needs(parse_query(unit.parameters["query"]), vocabulary).wants
+    except (KeyError, LanguageError, NeedsError):
+        return ()
+
+
+def _lacking(want: Want, contents: tuple[Content, ...], vocabulary: Vocabulary) -> str | None:
+    """What of a want no stream that is read can give, by its annotation."""
+    names = {want.feature, *vocabulary.subfeatures(want.feature)}
+    carried = [content for content in contents if content.feature in names]
+    if not carried:
+        return f"no stream that it reads is annotated with {shorten(want.feature)}"
+    if want.sort is None:
+        return None
+    wanted = {want.sort, *vocabulary.subsorts(want.sort)}
+    for content in carried:
+        for role in content.roles:
+            is_known = role.object is not None and vocabulary.sorts_of(role.object) & wanted
+            if role.sort in wanted or is_known:
+                return None
+    if not want.sort or vocabulary.has_members(want.sort):
+        return None
+    return f"no member of {shorten(want.sort)} seen"
+
+
+def _dropped(configuration: Configuration, unit: WindowUnit) -> list[str]:
+    """What the policies between the streams and the query did not let through."""
+    told = []
+    for part in configuration.units_behind(unit):
+        if not isinstance(part, AdaptationUnit):
+            continue
+        counters: PolicyCounters = part.policy_counters
+        count = sum(counters.dropped.values())
+        if count:
+            told.append(f"{count:,} dropped by `{format_policy(part.policy)}`")
+    return told

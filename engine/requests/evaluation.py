@@ -1,0 +1,83 @@
+"""How far everything is that reads a stream, and what of it has failed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TypeVar
+
+from ...streams.generator import StreamGenerator
+from ..configuration.configuration import Configuration
+from ..model.views import EvaluationView, FailureView
+from ..units.backlog import Behind
+from ..units.base import ComputationalUnit
+from ..units.windowed import WindowUnit
+from .continuous_queries import RegisteredQueries
+from .event_requests import EventRequests
+from .subscriptions import Subscriptions
+
+AnyUnit = TypeVar("AnyUnit", bound=ComputationalUnit)
+
+
+class Evaluation:
+    """Questions about the units of a configuration, and who asked for them."""
+
+    def __init__(
+        self,
+        configuration: Configuration,
+        behind: Behind,
+        requests: EventRequests,
+        queries: RegisteredQueries,
+        subscriptions: Subscriptions,
+    ) -> None:
+        self._configuration = configuration
+        self._behind = behind
+        self._asking = (requests, queries, subscriptions)
+
+    def behind(self, stream: str) -> tuple[WindowUnit, ...]:
+        """The units that are behind and read ``stream``, themselves or through other units."""
+        units = [unit for unit in self._behind.units if isinstance(unit, WindowUnit)]
+        return self._readers(units, stream)
+
+    def failure(self, generator: StreamGenerator) -> str | None:
+        """Why nothing more comes in a stream: what feeds it has failed. None while something may.
+        See `Configuration.failure_of`."""
+        unit = self._configuration.units.get(generator.name)
+        if unit is None or unit.output is not generator:
+            return None
+        return self._configuration.failure_of(unit)
+
+    def failed(self) -> tuple[FailureView, ...]:
+        """The units that were cut off. Cost: O(units), and for each failure O(requests)."""
+        return self._failed(self._configuration.units.values())
+
+    def of(self, name: str) -> EvaluationView:
+        """How far all is that reads stream ``name``; raises `UnknownStream`. Cost: O(units²)."""
+        generator = self._configuration.stream(name)
+        stream, evaluated = generator.stream, generator.stream.last_number
+        readers = self._readers(self._configuration.units.values(), generator.name)
+        for unit in self.behind(generator.name):
+            through = unit.output.watermark
+            number = 0 if through is None else stream.number_before(through)
+            evaluated = min(evaluated, number, stream.last_number - 1)
+        return EvaluationView(stream.last_number, evaluated, self._failed(readers))
+
+    def _readers(self, units: Iterable[AnyUnit], stream: str) -> tuple[AnyUnit, ...]:
+        """Those of ``units`` that read ``stream``, themselves or through other units."""
+        return tuple(
+            unit
+            for unit in units
+            if any(
+                source.name == stream
+                for one in self._configuration.units_behind(unit)
+                for source in one.inputs
+            )
+        )
+
+    def _failed(self, units: Iterable[ComputationalUnit]) -> tuple[FailureView, ...]:
+        found = []
+        for unit in units:
+            if unit.failure is not None:
+                stream = unit.output.name
+                asked = tuple(id for each in self._asking for id in each.of_stream(stream))
+                found.append(FailureView(unit.name, stream, asked, unit.failure))
+        return tuple(found)

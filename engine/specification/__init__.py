@@ -1,0 +1,1 @@
+"""Specifications in XML: applied, inserted, removed, written."""

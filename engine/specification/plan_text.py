@@ -1,0 +1,86 @@
+"""A plan of semantic matching as the specification in XML that would make it
+([Introspection15 §4.3]: the result of matching is a specification)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import assert_never
+
+from ...languages.specification import Specification, format_specification
+from ...languages.ssl.annotation import TransformationAnnotation
+from ...matching.plan import (
+    Compute,
+    Detect,
+    Node,
+    SelectObject,
+    Supply,
+    Synchronize,
+    UseStream,
+)
+from ...rdf.namespaces import shorten
+from ..catalog.transformation_library import Transformation
+from ..configuration.configuration import SELECT_OBJECT, SYNCHRONIZE
+from ..planning.unit_shapes import Parameters, Shape, Shapes, is_implied
+from .serialize import Writer
+
+
+def plan_text(supply: Supply, transformations: Mapping[str, Transformation]) -> str | None:
+    """The specification whose insertions are the units of a plan; without any where the plan only
+    reads streams that there are. None where an event template is part of the plan: a specification
+    makes no continuous query.
+
+    Law: where it is applied, the same plan starts no further unit.
+    """
+    shapes = _PlanShapes(transformations)
+    tops = [shapes.of(source.node) for source in supply.sources]
+    if shapes.has_query:
+        return None
+    made = [(shape, None) for shape in dict.fromkeys(tops) if isinstance(shape, Shape)]
+    # A name of the system only ties the units of a text together.
+    elements = Writer({}, lambda shape: f"dyknow_reserved{shape.number}").write(made)
+    return format_specification(Specification(elements, (), ""))
+
+
+class _PlanShapes:
+    """The shapes of plan nodes."""
+
+    def __init__(self, transformations: Mapping[str, Transformation]) -> None:
+        self._shapes = Shapes()
+        self._transformations = transformations
+        self.has_query = False
+
+    def of(self, node: Node) -> Shape | str:
+        """The shape of a node, or the name of a stream that there is."""
+        match node:
+            case UseStream(stream):
+                return stream
+            case SelectObject(source, field, object):
+                given = (("field", field), ("object", shorten(object)))
+                return self._over(SELECT_OBJECT, given, (source,))
+            case Synchronize(inputs):
+                return self._over(SYNCHRONIZE, (), tuple(edge.node for edge in inputs))
+            case Compute():
+                return self._over(node.transformation, node.parameters, self._inputs(node))
+            case Detect():
+                self.has_query = True
+                return ""
+            case _:
+                assert_never(node)
+
+    def _over(self, type: str, parameters: Parameters, inputs: tuple[Node, ...]) -> Shape:
+        return self._shapes.of(type, parameters, tuple(map(self.of, inputs)))
+
+    def _inputs(self, node: Compute) -> tuple[Node, ...]:
+        """What feeds the inputs of a unit; those that are synchronized as a matter of course."""
+        edges = tuple(edge.node for edge in node.inputs)
+        known = self._transformations.get(node.transformation)
+        if known is None or not isinstance(known.annotation, TransformationAnnotation):
+            return edges
+        fields = [port.field for port in known.annotation.inputs]
+        if not node.inputs or not is_implied(node.inputs[0], fields):
+            return edges
+        together = node.inputs[0].node
+        assert isinstance(together, Synchronize)
+        feeding = {port.target_field: edge.node for edge in together.inputs for port in edge.ports}
+        read = {port.target_field: port.source_field for port in node.inputs[0].ports}
+        return tuple(feeding[read[field]] for field in fields)

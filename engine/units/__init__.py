@@ -1,0 +1,1 @@
+"""Computational units: one file a kind."""

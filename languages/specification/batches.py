@@ -1,0 +1,176 @@
+"""A specification in parts that are applied one after the other, each within bounds
+([Introspection15 §3.2]).
+
+What runs may be more than one text may say (docs/isolation.md). Parts say the same together: each
+stands behind those whose streams it reads. Called by the client.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+from .ast import Input, Specification, StreamReference, UnitSpecification, elements_of, is_reserved
+from .printer import format_specification
+
+_AROUND = 256
+"""Bytes of a text without its units."""
+
+
+@dataclass(frozen=True, slots=True)
+class Bounds:
+    """What one text has at most: units to insert, elements in all, bytes."""
+
+    units: int
+    elements: int
+    bytes: int
+
+
+@dataclass(frozen=True, slots=True)
+class _Size:
+    units: int = 0
+    elements: int = 0
+    bytes: int = 0
+
+    def __add__(self, other: _Size) -> _Size:
+        return _Size(
+            self.units + other.units, self.elements + other.elements, self.bytes + other.bytes
+        )
+
+    def fits(self, bounds: Bounds) -> bool:
+        units, elements, size = bounds.units, bounds.elements, bounds.bytes
+        return self.units <= units and self.elements <= elements and self.bytes <= size
+
+
+@dataclass(slots=True)
+class _Part:
+    units: list[UnitSpecification] = field(default_factory=list)
+    names: set[str] = field(default_factory=set)
+    size: _Size = _Size(bytes=_AROUND)
+
+
+def is_within(specification: Specification, text: str | bytes, bounds: Bounds) -> bool:
+    """Whether ``text``, from which ``specification`` was read, keeps to the bounds as it is."""
+    length = len(text.encode() if isinstance(text, str) else text)
+    size = sum(map(_counted, specification.insertions), _Size(bytes=length))
+    removed = len(specification.removals)
+    return (size + _Size(elements=removed)).fits(bounds) and removed <= bounds.units
+
+
+def parts_of(specification: Specification, bounds: Bounds) -> tuple[str, ...] | None:
+    """Texts that insert, one after the other, what ``specification`` does. None where there are no
+    such: it removes something, which may hang together, or a single insertion is too large.
+
+    An invented name holds within one text only: what an earlier part calls so is written in full
+    where a later one reads it, and is the same unit. Cost: O(elements written).
+    """
+    if specification.removals:
+        return None
+    named = {one.name: one for one in elements_of(specification.insertions) if one.name}
+    parts = [_Part()]
+    earlier: set[str] = set()
+    for top in _in_order(specification.insertions, named):
+        for _ in range(2):
+            part = parts[-1]
+            written = _Copying(named, earlier, bounds.units).element(top)
+            size = None if written is None else part.size + _size_of(written)
+            if written is not None and size is not None and size.fits(bounds):
+                part.units.append(written)
+                part.names.update(one.name for one in elements_of([top]) if one.name)
+                part.size = size
+                break
+            earlier |= part.names
+            parts.append(_Part())
+        else:
+            return None
+    return tuple(
+        format_specification(Specification(tuple(part.units), (), ""))
+        for part in parts
+        if part.units
+    )
+
+
+class _Copying:
+    """Writes an insertion for a part before which the names ``earlier`` were given; of at most so
+    many units."""
+
+    def __init__(
+        self, named: Mapping[str, UnitSpecification], earlier: set[str], most: int
+    ) -> None:
+        self._named = named
+        self._earlier = earlier
+        self._left = most
+
+    def element(self, one: UnitSpecification) -> UnitSpecification | None:
+        """``one``; None if it is of too many units."""
+        self._left -= 1
+        if self._left < 0:
+            return None
+        inputs: list[Input] = []
+        for given in one.inputs:
+            read = self._input(given)
+            if read is None:
+                return None
+            inputs.append(read)
+        return replace(one, inputs=tuple(inputs))
+
+    def _input(self, given: Input) -> Input | None:
+        if isinstance(given, StreamReference):
+            if given.name not in self._earlier or not is_reserved(given.name):
+                return given
+            given = self._named[given.name]
+        if given.name in self._earlier:
+            assert given.name is not None
+            # A name that people gave is there; an invented one was, in another text.
+            if not is_reserved(given.name):
+                return StreamReference(given.name, given.span)
+            given = replace(given, name=None)
+        return self.element(given)
+
+
+def _size_of(one: UnitSpecification) -> _Size:
+    text = format_specification(Specification((one,), (), ""))
+    return _counted(one) + _Size(bytes=len(text.encode()))
+
+
+def _counted(one: UnitSpecification) -> _Size:
+    """Without its bytes."""
+    units = list(elements_of([one]))
+    references = sum(isinstance(given, StreamReference) for each in units for given in each.inputs)
+    elements = len(units) + references + sum(len(each.parameters) for each in units)
+    return _Size(len(units), elements)
+
+
+def _in_order(
+    tops: Sequence[UnitSpecification], named: Mapping[str, UnitSpecification]
+) -> Iterator[UnitSpecification]:
+    """The insertions, each behind those in which a name is given that it reads; what reads itself
+    in a circle, in the order of the text: whoever applies it says so."""
+    place = {one.name: top for top in tops for one in elements_of([top]) if one.name}
+    done: set[int] = set()
+    for first in tops:
+        stack = [(first, iter(_read(first, place)))]
+        if id(first) in done:
+            continue
+        done.add(id(first))
+        while stack:
+            top, rest = stack[-1]
+            below = next((one for one in rest if id(one) not in done), None)
+            if below is None:
+                stack.pop()
+                yield top
+            else:
+                done.add(id(below))
+                stack.append((below, iter(_read(below, place))))
+
+
+def _read(
+    top: UnitSpecification, place: Mapping[str, UnitSpecification]
+) -> list[UnitSpecification]:
+    found = [
+        place[given.name]
+        for one in elements_of([top])
+        for given in one.inputs
+        if isinstance(given, StreamReference) and given.name in place
+    ]
+    return [one for one in found if one is not top]

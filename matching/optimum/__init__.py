@@ -1,0 +1,1 @@
+"""Plans of least weight and of best quality in a hypergraph of goals."""

@@ -1,0 +1,174 @@
+"""What people have registered, kept as texts in graphs of the store: templates, annotations,
+declared streams, transformations, continuous queries, KPL, specifications (docs/ontology.md)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Protocol
+
+from pyoxigraph import Literal, NamedNode, Quad, Triple
+
+from ..rdf.namespaces import RDF_TYPE, STREAM_SPACE
+from . import graphs
+from .errors import OntologyError
+from .quad_store import subject_of, text_of
+
+_HAS_TEMPLATE = NamedNode(STREAM_SPACE + "hasTemplate")
+_HAS_NAME = NamedNode(STREAM_SPACE + "hasName")
+_HAS_TEXT = NamedNode(STREAM_SPACE + "hasText")
+_EVENT = NamedNode(STREAM_SPACE + "Event")
+_EVENT_TEMPLATE = NamedNode(STREAM_SPACE + "EventTemplate")
+_ANNOTATION = NamedNode(STREAM_SPACE + "Annotation")
+_SPECIFICATION = NamedNode(STREAM_SPACE + "Specification")
+
+
+class Keeping(Protocol):
+    """The store that keeps them."""
+
+    def about(
+        self, subject: NamedNode | None, predicate: NamedNode, graph: NamedNode
+    ) -> Iterator[Quad]:
+        """What a graph says by ``predicate``, of ``subject`` or of all."""
+
+    def keep(self, graph: NamedNode, subject: NamedNode, triples: set[Triple]) -> None:
+        """Makes ``triples`` all that ``graph`` says of ``subject``; what follows from them
+        follows."""
+
+    def keep_aside(self, graph: NamedNode, subject: NamedNode, triples: set[Triple]) -> None:
+        """The same of what nothing follows from and no continuous query reads."""
+
+
+class Registrations:
+    """The texts by name. Every change is kept when the call returns."""
+
+    def __init__(self, store: Keeping) -> None:
+        self._store = store
+
+    def set_template(self, event: str, source: str) -> None:
+        """Makes ``event`` (an IRI) an event concept with this template text, or replaces it."""
+        concept = _iri(event)
+        kept = {
+            Triple(concept, RDF_TYPE, _EVENT),
+            Triple(concept, RDF_TYPE, _EVENT_TEMPLATE),
+            Triple(concept, _HAS_TEMPLATE, Literal(source)),
+        }
+        self._store.keep(graphs.TEMPLATES, concept, kept)
+
+    def remove_template(self, event: str) -> None:
+        """Removes the event concept's template, and the concept. KeyError if there is none."""
+        if event not in self.templates():
+            raise KeyError(event)
+        self._store.keep(graphs.TEMPLATES, _iri(event), set())
+
+    def templates(self) -> dict[str, str]:
+        """Event concept IRI -> template text."""
+        quads = self._store.about(None, _HAS_TEMPLATE, graphs.TEMPLATES)
+        return {subject_of(q): text_of(q) for q in sorted(quads, key=str)}
+
+    def set_annotation(self, subject_name: str, source: str) -> None:
+        """Keeps the SSL text of the stream, source or unit of this name."""
+        node = graphs.annotation_node(subject_name)
+        self._store.keep(
+            graphs.ANNOTATIONS, node, _named_text(node, _ANNOTATION, subject_name, source)
+        )
+
+    def remove_annotation(self, subject_name: str) -> None:
+        """Forgets the SSL text. KeyError if there is none."""
+        if subject_name not in self.annotations():
+            raise KeyError(subject_name)
+        self._store.keep(graphs.ANNOTATIONS, graphs.annotation_node(subject_name), set())
+
+    def annotations(self) -> dict[str, str]:
+        """Name of the stream, source or unit -> SSL text."""
+        return self._named_texts(graphs.ANNOTATIONS)
+
+    def set_stream(self, name: str, declaration_json: str) -> None:
+        """Keeps the declaration of a stream."""
+        node = graphs.declaration_node(name)
+        kept = _named_text(node, _SPECIFICATION, name, declaration_json)
+        self._store.keep(graphs.DECLARATIONS, node, kept)
+
+    def remove_stream(self, name: str) -> None:
+        """Forgets the declaration. KeyError if there is none."""
+        if name not in self.streams():
+            raise KeyError(name)
+        self._store.keep(graphs.DECLARATIONS, graphs.declaration_node(name), set())
+
+    def streams(self) -> dict[str, str]:
+        """Name of a declared stream -> its declaration as JSON text."""
+        return self._named_texts(graphs.DECLARATIONS)
+
+    def set_transformation(self, name: str, description_json: str) -> None:
+        """Keeps the description of a transformation."""
+        node = graphs.transformation_node(name)
+        kept = _named_text(node, _SPECIFICATION, name, description_json)
+        self._store.keep(graphs.TRANSFORMATIONS, node, kept)
+
+    def remove_transformation(self, name: str) -> None:
+        """Forgets the description. KeyError if there is none."""
+        if name not in self.transformations():
+            raise KeyError(name)
+        self._store.keep(graphs.TRANSFORMATIONS, graphs.transformation_node(name), set())
+
+    def transformations(self) -> dict[str, str]:
+        """Name of a registered transformation -> its description as JSON text."""
+        return self._named_texts(graphs.TRANSFORMATIONS)
+
+    def set_query(self, name: str, registration_json: str) -> None:
+        """Keeps the registration of a continuous query."""
+        node = graphs.query_node(name)
+        self._store.keep_aside(
+            graphs.QUERIES, node, _named_text(node, _SPECIFICATION, name, registration_json)
+        )
+
+    def remove_query(self, name: str) -> None:
+        """Forgets the registration, if there is one."""
+        self._store.keep_aside(graphs.QUERIES, graphs.query_node(name), set())
+
+    def queries(self) -> dict[str, str]:
+        """Name of a registered continuous query -> its registration as JSON text."""
+        return self._named_texts(graphs.QUERIES)
+
+    def set_kpl(self, text: str) -> None:
+        """Keeps all KPL declarations; empty text forgets them."""
+        node = graphs.KPL
+        kept = _named_text(node, _SPECIFICATION, "KPL", text) if text else set()
+        self._store.keep(graphs.KPL, node, kept)
+
+    def kpl(self) -> str:
+        """The KPL declarations; empty if there are none."""
+        return self._named_texts(graphs.KPL).get("KPL", "")
+
+    def set_specifications(self, text: str) -> None:
+        """Keeps what specifications inserted, as one text; empty text forgets it."""
+        node = graphs.SPECIFICATIONS
+        kept = _named_text(node, _SPECIFICATION, "specifications", text) if text else set()
+        self._store.keep(graphs.SPECIFICATIONS, node, kept)
+
+    def specifications(self) -> str:
+        """What specifications inserted; empty if nothing."""
+        return self._named_texts(graphs.SPECIFICATIONS).get("specifications", "")
+
+    def _named_texts(self, graph: NamedNode) -> dict[str, str]:
+        names = self._store.about(None, _HAS_NAME, graph)
+        found = {}
+        for quad in sorted(names, key=str):
+            node = NamedNode(subject_of(quad))
+            for text in self._store.about(node, _HAS_TEXT, graph):
+                found[text_of(quad)] = text_of(text)
+        return found
+
+
+def _iri(text: str) -> NamedNode:
+    try:
+        return NamedNode(text)
+    except ValueError as error:
+        raise OntologyError(f"{text!r} is no IRI: {error}") from error
+
+
+def _named_text(node: NamedNode, kind: NamedNode, name: str, text: str) -> set[Triple]:
+    return {
+        Triple(node, RDF_TYPE, kind),
+        Triple(node, _HAS_NAME, Literal(name)),
+        Triple(node, _HAS_TEXT, Literal(text)),
+    }

@@ -1,0 +1,70 @@
+"""The static side of continuous queries, in the default graph of a store of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Final
+
+from pyoxigraph import DefaultGraph, Quad, Store, Triple
+
+from . import graphs
+from .churn import Churn
+from .entailment import Change
+from .quad_store import QuadStore
+
+_NOT_STATIC: Final = (
+    DefaultGraph(),
+    graphs.CATALOG,
+    graphs.QUERIES,
+    graphs.STREAM_SPACE,
+    graphs.STREAM_SPACE_ENTAILMENTS,
+)
+"""Graphs that continuous queries do not read."""
+
+
+class StaticSide:
+    """What continuous queries read of the graphs ``quads``. It is made when first asked for, and
+    follows what changes from then on. Who calls has the ontology's lock."""
+
+    def __init__(self, quads: QuadStore) -> None:
+        self._quads = quads
+        self._store: Store | None = None
+        self._churn = Churn()
+
+    def store(self, triples: Callable[[], Iterable[Triple]]) -> Store:
+        """The store; of ``triples``, if there is none yet."""
+        if self._store is None:
+            store = Store()
+            store.extend(map(_merged, triples()))
+            self.go_on_with(store)
+            return store
+        return self._store
+
+    def go_on_with(self, store: Store | None) -> None:
+        """``store`` takes the place of this one; None: another is made when it is asked for."""
+        self._store, self._churn = store, Churn()
+
+    def follow(self, *changes: Change) -> None:
+        """These changes are in the graphs already."""
+        if self._store is None:
+            return
+        for change in changes:
+            self._store.extend(map(_merged, change.added))
+            for triple in change.removed:
+                if not self._is_static(triple):
+                    self._store.remove(_merged(triple))
+            self._churn.note(change.added, change.removed)
+        self._store = self._churn.over(self._store)
+
+    def _is_static(self, triple: Triple) -> bool:
+        said = (triple.subject, triple.predicate, triple.object)
+        quads = self._quads.store.quads_for_pattern(*said, None)
+        return any(quad.graph_name not in _NOT_STATIC for quad in quads)
+
+    def __getstate__(self) -> dict[str, object]:
+        """As it is copied: without the store, which can be made again."""
+        return {**self.__dict__, "_store": None}
+
+
+def _merged(triple: Triple) -> Quad:
+    return Quad(triple.subject, triple.predicate, triple.object)

@@ -1,0 +1,251 @@
+"""Who may do what: the layer that every request passes before anything of it is read.
+
+In this order: a host that is ours, no page from elsewhere (service/admission/origins), a token or
+session with the scope that the route needs (service/admission/tokens, service/admission/scopes),
+room within the quotas and in memory (service/admission/quotas, service/admission/memory_limit). A
+pure ASGI layer: a small batch of samples must stay cheap.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from starlette.requests import Request
+from starlette.responses import Response
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from ..config.settings import Settings
+from ..http.client_address import address_of
+from ..http.problems import REQUEST_ID, Problem
+from .memory_limit import Memory
+from .origins import FetchMetadata, Hosts, Origins, Place, is_same
+from .quotas import Quotas
+from .scopes import Rule, Rules
+from .sessions import Sessions
+from .tokens import Caller, Tokens
+
+CALLER = "dyknow.caller"
+"""In the scope of a request: the `Caller`; not there where nobody has said who asks."""
+CHALLENGE = 'Bearer realm="dyknow"'
+ALLOWED_METHODS = "GET, HEAD, POST, PUT, PATCH, DELETE"
+ALLOWED_HEADERS = (
+    "Accept, Authorization, Cache-Control, Content-Type, Idempotency-Key, "
+    "If-Match, If-None-Match, Last-Event-ID"
+)
+EXPOSED_HEADERS = (
+    "Dyknow-Position, Dyknow-Window-End, ETag, Location, Retry-After, WWW-Authenticate"
+)
+PREFLIGHT_LASTS = 600
+"""Seconds for which a browser need not ask again."""
+
+_READ = frozenset(
+    (
+        b"host",
+        b"origin",
+        b"authorization",
+        b"cookie",
+        b"sec-fetch-site",
+        b"sec-fetch-mode",
+        b"sec-fetch-dest",
+    )
+)
+_Headers = dict[bytes, list[bytes]]
+
+
+@dataclass(frozen=True, slots=True)
+class Gate:
+    """What decides: whom the service knows, which pages it trusts, how much there may be."""
+
+    tokens: Tokens
+    sessions: Sessions
+    quotas: Quotas
+    memory: Memory
+    rules: Rules
+    hosts: Hosts
+    origins: Origins
+
+    @classmethod
+    def of(
+        cls, settings: Settings, tokens: Tokens, sessions: Sessions, quotas: Quotas, memory: Memory
+    ) -> Gate:
+        """The gate of a service with these settings."""
+        return cls(tokens, sessions, quotas, memory, Rules(), Hosts(settings), Origins(settings))
+
+    def check_page(self, scope: Scope, headers: _Headers) -> Place:
+        """Raises a `Problem` for a request to another host, or from a page elsewhere."""
+        server = scope.get("server") or ("",)
+        place = self.hosts.check(headers.get(b"host", []), server[0])
+        if len(headers) > 1:
+            self.origins.check(
+                headers.get(b"origin", []),
+                scope["scheme"],
+                place,
+                _fetch_metadata(headers),
+                scope["method"],
+            )
+        return place
+
+    def check_caller(self, scope: Scope, headers: _Headers, place: Place) -> None:
+        """Raises a `Problem` where the caller may not do this, or there is no room for it."""
+        rule, parameters = self.rules.find(scope["method"], scope["path"])
+        if self.tokens.required and rule.scope is not None:
+            caller = self._caller(scope, headers, place)
+            if caller is None:
+                raise _unknown(401, "this service wants a token")
+            scope[CALLER] = caller
+            if not caller.may(rule.scope):
+                raise _lacking(caller, rule)
+        self.quotas.check(rule.route, parameters)
+        self.memory.check_route(rule.route)
+
+    def who(self, scope: Scope) -> Caller | None:
+        """Who sends a request that has passed; None if it does not say. Raises a `Problem` for a
+        token that is not known."""
+        headers = _wanted(scope)
+        return self._caller(scope, headers, self.check_page(scope, headers))
+
+    def known(self, token: bytes) -> Caller:
+        """Whose ``token`` it is. Raises a 401 `Problem` if nobody's."""
+        caller = self.tokens.caller(token)
+        if caller is None:
+            raise _unknown(401, "the token is not known here", 'error="invalid_token"')
+        return caller
+
+    def _caller(self, scope: Scope, headers: _Headers, place: Place) -> Caller | None:
+        given = headers.get(b"authorization", [])
+        if len(given) > 1:
+            raise _unknown(
+                400, "there are several Authorization headers", 'error="invalid_request"'
+            )
+        kind, _, token = given[0].partition(b" ") if given else (b"", b"", b"")
+        if kind.lower() == b"bearer":
+            return self.known(token.strip())
+        if not given and b"cookie" in headers and self._is_own_page(scope, headers, place):
+            found = self.sessions.caller(b";".join(headers[b"cookie"]))
+            # A session ends with its token, and has the scopes that this has now.
+            return None if found is None else self.tokens.current(found)
+        return None
+
+    def _is_own_page(self, scope: Scope, headers: _Headers, place: Place) -> bool:
+        """Whether a cookie counts: the browser says that it is not another page that asks."""
+        if origins := headers.get(b"origin"):
+            return is_same(origins[0], scope["scheme"], place)
+        return _fetch_metadata(headers).is_own
+
+
+def revoked() -> Problem:
+    """The end of a request whose token is not accepted any more."""
+    return _unknown(401, "the token was accepted, and is no more", 'error="invalid_token"')
+
+
+def client_key(request: Request) -> str:
+    """Who a request's event stream is counted with: the token's, else those of the address."""
+    caller: Caller | None = request.scope.get(CALLER)
+    return address_of(request) if caller is None else f"token {caller.name}"
+
+
+class Access:
+    """The layer. ``refused`` counts refusals by their title."""
+
+    def __init__(self, app: ASGIApp, gate: Gate, refused: Callable[[str], None]) -> None:
+        self._app = app
+        self._gate = gate
+        self._refused = refused
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            if scope["type"] == "websocket":
+                await send({"type": "websocket.close", "code": 1008})  # nothing speaks it here
+                return
+            await self._app(scope, receive, send)
+            return
+        headers = _wanted(scope)
+        gate = self._gate
+        try:
+            place = gate.check_page(scope, headers)
+            if gate.origins.any_trusted:
+                origin = headers.get(b"origin", [b""])[0]
+                trusted = gate.origins.is_trusted(origin)
+                send = _with_headers(send, _cors(origin) if trusted else [(b"vary", b"Origin")])
+                if trusted and scope["method"] == "OPTIONS":
+                    await _preflight(scope, receive, send)
+                    return
+            gate.check_caller(scope, headers, place)
+        except Problem as problem:
+            self._refused(problem.title)
+            await problem.response(scope.get(REQUEST_ID))(scope, receive, send)
+            return
+        await self._app(scope, receive, send)
+
+
+def _wanted(scope: Scope) -> _Headers:
+    """The headers that are looked at here; each may be there several times."""
+    headers: _Headers = {}
+    for name, value in scope["headers"]:
+        if name in _READ:
+            headers.setdefault(name, []).append(value)
+    return headers
+
+
+def _fetch_metadata(headers: _Headers) -> FetchMetadata:
+    site, mode, destination = (
+        headers.get(name, [b""])[0].lower()
+        for name in (b"sec-fetch-site", b"sec-fetch-mode", b"sec-fetch-dest")
+    )
+    return FetchMetadata(site, mode, destination)
+
+
+def _unknown(status: int, detail: str, error: str = "") -> Problem:
+    """401, or 400 for a request that says in several ways who asks (RFC 6750, section 3)."""
+    challenge = f"{CHALLENGE}, {error}" if error else CHALLENGE
+    return Problem(
+        status,
+        "not authenticated",
+        detail,
+        hint="send one header Authorization: Bearer <token>; "
+        "who runs the service makes tokens: dyknow token --help",
+        headers={"WWW-Authenticate": challenge},
+    )
+
+
+def _lacking(caller: Caller, rule: Rule) -> Problem:
+    scopes = ", ".join(sorted(caller.scopes))
+    return Problem(
+        403,
+        "scope missing",
+        f"this needs scope {rule.scope}; the token of {caller.name} has {scopes}",
+        hint="ask who runs the service for a token with that scope",
+        headers={
+            "WWW-Authenticate": f'{CHALLENGE}, error="insufficient_scope", scope="{rule.scope}"'
+        },
+    )
+
+
+def _cors(origin: bytes) -> list[tuple[bytes, bytes]]:
+    """What lets a page of a trusted origin read the answer. No cookies: those are our pages'."""
+    return [
+        (b"access-control-allow-origin", origin),
+        (b"access-control-expose-headers", EXPOSED_HEADERS.encode()),
+        (b"vary", b"Origin"),
+    ]
+
+
+def _with_headers(send: Send, headers: list[tuple[bytes, bytes]]) -> Send:
+    async def sending(message: Message) -> None:
+        if message["type"] == "http.response.start":
+            message = {**message, "headers": [*message["headers"], *headers]}
+        await send(message)
+
+    return sending
+
+
+async def _preflight(scope: Scope, receive: Receive, send: Send) -> None:
+    """Tell a browser what a page of a trusted origin may send."""
+    headers = {
+        "Access-Control-Allow-Methods": ALLOWED_METHODS,
+        "Access-Control-Allow-Headers": ALLOWED_HEADERS,
+        "Access-Control-Max-Age": str(PREFLIGHT_LASTS),
+        "Access-Control-Allow-Private-Network": "true",
+    }
+    await Response(status_code=204, headers=headers)(scope, receive, send)

@@ -1,0 +1,131 @@
+"""``dyknow sparql``, ``match`` and ``explain``: ask the service what it knows and why."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import typer
+
+from .events import STRATEGY
+from .output import (
+    DEFAULT_URL,
+    Json,
+    Url,
+    connect,
+    err,
+    show_json,
+    show_table,
+    show_text,
+)
+from .streams import text_or_file
+
+
+def sparql(
+    query: Annotated[str, typer.Argument(help="A SPARQL query, its file, or - .")],
+    url: Url = DEFAULT_URL,
+    as_json: Json = False,
+) -> None:
+    """Query the ontology and the live stream space."""
+    text = text_or_file(query)
+    with connect(url) as client:
+        found = client.sparql(text)
+        if not _says_something(found):
+            from .unknown_terms import unknown_terms
+
+            for hint in unknown_terms(client, text):
+                err().print(f"hint: {hint}", markup=False)
+    if isinstance(found, str):
+        show_text(found)
+    elif as_json:
+        show_json(found)
+    else:
+        show_bindings(found)
+
+
+def _says_something(found: dict[str, Any] | str) -> bool:
+    if isinstance(found, str):
+        return bool(found.strip())
+    return bool(found.get("boolean") or found.get("results", {}).get("bindings"))
+
+
+def show_bindings(found: dict[str, Any]) -> None:
+    """SPARQL JSON as people read it: a table, or yes or no."""
+    if "boolean" in found:
+        show_text("yes" if found["boolean"] else "no")
+        return
+    names = found["head"]["vars"]
+    rows = found["results"]["bindings"]
+    if rows:
+        show_table(names, [[_term(row.get(name)) for name in names] for row in rows])
+    show_text(f"({len(rows)} {'row' if len(rows) == 1 else 'rows'})")
+
+
+def match(
+    feature: Annotated[str, typer.Argument(help="A feature, such as dyknow:speed.")],
+    sort: Annotated[str | None, typer.Option(help="Of every object of this sort.")] = None,
+    object: Annotated[
+        list[str] | None,
+        typer.Option(help="Of this object. May be repeated: the arguments of an n-ary feature."),
+    ] = None,
+    strategy: Annotated[str, STRATEGY] = "fast",
+    url: Url = DEFAULT_URL,
+    as_json: Json = False,
+) -> None:
+    """Show how a feature could be had, without starting anything. Status 1 if it cannot."""
+    with connect(url) as client:
+        found = client.match(feature, sort=sort, objects=object or (), strategy=strategy)
+    if as_json:
+        show_json(found)
+    else:
+        show_text(f"{found['target']}: {'found' if found['found'] else 'not found'}")
+        if found["plan"] is not None:
+            show_text(found["plan"]["text"])
+            proven = "" if found["proven"] else "; not proven to be the best"
+            show_text(f"cost {found['cost']:g}, quality {found['quality']:g}{proven}")
+        _section("why", found["reasons"])
+        _section("also considered", found["alternatives"])
+    if not found["found"]:
+        raise typer.Exit(1)
+
+
+def explain(
+    event: Annotated[
+        str | None, typer.Argument(help="A request: 'dyknow:HighSpeedEvent(?o, dyknow:UAV, 100)'.")
+    ] = None,
+    template: Annotated[str | None, typer.Option(help="A template's name.")] = None,
+    query: Annotated[str | None, typer.Option(help="REGISTER text, its file, or - .")] = None,
+    id: Annotated[str | None, typer.Option(help="A running request.")] = None,
+    feature: Annotated[str | None, typer.Option(help="A feature to match.")] = None,
+    url: Url = DEFAULT_URL,
+    as_json: Json = False,
+) -> None:
+    """Show each stage of a request, a template, a query or a match."""
+    if sum(value is not None for value in (event, template, query, id, feature)) != 1:
+        raise typer.BadParameter("give one of: a request, --template, --query, --id, --feature")
+    with connect(url) as client:
+        text = client.explain(
+            event=event,
+            template=template,
+            query=None if query is None else text_or_file(query),
+            id=id,
+            feature=feature,
+        )
+    if as_json:
+        show_json({"text": text})
+    else:
+        show_text(text)
+
+
+def _section(title: str, lines: list[str]) -> None:
+    if lines:
+        show_text(f"{title}:")
+        for line in lines:
+            show_text(f"  - {line}")
+
+
+def _term(term: dict[str, Any] | None) -> str:
+    if term is None:
+        return "-"
+    from ...rdf.namespaces import shorten
+
+    return shorten(term["value"]) if term["type"] == "uri" else str(term["value"])

@@ -1,0 +1,10 @@
+"""``dyknow demo``: the scenario of [Events14 §V.C], from nothing to events."""
+
+from __future__ import annotations
+
+
+def demo() -> None:
+    """Replay five minutes of recorded flights and find events in them; ends by itself."""
+    from .demonstration import show
+
+    show()

@@ -1,0 +1,60 @@
+"""What ``dyknow replay`` does otherwise with a pipe: it is read once, as it comes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from ..output import err
+
+if TYPE_CHECKING:
+    from ....converters.recordings.piped import Piped, Readable
+    from ....converters.recordings.time_order import TimeOrder
+
+_ONCE = "a pipe is taken as it comes, once: write it to a file and replay that"
+
+
+def is_pipe(file: Path) -> bool:
+    """Whether rows come from standard input or a named pipe."""
+    return file == Path("-") or file.is_fifo()
+
+
+def existing(file: Path) -> Path:
+    """Raise ``typer.BadParameter`` for a file that is not there. Typer takes ``-`` for one."""
+    if not is_pipe(file) and not file.exists():
+        raise typer.BadParameter(f"file {str(file)!r} does not exist.")
+    return file
+
+
+@contextmanager
+def reading(file: Path) -> Iterator[Readable]:
+    """The bytes of a pipe."""
+    if file == Path("-"):
+        yield typer.get_binary_stream("stdin")  # type: ignore[misc]
+        return
+    with file.open("rb") as pipe:
+        yield pipe
+
+
+def check_once(file: Path, *, sort: bool | None, loop: bool) -> None:
+    """Raise ``typer.BadParameter`` for what needs all rows of a pipe before the first is sent, or
+    again."""
+    if not is_pipe(file):
+        return
+    if sort:
+        raise typer.BadParameter(f"--sort needs all rows before the first is sent; {_ONCE}")
+    if loop:
+        raise typer.BadParameter(f"--loop plays a recording again; {_ONCE}")
+
+
+def show_piped(name: str, piped: Piped) -> TimeOrder:
+    """Report the rows that were out of order, when all have come."""
+    from ....converters.recordings.time_order import TimeOrder
+
+    if piped.note is not None:
+        err().print(f"{name}: {piped.note}", markup=False, highlight=False)
+    return TimeOrder(piped.recording, piped.out_of_order)

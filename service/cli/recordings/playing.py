@@ -1,0 +1,539 @@
+"""What ``dyknow replay`` does: recordings are opened, declared, published, and waited for."""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import httpx
+import typer
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TaskID,
+    TextColumn,
+    TimeElapsedColumn,
+)
+
+from ....converters.recordings.many_streams import (
+    Recordings,
+    has_many_streams,
+    open_recordings,
+)
+from ....converters.recordings.piped import Piped, Readable, open_pipe
+from ....converters.recordings.recording import Recording, open_recording
+from ....converters.recordings.time_order import TimeOrder, in_time_order
+from ....streams.sample import FieldType, SampleBatch
+from ....streams.time import (
+    FOREVER,
+    HOUR,
+    SECOND,
+    TIME_MAX,
+    format_time,
+    parse_duration,
+    read_time,
+)
+from ...client.client import Client, ServiceError
+from ...config.defaults import AHEAD
+from ..output import (
+    connect,
+    err,
+    show_json,
+    show_text,
+    show_values,
+)
+from ..parameters import show_order
+from ..streams import text_or_file
+from .piped import check_once, is_pipe, reading, show_piped
+from .recording_replay import PAUSE, Span, play_all, span
+
+_LOOK = 0.2
+"""Seconds between two looks whether all has been evaluated."""
+_FATES = ("accepted", "used", "late", "duplicate", "expired", "pending")
+
+
+def _speed(text: str) -> float | None:
+    if text == "max":
+        return None
+    try:
+        speed = float(text.removesuffix("x"))
+    except ValueError:
+        speed = 0.0
+    if not 0 < speed < float("inf"):
+        raise typer.BadParameter("a speed is max, or a number above 0 such as 1 or 10")
+    return speed
+
+
+def _begin(text: str | None) -> int | None:
+    if text is None or text == "now":
+        return None if text is None else time.time_ns()
+    try:
+        return read_time(text)
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from error
+
+
+def _bound(text: str | None) -> int | None:
+    if text is None:
+        return None
+    try:
+        return FOREVER if text == "oo" else parse_duration(text)
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from error
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """The options of the command, as they are written."""
+
+    file: Path
+    stream: list[str] | None
+    speed: str
+    rebase: str | None
+    loop: bool
+    ssl: str | None
+    lateness: str | None
+    idle: str | None
+    ahead: str | None
+    time_column: str | None
+    time_unit: str | None
+    utc: bool
+    sort: bool | None
+    url: str
+    as_json: bool
+
+
+def play(asked: Asked) -> None:
+    """Declare the streams of a recording, publish it, say when it has ended."""
+    factor, begin, bound = _speed(asked.speed), _begin(asked.rebase), _bound(asked.ahead)
+    check_once(asked.file, sort=asked.sort, loop=asked.loop)
+    with ExitStack() as open_files:
+        client = open_files.enter_context(connect(asked.url))
+        pipe = open_files.enter_context(reading(asked.file)) if is_pipe(asked.file) else None
+        # All that can be wrong with tables and text is found before anything is made.
+        meaning = None if asked.ssl is None else text_or_file(asked.ssl)
+        declared = () if meaning is None else _declared(meaning)
+        wanted = asked.stream or []
+        opened = (
+            _open(client, asked.file, wanted, asked.time_column, asked.time_unit, asked.utc)
+            if pipe is None
+            else _open_pipe(client, pipe, wanted, asked.time_column, asked.time_unit)
+        )
+        piped = opened.piped
+        _warn_of_others(declared, opened.tracks)
+        tracks = opened.tracks
+        if piped is None:
+            tracks = {name: track.in_time_order(asked.sort) for name, track in tracks.items()}
+            for name, track in tracks.items():
+                show_order(name, track.order)
+        latest = min(time.time_ns() + _ahead(bound, tracks.values()), TIME_MAX)
+        extents = {
+            name: span(track.recording, latest) if piped is None else Span(piped.first, piped.first)
+            for name, track in tracks.items()
+        }
+        known = [extent for extent in extents.values() if extent is not None]
+        if not known:
+            far = any(track.recording.rows for track in tracks.values())
+            show_text(
+                "every sample is ahead of the clock: --ahead oo takes them"
+                if far
+                else "the recording is empty"
+            )
+            raise typer.Exit(1 if far else 0)
+        extent = Span(min(e.first for e in known), max(e.last for e in known))
+        shift = 0 if begin is None else begin - extent.first
+        if begin is not None and factor != 1:
+            # By itself it gets as far ahead as it is long, each round anew.
+            is_endless = asked.loop or piped is not None
+            length = FOREVER if is_endless else extent.last - extent.first
+            bound = min(_ahead(bound, tracks.values()) + length, FOREVER)
+        recordings = {name: track.recording for name, track in tracks.items()}
+        player = _Player(client, recordings, extent, factor, shift, latest)
+        begun = time.monotonic()
+        readers = _Readers(client)
+        before = {name: dict.fromkeys(_FATES, 0) for name in tracks}
+        try:
+            for name, track in tracks.items():
+                _declare(client, name, track, asked.lateness, asked.idle, bound)
+            if meaning is not None:
+                client.annotate(meaning)
+            before = {name: client.stream(name)["counters"] for name in tracks}
+            readers.begin(tracks)
+            player.run(loop=asked.loop, quiet=asked.as_json)
+        except KeyboardInterrupt:
+            err().print("stopped", markup=False)
+        except Exception:
+            for name, track in tracks.items():
+                if track.there is None and not player.sent.get(name):
+                    # The service says why it failed; that it cannot be undone would hide it.
+                    with suppress(ServiceError, httpx.TransportError):
+                        client.remove_stream(name)
+            raise
+        else:
+            for name in tracks:
+                client.end(name)
+            readers.wait()
+        seconds = time.monotonic() - begun
+        for name in tracks:
+            after = client.stream(name)["counters"]
+            counts = {fate: after[fate] - before[name][fate] for fate in _FATES}
+            counts["ahead"] = player.left_out.get(name, 0)
+            counts["evaluated"] = readers.evaluated(name)
+            its = extents[name] or extent
+            order = tracks[name].order
+            if piped is not None:
+                its, order = Span(piped.first, piped.last), show_piped(name, piped)
+            _summary(
+                name,
+                counts,
+                its,
+                seconds,
+                asked.rebase is not None,
+                asked.as_json,
+                opened.dropouts,
+                order,
+            )
+        failed = readers.failed()
+    if not asked.as_json:
+        _tell(opened)
+    for each in failed:
+        whom = ", ".join(each["asked"]) or f"what makes stream {each['stream']}"
+        err().print(f"failed: {whom}: {each['failure']}", markup=False, highlight=False)
+    if failed:
+        raise typer.Exit(1)
+
+
+class _Readers:
+    """The units that read the played streams: how far they are, and which fail meanwhile."""
+
+    def __init__(self, client: Client) -> None:
+        self._client = client
+        self._begun: dict[str, int] = {}
+        """The number of the last sample of each stream before it is played."""
+        self._before: set[str] = set()
+        """Units that had failed before."""
+
+    def begin(self, streams: Iterable[str]) -> None:
+        """``streams`` are played from now on."""
+        for name in streams:
+            found = self._client.evaluation(name)
+            self._begun[name] = found["last"]
+            self._before.update(each["unit"] for each in found["failed"])
+
+    def wait(self) -> None:
+        """Return when all that reads the streams is through with what is in them now."""
+        for name in self._begun:
+            last = self._client.evaluation(name)["last"]
+            while self._client.evaluation(name)["evaluated"] < last:
+                time.sleep(_LOOK)
+
+    def evaluated(self, name: str) -> int:
+        """So many samples that were played into the stream all are through with."""
+        found: int = self._client.evaluation(name)["evaluated"]
+        return max(0, found - self._begun.get(name, found))
+
+    def failed(self) -> list[dict[str, Any]]:
+        """What has failed since `begin`, each once."""
+        found = {
+            each["unit"]: each
+            for name in self._begun
+            for each in self._client.evaluation(name)["failed"]
+        }
+        return [each for unit, each in found.items() if unit not in self._before]
+
+
+@dataclass(frozen=True, slots=True)
+class _Track:
+    """A recording that is published to a stream; ``there``: the stream as it is already."""
+
+    recording: Recording
+    there: Mapping[str, Any] | None
+    order: TimeOrder | None = None
+
+    def in_time_order(self, sort: bool | None) -> _Track:
+        """The same with its rows sorted as ``sort`` says."""
+        order = in_time_order(self.recording, sort)
+        return _Track(order.recording, self.there, order)
+
+
+def _ahead(bound: int | None, tracks: Iterable[_Track]) -> int:
+    """How far ahead of the clock (ns) rows are taken, at most: as asked for, or as streams say."""
+    if bound is not None:
+        return bound
+    said = [_bound(track.there["ahead"]) for track in tracks if track.there is not None]
+    return max((each for each in said if each is not None), default=HOUR)
+
+
+@dataclass(frozen=True, slots=True)
+class _Opened:
+    """The tracks by stream, and what the recorder lost (None: it does not tell)."""
+
+    tracks: Mapping[str, _Track]
+    dropouts: int | None = None
+    lost: int = 0
+    notes: tuple[str, ...] = ()
+    piped: Piped | None = None
+    """What is read of a pipe."""
+
+
+def _existing(client: Client, stream: str) -> dict[str, Any] | None:
+    """The stream as the service has it; None if there is no such stream."""
+    try:
+        return client.stream(stream)
+    except ServiceError as error:
+        if error.status != 404:
+            raise
+        return None
+
+
+def _types(there: Mapping[str, Any] | None, names: Sequence[str]) -> dict[str, FieldType]:
+    """The types that a stream has already for fields of these ``names``."""
+    fields = () if there is None else there["fields"]
+    return {f["name"]: FieldType(f["type"]) for f in fields if f["name"] in names}
+
+
+def _open(
+    client: Client,
+    file: Path,
+    wanted: list[str],
+    time_column: str | None,
+    time_unit: str | None,
+    utc: bool,
+) -> _Opened:
+    """The streams of the file; fields that a stream has already keep their types."""
+    is_log = file.name.lower().endswith(".ulg")
+    if not is_log and not has_many_streams(file):
+        there = _existing(client, _only(wanted))
+        recording = open_recording(file, time_column, time_unit)
+        types = _types(there, recording.schema.names)
+        if types:
+            recording = open_recording(file, time_column, time_unit, types)
+        return _Opened({wanted[0]: _Track(recording, there)})
+    found = open_recordings([file], time_column, time_unit, utc=utc)
+    names = _chosen(wanted, found)
+    there = {name: _existing(client, name) for name in names.values()}
+    if not is_log:
+        kinds = {
+            topic: _types(there[name], found[topic].schema.names) for topic, name in names.items()
+        }
+        if any(kinds.values()):
+            found = open_recordings([file], time_column, time_unit, kinds)
+    tracks = {name: _Track(found[topic], there[name]) for topic, name in names.items()}
+    return _Opened(tracks, found.dropouts if is_log else None, found.lost, found.notes)
+
+
+def _open_pipe(
+    client: Client,
+    pipe: Readable,
+    wanted: list[str],
+    time_column: str | None,
+    time_unit: str | None,
+) -> _Opened:
+    """The stream of a pipe, by its head."""
+    there = _existing(client, _only(wanted))
+    types = {} if there is None else {f["name"]: FieldType(f["type"]) for f in there["fields"]}
+    piped = open_pipe(pipe, time_column, time_unit, types)
+    return _Opened({wanted[0]: _Track(piped.recording, there)}, piped=piped)
+
+
+def _only(wanted: list[str]) -> str:
+    if len(wanted) != 1:
+        raise typer.BadParameter("a table is played into one stream: --stream NAME")
+    return wanted[0]
+
+
+def _chosen(wanted: list[str], found: Recordings) -> dict[str, str]:
+    """The stream to publish to, by the name in the recording."""
+    names: dict[str, str] = {}
+    for text in wanted:
+        topic, _, name = text.partition("=")
+        if topic not in found:
+            raise typer.BadParameter(f"no stream {topic!r} in the recording: {', '.join(found)}")
+        names[topic] = name or topic
+    names = names or {topic: topic for topic in found}
+    if len(set(names.values())) < len(names):
+        raise typer.BadParameter("each stream of the recording needs a name of its own")
+    return names
+
+
+def _declare(
+    client: Client,
+    name: str,
+    track: _Track,
+    lateness: str | None,
+    idle: str | None,
+    ahead: int | None,
+) -> None:
+    """Declare the stream with the recording's fields, and what the options say; all else stays as
+    a stream that is there has it."""
+    fields = [{"name": f.name, "type": f.type.value} for f in track.recording.schema.fields]
+    there = track.there
+    if there is None:
+        bound = HOUR if ahead is None else ahead
+        client.put_stream(name, fields, lateness=lateness or 0, idle=idle, ahead=bound)
+        return
+    if {f["name"] for f in there["fields"]} == {f["name"] for f in fields}:
+        fields = there["fields"]
+        if lateness is None and idle is None and ahead is None:
+            return
+    client.put_stream(
+        name,
+        fields,
+        lateness=there["lateness"] if lateness is None else lateness,
+        idle=there["idle"] if idle is None else idle,
+        ahead=there["ahead"] if ahead is None else ahead,
+        retention=there["retention"],
+        namespace=there["namespace"],
+    )
+
+
+@dataclass(slots=True)
+class _Player:
+    """Publishes the parts of recordings when they are due."""
+
+    client: Client
+    recordings: Mapping[str, Recording]
+    extent: Span
+    speed: float | None
+    shift: int
+    latest: int
+    """No recorded time is later (ns), but for rows that are left out where the stream's bound says
+    so: nothing waits until they are due."""
+    left_out: dict[str, int] = field(default_factory=dict)
+    """Samples of each stream that were left out, as they were ahead of the clock."""
+    sent: dict[str, int] = field(default_factory=dict)
+    """Samples of each stream that were accepted so far."""
+
+    def run(self, *, loop: bool, quiet: bool) -> None:
+        """Once, or again and again: then each round continues where the one before ended."""
+        progress = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("{task.fields[rate]:,.0f} samples/s"),
+            TimeElapsedColumn(),
+            console=err(),
+            disable=quiet,
+        )
+        with progress:
+            tasks = {
+                name: progress.add_task(name, total=recording.rows or None, rate=0.0)
+                for name, recording in self.recordings.items()
+            }
+            for turn in itertools.count():
+                shift = self.shift + turn * self.extent.period
+                for name, task in tasks.items():
+                    progress.reset(task, total=self.recordings[name].rows or None)
+                self._once(shift, progress, tasks)
+                if not loop:
+                    return
+                if self.speed is not None:
+                    time.sleep(PAUSE / SECOND / self.speed)
+
+    def _once(self, shift: int, progress: Progress, tasks: Mapping[str, TaskID]) -> None:
+        begun = time.monotonic()
+        sent = dict.fromkeys(tasks, 0)
+        parts = play_all(self.recordings, self.extent.first, speed=self.speed, shift=shift)
+        for name, part in parts:
+            wait = part.due / SECOND - (time.monotonic() - begun)
+            if wait > 0 and int(part.batch.available.min()) - shift <= self.latest:
+                time.sleep(wait)
+            accepted = self._publish(name, part.batch)
+            self.sent[name] = self.sent.get(name, 0) + accepted
+            sent[name] += accepted
+            elapsed = max(1e-9, time.monotonic() - begun)
+            progress.update(tasks[name], advance=len(part.batch), rate=sent[name] / elapsed)
+
+    def _publish(self, name: str, batch: SampleBatch) -> int:
+        """Publish a part without the samples that are ahead of the clock, and report these; return
+        how many were accepted."""
+        try:
+            return self.client.publish(name, batch)
+        except ServiceError as error:
+            if error.title != AHEAD:
+                raise
+            is_ahead = batch.available > read_time(str(error.problem["latest"]))
+            refused = error
+        left_out = batch.take(is_ahead)
+        self.left_out[name] = self.left_out.get(name, 0) + len(left_out)
+        _, _, values = next(left_out.rows())
+        more = f" and {len(left_out) - 1:,} more" if len(left_out) > 1 else ""
+        err().print(
+            f"{name}: left out {show_values(values)}{more}: {refused.args[0]}\n"
+            "      --ahead oo takes such rows, where replay declares the stream",
+            markup=False,
+            highlight=False,
+        )
+        kept = batch.take(~is_ahead)
+        return self.client.publish(name, kept) if len(kept) else 0
+
+
+def _tell(opened: _Opened) -> None:
+    """What the recorder lost, for people."""
+    if opened.dropouts:
+        show_text(f"dropouts: {opened.dropouts:,}, {opened.lost / SECOND:.3f} s were not logged")
+    elif opened.dropouts == 0:
+        show_text("dropouts: none")
+    for note in opened.notes:
+        show_text(f"note: {note}")
+
+
+def _declared(meaning: str) -> tuple[str, ...]:
+    """The streams of which an SSL text says something."""
+    from ....languages.ssl import parse_ssl
+    from ....languages.ssl.ast import StreamDeclaration
+
+    return tuple(one.name for one in parse_ssl(meaning) if isinstance(one, StreamDeclaration))
+
+
+def _warn_of_others(declared: Sequence[str], tracks: Mapping[str, _Track]) -> None:
+    """Say which streams an SSL text annotates that are not played: their names may be wrong."""
+    for name in declared:
+        if name not in tracks:
+            played = ", ".join(tracks)
+            err().print(
+                f"warning: the SSL text annotates stream {name!r}, which is not played; "
+                f"played: {played}",
+                markup=False,
+            )
+
+
+def _summary(
+    stream: str,
+    counts: dict[str, int],
+    extent: Span,
+    seconds: float,
+    rebased: bool,
+    as_json: bool,
+    dropouts: int | None,
+    order: TimeOrder | None,
+) -> None:
+    if as_json:
+        told = {"stream": stream, **counts, "seconds": round(seconds, 3)}
+        if order is not None and order.out_of_order:
+            told |= {"out_of_order": order.out_of_order, "sorted": order.is_sorted}
+        show_json(told if dropouts is None else {**told, "dropouts": dropouts})
+        return
+    rate = counts["accepted"] / max(seconds, 1e-9)
+    show_text(
+        f"{stream}: {counts['accepted']:,} samples accepted, {counts['evaluated']:,} evaluated in "
+        f"{seconds:.1f} s ({rate:,.0f}/s), recorded {format_time(extent.first)} to "
+        f"{format_time(extent.last)}"
+    )
+    rest = [f"{fate} {counts[fate]:,}" for fate in _FATES[1:] if counts[fate] or fate == "used"]
+    if counts["ahead"]:
+        rest.append(f"left out {counts['ahead']:,}, ahead of the clock")
+    show_text("  " + ", ".join(rest))
+    if counts["accepted"] and counts["late"] + counts["duplicate"] == counts["accepted"]:
+        # The usual cause: a stream's available times only grow, and these were there before.
+        show_text(
+            "hint: everything was late: the stream has later samples already, perhaps of the "
+            "same recording.\n      "
+            + ("Wait, or use another stream." if rebased else "Play it with --rebase now.")
+        )

@@ -1,0 +1,305 @@
+"""What ``dyknow run`` does: files become streams, a query is evaluated over them."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import typer
+from pyoxigraph import Literal, NamedNode
+
+from ....continuous.evaluate import Explained, TimedTerm, Window, evaluate
+from ....converters.recordings.recording import open_recording
+from ....converters.recordings.time_order import in_time_order
+from ....converters.to_triples import SampleConverter, node_names
+from ....languages.errors import LanguageError
+from ....languages.ssl import check_ssl, parse_ssl
+from ....languages.ssl.annotation import StreamAnnotation
+from ....ontology.errors import OntologyError
+from ....ontology.ontology import Ontology
+from ....ontology.reading import TextFormat
+from ....ontology.units import Unit
+from ....ontology.vocabulary import Vocabulary
+from ....rdf.dictionary import TermDictionary
+from ....rdf.namespaces import local_name, shorten
+from ....rdf.timed import TimedTriples, TripleRows
+from ....streams.instants import Places
+from ....streams.time import format_time, parse_duration
+from ...config.media_types import TURTLE
+from ...http.negotiation import ONTOLOGY_FORMATS
+from ..ontologies import MEDIA_TYPES
+from ..output import err, fail, show_json, show_table, show_text
+from ..parameters import (
+    BoundsWord,
+    ReportWord,
+    SemanticsWord,
+    origin_of,
+    show_order,
+)
+from ..streams import read_text, text_or_file
+from .triples_file import (
+    TripleWriter,
+    holds_graphs,
+    read_timed_graphs,
+    read_timed_triples,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """The options of the command, as they are written."""
+
+    query: Path
+    stream: list[str]
+    static: list[str] | None
+    ssl: str | None
+    semantics: SemanticsWord | None
+    bounds: BoundsWord
+    origin: str
+    report: ReportWord
+    lateness: str | None
+    late: Path | None
+    sort: bool | None
+    explain: bool
+    as_json: bool
+
+
+def run_query(asked: Asked) -> None:
+    """Evaluate a continuous query over recorded streams and print each window's result."""
+    behind = _lateness(asked.lateness)
+    begin = origin_of(asked.origin)
+    files = _files(asked.stream)
+    known = _static(asked.static or ())
+    paths = list(known.values()) if isinstance(known, dict) else known
+    if asked.late is not None:
+        _check_late(behind, files, asked.ssl)
+    inputs: dict[str, Any]
+    if asked.ssl is not None:
+        inputs = _samples(files, text_or_file(asked.ssl), paths, asked.sort)
+    else:
+        inputs = _triples(files, in_order=behind is not None)
+    told = _Late(None if asked.late is None else TripleWriter(asked.late))
+    explained = Explained(time.perf_counter_ns)
+    try:
+        windows = evaluate(
+            read_text(asked.query),
+            inputs,
+            static=known,
+            semantics=None if asked.semantics is None else asked.semantics.value,
+            bounds=asked.bounds.value,
+            origin=begin,
+            lateness=behind,
+            explained=explained if asked.explain else None,
+            report=asked.report.value,
+            late=told.hear,
+        )
+    except (LanguageError, OntologyError):
+        raise  # told with their place
+    except ValueError as error:
+        raise fail(str(error)) from error
+    with told:
+        count = _print(windows, as_json=asked.as_json)
+    if asked.explain:
+        err().print(str(explained), markup=False, highlight=False)
+    if not asked.as_json:
+        behind_by = f", {told.count} late" if told.count else ""
+        show_text(f"({count} {'window' if count == 1 else 'windows'} with a result{behind_by})")
+
+
+def _print(windows: Iterator[Window], *, as_json: bool) -> int:
+    """Show the windows that have a result; how many these are."""
+    count = 0
+    for window in windows:
+        if isinstance(window.solutions, list) and not window.solutions:
+            continue
+        count += 1
+        if as_json:
+            show_json({"end": format_time(window.end), "solutions": _plain(window.solutions)})
+        else:
+            _show(window.end, window.solutions)
+    return count
+
+
+class _Late:
+    """Counts what comes too late, and writes it down if somebody wants it."""
+
+    def __init__(self, writer: TripleWriter | None) -> None:
+        self.count = 0
+        self._writer = writer
+
+    def __enter__(self) -> _Late:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._writer is not None:
+            self._writer.close()
+
+    def hear(self, triple: TimedTerm) -> None:
+        """One that came too late."""
+        self.count += 1
+        if self._writer is not None:
+            self._writer.write(triple)
+
+
+def _check_late(lateness: int | None, files: Mapping[str, Path], ssl: str | None) -> None:
+    """Whether anything can be late: only what is taken in the order of its file."""
+    if lateness is None:
+        raise typer.BadParameter("--late goes with --lateness: of sorted files nothing is late")
+    if ssl is not None or any(map(holds_graphs, files.values())):
+        raise typer.BadParameter(
+            "--late goes with timed triples (.ndjson, .csv): tables of samples and graphs are "
+            "sorted, and nothing of them is late"
+        )
+
+
+def _lateness(text: str | None) -> int | None:
+    try:
+        return None if text is None else parse_duration(text)
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from error
+
+
+def _files(pairs: Sequence[str]) -> dict[str, Path]:
+    files: dict[str, Path] = {}
+    for pair in pairs:
+        iri, equals, name = pair.rpartition("=")
+        if not equals or not iri:
+            raise typer.BadParameter(f"{pair!r}: write --stream IRI=FILE")
+        _name(files, "--stream", iri, Path(name))
+    return files
+
+
+def _static(given: Sequence[str]) -> list[Path] | dict[str, Path]:
+    """Files, or graphs by name: not both, for a query reads all of the one, and of the other what
+    its FROM clauses name."""
+    files: list[Path] = []
+    named: dict[str, Path] = {}
+    for text in given:
+        iri, equals, name = text.rpartition("=")
+        if equals and iri and not Path(text).is_file():
+            _name(named, "--static", iri, Path(name))
+        else:
+            files.append(_existing(Path(text)))
+    if files and named:
+        raise typer.BadParameter("--static: give every file its IRI=, or none")
+    return named or files
+
+
+def _name(files: dict[str, Path], option: str, iri: str, path: Path) -> None:
+    """Give a file its IRI, which no other file has."""
+    iri = iri.strip("<>")
+    if iri in files:
+        raise typer.BadParameter(f"{option}: <{iri}> is {files[iri]} already")
+    files[iri] = _existing(path)
+
+
+def _existing(path: Path) -> Path:
+    if not path.is_file():
+        raise fail(f"there is no file {path}")
+    return path
+
+
+def _triples(files: Mapping[str, Path], *, in_order: bool) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    dictionary = TermDictionary()
+    for iri, path in files.items():
+        if holds_graphs(path):
+            found[iri] = read_timed_graphs(path, dictionary)
+            continue
+        triples = read_timed_triples(path)
+        found[iri] = triples if in_order else list(triples)
+    return found
+
+
+def _samples(
+    files: Mapping[str, Path], ssl: str, static: Sequence[Path], sort: bool | None
+) -> dict[str, Any]:
+    """Tables of samples as timed triples, by the annotation of the stream's name."""
+    ontology = Ontology.open()
+    for path in static:
+        text = read_text(path)
+        ontology.load(text, name=path.stem, format=_format(path))
+    vocabulary = ontology.vocabulary
+    checked = check_ssl(parse_ssl(ssl), ssl, vocabulary)
+    annotations = [a for a in checked if isinstance(a, StreamAnnotation)]
+    dictionary = TermDictionary()
+    found: dict[str, Any] = {}
+    for iri, path in files.items():
+        annotation = _annotation(iri, annotations)
+        order = in_time_order(open_recording(path), sort)
+        show_order(path.name, order)
+        recording = order.recording
+        converter = SampleConverter(
+            annotation,
+            recording.schema,
+            vocabulary,
+            dictionary,
+            units=_units(annotation, vocabulary),
+        )
+        tables: list[TripleRows] = []
+        places = Places()
+        for incoming in recording:
+            available = incoming.batch.available
+            names = node_names(available, places.of(available)) if converter.makes_nodes else None
+            tables += converter.convert(incoming.batch, names).tables
+        found[iri] = TimedTriples(dictionary, tuple(tables))
+    return found
+
+
+def _units(annotation: StreamAnnotation, vocabulary: Vocabulary) -> dict[str, Unit]:
+    """The unit that the ontology has for each feature: what queries speak of."""
+    known = {
+        content.feature: vocabulary.feature(content.feature) for content in annotation.contents
+    }
+    return {feature: info.unit for feature, info in known.items() if info and info.unit is not None}
+
+
+def _format(path: Path) -> TextFormat:
+    return ONTOLOGY_FORMATS[MEDIA_TYPES.get(path.suffix.lower(), TURTLE)]
+
+
+def _annotation(iri: str, annotations: Sequence[StreamAnnotation]) -> StreamAnnotation:
+    name = local_name(iri).removesuffix(".trdf")
+    for annotation in annotations:
+        if annotation.stream == name:
+            return annotation
+    if len(annotations) == 1:
+        return annotations[0]
+    raise fail(f"--ssl says nothing about stream {name!r}", f"annotate it: stream {name} contains")
+
+
+def _show(end: int, solutions: object) -> None:
+    show_text(f"window that ends {format_time(end)}")
+    if isinstance(solutions, bool):
+        show_text("  yes" if solutions else "  no")
+        return
+    assert isinstance(solutions, list)
+    if isinstance(solutions[0], Mapping):
+        names = list(dict.fromkeys(name for row in solutions for name in row))
+        show_table(names, [[_term(row.get(name)) for name in names] for row in solutions])
+    else:
+        for triple in solutions:
+            show_text("  " + " ".join(_term(term) for term in triple))
+
+
+def _plain(solutions: object) -> object:
+    if isinstance(solutions, bool):
+        return solutions
+    assert isinstance(solutions, list)
+    return [
+        {name: str(term) for name, term in row.items()}
+        if isinstance(row, Mapping)
+        else [str(term) for term in row]
+        for row in solutions
+    ]
+
+
+def _term(term: object) -> str:
+    if isinstance(term, NamedNode):
+        return shorten(term.value)
+    if isinstance(term, Literal):
+        return term.value
+    return "-" if term is None else str(term)

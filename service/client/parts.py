@@ -1,0 +1,99 @@
+"""What is longer than one request may be, in parts: what the client sends one after the other
+(config/text_bounds has the bounds, and docs/isolation.md why there are any)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import chain
+from typing import Any, Final, TypeVar
+
+from ..config.text_bounds import MOST_CONTENTS, MOST_DECLARATIONS
+from .connection import ServiceError
+
+T = TypeVar("T")
+SHORT: Final = 1024
+"""Characters of a text that is within all bounds, whatever it says: a declaration takes more than
+eight, a unit in XML fourteen."""
+
+
+def ssl_parts(text: str) -> list[str]:
+    """An SSL text."""
+    if len(text) <= SHORT:
+        return [text]
+    from . import text_parts
+
+    return text_parts.ssl_parts(text)
+
+
+def kpl_parts(text: str) -> list[str]:
+    """A KPL text."""
+    if len(text) <= SHORT:
+        return [text]
+    from . import text_parts
+
+    return text_parts.kpl_parts(text)
+
+
+def specification_parts(text: str | bytes) -> Sequence[str | bytes]:
+    """A specification in XML."""
+    if len(text) <= SHORT:
+        return [text]
+    from . import text_parts
+
+    return text_parts.specification_parts(text)
+
+
+def description_parts(
+    streams: Mapping[str, Any] | Sequence[Mapping[str, Any]],
+) -> list[Mapping[str, Any] | list[Mapping[str, Any]]]:
+    """Descriptions of streams, to be sent as JSON."""
+    if isinstance(streams, Mapping):
+        return [streams]
+    parts: list[Mapping[str, Any] | list[Mapping[str, Any]]] = []
+    part: list[Mapping[str, Any]] = []
+    contents = 0
+    for stream in streams:
+        size = len(stream.get("contents", ()))
+        if part and (len(part) == MOST_DECLARATIONS or contents + size > MOST_CONTENTS):
+            parts.append(part)
+            part, contents = [], 0
+        part.append(stream)
+        contents += size
+    return [*parts, part]
+
+
+def sent(parts: Sequence[T], send: Callable[[T], Any]) -> Iterator[Any]:
+    """What the service answers to each part. Raises `ServiceError`, which says what has been done
+    already: each part is taken whole or refused whole, all of them are not."""
+    for number, part in enumerate(parts):
+        try:
+            yield send(part)
+        except ServiceError as error:
+            if len(parts) > 1:
+                raise _of_part(error, number, len(parts)) from error
+            raise
+
+
+def _of_part(error: ServiceError, done: int, count: int) -> ServiceError:
+    before = f"{done} before it are done" if done else "nothing is done"
+    hint = f"{error.hint}; " if error.hint else ""
+    problem = {
+        **error.problem,
+        "detail": f"part {done + 1} of {count}, {before}: {error.args[0]}",
+        "hint": f"{hint}send all of it again when it is right: what is there stays as it is",
+    }
+    return ServiceError(
+        error.status,
+        error.title,
+        problem["detail"],
+        hint=problem["hint"],
+        line=error.line,
+        column=error.column,
+        excerpt=error.excerpt,
+        problem=problem,
+    )
+
+
+def joined(answers: Iterator[list[T]]) -> list[T]:
+    """The lists that came of parts, as one."""
+    return list(chain.from_iterable(answers))

@@ -1,0 +1,1 @@
+"""Settings, logs, media types, and what the process asks of the system."""

@@ -1,0 +1,1 @@
+"""What every request passes, and what bodies and answers may be."""

@@ -1,0 +1,121 @@
+"""The outermost layer: HEAD as a GET without its body; a log line, a count and an id a request."""
+
+from __future__ import annotations
+
+import asyncio
+import re
+import secrets
+import time
+from itertools import count
+from typing import Protocol
+
+from starlette.requests import ClientDisconnect
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from ..config.logs import REQUEST, log
+from .body_limit import HELD, Held
+from .problems import REQUEST_ID, problem_of, stopping
+
+HEAD = "dyknow.head"
+"""Set in the scope of a GET that came as HEAD: an endless body need not be begun."""
+
+
+_ID = re.compile(rb"[\w.:/+=-]{1,100}", re.ASCII)
+"""What a client may call its request."""
+
+
+class RequestCount(Protocol):
+    """Whoever counts requests."""
+
+    def request(self, method: str, route: str, status: int, seconds: float | None) -> None:
+        """A request has been answered."""
+
+
+class Observe:
+    """Logs and counts every request; answers HEAD wherever GET is, and failures with a 500.
+
+    A request has the id that its client gave it (``X-Request-Id``), or a new one; the answer has
+    it, too. Who takes longer than ``slow`` s is a warning in the log: until the answer begins, as
+    how long a client takes over a long one (service/http/response_limit) is its own affair.
+    """
+
+    def __init__(self, app: ASGIApp, metrics: RequestCount, slow: float = 1.0) -> None:
+        self._app = app
+        self._metrics = metrics
+        self._slow = slow
+        self._life = secrets.token_hex(4)
+        self._numbers = count(1)
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        method: str = scope["method"]
+        # A copy, so that the server still sees its own HEAD and frames the answer accordingly.
+        scope = {**scope, "method": "GET", HEAD: True} if method == "HEAD" else dict(scope)
+        id = scope[REQUEST_ID] = self._id(scope)
+        REQUEST.set(id)
+        begun = time.perf_counter()
+        status = 500
+        started = endless = False
+        ready: float | None = None
+
+        async def observed(message: Message) -> None:
+            nonlocal status, started, endless, ready
+            if message["type"] == "http.response.start":
+                started, status, ready = True, message["status"], time.perf_counter()
+                headers = [*message["headers"], (b"x-request-id", id.encode())]
+                message = {**message, "headers": headers}
+                endless = any(
+                    name == b"content-type" and value.startswith(b"text/event-stream")
+                    for name, value in message["headers"]
+                )
+            elif method == "HEAD" and message["type"] == "http.response.body":
+                message = {**message, "body": b""}
+            await send(message)
+
+        try:
+            await self._app(scope, receive, observed)
+        except ClientDisconnect:
+            # Nobody waits for an answer; this one is for servers that want one.
+            log().info("client left", method=method, path=scope["path"], request=id)
+            if not started:
+                status = 400
+                await observed({"type": "http.response.start", "status": status, "headers": []})
+                await observed({"type": "http.response.body", "body": b""})
+        except asyncio.CancelledError:
+            # The service stops and has waited long enough. Raised further, it would be logged as
+            # a failure of ours.
+            status = 503
+            log().warning("request broken off", method=method, path=scope["path"], request=id)
+            if not started:
+                await stopping().response(id)(scope, receive, observed)
+        except Exception as error:
+            log().exception("request failed", method=method, path=scope["path"], request=id)
+            # Raised further, it would make the server break the connection that the client means
+            # to use again. An answer that has begun can only be broken off.
+            if started:
+                raise
+            await problem_of(error).response(id)(scope, receive, observed)
+        finally:
+            seconds = (ready or time.perf_counter()) - begun
+            route = scope.get("route")
+            path = getattr(route, "path_format", "(none)")
+            body: Held | None = scope.get(HELD)
+            endless = endless or (body is not None and body.live)
+            self._metrics.request(method, path, status, None if endless else seconds)
+            slow = seconds >= self._slow and not endless
+            (log().warning if slow else log().debug)(
+                "slow request" if slow else "request",
+                method=method,
+                path=scope["path"],
+                status=status,
+                milliseconds=round(seconds * 1000, 1),
+                request=id,
+            )
+
+    def _id(self, scope: Scope) -> str:
+        for name, value in scope["headers"]:
+            if name == b"x-request-id" and _ID.fullmatch(value):
+                return str(value, "ascii")
+        return f"{self._life}-{next(self._numbers)}"

@@ -1,0 +1,90 @@
+"""What the head of a request says of its body, checked before any of the body is read: for every
+route, by service/http/body_limit.
+
+Bodies are taken as they are, in UTF-8. One that says otherwise would be read as what it is not.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+
+from .problems import Problem
+
+# A parameter of a media type (RFC 9110, section 5.6.6); what is quoted may hold a semicolon.
+_PARAMETER = re.compile(rb';\s*([^\s;=]+)\s*=\s*("(?:[^"\\]|\\.)*"|[^\s;]*)')
+_UTF_8 = (b"utf-8", b"utf8")
+
+
+def checked_length(headers: Iterable[tuple[bytes, bytes]]) -> int | None:
+    """How many bytes the body has by its head; None where that is not said.
+
+    Raises a 415 `Problem` for a body that is compressed, or in another charset, and a 400 one for
+    two Content-Types, or Idempotency-Keys. A request without a body may say what it likes.
+    """
+    length: int | None = None
+    chunked = False
+    kinds: list[bytes] = []
+    keys = 0
+    codings: list[bytes] = []
+    for name, value in headers:
+        if name == b"content-length":
+            length = int(value) if value.isdigit() else None
+        elif name == b"transfer-encoding":
+            chunked = True
+            codings.extend(_beside_chunked(value))
+        elif name == b"content-type":
+            kinds.append(value)
+        elif name == b"idempotency-key":
+            keys += 1
+        elif name == b"content-encoding":
+            codings.append(value)
+    if length or chunked:
+        if codings:
+            _check_codings(codings)
+        if len(kinds) > 1:
+            raise Problem(
+                400,
+                "bad Content-Type header",
+                f"a body has one Content-Type, not {len(kinds)}",
+                hint="send the header once",
+            )
+        if keys > 1:
+            raise Problem(
+                400,
+                "bad Idempotency-Key header",
+                "there are several Idempotency-Key headers",
+                hint="send the header once",
+            )
+        if kinds and b"charset" in kinds[0].lower():
+            _check_charset(kinds[0])
+    return length
+
+
+def _beside_chunked(value: bytes) -> list[bytes]:
+    """Transfer codings that would have to be undone: the server undoes the chunks alone."""
+    return [coding for coding in value.split(b",") if coding.strip().lower() != b"chunked"]
+
+
+def _check_codings(values: Iterable[bytes]) -> None:
+    for coding in b",".join(values).split(b","):
+        if coding.strip().lower() not in (b"", b"identity"):
+            raise Problem(
+                415,
+                "unsupported content encoding",
+                f"bodies are not taken as {coding.strip().decode('latin-1')!r}",
+                hint="send the body as it is, without Content-Encoding, at most in chunks",
+                headers={"Accept-Encoding": "identity"},
+            )
+
+
+def _check_charset(kind: bytes) -> None:
+    for name, value in _PARAMETER.findall(kind):
+        charset = value.strip(b'"')
+        if name.lower() == b"charset" and charset.lower() not in _UTF_8:
+            raise Problem(
+                415,
+                "unsupported charset",
+                f"bodies are not taken in {charset.decode('latin-1')!r}",
+                hint="send the body in UTF-8",
+            )

@@ -1,0 +1,43 @@
+"""Long lists, made and written a little at a time: others have their turn in between."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Iterable, Sequence
+from typing import Final, TypeVar
+
+from fastapi import Response
+from pydantic import BaseModel
+
+from ...engine.model.errors import UNKNOWN
+from ..config.media_types import JSON
+
+T = TypeVar("T")
+
+PIECE: Final = 50
+"""So many members are made in one go: some 2 ms."""
+
+
+async def listed(
+    items: Sequence[T], told: Callable[[T], BaseModel], rest: Iterable[BaseModel] = ()
+) -> Response:
+    """A JSON list of what ``told`` gives for each of ``items``, then ``rest``, of which are few.
+
+    Each member is as it is when it is written. What has gone by then is left out.
+    """
+    written: list[bytes] = []
+    for begin in range(0, len(items), PIECE):
+        if begin:
+            await asyncio.sleep(0)
+        for item in items[begin : begin + PIECE]:
+            try:
+                model = told(item)
+            except UNKNOWN:
+                continue
+            written.append(_written(model))
+    written += map(_written, rest)
+    return Response(b"[" + b",".join(written) + b"]", media_type=JSON)
+
+
+def _written(model: BaseModel) -> bytes:
+    return model.model_dump_json(by_alias=True).encode()

@@ -1,0 +1,152 @@
+"""Answers to queries in the formats of SPARQL 1.1: what ``/sparql`` and ``/queries`` share.
+
+Results of continuous queries are columns of ours; they become SPARQL JSON here, and every other
+format from that by Oxigraph, so that both routes write alike.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+
+from fastapi import Request, Response
+from pyoxigraph import (
+    BlankNode,
+    Literal,
+    NamedNode,
+    QueryResultsFormat,
+    Triple,
+    parse_query_results,
+    serialize,
+)
+
+from ...continuous.operators.results import WindowResult
+from ...rdf.dictionary import Term
+from ...rdf.namespaces import PREFIXES, XSD
+from ...streams.time import format_time
+from ..config.media_types import JSON, NTRIPLES, SPARQL_JSON, SPARQL_XML
+from . import sparql_formats
+from .negotiation import accepted
+from .problems import Problem
+
+RESULTS = sparql_formats.TABLES
+GRAPHS = sparql_formats.GRAPHS
+# CSV and TSV stand for tables: SPARQL 1.1 has no boolean in them.
+BOOLEANS = {kind: RESULTS[kind] for kind in (SPARQL_JSON, JSON, SPARQL_XML)}
+WINDOW_END = "window_end"
+"""The column that says of which window a row is, where rows of several are told."""
+ANSWER = "answer"
+"""The column of ASK's answers there."""
+_STRING = XSD + "string"
+
+
+def answer(body: bytes | None, kind: str) -> Response:
+    """A serialized result as the body of an answer."""
+    return Response(body or b"", media_type=kind)
+
+
+def one_window(request: Request, result: WindowResult, most: int) -> Response:
+    """The result of a window as SPARQL has it.
+
+    Raises a 406 `Problem`, and a 422 one where its terms have more than ``most`` characters: a text
+    that many solutions share is kept once, and told often.
+    """
+    if result.triples is not None:
+        return _graph(request, [result], most)
+    if result.solutions is not None:
+        return _table(request, result.solutions.variables, result.solutions.rows(), most)
+    kind = accepted(request, tuple(BOOLEANS))
+    told = json.dumps({"head": {}, "boolean": bool(result.answer)})
+    return answer(_written(told, BOOLEANS[kind]), kind)
+
+
+def many_windows(
+    request: Request,
+    results: Sequence[WindowResult],
+    form: str,
+    variables: Sequence[str],
+    most: int,
+) -> Response:
+    """The results of several windows: one table, each row with the end of its window first; one
+    graph of all that was constructed. ``variables`` are a table's where no window tells.
+
+    Raises `Problem` as `one_window`.
+    """
+    if form in ("CONSTRUCT", "DESCRIBE"):
+        return _graph(request, results, most)
+    told = next(
+        (each.solutions.variables for each in results if each.solutions is not None), variables
+    )
+    names = [ANSWER] if form == "ASK" else list(told)
+    end = WINDOW_END
+    while end in names:
+        end += "_"
+    rows: list[Mapping[str, Term]] = []
+    for result in results:
+        time = Literal(format_time(result.end), datatype=NamedNode(XSD + "dateTime"))
+        if result.solutions is not None:
+            rows += [{end: time, **row} for row in result.solutions.rows()]
+        else:
+            rows.append({end: time, ANSWER: Literal(bool(result.answer))})
+    return _table(request, [end, *names], rows, most)
+
+
+def _table(
+    request: Request, variables: Sequence[str], rows: Sequence[Mapping[str, Term]], most: int
+) -> Response:
+    kind = accepted(request, tuple(RESULTS))
+    bindings, size = [], 0
+    for row in rows:
+        bindings.append({name: _json_term(term) for name, term in row.items()})
+        size += sum(len(told["value"]) for told in bindings[-1].values())
+        if size > most:
+            raise result_too_large(f"{most} bytes")
+    told = json.dumps({"head": {"vars": list(variables)}, "results": {"bindings": bindings}})
+    return answer(_written(told, RESULTS[kind]), kind)
+
+
+def _graph(request: Request, results: Sequence[WindowResult], most: int) -> Response:
+    kind = accepted(request, tuple(GRAPHS))
+    triples: dict[Triple, None] = {}
+    size = 0
+    for result in results:
+        assert result.triples is not None
+        for _, subject, predicate, object in result.triples:
+            assert isinstance(subject, NamedNode | BlankNode)
+            triple = Triple(subject, predicate, object)
+            if triple not in triples:
+                size += sum(len(term.value) for term in (subject, predicate, object))
+                if size > most:
+                    raise result_too_large(f"{most} bytes")
+                triples[triple] = None
+    prefixes = {} if kind == NTRIPLES else dict(PREFIXES)
+    return answer(serialize(triples, format=GRAPHS[kind], prefixes=prefixes), kind)
+
+
+def result_too_large(most: str) -> Problem:
+    """What is said of a result that has more than ``most``."""
+    return Problem(
+        422,
+        "result too large",
+        f"the result has more than {most}",
+        hint="ask for less: add a LIMIT, name the variables that are needed",
+    )
+
+
+def _written(told: str, format: QueryResultsFormat) -> bytes | None:
+    if format is QueryResultsFormat.JSON:
+        return told.encode()
+    return parse_query_results(told, format=QueryResultsFormat.JSON).serialize(format=format)
+
+
+def _json_term(term: Term) -> dict[str, str]:
+    if isinstance(term, NamedNode):
+        return {"type": "uri", "value": term.value}
+    if isinstance(term, BlankNode):
+        return {"type": "bnode", "value": term.value}
+    told = {"type": "literal", "value": term.value}
+    if term.language is not None:
+        told["xml:lang"] = term.language
+    elif term.datatype.value != _STRING:
+        told["datatype"] = term.datatype.value
+    return told

@@ -1,0 +1,1 @@
+"""The service as it runs: its context, metrics, warm-up and live samples."""

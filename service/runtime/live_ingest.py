@@ -1,0 +1,390 @@
+"""Samples that are published while the body of their request comes (docs/api.md, "Live samples").
+
+One request for as long as its sender has something to say: what has arrived by now is one call of
+the engine, so that several small parts that wait are taken together. `LiveBodies` has those under
+way, `LiveLines` and `LiveTables` cut a body into what is complete. Used by routes/live.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import re
+import sys
+from abc import ABC, abstractmethod
+from dataclasses import replace
+from itertools import groupby
+from typing import Any
+
+from fastapi import Request
+from starlette.requests import ClientDisconnect
+from starlette.types import Message
+
+from ...converters.arrow.messages import ArrowMessages
+from ...converters.arrow.stream import (
+    ArrowMissing,
+    bytes_of_table,
+    joined,
+    samples_of_table,
+)
+from ...converters.bad_lines import mixed_times
+from ...converters.errors import WireError
+from ...converters.ndjson import decode_ndjson
+from ...converters.rounding import Rounded
+from ...converters.wire import BOM, BatchLimits, Incoming
+from ...engine.durability.commands import BatchKind, Publish
+from ...engine.engine import Engine
+from ...streams.generator import StreamGenerator
+from ...streams.time import Clock
+from ..admission.gate import CALLER, revoked
+from ..admission.tokens import Caller, Scope, Tokens
+from ..durability.command_queue import Keeper
+from ..http.body_limit import HELD, Held
+from ..http.problems import Problem
+from ..sse.clients import OPEN
+from ..turns.fibers import let_others
+
+_PART = 1 << 16
+"""So many bytes are worked off together: some milliseconds of work."""
+_TOGETHER = 1 << 20
+"""So many bytes of columns are published together: a record batch has as many as it likes, up to
+the limits of one."""
+_LINE = re.compile(rb"[^\n]*\n|[^\n]+")
+
+
+class LiveSamples(ABC):
+    """The samples of one body, published into stream ``name`` as they come.
+
+    Law (tests/laws): what is accepted and what is refused does not depend on how the bytes were
+    cut; it equals publishing sample by sample (record batch by record batch) until one is refused.
+
+    Errors: those of decoding and of `Engine.publish`; a `WireError` counts lines (rows) from the
+    body's beginning. What was published before stays; ``accepted`` counts it.
+    """
+
+    def __init__(
+        self,
+        engine: Engine,
+        keeper: Keeper,
+        name: str,
+        clock: Clock,
+        limits: BatchLimits | None = None,
+    ) -> None:
+        self.accepted = 0
+        self.rounded: Rounded | None = None
+        """Which numbers of those were rounded."""
+        self._limits = limits
+        self._engine = engine
+        self._keeper = keeper
+        self._name = name
+        self._clock = clock
+        self._before = 0
+        """Lines (rows) of the body that are done with."""
+        self._stamped: bool | None = None
+
+    @property
+    @abstractmethod
+    def held(self) -> int:
+        """Bytes that have come and are not published."""
+
+    @abstractmethod
+    def take(self, data: bytes) -> bool:
+        """Publish what is complete with ``data``, as much as there is time for. Whether there may
+        be more of it, which is published when nothing more has come (``b""``)."""
+
+    @abstractmethod
+    def end(self) -> None:
+        """The body is whole: publish what is left."""
+
+    async def keep_up(self) -> bool:
+        """Wait while too much waits to be kept, and a moment for those who read the stream; whether
+        these take more samples now. Raises `JournalError`."""
+        if self._keeper.is_behind:
+            await self._keeper.kept()
+        await self._keeper.caught_up(self._name)
+        # Of a stream that was removed meanwhile the next sample reports it.
+        there = self._engine.has_stream(self._name)
+        return not there or not self._keeper.is_overloaded(self._name)
+
+    def _target(self) -> StreamGenerator:
+        """Asked each time: the stream may have been declared anew, or removed, meanwhile."""
+        return self._engine.accepting(self._name)
+
+    def _publish(self, incoming: Incoming, kind: BatchKind, body: bytes, line: int) -> None:
+        """``incoming`` is what ``body`` says. ``line`` is the first one's: available times are in
+        all samples of a body or in none."""
+        if self._stamped not in (None, incoming.stamped):
+            raise mixed_times(line)
+        batch = Publish(self._name, kind, body, self._clock())
+        batch.check_ahead(self._engine, incoming)
+        self.accepted += self._keeper.do(batch, incoming)
+        self._keeper.hasten()
+        self._note(incoming.rounded)
+        self._stamped = incoming.stamped
+
+    def _note(self, rounded: Rounded | None) -> None:
+        """Count what was rounded in the part that comes next."""
+        if rounded is None:
+            return
+        if self.rounded is None:
+            self.rounded = replace(rounded, line=self._before + rounded.line)
+        else:
+            self.rounded = replace(self.rounded, count=self.rounded.count + rounded.count)
+
+    def _placed(self, error: WireError) -> WireError:
+        """An error in what comes next, as one of the body."""
+        if error.line is not None:
+            error.line += self._before
+        return error
+
+
+class LiveLines(LiveSamples):
+    """NDJSON: a line is complete with its line feed, the last one with the body.
+
+    Cost: as `decode_ndjson`; a part with a bad line is decoded once more up to it.
+    """
+
+    def __init__(
+        self,
+        engine: Engine,
+        keeper: Keeper,
+        name: str,
+        clock: Clock,
+        limits: BatchLimits | None = None,
+    ) -> None:
+        super().__init__(engine, keeper, name, clock, limits)
+        # How many lines come together is chance, and no more than a body has.
+        self._limits = limits and replace(limits, samples=sys.maxsize)
+        self._rest = bytearray()
+
+    @property
+    def held(self) -> int:
+        return len(self._rest)
+
+    def take(self, data: bytes) -> bool:
+        cut = data.rfind(b"\n") + 1
+        lines = b""
+        if cut:
+            lines = bytes(self._rest) + data[:cut] if self._rest else data[:cut]
+            self._rest.clear()
+        self._rest += data[cut:]
+        self._take_lines(lines)
+        return False
+
+    def end(self) -> None:
+        lines = bytes(self._rest)
+        self._rest.clear()
+        self._take_lines(lines)
+
+    def _take_lines(self, lines: bytes) -> None:
+        while lines and self._target().is_open:
+            # Its fields are those of the first line, not of as many as came with it.
+            cut = lines.find(b"\n") + 1 or len(lines)
+            self._take_part(lines[:cut])
+            lines = lines[cut:]
+        if lines:
+            self._take_part(lines)
+
+    def _take_part(self, lines: bytes) -> None:
+        """Publish whole lines; of those with a bad one all before it."""
+        try:
+            self._decode_and_publish(lines)
+        except WireError as error:
+            rows = _LINE.findall(lines)
+            if error.line is None and len(rows) > 1:
+                for row in rows:
+                    self._take_part(row)
+                return
+            # One before it may be bad in a way that is looked for later: then that one is told.
+            if before := b"".join(rows[: (error.line or 1) - 1]):
+                self._take_part(before)
+            error.line = 1
+            raise self._placed(error) from None
+        self._before += lines.count(b"\n")
+
+    def _decode_and_publish(self, lines: bytes) -> None:
+        text = lines if self._before else lines.removeprefix(BOM)
+        if not text.strip():
+            return
+        generator = self._target()
+        # Not at the body's beginning, a byte order mark is no more than a bad line.
+        if text.startswith(BOM):
+            raise WireError(1, "not JSON: a byte order mark", "send one JSON object a line")
+        self._keeper.check_room(len(text))
+        incoming = decode_ndjson(text, generator.schema, generator.stream.pools, self._limits)
+        blank = len(text) - len(text.lstrip())
+        self._publish(incoming, "ndjson", text, 1 + text.count(b"\n", 0, blank))
+
+
+class LiveTables(LiveSamples):
+    """An Arrow IPC stream, or several one after the other: a record batch is taken whole or refused
+    whole."""
+
+    def __init__(
+        self,
+        engine: Engine,
+        keeper: Keeper,
+        name: str,
+        clock: Clock,
+        limits: BatchLimits | None = None,
+    ) -> None:
+        super().__init__(engine, keeper, name, clock, limits)
+        self._messages = ArrowMessages(limits)
+
+    @property
+    def held(self) -> int:
+        return self._messages.held
+
+    def take(self, data: bytes) -> bool:
+        tables: list[Any] = []
+        size = 0
+        try:
+            for table in self._messages.take(data):
+                if table.num_rows:
+                    tables.append(table)
+                    size += max(table.nbytes, table.num_rows * table.num_columns)
+                if size >= _TOGETHER:
+                    break
+        except ArrowMissing:
+            raise
+        except WireError as error:
+            self._take_all(tables)
+            raise self._placed(error) from None
+        self._take_all(tables)
+        return size >= _TOGETHER
+
+    def _take_all(self, tables: list[Any]) -> None:
+        for _, alike in groupby(tables, lambda table: table.schema):
+            self._take_alike(list(alike))
+
+    def _take_alike(self, tables: list[Any]) -> None:
+        """Publish tables of the same columns together; where one is bad, one by one up to it."""
+        table = joined(tables)
+        generator = self._target()
+        # What is decoded stays with the stream's texts: not of what cannot be kept.
+        self._keeper.check_room(table.nbytes)
+        try:
+            incoming = samples_of_table(
+                table, generator.schema, generator.stream.pools, self._limits
+            )
+            body = bytes_of_table(table) if self._keeper.is_recording else b""
+            self._publish(incoming, "arrow", body, 1)
+        except WireError as error:
+            if len(tables) == 1:
+                raise self._placed(error) from None
+            for each in tables:
+                self._take_alike([each])
+            return
+        self._before += table.num_rows
+
+    def end(self) -> None:
+        if self.held:
+            raise WireError(None, "the body ends within an Arrow message")
+
+
+class _UnderWay:
+    """One body: ``wait`` is what it waits within for more."""
+
+    __slots__ = ("caller", "wait")
+
+    def __init__(self, caller: Caller | None) -> None:
+        self.caller = caller
+        self.wait: asyncio.Timeout | None = None
+
+    def wake(self) -> None:
+        """It need not wait any longer."""
+        if self.wait is not None and not self.wait.expired():
+            self.wait.reschedule(0)
+
+
+class LiveBodies:
+    """Those that are under way, so that they can be let go when the service stops, or their token
+    is not among ``tokens`` any more."""
+
+    def __init__(self, tokens: Tokens = OPEN) -> None:
+        self._under_way: set[_UnderWay] = set()
+        self._tokens = tokens
+        self._closing = False
+
+    async def publish(self, request: Request, live: LiveSamples, patience: float) -> None:
+        """Publish the samples of the request's body until it ends.
+
+        Raises what `LiveSamples` raises; 408, 401 and 503 `Problem` when nothing has come for
+        ``patience`` seconds, when the token is revoked and when the service stops;
+        `ClientDisconnect` when the client is gone.
+        """
+        body = _UnderWay(request.scope.get(CALLER))
+        self._under_way.add(body)
+        try:
+            await self._publish(request, body, live, patience)
+        finally:
+            self._under_way.discard(body)
+
+    async def _publish(
+        self, request: Request, under_way: _UnderWay, live: LiveSamples, patience: float
+    ) -> None:
+        body: Held = request.scope[HELD]
+        while not self._closing:
+            if not self._may_go_on(under_way):
+                raise revoked()
+            message = await self._next(request, under_way, patience)
+            if message["type"] == "http.disconnect":
+                raise ClientDisconnect
+            await self._take(live, message.get("body", b""))
+            if not message.get("more_body", False):
+                live.end()
+                return
+            body.keep(live.held)
+            # The request is not read meanwhile.
+            while not await live.keep_up() and not self._closing and self._may_go_on(under_way):
+                continue
+        raise Problem(
+            503,
+            "the service stops",
+            "the body was not read to its end",
+            hint="send the samples that were not accepted when the service is back",
+        )
+
+    async def _take(self, live: LiveSamples, data: bytes) -> None:
+        """Publish what has come; of much of it a part at a time, with others in between."""
+        is_more = live.take(data[:_PART])
+        start = _PART
+        while is_more or start < len(data):
+            await let_others()
+            if is_more:
+                is_more = live.take(b"")
+            else:
+                is_more = live.take(data[start : start + _PART])
+                start += _PART
+
+    async def _next(self, request: Request, under_way: _UnderWay, patience: float) -> Message:
+        try:
+            async with asyncio.timeout(patience) as under_way.wait:
+                try:
+                    return await request.receive()
+                finally:
+                    under_way.wait = None
+        except TimeoutError:
+            if self._closing or not self._may_go_on(under_way):
+                return {"type": "http.request", "body": b"", "more_body": True}
+            raise Problem(
+                408,
+                "nothing came",
+                f"nothing has come for {patience:g} seconds",
+                hint="send an empty line now and then while there are no samples",
+            ) from None
+
+    def close(self) -> None:
+        """Let all go: the service stops. Each sender is told what was accepted."""
+        self._closing = True
+        for body in self._under_way:
+            body.wake()
+
+    def revoke(self) -> int:
+        """Let those go whose token is not accepted any more, or does not publish; how many."""
+        gone = [body for body in self._under_way if not self._may_go_on(body)]
+        for body in gone:
+            body.wake()
+        return len(gone)
+
+    def _may_go_on(self, body: _UnderWay) -> bool:
+        return self._tokens.allows(body.caller, Scope.PUBLISH)

@@ -1,0 +1,109 @@
+"""What is done beside the start so that the first requests need not wait for it: compiled loops,
+worker processes, grammars, tables of units, the schema of the routes.
+
+The service is not ready before it is over (docs/operations.md, "Readiness"). Used by cli/serve.
+"""
+
+from __future__ import annotations
+
+import gc
+import threading
+from collections.abc import Callable
+
+from fastapi import FastAPI
+
+from ...languages.kpl.parser import parse_kpl
+from ...languages.ssl.parser import parse_ssl
+from ...ontology.units import conversion, parse_unit
+from ...streams.jit import compile_all
+from ..config.logs import log
+from ..workers.pool import Pool
+from ..workers.worker import WorkerError
+
+_PATIENCE = 30.0
+"""Seconds for one loop, on a slow machine."""
+
+
+class _Over(Exception):
+    """The service stops."""
+
+
+class Warming:
+    """Work in threads of its own, each with a name for people. `reasons` may be asked in any."""
+
+    def __init__(self) -> None:
+        self._doing: dict[str, str] = {}
+        self._threads: list[threading.Thread] = []
+        self._is_over = False
+
+    def reasons(self) -> list[str]:
+        """What is not over, or has failed: nothing when all is done."""
+        return [f"{name}: {doing}" for name, doing in tuple(self._doing.items())]
+
+    def begin(self, name: str, doing: str, work: Callable[[], None]) -> threading.Thread:
+        """Do ``work`` beside everything else."""
+        self._doing[name] = doing
+        thread = threading.Thread(
+            target=self._run, args=(name, work), name=f"warm-{name}", daemon=True
+        )
+        self._threads.append(thread)
+        thread.start()
+        return thread
+
+    def _run(self, name: str, work: Callable[[], None]) -> None:
+        try:
+            work()
+        except _Over:
+            return
+        except Exception as error:  # noqa: BLE001 - told by log and /readyz
+            log().exception("warm-up failed", what=name)
+            self._doing[name] = f"failed: {error}"
+        else:
+            del self._doing[name]
+
+    def loops(self) -> None:
+        """Compile the loops, or read them from the cache."""
+
+        def tell(done: int, count: int) -> None:
+            self._doing["loops"] = f"being compiled, {done} of {count} are done"
+            if self._is_over:
+                raise _Over
+
+        self.begin("loops", "being compiled", lambda: compile_all(tell))
+
+    def end(self) -> None:
+        """The service stops: what is under way comes to an end that it can come to soon. A thread
+        that the interpreter's end finds within the compiler would take the process down with it."""
+        self._is_over = True
+        for thread in self._threads:
+            thread.join(_PATIENCE)
+
+    def workers(self, name: str, pool: Pool) -> None:
+        """Start the workers of a pool. That they cannot be started is for the pool to tell, which
+        tries again."""
+
+        def start() -> None:
+            try:
+                pool.warm()
+            except WorkerError as error:
+                log().error("no workers", pool=name, reason=str(error))
+
+        self.begin(f"workers for {name}", "being started", start)
+
+    def application(self, app: FastAPI) -> None:
+        """What routes make when they are first asked. When all is done, have the garbage collector
+        pass over everything: it stays for good, and a collection that looks at it lets everybody
+        wait for 100 ms."""
+        others = tuple(self._threads)
+
+        def rehearse() -> None:
+            app.openapi()
+            parse_ssl("stream s contains altitude(self) = a [ft]")
+            parse_kpl("source float s")
+            conversion(parse_unit("ft"), parse_unit("m"))
+            for thread in others:
+                thread.join()
+            gc.collect()
+            gc.freeze()
+
+        self.begin("application", "being prepared", rehearse)

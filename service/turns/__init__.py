@@ -1,0 +1,1 @@
+"""Long work in turns, so that others are answered in between."""

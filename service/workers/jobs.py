@@ -1,0 +1,280 @@
+"""What a worker does: queries over a copy of the ontology, SPARQL over quads, RDF texts, closures,
+specifications in XML.
+
+Nothing here is bounded but sizes of results: time and memory are the process's (`worker_main`).
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Iterable, Iterator
+from typing import Any, get_args
+
+import msgspec
+from pyoxigraph import (
+    NamedNode,
+    Quad,
+    QueryBoolean,
+    QueryResultsFormat,
+    QuerySolutions,
+    QueryTriples,
+    RdfFormat,
+    Store,
+    parse,
+    serialize,
+)
+
+from ...continuous.values.standard_functions import FUNCTIONS
+from ...languages.errors import LanguageError
+from ...languages.specification import parse_specification
+from ...languages.specification.markup import NAMESPACE
+from ...ontology.churn import Churn
+from ...ontology.closure import closure_of
+from ...ontology.closure_queries import answer
+from ...ontology.deep_hierarchies import MARKERS
+from ...ontology.errors import OntologyError, QueryRefused
+from ...ontology.query_guard import check_user_query
+from ...ontology.reading import TextFormat, read_triples
+from ..http.sparql_formats import GRAPHS, TABLES
+from .messages import (
+    Answer,
+    Ask,
+    Elements,
+    Entail,
+    Failed,
+    Follow,
+    Misread,
+    Query,
+    Read,
+    ReadSpecification,
+    Refused,
+    Row,
+    Table,
+    TooMuch,
+    Truth,
+    Work,
+    Written,
+    cell_of,
+    rows_of,
+    triples_of,
+)
+from .xml_elements import UNIT
+from .xml_elements import rows_of as element_rows
+
+_EMPTY_SPECIFICATION = f'<specification xmlns="{NAMESPACE}"/>'
+
+
+class Worker:
+    """The state of a worker: its copy of the ontology, and quads that it keeps for `Ask`."""
+
+    def __init__(self) -> None:
+        self._store = Store()
+        self._churn = Churn()
+        self._kept: dict[str, list[Quad]] = {}
+
+    def warm(self) -> None:
+        """Do each kind of work once: what is imported or opened when it is first needed is there
+        before files cannot be opened any more."""
+        self.answer(Query("SELECT * { ?s ?p ?o }", "text/csv", 1, 1000))
+        text = "<urn:a> a owl:Class ; rdfs:label 'a'@en, '1'^^xsd:integer ."
+        read = self.answer(Read(text, "turtle", "urn:b", 10))
+        assert isinstance(read, Table)
+        closed = self.answer(Entail(read.rows, 1000))
+        assert isinstance(closed, Table)
+        self.answer(Ask("SELECT", "", None, b"", [], 1, 1))
+        self.answer(ReadSpecification(_EMPTY_SPECIFICATION, 1, 1))
+
+    def answer(self, work: Work) -> Answer:
+        """The answer to a job; errors that it may have are answers too."""
+        try:
+            match work:
+                case Follow():
+                    return self._follow(work)
+                case Query():
+                    return self._query(work)
+                case Ask():
+                    return self._ask(work)
+                case Read():
+                    return _read(work)
+                case Entail():
+                    return _entail(work)
+                case ReadSpecification():
+                    return _read_specification(work)
+        except _Enough as enough:
+            return TooMuch(enough.what, enough.limit)
+        except (QueryRefused, OntologyError) as error:
+            return Refused(error.message, error.hint, error.line, error.column)
+        except LanguageError as error:
+            return Misread(error.message, error.hint, error.span.start, error.span.end)
+        except MemoryError:
+            return Failed("it needs more memory than it may have")
+        except RecursionError:
+            return Failed("it is nested too deeply")
+        except (SyntaxError, ValueError, RuntimeError, OSError) as error:
+            # What the store finds while it evaluates, after the text has passed the check.
+            return Failed(str(error))
+
+    def _follow(self, work: Follow) -> Answer:
+        if work.whole is not None:
+            self._store, self._churn = Store(), Churn()
+            self._store.extend(_quads(work.whole))
+        removed, added = list(_quads(work.removed)), list(_quads(work.added))
+        for quad in removed:
+            self._store.remove(quad)
+        self._store.extend(added)
+        self._churn.note(removed, added)
+        self._store = self._churn.over(self._store)
+        return Truth(True)
+
+    def _query(self, work: Query) -> Answer:
+        check_user_query(work.text)
+        if not work.format:
+            return Truth(True)
+        found = answer(self._store, work.text)
+        if isinstance(found, QueryTriples):
+            wanted = _counted(found, work.rows, "triples")
+            sink = _Sink(work.size)
+            serialize(wanted, sink, format=GRAPHS[work.format])  # type: ignore[arg-type]
+            return Written(sink.taken())
+        body = _written(found, TABLES[work.format], work.size)
+        # A row has at least three bytes in each format.
+        if isinstance(found, QuerySolutions) and len(body) > 3 * work.rows:
+            _check_rows(body, TABLES[work.format], work.rows)
+        return Written(body)
+
+    def _ask(self, work: Ask) -> Answer:
+        for key in work.forget:
+            self._kept.pop(key, None)
+        if work.kept is not None:
+            self._kept[work.key] = list(_quads(work.kept))
+        store = Store()
+        store.extend(self._kept.get(work.key, ()))
+        store.extend(_quads(work.content))
+        found = store.query(work.text, custom_functions=FUNCTIONS)
+        if isinstance(found, QueryBoolean):
+            return Truth(bool(found))
+        budget = _Budget(work.rows, work.size)
+        if isinstance(found, QueryTriples):
+            return Table([], [budget.spend(row) for row in rows_of(found)])
+        names = [variable.value for variable in found.variables]
+        rows = [
+            budget.spend([None if term is None else cell_of(term) for term in solution])
+            for solution in found
+        ]
+        return Table(names, rows)
+
+
+def _read(work: Read) -> Answer:
+    if work.format not in get_args(TextFormat):
+        return Refused(f"unknown format {work.format!r}")
+    format: Any = work.format
+    triples = read_triples(work.text, format, NamedNode(work.base))
+    if len(triples) > work.triples:
+        return TooMuch("triples", work.triples)
+    return Table([], sorted(rows_of(triples), key=str))
+
+
+def _entail(work: Entail) -> Answer:
+    added = closure_of(frozenset(triples_of(work.triples)))
+    if sum(1 for triple in added if triple.predicate not in MARKERS) > work.most:
+        return TooMuch("triples", work.most)
+    return Table([], sorted(rows_of(added), key=str))
+
+
+def _read_specification(work: ReadSpecification) -> Answer:
+    found = parse_specification(work.text)
+    rows = element_rows(found)
+    for what, number, most in (
+        ("elements", len(rows), work.elements),
+        ("units to insert", sum(1 for row in rows if row[0] == UNIT), work.parts),
+        ("units to remove", len(found.removals), work.parts),
+    ):
+        if number > most:
+            return TooMuch(what, most)
+    return Elements(rows)
+
+
+class _Enough(Exception):
+    def __init__(self, what: str, limit: int) -> None:
+        super().__init__(what)
+        self.what = what
+        self.limit = limit
+
+
+class _Budget:
+    def __init__(self, rows: int, size: int) -> None:
+        self._rows, self._most_rows = 0, rows
+        self._bytes, self._most_bytes = 0, size
+
+    def spend(self, row: Row) -> Row:
+        self._rows += 1
+        self._bytes += sum(len(cell[1]) for cell in row if cell is not None)
+        if self._rows > self._most_rows:
+            raise _Enough("rows", self._most_rows)
+        if self._bytes > self._most_bytes:
+            raise _Enough("bytes", self._most_bytes)
+        return row
+
+
+class _Sink:
+    """A file that takes so many bytes."""
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._size = 0
+        self._parts: list[bytes] = []
+
+    def write(self, data: bytes) -> int:
+        self._size += len(data)
+        if self._size > self._most:
+            raise _Enough("bytes", self._most)
+        self._parts.append(bytes(data))
+        return len(data)
+
+    def flush(self) -> None:
+        """Nothing waits."""
+
+    def taken(self) -> bytes:
+        return b"".join(self._parts)
+
+
+def _written(found: Any, format: QueryResultsFormat, most: int) -> bytes:
+    sink = _Sink(most)
+    found.serialize(sink, format=format)
+    return sink.taken()
+
+
+def _counted(items: Iterable[Any], most: int, what: str) -> Iterator[Any]:
+    for number, item in enumerate(items):
+        if number == most:
+            raise _Enough(what, most)
+        yield item
+
+
+class _Bindings(msgspec.Struct):
+    bindings: list[msgspec.Raw]
+
+
+class _Results(msgspec.Struct):
+    results: _Bindings
+
+
+def _check_rows(body: bytes, format: QueryResultsFormat, most: int) -> None:
+    """Raises `_Enough` for a table of more rows. Bytes are bounded by now."""
+    if format is QueryResultsFormat.JSON:
+        rows = len(msgspec.json.decode(body, type=_Results).results.bindings)
+    elif format is QueryResultsFormat.XML:
+        rows = len(re.findall(rb"<result>|<result/>", body))
+    elif format is QueryResultsFormat.TSV:
+        rows = body.count(b"\n") - 1  # line feeds in terms are escaped
+    else:
+        csv.field_size_limit(len(body))
+        rows = sum(1 for _ in csv.reader(io.StringIO(body.decode(), newline=""))) - 1
+    if rows > most:
+        raise _Enough("rows", most)
+
+
+def _quads(data: bytes) -> Iterable[Quad]:
+    return parse(data, RdfFormat.N_QUADS) if data else ()

@@ -1,0 +1,1 @@
+"""join, object by object or not, and mediation."""

@@ -1,0 +1,1 @@
+"""Policies: their constraints, adaptation to them, and what satisfies them."""

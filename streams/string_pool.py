@@ -1,0 +1,210 @@
+"""Dictionary encoding of text: strings become small integers once, and stay integers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .yield_points import Pauses, slices
+
+Codes = NDArray[np.int32]
+_FEW: Final = 16
+"""So many strings are put in their place with each that is encoded alone."""
+_MANY: Final = 8192
+"""And with those that are encoded together; these are some milliseconds of work."""
+OVERHEAD: Final = 128
+"""Bytes that a text is reckoned with beside its characters: it is an object, and in tables."""
+_WIDE: Final = 4
+"""Bytes of a character where not all of a text are ASCII, at most."""
+
+
+def size_of(text: str) -> int:
+    """Bytes that a text is reckoned with: 128 and its characters, four times as many where they are
+    not all ASCII."""
+    return OVERHEAD + (len(text) if text.isascii() else _WIDE * len(text))
+
+
+class Place(NamedTuple):
+    """What codes the strings of one pool have in ``pool``: ``codes`` by their codes here. Of those
+    are ``fresh``, in order, what it lacks, if it then still has as many as ``start``."""
+
+    pool: StringPool
+    start: int
+    codes: Codes
+    fresh: Sequence[str]
+    late: dict[str, int]
+    """The codes of these."""
+
+    @property
+    def holds(self) -> bool:
+        """Whether it is still so."""
+        return not self.fresh or len(self.pool) == self.start
+
+
+class StringPool:
+    """An append-only list of distinct strings; a string's code is its position.
+
+    Law: ``pool[pool.code(s)] == s``, and a code once given never changes meaning, so columns of
+    codes may be shared, sliced and cached. One pool serves one field of one stream.
+
+    Many new strings at once take long, half a microsecond each. Who has them in a pool of their own
+    lets `find_place` look for them a little at a time; `take` then is quick.
+
+    Cost: a dict look-up per string encoded, nothing per string carried. Memory: every distinct
+    string once, for as long as the pool lives: that is as long as somebody keeps codes of the
+    stream (`FluentStream.forget_texts`).
+    """
+
+    __slots__ = (
+        "_characters",
+        "_codes",
+        "_late",
+        "_longest",
+        "_measured",
+        "_moved",
+        "_place",
+        "_sized",
+        "_sizes",
+        "_strings",
+    )
+
+    def __init__(self, strings: Iterable[str] = ()) -> None:
+        self._strings: list[str] = []
+        self._codes: dict[str, int] = {}
+        self._late: dict[str, int] = {}
+        """Codes of the last strings where these are not in ``_codes``, or but the first of them."""
+        self._moved = 0
+        """The first one that is not."""
+        self._place: Place | None = None
+        self._measured = self._characters = self._longest = 0
+        """Of so many strings these are known."""
+        self._sized = 0
+        """Of so many the sizes are known one by one."""
+        self._sizes: NDArray[np.int64] = np.empty(0, np.int64)
+        for string in strings:
+            self.code(string)
+
+    def __len__(self) -> int:
+        return len(self._strings)
+
+    def __getitem__(self, code: int) -> str:
+        return self._strings[code]
+
+    def code(self, string: str) -> int:
+        """The code of ``string``, given now if it is new."""
+        if self._late:
+            self._move(_FEW)
+            late = self._late.get(string)
+            if late is not None:
+                return late
+        found = self._codes.setdefault(string, len(self._strings))
+        if found == len(self._strings):
+            self._strings.append(string)
+        return found
+
+    def find(self, string: str) -> int:
+        """The code of ``string``, or -1 if it has none: a look-up that adds nothing."""
+        return self._codes.get(string, -1) if not self._late else self._find_late(string)
+
+    def _find_late(self, string: str) -> int:
+        found = self._late.get(string)
+        return self._codes.get(string, -1) if found is None else found
+
+    def encode(self, strings: Sequence[str]) -> Codes:
+        """Codes of many strings, shape ``(n,)``."""
+        if self._late:
+            self._move(_MANY)
+        try:  # that all are known is the common case, and three times faster to find out
+            return np.fromiter(map(self._codes.__getitem__, strings), np.int32, len(strings))
+        except KeyError:
+            code = self.code
+            return np.fromiter((code(s) for s in strings), np.int32, len(strings))
+
+    def strings(self, start: int = 0) -> Sequence[str]:
+        """The strings from code ``start`` on, for tables that follow the pool as it grows."""
+        return self._strings[start:]
+
+    @property
+    def characters(self) -> int:
+        """Those of all strings. Cost: 20 ns a new string, once."""
+        self._measure()
+        return self._characters
+
+    @property
+    def longest(self) -> int:
+        """No string has more bytes (`size_of`). Cost: as `characters`."""
+        self._measure()
+        return OVERHEAD + _WIDE * self._longest
+
+    def sizes(self) -> NDArray[np.int64]:
+        """Bytes of each string (`size_of`) by its code, shape ``(n,)``. Cost: O(1), and 0.1 µs a
+        new string, once."""
+        done, there = self._sized, len(self._strings)
+        if done < there:
+            if there > len(self._sizes):
+                longer = np.empty(max(there, 2 * done), np.int64)
+                longer[:done] = self._sizes[:done]
+                self._sizes = longer
+            new = self._strings[done:]
+            self._sizes[done:there] = np.fromiter(map(size_of, new), np.int64, len(new))
+            self._sized = there
+        return self._sizes[:there]
+
+    def _measure(self) -> None:
+        if self._measured < len(self._strings):
+            lengths = list(map(len, self._strings[self._measured :]))
+            self._measured += len(lengths)
+            self._characters += sum(lengths)
+            self._longest = max(self._longest, max(lengths))
+
+    def find_place(self, pool: StringPool, pauses: Pauses) -> None:
+        """Look for the codes that all strings of this one have in ``pool``, or will have once
+        `codes_in` puts them there, with moments for others. It changes nothing that they see."""
+        while pool._late:
+            pool._move(_MANY)
+            pauses.breathe()
+        self._place = None
+        start = len(pool)
+        codes = np.empty(len(self), np.int32)
+        fresh: list[str] = []
+        late: dict[str, int] = {}
+        done = 0
+        for part in slices(self._strings, _MANY, pauses):
+            found = np.fromiter(map(pool.find, part), np.int32, len(part))
+            lacking = np.flatnonzero(found < 0)
+            first = start + len(fresh)
+            found[lacking] = np.arange(first, first + len(lacking), dtype=np.int32)
+            codes[done : done + len(part)] = found
+            done += len(part)
+            new = [part[i] for i in lacking.tolist()]
+            late.update(zip(new, range(first, first + len(new)), strict=True))
+            fresh += new
+        self._place = Place(pool, start, codes, fresh, late)
+
+    def has_place(self, pool: StringPool) -> bool:
+        """Whether `codes_in` is quick."""
+        return self._place is not None and self._place.pool is pool and self._place.holds
+
+    def codes_in(self, pool: StringPool) -> Codes:
+        """The codes of all its strings in ``pool``, which gets those that it lacks. Cost: O(1)
+        Python where `has_place`; else `encode`."""
+        place, self._place = self._place, None
+        if place is None or place.pool is not pool or not place.holds:
+            return pool.encode(self._strings)
+        if place.fresh:
+            pool._move(len(pool._late))
+            pool._late, pool._moved = place.late, len(pool)
+            pool._strings.extend(place.fresh)
+        return place.codes
+
+    def _move(self, count: int) -> None:
+        """Put so many of the late ones in their place."""
+        end = min(self._moved + count, len(self._strings))
+        part = self._strings[self._moved : end]
+        self._codes.update(zip(part, range(self._moved, end), strict=True))
+        self._moved = end
+        if end == len(self._strings):
+            self._late = {}

@@ -1,0 +1,1 @@
+"""States of several streams at common times."""

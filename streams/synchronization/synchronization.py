@@ -1,0 +1,304 @@
+"""State synchronization of several streams ([DyKnow10 §5.4, §7.4], SPEC §1)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..inputs import NOTHING_KNOWN, Input, known_of
+from ..policies.policy import GRID_LIMIT, Constraint, Order, SynchronizationPolicy
+from ..sample import Mask, SampleBatch, Times, concatenate
+from ..time import TIME_MAX, TIME_MIN
+from ..tuples import TupleBatch
+from .change_states import ChangeStates
+from .complete_states import CompleteStates
+from .grid_states import GridStates, LateRows, Made
+from .monotone_states import MonotoneStates
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Late:
+    """Samples of one input that came too late for a state, or in no order; ``at`` says when."""
+
+    input: int
+    batch: SampleBatch
+    constraint: Constraint
+    at: Times
+
+
+@dataclass(slots=True)
+class StateCounters:
+    """What became of the samples and states.
+
+    ``complete`` of the ``states`` had every input that had not ended. ``approximated`` values are
+    of another valid time than the state's, ``unknown`` ones are no_value. ``late`` samples came
+    after the first state that could have used them, ``dropped`` ones broke the order.
+    ``incomplete`` states were never complete and never left; ``pending`` ones still wait.
+    """
+
+    received: int = 0
+    states: int = 0
+    complete: int = 0
+    approximated: int = 0
+    unknown: int = 0
+    late: int = 0
+    dropped: int = 0
+    incomplete: int = 0
+    pending: int = 0
+
+
+class Synchronization:
+    """States of n inputs under a policy.
+
+    ``sample every s`` makes a state at every ``from + k*s``, any other change at every valid time
+    of a sample in the duration. Without ``from`` the grid are the multiples of s from the valid
+    time of the first sample that arrives, but from none whose deadline had passed before it came.
+    The state for t leaves at L_t = max(c_t, L_before + 1), in order of t. c_t is t + max delay, or
+    the moment before at which every input not ended has a sample valid at t, or at t or later
+    where its valid times do not decrease. An input ends the moment after all it has promised; at
+    the end of the last input nothing is complete that was not. Where states wait for ever
+    (``max delay oo``) and some input is in any order, they leave in order of (c_t, t) instead, and
+    an incomplete one holds back no other. A value is the most recent sample at t among those
+    available at L_t; without approximation only if it is valid at t.
+
+    Monotone inputs (``monotone[i]``, or all by the policy's order) lose samples that decrease.
+
+    Law: what is given does not depend on how inputs were cut or interleaved, and everything that
+    leaves by `known` has been given. Cost: `GridStates`, `MonotoneStates`, `ChangeStates`,
+    `CompleteStates`; each push that moves `known` copies what is kept. Memory: the samples that a
+    state to come may use.
+    """
+
+    def __init__(
+        self,
+        policy: SynchronizationPolicy,
+        monotone: Sequence[bool],
+        on_late: Callable[[Late], None] | None = None,
+        *,
+        limit: int = GRID_LIMIT,
+    ) -> None:
+        if not monotone:
+            raise ValueError("a synchronization has at least one input")
+        self._policy = policy
+        self._monotone = [each or policy.order is not Order.ANY for each in monotone]
+        self._inputs = [Input() for _ in monotone]
+        self._kept: list[SampleBatch | None] = [None] * len(monotone)
+        self._reach = [NOTHING_KNOWN] * len(monotone)
+        self._news: list[tuple[int, int] | None] = [None] * len(monotone)
+        self._on_late = on_late
+        self._states: GridStates | ChangeStates | MonotoneStates | CompleteStates
+        if policy.period is not None:
+            self._states = GridStates(policy, self._monotone, limit)
+        elif all(self._monotone):
+            self._states = MonotoneStates(policy, len(monotone))
+        elif policy.max_delay is None:
+            self._states = CompleteStates(policy, self._monotone)
+        else:
+            self._states = ChangeStates(policy, self._monotone)
+        self._done = NOTHING_KNOWN
+        self._finished = False
+        self.counters = StateCounters()
+
+    @property
+    def known(self) -> int | None:
+        """No later state leaves at or before it; None before all inputs have begun."""
+        return known_of(self._inputs)
+
+    @property
+    def policy(self) -> SynchronizationPolicy:
+        """What the states are like."""
+        return self._policy
+
+    @property
+    def monotone(self) -> Sequence[bool]:
+        """Of which inputs the valid times do not decrease."""
+        return self._monotone
+
+    @property
+    def ends(self) -> Sequence[int | None]:
+        """The moment from which on each input is not waited for; None of one that goes on."""
+        return [input.ended_at for input in self._inputs]
+
+    @property
+    def retained(self) -> int:
+        """How many samples are kept."""
+        kept = sum(len(batch) for batch in self._kept if batch is not None)
+        return kept + sum(input.waiting for input in self._inputs)
+
+    def push(self, input: int, batch: SampleBatch) -> list[TupleBatch]:
+        """Samples of ``input`` in order; the states that leave, at most 65,536 a batch."""
+        self._inputs[input].push(batch, self._done)
+        self.counters.received += len(batch)
+        return self._proceed()
+
+    def advance(self, input: int, watermark: int) -> list[TupleBatch]:
+        """Every later sample of ``input`` is available at ``watermark`` or later."""
+        self._inputs[input].advance(watermark)
+        return self._proceed()
+
+    def decided(self, input: int) -> int:
+        """A sample of ``input`` that is available by then comes too late: states were given
+        without it, or it was promised not to come."""
+        return max(self._inputs[input].known, self._done)
+
+    def resume(self, input: int) -> None:
+        """``input`` had ended and goes on: it is waited for again."""
+        self._inputs[input].resume()
+
+    def end(self, input: int) -> list[TupleBatch]:
+        """``input`` has no more samples."""
+        self._inputs[input].end()
+        return self._proceed()
+
+    def _proceed(self) -> list[TupleBatch]:
+        known = known_of(self._inputs)
+        if known is None:
+            return []
+        excused = [input.ended_at for input in self._inputs]
+        finishing = all(moment is not None for moment in excused)
+        if finishing:
+            known = max(input.known for input in self._inputs)
+            # With the last input's end there is no input left that could complete a state.
+            excused = [None if moment == known + 1 else moment for moment in excused]
+        elif known <= self._done:
+            return []
+        if finishing and self._finished:
+            return []
+        self._finished = finishing
+        tables, fresh, dropped = self._collect(known)
+        made, late = self._states.run(tables, fresh, known, excused)
+        self._done = max(self._done, known)
+        if finishing:
+            news = [each for each in self._news if each is not None]
+            last = (max(v for v, _ in news), max(a for _, a in news)) if news else None
+            tail, self.counters.incomplete = self._states.finish(tables, excused, last)
+            made += tail
+        self._tell(tables, late, dropped)
+        self._prune(tables)
+        self.counters.pending = 0 if finishing else self._states.pending
+        return [self._state_batch(part, tables) for part in made]
+
+    def _collect(self, known: int) -> tuple[list[SampleBatch], list[int], list[Late]]:
+        """Kept and new samples of each input, where the new begin, and what broke the order."""
+        tables: list[SampleBatch] = []
+        fresh: list[int] = []
+        dropped: list[Late] = []
+        for i, input in enumerate(self._inputs):
+            parts = input.take(known)
+            kept = self._kept[i]
+            fresh.append(0 if kept is None else len(kept))
+            if not parts:
+                tables.append(input.empty() if kept is None else kept)
+                continue
+            new = concatenate(parts)
+            if self._monotone[i]:
+                falls = falling(new.valid, self._reach[i])
+                if falls is not None:
+                    lost = new.take(falls)
+                    dropped.append(Late(i, lost, Constraint.ORDER, lost.available))
+                    new = new.take(~falls)
+            if len(new):
+                newest, at = self._newest(i, new)
+                self._reach[i] = max(self._reach[i], newest)
+                self._news[i] = max((newest, at), self._news[i] or (newest, at))
+            tables.append(new if kept is None else concatenate([kept, new]))
+        return tables, fresh, dropped
+
+    def _newest(self, input: int, batch: SampleBatch) -> tuple[int, int]:
+        """The greatest valid time, and the last available time of a sample with it."""
+        if self._monotone[input]:
+            return int(batch.valid[-1]), int(batch.available[-1])
+        newest = int(batch.valid.max())
+        return newest, int(batch.available[np.flatnonzero(batch.valid == newest)[-1]])
+
+    def _tell(
+        self, tables: Sequence[SampleBatch], late: Sequence[LateRows], dropped: Sequence[Late]
+    ) -> None:
+        """Count and report what was late or dropped, in order of moment, then of input."""
+        told = [*dropped]
+        self.counters.dropped += sum(len(each.batch) for each in dropped)
+        for i, rows, constraint in late:
+            if len(rows):
+                batch = tables[i].take(rows)
+                told.append(Late(i, batch, constraint, batch.available))
+                self.counters.late += len(rows)
+        if self._on_late is None or not told:
+            return
+        moments = np.concatenate([each.at for each in told])
+        source = np.repeat(np.arange(len(told)), [len(each.at) for each in told])
+        place = np.concatenate([np.arange(len(each.at)) for each in told])
+        order = np.lexsort((np.array([each.input for each in told])[source], moments))
+        source, place = source[order], place[order]
+        cuts = np.flatnonzero(np.diff(source)) + 1
+        for run, rows in zip(np.split(source, cuts), np.split(place, cuts), strict=True):
+            each = told[int(run[0])]
+            batch = each.batch.take(rows)
+            self._on_late(Late(each.input, batch, each.constraint, batch.available))
+
+    def _prune(self, tables: Sequence[SampleBatch]) -> None:
+        """Keep what a state to come may use: later samples, and the most recent before them."""
+        if isinstance(self._states, CompleteStates):
+            for i, table in enumerate(tables):
+                of_use = table.take(self._states.of_use(table))
+                self._kept[i] = of_use_in_any_order(of_use, NOTHING_KNOWN, TIME_MAX)
+            return
+        floor, last = self._states.floor, self._policy.duration.last
+        for i, table in enumerate(tables):
+            if len(table):
+                prune = of_use_in_order if self._monotone[i] else of_use_in_any_order
+                self._kept[i] = prune(table, floor, last)
+
+    def _state_batch(self, part: Made, tables: Sequence[SampleBatch]) -> TupleBatch:
+        available, valid, rows, complete = part
+        counters = self.counters
+        counters.states += len(available)
+        counters.complete += int(complete.sum())
+        for table, chosen in zip(tables, rows, strict=True):
+            absent = chosen < 0
+            unknown = int(absent.sum())
+            counters.unknown += unknown
+            if len(table):
+                other = (table.valid[chosen] != valid) & ~absent
+                counters.approximated += int(other.sum())
+        return TupleBatch(available, valid, tuple(tables), rows)
+
+
+def falling(valid: Times, reach: int) -> Mask | None:
+    """Which of ``valid`` are less than one before or than ``reach``; None for none."""
+    if valid[0] >= reach and (len(valid) == 1 or bool((valid[1:] >= valid[:-1]).all())):
+        return None
+    highest = np.maximum.accumulate(valid)
+    if reach > highest[0]:
+        highest = np.maximum(highest, reach)
+    return valid < highest
+
+
+def of_use_in_order(table: SampleBatch, floor: int, last: int) -> SampleBatch:
+    """The last sample of each valid time up to ``last``, from the last one valid at ``floor`` or
+    before on; valid times do not decrease."""
+    valid = table.valid
+    start, stop = 0, len(valid)
+    if floor >= TIME_MIN:
+        start = max(0, int(valid.searchsorted(floor, "right")) - 1)
+    if valid[-1] > last:
+        stop = max(start, int(valid.searchsorted(last, "right")))
+    if stop - start > 1:
+        repeated = valid[start + 1 : stop] == valid[start : stop - 1]
+        if bool(repeated.any()):
+            return table.take(np.append(np.flatnonzero(~repeated) + start, stop - 1))
+    # Indices, not a slice: a view would keep the whole table in memory.
+    return table if stop - start == len(valid) else table.take(np.arange(start, stop))
+
+
+def of_use_in_any_order(table: SampleBatch, floor: int, last: int) -> SampleBatch:
+    """The same where valid times may decrease; in order of available time."""
+    rows = np.lexsort((table.available, table.valid))
+    valid = table.valid[rows]
+    final = np.ones(len(valid), np.bool_)
+    final[:-1] = valid[1:] != valid[:-1]
+    past = int(np.searchsorted(valid, floor, "right")) if floor >= TIME_MIN else 0
+    final[: max(0, past - 1)] = False
+    final &= valid <= last
+    return table if bool(final.all()) else table.take(np.sort(rows[final]))

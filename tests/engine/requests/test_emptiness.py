@@ -1,0 +1,83 @@
+"""A request or query that has given nothing says why (`engine/requests/empty_reasons.py`)."""
+
+import pytest
+from feeding import feed
+
+from dyknow.engine.model.views import StreamDeclaration
+from dyknow.streams.sample import Field, FieldType
+
+FIELDS = (Field("id", FieldType.STRING), Field("spd", FieldType.FLOAT))
+SSL = "stream s contains speed(UAV) = spd [km.h-1] for every UAV = id"
+QUERY = """REGISTER QUERY q AS SELECT ?o ?v FROM STREAM <http://www.ida.liu.se/dyknow/s.trdf>
+[RANGE 2s STEP 1s] WHERE {{ {} }}"""
+SPEED = "?o dyknow:speed ?v"
+
+
+@pytest.fixture
+def flying(engine):
+    engine.declare(StreamDeclaration("s", FIELDS, lateness=0))
+    engine.annotate(SSL)
+    return engine
+
+
+def registered(engine, where):
+    return engine.queries.register(QUERY.format(where)).name
+
+
+def fly(engine, speed=10.0, id="uav1", seconds=20):
+    feed(engine, "s", [(second, {"id": id, "spd": speed}) for second in range(seconds)])
+
+
+@pytest.mark.parametrize(
+    ("where", "said"),
+    [
+        ("?o a dyknow:Car ; dyknow:speed ?v", "no member of dyknow:Car seen"),
+        ("?o dyknow:altitude ?v", "no stream that it reads is annotated with dyknow:altitude"),
+        (SPEED + " FILTER (?v > 100)", "windows fulfilled the query's conditions"),
+    ],
+)
+def test_what_is_lacking(flying, where, said):
+    name = registered(flying, where)
+    assert flying.queries.view(name).empty == "no sample read yet from s"
+    fly(flying)
+    told = flying.queries.view(name).empty
+    assert told.startswith("20 samples read, 20 triples: ")
+    assert told.endswith(said)
+
+
+def test_no_triples(flying):
+    name = registered(flying, SPEED)
+    fly(flying, speed=None)
+    assert flying.queries.view(name).empty == (
+        "20 samples read, 0 triples: no sample had an object that the annotation speaks of, and "
+        "a value"
+    )
+
+
+def test_no_window_yet(flying):
+    name = registered(flying, SPEED)
+    fly(flying, seconds=1)
+    assert flying.queries.view(name).empty == "1 samples read, 1 triples: no window has closed yet"
+
+
+def test_nothing_is_said_of_what_has_given_something(flying, high_speed):
+    name = registered(flying, SPEED)
+    flying.register_template(high_speed)
+    id = flying.request_event(flying.parse_request("dyknow:HighSpeedEvent(?o, dyknow:UAV, 100)")).id
+    fly(flying)
+    assert flying.queries.view(name).empty is None
+    assert "windows fulfilled" in flying.event(id).empty
+
+
+def test_what_a_policy_dropped(flying):
+    flying.declare(StreamDeclaration("fixes", FIELDS))
+    flying.add_kpl("source fix fixes\nstrmgen f = fixes\nstream few = f with sample every 10 s")
+    flying.annotate(SSL.replace("stream s ", "stream few "))
+    text = QUERY.format(SPEED + " FILTER (?v > 100)").replace("s.trdf", "few.trdf")
+    name = flying.queries.register(text).name
+    rows = [(second, {"id": "uav1", "spd": 1.0}) for second in range(21)]
+    feed(flying, "fixes", rows)
+    flying.end("fixes")
+    told = flying.queries.view(name).empty
+    assert told.startswith("3 samples read, 3 triples: ")
+    assert told.endswith("18 dropped by `sample every 10000`")

@@ -1,0 +1,221 @@
+"""A history answer comes in pieces, each encoded when the one before it is taken."""
+
+from __future__ import annotations
+
+import asyncio
+import io
+import json
+from collections.abc import Iterator
+from typing import Any
+
+import httpx
+import pyarrow as pa
+import pytest
+from fastapi import Response
+from fastapi.responses import StreamingResponse
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dyknow.converters.arrow.stream import decode_arrow
+from dyknow.service.client.client import Client
+from dyknow.service.client.connection import ServiceError
+from dyknow.service.config.media_types import ARROW, CSV, JSON, NDJSON, NTRIPLES
+from dyknow.service.config.settings import Settings
+from dyknow.service.http import history_encoding
+from dyknow.service.http.history_encoding import (
+    PIECE_BYTES,
+    PIECE_SAMPLES,
+    history_answer,
+    pieces,
+)
+from dyknow.streams.sample import (
+    Field,
+    FieldType,
+    SampleBatch,
+    Schema,
+    batch_from_rows,
+)
+
+KINDS = (NDJSON, JSON, CSV, ARROW, NTRIPLES)
+FIELDS = Schema((Field("t", FieldType.STRING), Field("v", FieldType.FLOAT)))
+LINES = {"Content-Type": NDJSON}
+
+
+@pytest.fixture
+def settings(settings: Settings) -> Settings:
+    return settings.model_copy(update={"batch_samples": 1_500})
+
+
+def test_questions_about_the_past(http: httpx.Client, client: Client) -> None:
+    """[DyKnow10 Def. 5.5-5.7], and 410 where the stream has forgotten what the answer needs."""
+    retention = {"samples": 3}
+    client.put_stream("s", {"v": "integer"}, retention=retention)
+    rows = [(10, 5), (11, 3), (12, 6), (13, 6)]
+    lines = [{"available": a, "valid": v, "v": i} for i, (a, v) in enumerate(rows)]
+    client.publish("s", lines[:3])
+    asked = {"at": 5, "before": 5, "prev": 12, "last_avail": 11, "valid_from": 4, "start": 10}
+    found = {key: [s["v"] for s in client.history("s", **{key: t})] for key, t in asked.items()}
+    assert found == {
+        "at": [0],
+        "before": [0, 1],
+        "prev": [1],
+        "last_avail": [1],
+        "valid_from": [0, 2],
+        "start": [0, 1, 2],
+    }
+    assert [s["v"] for s in client.history("s", at=5, known=9)] == []
+    client.publish("s", lines[3:])
+    for question in ({"at": 5}, {"before": 5}, {"prev": 11}, {"last_avail": 10}, {"valid_to": 5}):
+        with pytest.raises(ServiceError) as refused:
+            client.history("s", **question)
+        assert refused.value.status == 410
+        assert refused.value.problem["oldest"] == "1970-01-01T00:00:00.000000011Z"
+    with pytest.raises(ServiceError, match="forgotten"):
+        client.history("s", start=10)
+    assert [s["v"] for s in client.history("s", at=6)] == [3]
+    assert [s["v"] for s in client.history("s", start=11)] == [1, 2, 3]
+    assert [s["v"] for s in client.history("s")] == [1, 2, 3]
+    for wrong in ("at=1&prev=2", "at=1&valid_from=2", "known=3", "prev=1&known=2", "before=soon"):
+        assert http.get(f"/streams/s/samples?{wrong}").status_code == 400
+    with pytest.raises(TypeError, match="later"):
+        client.history("s", later=1)
+
+
+def batch(*sizes: int | None) -> SampleBatch:
+    """A sample each, with a text so long."""
+    texts = [None if size is None else "x" * size for size in sizes]
+    return batch_from_rows(FIELDS, [(i, i, {"t": t, "v": 0.5}) for i, t in enumerate(texts)])
+
+
+def told(part: SampleBatch) -> list[str]:
+    return [f"<urn:{time}> <urn:p> <urn:o> ." for time in part.available.tolist()]
+
+
+@given(st.lists(st.sampled_from([None, 0, 1, PIECE_BYTES // 3, PIECE_BYTES, 2 * PIECE_BYTES])))
+def test_pieces_are_the_batch_and_have_a_bound(sizes: list[int | None]) -> None:
+    whole = batch(*sizes)
+    parts = list(pieces(whole))
+    assert [row for part in parts for row in part.rows()] == list(whole.rows())
+    assert len(parts) == 1 or all(map(len, parts))
+    for part, following in zip(parts, [*parts[1:], None], strict=True):
+        texts = [len(str(values["t"] or "")) for _, _, values in part.rows()]
+        assert len(part) <= 1 or sum(texts) <= PIECE_BYTES
+        if following is not None:  # no piece is smaller than it must be
+            first = next(iter(following.rows()))[2]["t"]
+            assert sum(texts) + len(str(first or "")) + 112 * (len(part) + 1) > PIECE_BYTES
+
+
+def test_pieces_have_so_many_samples() -> None:
+    counts = [len(part) for part in pieces(batch(*[None] * (2 * PIECE_SAMPLES + 1)))]
+    assert sum(counts) == 2 * PIECE_SAMPLES + 1
+    assert max(counts) <= PIECE_SAMPLES
+
+
+async def body_of(answer: Response) -> list[bytes]:
+    if not isinstance(answer, StreamingResponse):
+        return [bytes(answer.body)]
+    return [bytes(piece) async for piece in answer.body_iterator]  # type: ignore[arg-type]
+
+
+def count_of(table: bytes) -> int:
+    return int(pa.ipc.open_stream(table).read_all().num_rows)
+
+
+def rows_of(kind: str, body: bytes) -> list[Any]:
+    if kind == ARROW:
+        return list(decode_arrow(body, FIELDS, {}).batch.rows()) if count_of(body) else []
+    return json.loads(body) if kind == JSON else body.splitlines()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("count", [0, 1, 2, 3, 7])
+def test_in_pieces_it_says_what_it_says_in_one(
+    kind: str, count: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def both() -> tuple[list[bytes], list[bytes]]:
+        given = batch(*[100] * count)
+        whole = await body_of(await history_answer(kind, given, told))
+        monkeypatch.setattr(history_encoding, "PIECE_BYTES", 500)
+        return whole, await body_of(await history_answer(kind, given, told))
+
+    whole, parts = asyncio.run(both())
+    assert (len(whole), len(parts)) == (1, max(1, (count + 1) // 2))
+    assert rows_of(kind, b"".join(parts)) == rows_of(kind, whole[0])
+    if kind != ARROW:
+        assert b"".join(parts) == whole[0]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_nothing_is_encoded_before_it_is_asked_for(
+    kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    taken = 0
+    cut = pieces
+
+    def counted(whole: SampleBatch) -> Iterator[SampleBatch]:
+        nonlocal taken
+        for part in cut(whole):
+            taken += 1
+            yield part
+
+    async def some() -> list[int]:
+        answer = await history_answer(kind, batch(*[PIECE_BYTES] * 10), told)
+        assert isinstance(answer, StreamingResponse)
+        before = taken
+        return [before, *[taken async for _ in answer.body_iterator]]
+
+    monkeypatch.setattr(history_encoding, "pieces", counted)
+    # The one that is written, and the one that says whether it is the last.
+    assert asyncio.run(some()) == [3, 3, 3, 4, 5, 6, 7, 8, 9, 10, 10]
+
+
+def dictionary(count: int, text: str) -> bytes:
+    sink = io.BytesIO()
+    texts = pa.DictionaryArray.from_arrays(pa.array([0] * count, pa.int8()), pa.array([text]))
+    table = pa.table({"valid": pa.array(range(count), pa.int64()), "t": texts})
+    with pa.ipc.new_stream(sink, table.schema) as writer:
+        writer.write_table(table)
+    return sink.getvalue()
+
+
+def test_a_small_body_that_stands_for_much_is_answered_in_pieces(http: httpx.Client) -> None:
+    http.put("/streams/texts", json={"fields": {"t": "string"}}).raise_for_status()
+    body = dictionary(1_000, "x" * 60_000)
+    assert len(body) < 100_000
+    sent = http.post("/streams/texts/samples", content=body, headers={"Content-Type": ARROW})
+    assert sent.json() == {"accepted": 1_000}
+    with http.stream("GET", "/streams/texts/samples?limit=1000000") as answer:
+        assert "content-length" not in answer.headers
+        found = 0
+        for line in answer.iter_lines():
+            assert json.loads(line)["t"] == "x" * 60_000
+            found += 1
+    assert found == 1_000
+    short = http.get("/streams/texts/samples?limit=1")
+    assert int(short.headers["content-length"]) == len(short.content)
+
+
+def test_what_a_batch_may_have_is_a_setting(http: httpx.Client) -> None:
+    http.put("/streams/texts", json={"fields": {"t": "string"}}).raise_for_status()
+    good = json.dumps({"valid": 1, "t": "x" * 65_536}) + "\n"
+    bad = json.dumps({"valid": 1, "t": "x" * 65_537}) + "\n"
+
+    def send(path: str, content: bytes | str, kind: str = NDJSON) -> dict[str, Any]:
+        answer = http.post(
+            f"/streams/texts/samples{path}", content=content, headers={"Content-Type": kind}
+        )
+        return {"status": answer.status_code, **answer.json()}
+
+    assert send("", good)["accepted"] == 1
+    for path in ("", "/live"):
+        problem = send(path, good + bad)
+        assert (problem["status"], problem["line"]) == (400, 2)
+        assert "at most 65536 bytes" in problem["detail"]
+        problem = send(path, dictionary(3, "x" * 65_537), ARROW)
+        assert (problem["status"], problem["line"]) == (400, 1)
+        problem = send(path, dictionary(1_501, "x"), ARROW)
+        assert (problem["status"], "at most 1500 samples" in problem["detail"]) == (400, True)
+    lines = "".join(f'{{"valid": {i}, "t": null}}\n' for i in range(1_501))
+    assert send("", lines)["line"] == 1_501
+    # Of lines that come one by one there may be any number.
+    assert send("/live", lines)["accepted"] == 1_501
