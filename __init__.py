@@ -9,6 +9,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from .service.config.version import __version__
+
 if TYPE_CHECKING:
     from .continuous.evaluate import evaluate as evaluate
     from .engine.model.process_reports import Report as Report
@@ -18,7 +20,6 @@ if TYPE_CHECKING:
     from .service.client.client import Client as Client
     from .streams.single_sample import Sample as Sample
 
-__version__ = "0.1.0"
 __all__ = [
     "Client",
     "Report",

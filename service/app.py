@@ -7,7 +7,6 @@ from contextlib import asynccontextmanager
 import anyio
 from fastapi import FastAPI
 
-from .. import __version__
 from ..engine.durability.durable_engine import RecordedEngine
 from ..engine.engine import Engine
 from ..journal.errors import JournalError
@@ -21,6 +20,7 @@ from .admission.tokens import Tokens
 from .config.file_limits import places
 from .config.logs import log
 from .config.settings import Settings
+from .config.version import __version__
 from .durability.command_queue import Keeper
 from .http import problems
 from .http.access_log import Observe

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 import typer
 from typer.core import TyperGroup
 
-from ... import __version__
+from ..config.version import __version__
 from .output import JSON_WANTED, fail
 
 if TYPE_CHECKING:

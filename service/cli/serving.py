@@ -8,15 +8,13 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import typer
 
-from ... import __version__
 from ...engine.durability.durable_engine import RecordedEngine
 from ...engine.engine import Engine
-from ...engine.processes.loading import load_processes
 from ...journal.errors import JournalError, is_full
 from ...ontology.errors import OntologyError
 from ..admission.tokens import Scope, Tokens, TokensError
@@ -24,18 +22,17 @@ from ..app import create_app
 from ..config.file_limits import raise_limit
 from ..config.logs import configure, log
 from ..config.settings import Settings
+from ..config.version import __version__
 from ..runtime.context import Service
 from ..runtime.gc_policy import Garbage
 from ..runtime.process_watchdog import Watchdog
 from ..runtime.warm_up import Warming
 from ..server import bind, run, url_of
 from ..workers.services import Windows
-from .output import JSON_WANTED, err, fail
+from .loading import Say, load, say_to_people
+from .output import JSON_WANTED, fail
 from .recordings.demonstration import STREAM
 from .recordings.demonstration import flights as play_flights
-
-Say = Callable[[str], None]
-"""Tells people something."""
 
 
 def start(given: Mapping[str, Any], *, flights: bool) -> None:
@@ -44,7 +41,7 @@ def start(given: Mapping[str, Any], *, flights: bool) -> None:
     # What is imported stays for good: a start makes much, and would have it looked through often.
     gc.freeze()
     configure(settings.log_level, settings.log_json)
-    say = _say_in_the_log if settings.log_json else _say
+    say = _say_in_the_log if settings.log_json else say_to_people
     JSON_WANTED.set(settings.log_json)
     try:
         known = Tokens.of(settings)
@@ -118,11 +115,6 @@ def _reload_on_hangup(service: Service, settings: Settings) -> None:
         signal.signal(signal.SIGHUP, lambda *_: file.ask())
 
 
-def _say(text: str) -> None:
-    """To people who look on, beside the log."""
-    err().print(text, markup=False)
-
-
 def _say_in_the_log(text: str) -> None:
     """Where programs read standard error, every line is one of the log."""
     log().info(text)
@@ -173,13 +165,3 @@ def _engine(
         f"{recovery.replayed:,} done again since"
     )
     return engine
-
-
-def load(processes: Sequence[str], say: Say = _say) -> None:
-    """Load user-written processes, of installed packages too; a module that is named and cannot be
-    loaded is an error, of an installed one it is said and left."""
-    for report in load_processes(processes):
-        if report.error and report.origin in processes:
-            raise fail(f"{report.origin}: {report.error}")
-        if report.error:
-            say(f"not loaded: {report.origin}: {report.error}")

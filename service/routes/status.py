@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from fastapi import APIRouter, Query, Request, Response
 
-from ... import __version__
 from ...engine.durability.accepted_commands import QUERY, REQUEST, SUBSCRIPTION
 from ...streams.time import format_time
+from ..config.version import __version__
 from ..http.problems import responses
 from ..models import StatusModel, WaitingModel
 from ..runtime.context import Context

@@ -21,11 +21,11 @@ from prometheus_client import (
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
-from ... import __version__
 from ...engine.engine import Engine
 from ...streams.time import Clock
 from ..admission.memory_limit import Memory
 from ..config.logs import log
+from ..config.version import __version__
 from ..durability.command_queue import Keeper
 from ..durability.journal_metrics import JournalState
 from ..http.body_limit import UnderWay

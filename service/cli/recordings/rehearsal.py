@@ -30,8 +30,8 @@ from ....ontology.ontology import Ontology
 from ....streams.time import format_time
 from ...http.problems import problem_of
 from ...runtime.process_watchdog import Watchdog
+from ..loading import load
 from ..output import err, fail, show_lines, show_table, show_text, show_values
-from ..serving import load
 from ..streams import read_text, text_or_file
 
 

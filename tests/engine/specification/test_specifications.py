@@ -12,6 +12,7 @@ from dyknow.engine.engine import Engine
 from dyknow.engine.model.errors import Conflict, Refused
 from dyknow.languages.errors import LanguageError
 from dyknow.languages.specification import parse_specification
+from dyknow.ontology.registrations import Registrations
 
 CASES = TESTS / "cases" / "specification"
 COORDINATES = (
