@@ -16,6 +16,7 @@ from ...continuous.algebra.expressions import (
     Expression,
     Var,
 )
+from ...languages.csparql.functions import ACCESSORS
 from ...rdf.datatypes import INTEGERS
 from ...rdf.timed import DATATYPES, Kind
 
@@ -23,7 +24,9 @@ _BOOLEANS: Final = frozenset(
     {*COMPARISONS, "&&", "||", "!", "BOUND", "SAMETERM", "ISIRI", "ISBLANK", "ISLITERAL"}
     | {"ISNUMERIC", "REGEX", "CONTAINS", "STRSTARTS", "STRENDS", "LANGMATCHES"}
 )
-_INTEGERS: Final = frozenset({"STRLEN", "YEAR", "MONTH", "DAY", "HOURS", "MINUTES"})
+_INTEGERS: Final = frozenset(
+    {"STRLEN", "YEAR", "MONTH", "DAY", "HOURS", "MINUTES"} | {f"<{iri}>" for iri in ACCESSORS}
+)
 _SAME: Final = frozenset({"NEGATE", "ABS", "CEIL", "FLOOR", "ROUND"})
 _KINDS: Final = {datatype.value: kind for kind, datatype in DATATYPES.items()}
 _CASTS: Final = {f"<{datatype}>": kind for datatype, kind in _KINDS.items()}
@@ -41,7 +44,7 @@ def kind_of(
         case Var(name):
             return kinds.get(name)
         case Const(term):
-            return _of_literal(term) if isinstance(term, Literal) else None
+            return kind_of_datatype(term.datatype.value) if isinstance(term, Literal) else None
         case Call(name, arguments):
             if name in _BOOLEANS:
                 return Kind.BOOLEAN
@@ -84,6 +87,7 @@ def _of_numbers(
     return max(least, *numbers)
 
 
-def _of_literal(literal: Literal) -> Kind | None:
-    datatype = literal.datatype.value
-    return Kind.INTEGER if datatype in INTEGERS else _KINDS.get(datatype)
+def kind_of_datatype(datatype: str | None) -> Kind | None:
+    """The kind of the values of a datatype, None where they are neither numbers nor booleans. Those
+    derived from xsd:integer are integers."""
+    return Kind.INTEGER if datatype in INTEGERS else _KINDS.get(datatype or "")

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -29,16 +29,17 @@ from ...ontology.units import Unit
 from ...ontology.vocabulary import Vocabulary
 from ...rdf.datatypes import NUMBERS
 from ...rdf.namespaces import RDF, RDF_TYPE, RDFS, XSD, local_name, shorten
-from ...rdf.timed import DATATYPES, Kind
+from ...rdf.timed import Kind
 from ...sparql import ast
 from ...sparql.scope import shown
 from ...streams.sample import LONGEST_NAME, TIME_FIELDS, Schema
 from ...streams.string_pool import StringPool
 from ...templates.patterns import patterns
-from .computed_kinds import kind_of, one_kind
+from .computed_kinds import kind_of, kind_of_datatype, one_kind
 
 _AGGREGATE_KINDS = {"AVG": Kind.DOUBLE, "SUM": Kind.DOUBLE, "COUNT": Kind.INTEGER}
-_KIND_OF_RANGE = {datatype.value: kind for kind, datatype in DATATYPES.items()}
+_AMONG: Final = ("MIN", "MAX", "SAMPLE")
+"""Aggregates that give one of the values."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,12 +107,12 @@ def _form(tree: ast.Query, vocabulary: Vocabulary) -> ResultForm:
     if tree.form is not Form.CONSTRUCT:
         schema = result_schema(variables=list(shown(tree)), kinds=kinds_of)
         return ResultForm(schema, (), {}, ordered=bool(tree.order))
-    predicates: dict[str, Kind | None] = {}
+    predicates: dict[str, list[Kind | None]] = defaultdict(list)
     for triple in tree.template or ():
         if isinstance(triple.predicate, NamedNode):
             object = triple.object
-            kind = kinds_of.get(object.value) if isinstance(object, Variable) else None
-            predicates.setdefault(triple.predicate.value, kind)
+            kind = None if isinstance(object, BlankNode) else kind_of(_term(object), kinds_of)
+            predicates[triple.predicate.value].append(kind)
     units: dict[str, Unit] = {}
     for predicate in predicates:
         info = vocabulary.feature(predicate)
@@ -119,7 +120,7 @@ def _form(tree: ast.Query, vocabulary: Vocabulary) -> ResultForm:
             units[predicate] = info.unit
     schema = result_schema(
         predicates=list(predicates),
-        kinds={name: kind for name, kind in predicates.items() if kind is not None},
+        kinds={name: kind for name, of in predicates.items() if (kind := one_kind(of)) is not None},
         vocabulary=vocabulary,
     )
     return ResultForm(schema, tuple(predicates), units, _naming(tree, vocabulary))
@@ -240,60 +241,79 @@ def _is_class(range: str | None) -> bool:
 
 
 def _kinds(tree: ast.Query, vocabulary: Vocabulary) -> dict[str, Kind]:
-    """Kinds of the variables that are numbers or booleans: by the range of the feature whose
-    value they are, and by the expression or aggregate that computes them."""
+    """Kinds of the variables that are numbers or booleans: by the ranges of the features whose
+    values they are, by VALUES, and by the expressions or aggregates that compute them. Each may
+    hold in one branch of a UNION: the kind is one that all of them fit."""
     nodes = list(ast.walk(replace(tree, template=None)))
-    said, others = _ranges(nodes, vocabulary)
-    kinds = {name: kind for name, kind in said.items() if kind is not None}
-    aggregates: dict[ast.Aggregate, Variable] = {}
-    named = [(name, _translated(one, aggregates)) for name, one in _computed(nodes)]
-    made: dict[str, dict[int, Kind | None]] = defaultdict(dict)
-    # An alias is known when what it stands for is: once more until nothing new is learnt.
-    before = -1
-    while before < len(kinds):
-        before = len(kinds)
-        for aggregate, variable in aggregates.items():
-            known = _kind_of_aggregate(aggregate, kinds)
-            if known is not None:
-                kinds[variable.value] = known
-        for number, (name, expression) in enumerate(named):
-            found = None if expression is None else kind_of(expression, kinds, others)
-            made[name][number] = found
-            known = one_kind([*made[name].values()])
-            if known is not None:
-                kinds[name] = known
-    for name, kinds_of in made.items():
-        known = one_kind([*kinds_of.values(), *([said[name]] if name in said else [])])
-        if known is None:
-            # In a UNION the one may hold or the other: text fits both.
-            kinds.pop(name, None)
-        else:
-            kinds[name] = known
+    said, others = _said(nodes, vocabulary)
     for place in _names(tree, vocabulary):
-        # A number in one branch of a UNION, a name in another.
         if isinstance(place, Variable):
-            kinds.pop(place.value, None)
+            said[place.value].append(None)
+    aggregates: dict[ast.Aggregate, Variable] = {}
+    computed: dict[str, list[Expression | None]] = defaultdict(list)
+    for name, one in _computed(nodes):
+        computed[name].append(_translated(one, aggregates))
+    arguments = {
+        each: None if each.argument is None else _translated(each.argument, {})
+        for each in aggregates
+    }
+    kinds: dict[str, Kind] = {}
+    # An alias is known when what it stands for is: once more until nothing changes. Names of
+    # different scopes may stand for each other, so not for ever.
+    for _ in range(len(computed) + len(aggregates) + 2):
+        known = {name: list(found) for name, found in said.items()}
+        for each, variable in aggregates.items():
+            known[variable.value] = [_kind_of_aggregate(each, arguments[each], kinds, others)]
+        for name, expressions in computed.items():
+            known.setdefault(name, []).extend(
+                None if each is None else kind_of(each, kinds, others) for each in expressions
+            )
+        before, kinds = kinds, {}
+        for name, found in known.items():
+            if (kind := one_kind(found)) is not None:
+                kinds[name] = kind
+        if kinds == before:
+            break
     return kinds
 
 
-def _ranges(
+def _said(
     nodes: Iterable[object], vocabulary: Vocabulary
-) -> tuple[dict[str, Kind | None], set[str]]:
-    """The kinds of objects by the ranges of features, and the objects that are something else."""
-    said: dict[str, Kind | None] = {}
+) -> tuple[dict[str, list[Kind | None]], set[str]]:
+    """The kinds of variables by the ranges of features and by VALUES, and the variables that are
+    something else."""
+    said: dict[str, list[Kind | None]] = defaultdict(list)
     others: set[str] = set()
     for node in nodes:
-        if not isinstance(node, ast.Triple) or not isinstance(node.object, Variable):
-            continue
-        name, predicate = node.object.value, node.predicate
-        info = vocabulary.feature(predicate.value) if isinstance(predicate, NamedNode) else None
-        kind = _KIND_OF_RANGE.get((info.range if info else None) or "")
-        if info is not None and info.range is not None and kind is None:
-            others.add(name)
-        # In a UNION the one may hold or the other: text fits both.
-        if said.setdefault(name, kind) is not kind:
-            said[name] = None
+        if isinstance(node, ast.Triple) and isinstance(node.object, Variable):
+            name = node.object.value
+            for step in _last_steps(node.predicate):
+                info = vocabulary.feature(step.value) if isinstance(step, NamedNode) else None
+                range = None if info is None else info.range
+                said[name].append(kind_of_datatype(range))
+                if range is not None and said[name][-1] is None:
+                    others.add(name)
+        elif isinstance(node, ast.Values):
+            for row in node.rows:
+                for variable, term in zip(node.variables, row, strict=True):
+                    if term is not None:
+                        kind = kind_of(Const(term), {})
+                        said[variable.value].append(kind)
+                        if kind is None:
+                            others.add(variable.value)
     return said, others
+
+
+def _last_steps(path: ast.Path | Variable) -> Iterable[ast.Path | Variable]:
+    """The steps that a path may end with."""
+    match path:
+        case ast.Alternative(parts):
+            for part in parts:
+                yield from _last_steps(part)
+        case ast.Sequence(parts):
+            yield from _last_steps(parts[-1])
+        case _:
+            yield path
 
 
 def _computed(nodes: Iterable[object]) -> Iterable[tuple[str, ast.Expression]]:
@@ -320,11 +340,16 @@ def _translated(
         return None
 
 
-def _kind_of_aggregate(one: ast.Aggregate, kinds: Mapping[str, Kind]) -> Kind | None:
-    known = kinds.get(one.argument.value) if isinstance(one.argument, Variable) else None
-    if one.function == "SUM" and known is Kind.INTEGER:
-        return Kind.INTEGER
-    return _AGGREGATE_KINDS.get(one.function, known)
+def _kind_of_aggregate(
+    one: ast.Aggregate,
+    argument: Expression | None,
+    kinds: Mapping[str, Kind],
+    others: Set[str],
+) -> Kind | None:
+    known = None if argument is None else kind_of(argument, kinds, others)
+    if one.function in _AMONG or (one.function == "SUM" and known is Kind.INTEGER):
+        return known
+    return _AGGREGATE_KINDS.get(one.function)
 
 
 def _term(term: Variable | NamedNode | Literal) -> Expression:

@@ -111,6 +111,9 @@ COMPUTED = [
     ("xsd:integer(MAX(?v))", FieldType.INTEGER, 150),
     ("STR(MAX(?v))", FieldType.STRING, "150"),
     ("1 / 0", FieldType.FLOAT, None),
+    ("SUM(IF(?v > 100, 1, 0))", FieldType.INTEGER, 1),
+    ("MAX(?v * 2)", FieldType.FLOAT, 300.0),
+    ("GROUP_CONCAT(STR(?v))", FieldType.STRING, "150"),
 ]
 
 
@@ -137,6 +140,97 @@ def test_what_bind_computes_is_of_its_datatype(flying):
     assert [values for _, values in samples(flying, "computed")[:2]] == [
         {"sum": 1150.0, "either": "1"},
         {"sum": 1150.0, "either": "text"},
+    ]
+
+
+T1 = 1_000_000_000
+TIMED = "?o dyknow:speed ?z"
+TIMES = [
+    ("(f:timestamp(?z) AS ?x)", TIMED, T1),
+    ("(f:timestamp(?z) + 1 AS ?x)", TIMED, T1 + 1),
+    ("(dyknow-o:validTime(?z) AS ?x)", TIMED, T1),
+    ("(f:timestamp(?o, dyknow:speed, ?z) AS ?x)", TIMED, T1),
+    ("?x", f"{TIMED} BIND(dyknow-o:validTime(?o, dyknow:speed, ?z) AS ?x)", T1),
+    ("(MIN(?t) AS ?x)", f"{TIMED} BIND(f:timestamp(?z) AS ?t)", T1),
+    ("(MIN(f:timestamp(?z)) AS ?x)", TIMED, T1),
+    ("(MAX(?t) - MIN(?t) AS ?x)", f"{TIMED} BIND(f:timestamp(?z) AS ?t)", 0),
+]
+
+
+@pytest.mark.parametrize(("head", "where", "value"), TIMES)
+def test_times_of_triples_are_integers(flying, head, where, value):
+    view = flying.queries.register(
+        f"REGISTER QUERY times AS SELECT {head} FROM STREAM {S5} [RANGE 1s STEP 1s] "
+        f"WHERE {{ {where} }}"
+    )
+    assert view.fields == (Field("x", FieldType.INTEGER),)
+    play(flying)
+    assert samples(flying, "times")[0][1] == {"x": value}
+
+
+UNIONS = [
+    ("?x", "?o dyknow:speed ?v VALUES ?x { 1 2 }", FieldType.INTEGER, 1),
+    ("?x", "?o dyknow:speed ?v VALUES ?x { 1 2.5 UNDEF }", FieldType.FLOAT, None),
+    ("?x", "?o dyknow:speed ?v VALUES ?x { 1 'one' }", FieldType.STRING, "1"),
+    ("(?n + ?k AS ?x)", "?o dyknow:level ?n VALUES ?k { 1 2 }", FieldType.INTEGER, 8),
+    ("(?n + 1 AS ?x)", "?o dyknow:small ?n", FieldType.INTEGER, 8),
+    ("?x", "?o dyknow:small ?x", FieldType.INTEGER, 7),
+    ("?x", "{ ?o dyknow:speed ?x } UNION { ?o dyknow:altitude ?x }", FieldType.FLOAT, 150.0),
+    ("?x", "{ ?o dyknow:level ?x } UNION { ?o dyknow:altitude ?x }", FieldType.FLOAT, 7.0),
+    ("?x", "{ ?o dyknow:level ?x } UNION { ?o dyknow:small ?x }", FieldType.INTEGER, 7),
+    ("?x", "?o dyknow:level|dyknow:altitude ?x", FieldType.FLOAT, 7.0),
+    (
+        "(MAX(?y) AS ?x)",
+        "{ ?o dyknow:level ?y } UNION { ?o dyknow:altitude ?y }",
+        FieldType.FLOAT,
+        1000.0,
+    ),
+    (
+        "(MAX(?y) AS ?x)",
+        "{ ?o dyknow:level ?y } UNION { ?o dyknow:speed ?v BIND(?v / 4 AS ?y) }",
+        FieldType.FLOAT,
+        37.5,
+    ),
+    ("?x", "{ ?o dyknow:level ?x } UNION { ?o dyknow:call ?x }", FieldType.STRING, "7"),
+    ("?x", "{ ?o dyknow:level ?x } UNION { ?o dyknow:unknown ?x }", FieldType.STRING, "7"),
+]
+RANGES = """@prefix : <http://www.dyknow.eu/ontology#> .
+@prefix d: <http://www.ida.liu.se/dyknow/> .
+@prefix owl: <http://www.w3.org/2002/07/owl#> . @prefix xsd: <http://www.w3.org/2001/XMLSchema#> .
+@prefix rdfs: <http://www.w3.org/2000/01/rdf-schema#> .
+d:level a :UnaryFeature, owl:DatatypeProperty ; rdfs:range xsd:integer .
+d:small a :UnaryFeature, owl:DatatypeProperty ; rdfs:range xsd:int .
+d:call a :UnaryFeature, owl:DatatypeProperty ; rdfs:range xsd:string ."""
+
+
+@pytest.mark.parametrize(("head", "where", "type", "value"), UNIONS)
+def test_numbers_of_several_kinds_are_of_the_wider(engine, head, where, type, value):
+    engine.ontology.load(RANGES, name="ranges")
+    engine.annotate(
+        "stream s5 contains speed(UAV) = spd, altitude(UAV) = alt, level(UAV) = l, small(UAV) = l, "
+        "call(UAV) = c for every UAV = id"
+    )
+    view = engine.queries.register(
+        f"REGISTER QUERY q AS SELECT {head} FROM STREAM {S5} [RANGE 1s STEP 1s] WHERE {{ {where} }}"
+    )
+    assert view.fields == (Field("x", type),)
+    row = {"id": "uav1", "spd": 150.0, "alt": 1000.0, "l": 7, "c": "AFR12"}
+    play(engine, [(1, row), (2, row)])
+    assert samples(engine, "q")[0][1].get("x") == value
+
+
+def test_a_constructed_feature_fits_all_of_its_objects(flying):
+    view = flying.queries.register(
+        "REGISTER STREAM both AS PREFIX x: <http://x.example/> "
+        "CONSTRUCT { ?o x:n 1 . ?p x:n ?half } "
+        f"FROM STREAM {S5} [RANGE 1s STEP 1s] "
+        "WHERE { ?o dyknow:speed ?v BIND(dyknow:other AS ?p) BIND(?v / 4 AS ?half) }"
+    )
+    assert view.fields == (Field("id", FieldType.STRING), Field("n", FieldType.FLOAT))
+    play(flying)
+    assert [values for _, values in samples(flying, "both")[:2]] == [
+        {"id": "other", "n": 37.5},
+        {"id": "uav2", "n": 1.0},
     ]
 
 
