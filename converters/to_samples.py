@@ -230,9 +230,9 @@ class ResultConverter:
     Samples are ordered by the schema's fields, first to last (no_value first, text by code point),
     so that the output does not depend on the evaluator; ``keep_order`` keeps ORDER BY's.
 
-    Raises `ConversionError` for an object that its field cannot hold and for a predicate that
-    ``predicates`` did not name. Cost: numpy per column; the texts of a field are sorted once while
-    no new ones come, those of the result alone where some do.
+    Raises `ConversionError` for a predicate that ``predicates`` did not name, and for an object
+    that its field cannot hold unless there is a list `lost`. Cost: numpy per column; the texts of a
+    field are sorted once while no new ones come, those of the result alone where some do.
     """
 
     def __init__(
@@ -249,6 +249,8 @@ class ResultConverter:
         self._namespace = namespace
         self._fields = field_names(predicates)
         self._keep_order = keep_order
+        self.lost: list[ConversionError] | None = None
+        """Gets the first error of each field and result; such values become no_value."""
         self._ranks: dict[str, tuple[StringPool, Ids]] = {}
         self._sizes: dict[str, int] = {}
         """How many texts a field had when they were ordered last."""
@@ -329,7 +331,7 @@ class ResultConverter:
 
     def _field(self, field: Field, objects: ObjectColumn, dictionary: TermDictionary) -> Column:
         pool = self._pools.get(field.name)
-        return field_column(field, objects, dictionary, pool, self._namespace)
+        return field_column(field, objects, dictionary, pool, self._namespace, self.lost)
 
     def _stamped(
         self, columns: Mapping[str, Column], length: int, valid: int, available: int

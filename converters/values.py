@@ -49,6 +49,8 @@ _INTEGERS: Final[dict[str, tuple[int, int]]] = {
 """Datatypes derived from xsd:integer: their literals are terms (the datatype must be kept), within
 the bounds that 64 bits leave."""
 _EXACT = 2**53
+_SHOWN: Final = 100
+"""Characters of a term in a message."""
 
 
 def field_type(range: str | None, kind: Kind | None = None) -> FieldType:
@@ -129,12 +131,14 @@ def field_column(
     dictionary: TermDictionary,
     pool: StringPool | None,
     namespace: str,
+    lost: list[ConversionError] | None = None,
 ) -> Column:
     """Objects read back into a field, shape ``(n,)``: the inverse of `object_column`.
 
     Text fields take any term: names of IRIs (`object_name`), texts of literals. Number fields take
     numbers of any datatype; INF and NaN, which no sample holds, become no_value. Raises
-    `ConversionError`, naming the row, for an object that the field cannot hold.
+    `ConversionError`, naming the row, for an object that the field cannot hold; where there is
+    ``lost``, the first such error goes there, and each such object becomes no_value.
     """
     kind, null = objects.kind, objects.null
     match field.type:
@@ -143,18 +147,18 @@ def field_column(
             return _text(objects, dictionary, pool, namespace)
         case FieldType.FLOAT if kind.is_number:
             values = objects.values.astype(np.float64)
-            lost = ~np.isfinite(values)
-            if lost.any():
-                null = lost if null is None else lost | null
+            infinite = ~np.isfinite(values)
+            if infinite.any():
+                null = infinite if null is None else infinite | null
             return Column(field.type, values, null)
         case FieldType.INTEGER if kind is Kind.INTEGER:
             return Column(field.type, objects.values, null)
-        case FieldType.INTEGER if kind.is_number:
+        case FieldType.INTEGER if kind.is_number and (lost is None or _is_integral(objects)):
             return Column(field.type, _integral(field.name, objects.values, null), null)
         case FieldType.BOOLEAN if kind is Kind.BOOLEAN:
             return Column(field.type, objects.values, null)
         case FieldType.FLOAT | FieldType.INTEGER | FieldType.BOOLEAN:
-            return _parsed(field, objects, dictionary, namespace)
+            return _parsed(field, objects, dictionary, namespace, lost)
         case _:
             assert_never(field.type)
 
@@ -250,7 +254,11 @@ def _term_text(term: Term, namespace: str) -> str:
 
 
 def _parsed(
-    field: Field, objects: ObjectColumn, dictionary: TermDictionary, namespace: str
+    field: Field,
+    objects: ObjectColumn,
+    dictionary: TermDictionary,
+    namespace: str,
+    lost: list[ConversionError] | None,
 ) -> Column:
     """Terms that are no column of numbers: each distinct one is read once."""
     present = np.flatnonzero(objects.present)
@@ -258,21 +266,38 @@ def _parsed(
         objects.values[present], return_index=True, return_inverse=True
     )
     read: list[Any] = []
-    for value, row in zip(distinct, first.tolist(), strict=True):
+    error = None
+    unread = np.zeros(len(distinct), np.bool_)
+    for place, (value, row) in enumerate(zip(distinct, first.tolist(), strict=True)):
         term = make_term(objects.kind, value, dictionary)
         parsed = _term_value(field.type, term, namespace)
         if parsed is None:
-            raise ConversionError(
-                f"{term} is no {field.type} value", row=int(present[row]), field=field.name
+            unread[place] = True
+            error = error or ConversionError(
+                f"{_shortened(term)} is no {field.type} value",
+                row=int(present[row]),
+                field=field.name,
             )
-        read.append(parsed)
+        read.append(parsed or 0)
+    if error is not None:
+        if lost is None:
+            raise error
+        lost.append(error)
     values = np.zeros(len(objects), field.type.dtype)
+    gone = np.zeros(len(objects), np.bool_)
     if read:
         values[present] = np.array(read, field.type.dtype)[inverse]
-    null, lost = objects.null, ~np.isfinite(values)
-    if lost.any():
-        null = lost if null is None else lost | null
+        gone[present] = unread[inverse]
+    gone |= ~np.isfinite(values)
+    null = objects.null
+    if gone.any():
+        null = gone if null is None else gone | null
     return Column(field.type, values, null)
+
+
+def _shortened(term: Term) -> str:
+    text = str(term)
+    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}…"
 
 
 def _term_value(type: FieldType, term: Term, namespace: str) -> float | int | bool | None:
@@ -308,10 +333,19 @@ def _term_value(type: FieldType, term: Term, namespace: str) -> float | int | bo
 
 def _integral(name: str, values: NDArray[Any], null: Mask | None) -> NDArray[np.int64]:
     """Floats as integers, all of which must be integral and within 64 bits."""
-    with np.errstate(invalid="ignore"):
-        whole = (values == np.floor(values)) & (values >= -(2.0**63)) & (values < 2.0**63)
-    _refuse(~whole, null, name, "is no integer", values)
+    _refuse(~_whole(values), null, name, "is no integer", values)
     return _as_integers(values if null is None else np.where(null, 0.0, values))
+
+
+def _whole(values: NDArray[Any]) -> Mask:
+    with np.errstate(invalid="ignore"):
+        whole: Mask = (values == np.floor(values)) & (values >= -(2.0**63)) & (values < 2.0**63)
+    return whole
+
+
+def _is_integral(objects: ObjectColumn) -> bool:
+    """Whether all floats of a column are integral and within 64 bits."""
+    return bool(_whole(objects.values)[objects.present].all())
 
 
 def _as_integers(values: NDArray[Any]) -> NDArray[np.int64]:

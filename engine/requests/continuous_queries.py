@@ -228,7 +228,11 @@ class RegisteredQueries:
         state, failure = self._state(running)
         view = running.registration.view(name, state, failure, running.users)
         latest = running.started.kept.latest
-        evaluating = unit.template if isinstance(unit, InstanceUnit) else unit
+        counters = [unit.counters]
+        if isinstance(unit, InstanceUnit):
+            # Its windows are evaluated there, its samples made here.
+            counters.append(unit.template.counters)
+        told = [each for each in counters if each.last_error is not None]
         return replace(
             view,
             stream=output.name,
@@ -241,8 +245,8 @@ class RegisteredQueries:
             windows=len(running.started.kept),
             last_window=None if latest is None else latest.end,
             late=unit.late,
-            errors=evaluating.counters.errors,
-            last_error=evaluating.counters.last_error,
+            errors=sum(each.errors for each in counters),
+            last_error=told[0].last_error if told else None,
             empty=why_empty(self._configuration, unit, self._ontology.vocabulary),
             plan=explanations.plan_view(self._configuration, unit),
         )

@@ -9,10 +9,12 @@ import numpy as np
 
 from ...continuous.evaluation.evaluator import ContinuousEvaluator
 from ...continuous.operators.results import WindowResult
+from ...converters.errors import ConversionError
 from ...converters.to_samples import ResultConverter
 from ...converters.to_triples import SampleConverter
 from ...streams.generator import StreamGenerator
-from ...streams.time import TIME_MIN
+from ...streams.time import TIME_MIN, format_time
+from ..processes.supervision import ErrorCounters
 from .windowed import WindowUnit
 
 
@@ -21,17 +23,22 @@ class Answer:
 
     The samples of a result are one instant, right after its window's end, which is their valid time
     (by `UNIQUE_TIMES` they are 1 ns apart, and after those of the window before). ``hear`` is told
-    the result of each window as the query gave it.
+    the result of each window as the query gave it. Of values that their fields cannot hold,
+    ``counters`` note the first of each field and window.
     """
 
     def __init__(
         self,
         output: StreamGenerator,
         results: ResultConverter,
+        counters: ErrorCounters,
         hear: Callable[[WindowResult], None] | None = None,
     ) -> None:
         self.output = output
         self.results = results
+        self.lost: list[ConversionError] = []
+        results.lost = self.lost
+        self.counters = counters
         self.hear = hear
         self._sent = TIME_MIN
         """The available time (ns) of the last sample."""
@@ -41,6 +48,10 @@ class Answer:
         if self.hear is not None:
             self.hear(result)
         batch = self.results.convert(result, max(result.end, self._sent) + 1)
+        for error in self.lost:
+            text = f"the window that ends {format_time(result.end)} has no value"
+            self.counters.note(f"{text} in field {error.field!r}: {error.message}", result.end)
+        self.lost.clear()
         if len(batch):
             if self.output.rules.gap:
                 steps = np.arange(len(batch), dtype=np.int64)
@@ -65,7 +76,7 @@ class QueryUnit(WindowUnit):
     ) -> None:
         super().__init__(*args, evaluator=evaluator, converters=converters)
         self.evaluator: ContinuousEvaluator = evaluator
-        self._answer = Answer(self.output, results, hear)
+        self._answer = Answer(self.output, results, self.counters, hear)
 
     def explain(self) -> str:
         """How the query is evaluated; its costs are estimated from the rates of its streams."""

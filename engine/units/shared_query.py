@@ -195,7 +195,7 @@ class InstanceUnit(ComputationalUnit):
         self._template = template
         self._enter = enter
         self._evaluation = evaluation
-        self._answer = Answer(self.output, results, hear)
+        self._answer = Answer(self.output, results, self.counters, hear)
         self._number: int | None = None
 
     def connect(self, source: StreamGenerator) -> None:

@@ -51,9 +51,10 @@ class QueryModel(BaseModel):
     )
     errors: int = Field(
         description="windows that needed more rows, time or memory than they may, and have no "
-        "result; after three in a row the query is stopped"
+        "result (after three in a row the query is stopped); fields of a window with a value that "
+        "they cannot hold"
     )
-    last_error: str | None = Field(description="of which window, and what it needed")
+    last_error: str | None = Field(description="of which window, and what it needed or lost")
     waits_for: list[str] = Field(
         description="streams that have not begun and are not idle: nothing closes before"
     )

@@ -203,6 +203,28 @@ def test_an_object_that_its_field_cannot_hold(range, object, message):
         construct([SPEED], {SPEED: XSD + range}).triples(triples(("a", SPEED, object)), 0, 0)
 
 
+@pytest.mark.parametrize(
+    ("range", "objects", "values", "message"),
+    [
+        ("integer", [number(2**64, "integer"), number(7, "integer")], [None, 7], "18446744073709"),
+        ("integer", [number(1.5), number(2.0)], [None, 2], '"1.5"'),
+        ("integer", [number(1.5), number(2**60, "integer")], [None, 2**60], '"1.5"'),
+        ("double", [Literal("fast"), number(1)], [None, 1.0], '"fast" is no float value'),
+        ("boolean", [number(1), Literal(True)], [None, True], "is no boolean value"),
+        ("integer", [number("1" * 900, "integer")], [None], "1…"),
+    ],
+)
+def test_objects_that_their_field_cannot_hold_are_lost_alone(range, objects, values, message):
+    converter = construct([SPEED], {SPEED: XSD + range})
+    converter.lost = []
+    found = triples(*((f"o{n}", SPEED, each) for n, each in enumerate(objects)))
+    batch = converter.triples(found, 0, 0)
+    assert [row["speed"] for _, _, row in batch.rows()] == values
+    assert [each.field for each in converter.lost] == ["speed"]
+    assert message in converter.lost[0].message
+    assert len(converter.lost[0].message) < 200
+
+
 def test_a_predicate_that_was_not_named():
     with pytest.raises(ConversionError, match=r"no field for <.*altitude>"):
         construct([SPEED]).triples(triples(("a", HEIGHT, number(1))), 0, 0)

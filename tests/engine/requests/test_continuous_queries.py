@@ -245,6 +245,37 @@ def test_a_constructed_number_without_a_range_is_a_number(flying):
     assert samples(flying, "spread")[0][1] == {"id": "uav2", "spread": 0.0}
 
 
+SUMS = f"""AS SELECT ?o (SUM(?n) AS ?sum) FROM STREAM {S5} [RANGE 1s STEP 1s]
+WHERE {{ ?o dyknow:level ?n FILTER (?o = %s) }} GROUP BY ?o"""
+
+
+def test_a_value_that_its_field_cannot_hold_is_lost_alone(engine):
+    engine.ontology.load(RANGES, name="ranges")
+    engine.annotate("stream s5 contains level(UAV) = l for every UAV = id")
+    engine.queries.register(f"REGISTER QUERY sums {SUMS % '?o'}")
+    # Two of one form, which share a unit.
+    for name in ("uav1", "uav2"):
+        engine.queries.register(f"REGISTER QUERY {name} {SUMS % f'dyknow:{name}'}")
+    large = [(t, {"id": "uav1", "l": 2**62}) for t in (0.5, 0.6, 0.7)]
+    play(engine, [*large, (0.8, {"id": "uav2", "l": 1}), (1.5, {"id": "uav1", "l": 5})])
+    lost = {"o": "uav1", "sum": None}
+    assert samples(engine, "sums") == [
+        (1.0, lost),
+        (1.0, {"o": "uav2", "sum": 1}),
+        (2.0, {"o": "uav1", "sum": 5}),
+    ]
+    assert samples(engine, "uav1") == [(1.0, lost), (2.0, {"o": "uav1", "sum": 5})]
+    for name in ("sums", "uav1"):
+        view = engine.queries.view(name)
+        assert (view.state, view.failure, view.errors) == ("ended", None, 1)
+        assert view.last_error == (
+            "the window that ends 1970-01-01T00:00:01Z has no value in field 'sum': "
+            '"13835058055282163712"^^<http://www.w3.org/2001/XMLSchema#integer> is no integer value'
+        )
+    other = engine.queries.view("uav2")
+    assert (other.errors, other.last_error) == (0, None)
+
+
 def test_ask_is_a_boolean(flying):
     flying.queries.register(
         f"REGISTER QUERY any AS ASK FROM STREAM {S5} [RANGE 1s STEP 1s] "
