@@ -10,8 +10,8 @@ its double is another number.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from decimal import Decimal
 from functools import cache
 from typing import Any, Final
@@ -23,12 +23,13 @@ from ..streams.sample import FieldType, SampleBatch
 from ..streams.yield_points import Pauses
 from .lines import Part
 
-_EXACT: Final = 2.0**53
+EXACT: Final = 2.0**53
 """Every integer below is a double."""
 _LEAST: Final = 2.0**-1022
 """Doubles nearer to 0 have fewer digits."""
-_SMALL: Final = (b"e-", b"E-", b"0" * 300)
-"""A number nearer to 0 contains one of these."""
+_LONG: Final = 300
+"""A number nearer to 0 has an exponent, or more characters."""
+_ZEROS: Final = b"0" * _LONG
 _FEW: Final = 16
 _SOME: Final = 256
 """Lines that are read again between two moments for others."""
@@ -43,12 +44,81 @@ class Rounded:
     field: str
 
 
+class Spelled(float):
+    """A number of a JSON text whose double may be another: with its spelling."""
+
+    spelling: str
+
+    @classmethod
+    def read(cls, spelling: str) -> float:
+        """The number; a plain float where its double is as near as doubles are."""
+        value = float(spelling)
+        if _LEAST <= abs(value) < EXACT or (value == 0 and not _may_be_small(spelling)):
+            return value
+        found = cls(value)
+        found.spelling = spelling
+        return found
+
+
+@dataclass(slots=True)
+class Tally:
+    """Which numbers of a table were rounded, found while it is read: again and again, perhaps."""
+
+    rounded: Rounded | None = None
+
+    def count(
+        self,
+        before: Rounded | None,
+        columns: Mapping[str, Sequence[object]],
+        lines: Sequence[int],
+        batch: SampleBatch,
+    ) -> Rounded | None:
+        """What was rounded in this reading: ``before``, and in ``batch``, made of ``columns``, the
+        cells or JSON values (with `Spelled`) of these ``lines``."""
+        found = [
+            (row, name)
+            for name, rows in _suspects(batch, lambda: True).items()
+            for row in rows
+            if _is_rounded(batch.columns[name].values[row], columns[name][row])
+        ]
+        if not found:
+            return before
+        row, field = min(found)
+        count = len(found) + (0 if before is None else before.count)
+        first = (
+            Rounded(count, lines[row], field) if before is None else replace(before, count=count)
+        )
+        if self.rounded is None or count > self.rounded.count:
+            self.rounded = first
+        return first
+
+
+def _is_rounded(value: float, told: object) -> bool:
+    match told:
+        case Spelled():
+            return _is_other(value, Decimal(told.spelling))
+        case int():
+            return _is_other(value, Decimal(told))
+        case str():
+            return (abs(value) >= EXACT or _may_be_small(told)) and _is_other(value, Decimal(told))
+    return False
+
+
+def _may_be_small(spelling: str) -> bool:
+    return "e-" in spelling or "E-" in spelling or len(spelling) > _LONG
+
+
+def has_small(data: bytes) -> bool:
+    """Whether a JSON text may have a number nearer to 0 than doubles have digits."""
+    return b"e-" in data or b"E-" in data or _ZEROS in data
+
+
 def rounded_lines(data: bytes, batch: SampleBatch, pauses: Pauses) -> Rounded | None:
     """The numbers of an NDJSON body that were rounded in ``batch``, its samples.
 
     Cost: a look at each float column; the lines are read again where values are large or tiny.
     """
-    suspects = _suspects(batch, lambda: any(mark in data for mark in _SMALL))
+    suspects = _suspects(batch, lambda: has_small(data))
     if not suspects:
         return None
     rows = set().union(*suspects.values())
@@ -87,7 +157,7 @@ def _suspects(batch: SampleBatch, may_be_small: Callable[[], bool]) -> dict[str,
         if column.type is not FieldType.FLOAT or _is_plain(column.values, may_be_small):
             continue
         size = np.abs(column.values)
-        rows = size >= _EXACT
+        rows = size >= EXACT
         if bool((size < _LEAST).any()) and may_be_small():
             rows |= size < _LEAST
         if column.null is not None:
@@ -100,7 +170,7 @@ def _suspects(batch: SampleBatch, may_be_small: Callable[[], bool]) -> dict[str,
 def _is_plain(values: NDArray[np.float64], may_be_small: Callable[[], bool]) -> bool:
     """Whether a few values are surely neither large nor small: much cheaper than columns are."""
     return len(values) <= _FEW and all(
-        _LEAST <= abs(value) < _EXACT or (value == 0 and not may_be_small())
+        _LEAST <= abs(value) < EXACT or (value == 0 and not may_be_small())
         for value in values.tolist()
     )
 

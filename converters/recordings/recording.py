@@ -11,7 +11,8 @@ import gzip
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from types import NoneType
+from typing import Any, Final
 
 import msgspec
 import numpy as np
@@ -37,9 +38,12 @@ from ..arrow.stream import (
 from ..csv_table import CHUNK, TextChunk, column_from_cells, read_csv
 from ..errors import EmptyTable, WireError
 from ..inference import TextColumnType, TimeReader, time_column
+from ..rounding import EXACT, Spelled, Tally, has_small, rounded_rows
 from ..wire import BOM, Incoming, not_json
 
 ValueChunk = tuple[list[int], list[dict[str, Any]]]
+_PLAIN: Final = msgspec.json.Decoder()
+_SPELLED: Final = msgspec.json.Decoder(float_hook=Spelled.read)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,6 +60,8 @@ class Recording:
     read: Callable[[], Iterator[SampleBatch]] = field(repr=False)
     """The rows with the times that stand in the table; the valid time where there is one only."""
     _has_available: bool = False
+    rounding: Tally = field(default_factory=Tally, repr=False)
+    """Which numbers float fields have rounded, as far as it was read."""
 
     def __iter__(self) -> Iterator[Incoming]:
         last = TIME_MIN
@@ -138,7 +144,10 @@ def open_cells(
     _make_pools(schema, pools)
     stamped_column = "available" in observed and valid != "available"
 
+    tally = Tally()
+
     def read() -> Iterator[SampleBatch]:
+        rounded = None
         for lines, cells in cells_again():
             valid_times = times.read(cells[valid], lines, valid)
             available = valid_times
@@ -148,9 +157,11 @@ def open_cells(
                 f.name: column_from_cells(f, cells[f.name], lines, pools.get(f.name))
                 for f in schema.fields
             }
-            yield SampleBatch(available, valid_times, columns)
+            batch = SampleBatch(available, valid_times, columns)
+            rounded = tally.count(rounded, cells, lines, batch)
+            yield batch
 
-    return Recording(schema, count, pools, read, stamped_column)
+    return Recording(schema, count, pools, read, stamped_column, tally)
 
 
 def open_rows(
@@ -186,20 +197,23 @@ def open_rows(
     schema = _schema([(n, _json_type(t)) for n, t in seen.items() if n not in clocks], types or {})
     _make_pools(schema, pools)
 
+    tally = Tally()
+
     def read() -> Iterator[SampleBatch]:
+        rounded = None
         for lines, rows in rows_again():
             valid_times = times.read([row.get(valid) for row in rows], lines, valid)
             available = valid_times
             if stamped_column:
                 given = [row["available"] for row in rows]
                 available = times.read(given, lines, "available")
-            columns = {
-                f.name: _json_column(f, [row.get(f.name) for row in rows], lines, pools)
-                for f in schema.fields
-            }
-            yield SampleBatch(available, valid_times, columns)
+            values = {f.name: [row.get(f.name) for row in rows] for f in schema.fields}
+            columns = {f.name: _json_column(f, values[f.name], lines, pools) for f in schema.fields}
+            batch = SampleBatch(available, valid_times, columns)
+            rounded = tally.count(rounded, values, lines, batch)
+            yield batch
 
-    return Recording(schema, count, pools, read, stamped_column)
+    return Recording(schema, count, pools, read, stamped_column, tally)
 
 
 def _open_arrow(
@@ -229,12 +243,13 @@ def _open_arrow(
     )
     columns = {f.name: column_from_arrow(f, table.column(f.name), pools) for f in schema.fields}
     whole = SampleBatch(available, valid_times, columns)
+    tally = Tally(rounded_rows({name: table.column(name) for name in columns}, whole))
 
     def read() -> Iterator[SampleBatch]:
         for start in range(0, len(whole), CHUNK):
             yield whole.take(slice(start, start + CHUNK))
 
-    return Recording(schema, len(whole), pools, read, stamped_column)
+    return Recording(schema, len(whole), pools, read, stamped_column, tally)
 
 
 def read_lines(path: Path) -> Iterator[tuple[int, bytes]]:
@@ -264,7 +279,7 @@ def decode_lines(numbered: Iterable[tuple[int, bytes]]) -> Iterator[ValueChunk]:
 
 def _decode_line(number: int, line: bytes) -> dict[str, Any]:
     try:
-        row = msgspec.json.decode(line)
+        row = (_SPELLED if has_small(line) else _PLAIN).decode(line)
     except RecursionError:
         raise WireError(
             number, "the value is nested too deeply", "values of a sample are plain"
@@ -273,15 +288,18 @@ def _decode_line(number: int, line: bytes) -> dict[str, Any]:
         raise WireError(number, not_json(error)) from None
     if not isinstance(row, dict):
         raise WireError(number, f"a sample is a JSON object, got {type(row).__name__}")
+    has_large = False
     for name, value in row.items():
         if isinstance(value, list | dict):
             raise WireError(number, f"field {name!r} is nested: values are plain")
-    return row
+        if type(value) is float and not -EXACT < value < EXACT:
+            has_large = True
+    return _SPELLED.decode(line) if has_large else row
 
 
 def _json_type(types: set[type]) -> FieldType:
     """One type for all values of a field; a mixture is text."""
-    present = types - {type(None)}
+    present = {float if type is Spelled else type for type in types} - {NoneType}
     if present == {bool}:
         return FieldType.BOOLEAN
     if present == {int}:
@@ -304,7 +322,7 @@ def _json_column(
 
 
 def _json_text(value: object) -> str:
-    return msgspec.json.encode(value).decode()
+    return msgspec.json.encode(float(value) if isinstance(value, Spelled) else value).decode()
 
 
 def _schema(found: Sequence[tuple[str, FieldType]], types: Mapping[str, FieldType]) -> Schema:

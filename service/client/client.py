@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import json
 import uuid
+import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 from urllib.parse import quote
@@ -43,7 +44,11 @@ from .parts import (
 if TYPE_CHECKING:
     from ...streams.sample import SampleBatch
 
-__all__ = ["URL", "Client", "Event", "ServiceError"]
+__all__ = ["URL", "Client", "Event", "RoundedNumbers", "ServiceError"]
+
+
+class RoundedNumbers(UserWarning):
+    """The service has rounded numbers of float fields beyond a last digit (docs/conversion.md)."""
 
 
 class Client(Connection):
@@ -104,7 +109,7 @@ class Client(Connection):
 
         A batch brings its available times unless ``stamp`` leaves them to the service. A full
         queue (429) and a lost connection are tried again under the same key, so that nothing is
-        taken twice.
+        taken twice. Warns of `RoundedNumbers`.
         """
         headers = {
             "Content-Type": NDJSON,
@@ -116,7 +121,7 @@ class Client(Connection):
             content=_ndjson(samples, stamp),
             headers=headers,
         )
-        return int(answer.json()["accepted"])
+        return _accepted(stream, answer.json())
 
     def publish_live(
         self,
@@ -132,7 +137,7 @@ class Client(Connection):
         latest with the next batch: `ServiceError`, whose ``problem["accepted"]`` counts what was
         taken before. So does a connection that breaks (``httpx.TransportError``): what was taken is
         not known then, and nothing is sent again. Silence is ended by the service; an empty list
-        now and then keeps the request.
+        now and then keeps the request. Warns of `RoundedNumbers` when it ends.
         """
         answer = self._send(
             "POST",
@@ -140,7 +145,7 @@ class Client(Connection):
             content=(_ndjson(samples, stamp).rstrip(b"\n") + b"\n" for samples in batches),
             headers={"Content-Type": NDJSON},
         )
-        return int(answer.json()["accepted"])
+        return _accepted(stream, answer.json())
 
     def end(self, stream: str) -> None:
         """A recording has come to its end."""
@@ -581,6 +586,18 @@ _QUESTIONS: Final = frozenset(
 
 def _part(name: str) -> str:
     return quote(name, safe="")
+
+
+def _accepted(stream: str, answer: Mapping[str, Any]) -> int:
+    """How many samples an answer counts; warns of those that were rounded."""
+    if rounded := answer.get("rounded"):
+        warnings.warn(
+            f"{stream}: the service rounded {rounded['count']} numbers to the nearest double, "
+            f"the first in line {rounded['line']}, field {rounded['field']!r}",
+            RoundedNumbers,
+            stacklevel=3,
+        )
+    return int(answer["accepted"])
 
 
 def _ndjson(samples: Iterable[Mapping[str, Any]] | SampleBatch | bytes, stamp: bool) -> bytes:

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from fractions import Fraction
+from pathlib import Path
 
 import msgspec
 import numpy as np
 import pyarrow as pa
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from dyknow.converters.arrow.stream import bytes_of_table, decode_arrow
 from dyknow.converters.ndjson import decode_ndjson
+from dyknow.converters.recordings.recording import open_recording
 from dyknow.converters.rounding import Rounded
 from dyknow.streams.sample import Field, FieldType, Schema
 
@@ -53,6 +56,49 @@ def test_it_is_as_defined(rows: list[tuple[str, str]]) -> None:
         if text != "null" and is_lost(text)
     ]
     assert rounded(*rows) == (Rounded(len(lost), *lost[0]) if lost else None)
+
+
+@settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.lists(st.tuples(NUMBERS, NUMBERS), min_size=1, max_size=40), st.booleans())
+@example([("9007199254740993", "1")], False)
+@example([("1", "9007199254740992"), ("1e-400", "1e300")], False)
+@example([("0", "9007199254740993.0"), ("0." + "0" * 400 + "1", "null")], False)
+def test_recordings_count_the_same(
+    tmp_path: Path, rows: list[tuple[str, str]], is_csv: bool
+) -> None:
+    file = tmp_path / ("table.csv" if is_csv else "table.ndjson")
+    if is_csv:
+        lines = [f"{n},{v},{w}".replace("null", "") for n, (v, w) in enumerate(rows)]
+        file.write_text("\n".join(["valid,v,w", *lines]))
+    else:
+        file.write_text(
+            "\n".join(f'{{"valid":{n},"v":{v},"w":{w}}}' for n, (v, w) in enumerate(rows))
+        )
+    types = {"v": FieldType.FLOAT, "w": FieldType.FLOAT}
+    recording = open_recording(file, types=types)
+    for _ in range(2):
+        list(recording)
+    wanted = rounded(*rows)
+    if wanted is not None:
+        wanted = replace(wanted, line=wanted.line + is_csv)
+    assert recording.rounding.rounded == wanted
+
+
+def test_chunks_of_a_recording_are_counted_together(tmp_path: Path) -> None:
+    file = tmp_path / "long.csv"
+    file.write_text("t,v\n" + "".join(f"{t},{9007199254740993 + t % 2}\n" for t in range(20_000)))
+    recording = open_recording(file, types={"v": FieldType.FLOAT})
+    assert recording.rounding.rounded is None
+    list(recording)
+    assert recording.rounding.rounded == Rounded(10_000, 2, "v")
+
+
+def test_arrow_recordings_count_integers(tmp_path: Path) -> None:
+    table = pa.table({"t": [1, 2], "v": pa.array([1, 2**53 + 1], pa.int64())})
+    file = tmp_path / "table.arrow"
+    file.write_bytes(bytes_of_table(table))
+    recording = open_recording(file, types={"v": FieldType.FLOAT})
+    assert recording.rounding.rounded == Rounded(1, 2, "v")
 
 
 @settings(deadline=None)

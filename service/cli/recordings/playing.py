@@ -6,7 +6,7 @@ import itertools
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +29,7 @@ from ....converters.recordings.many_streams import (
 from ....converters.recordings.piped import Piped, Readable, open_pipe
 from ....converters.recordings.recording import Recording, open_recording
 from ....converters.recordings.time_order import TimeOrder, in_time_order
+from ....converters.rounding import Rounded
 from ....streams.sample import FieldType, SampleBatch
 from ....streams.time import (
     FOREVER,
@@ -198,6 +199,7 @@ def play(asked: Asked) -> None:
                 asked.as_json,
                 opened.dropouts,
                 order,
+                tracks[name].recording.rounding.rounded,
             )
         failed = readers.failed()
     if not asked.as_json:
@@ -513,11 +515,14 @@ def _summary(
     as_json: bool,
     dropouts: int | None,
     order: TimeOrder | None,
+    rounded: Rounded | None,
 ) -> None:
     if as_json:
         told = {"stream": stream, **counts, "seconds": round(seconds, 3)}
         if order is not None and order.out_of_order:
             told |= {"out_of_order": order.out_of_order, "sorted": order.is_sorted}
+        if rounded is not None:
+            told["rounded"] = asdict(rounded)
         show_json(told if dropouts is None else {**told, "dropouts": dropouts})
         return
     rate = counts["accepted"] / max(seconds, 1e-9)
@@ -530,6 +535,11 @@ def _summary(
     if counts["ahead"]:
         rest.append(f"left out {counts['ahead']:,}, ahead of the clock")
     show_text("  " + ", ".join(rest))
+    if rounded is not None:
+        show_text(
+            f"  rounded {rounded.count:,} numbers to the nearest double, "
+            f"the first in line {rounded.line}, field {rounded.field!r}"
+        )
     if counts["accepted"] and counts["late"] + counts["duplicate"] == counts["accepted"]:
         # The usual cause: a stream's available times only grow, and these were there before.
         show_text(

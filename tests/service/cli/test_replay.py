@@ -182,6 +182,25 @@ def test_lines_of_many_streams_are_published_to_each(
     assert client.stream("again")["fields"] == client.stream("speed")["fields"]
 
 
+@pytest.mark.parametrize("is_csv", [True, False])
+def test_numbers_that_are_rounded_are_told(
+    command: Any, client: Client, tmp_path: Path, is_csv: bool
+) -> None:
+    path = tmp_path / ("float.csv" if is_csv else "float.ndjson")
+    values = ("0.5", "1e-400", "9007199254740993")
+    lines = [f"{t},{v}" if is_csv else f'{{"t":{t},"v":{v}}}' for t, v in enumerate(values)]
+    path.write_text("\n".join(["t,v", *lines] if is_csv else lines))
+    told = command(str(path), "--stream", "s5", "--speed", "max").stdout
+    line = 3 if is_csv else 2
+    expected = f"rounded 2 numbers to the nearest double, the first in line {line}, field 'v'"
+    assert told.count(expected) == 1
+    arguments = ("--stream", "again", "--speed", "max", "--json")
+    counts = json.loads(command(str(path), *arguments).stdout)
+    assert counts["rounded"] == {"count": 2, "line": line, "field": "v"}
+    path.write_text("t,v\n0,0.5\n" if is_csv else '{"t":0,"v":0.5}')
+    assert "rounded" not in json.loads(command(str(path), *arguments).stdout)
+
+
 def test_a_stream_keeps_the_types_of_its_fields(
     command: Any, client: Client, tmp_path: Path
 ) -> None:

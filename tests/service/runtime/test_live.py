@@ -21,7 +21,7 @@ from dyknow.converters.arrow.stream import encode_arrow
 from dyknow.converters.ndjson import decode_ndjson
 from dyknow.engine.engine import Engine
 from dyknow.service.app import create_app
-from dyknow.service.client.client import Client, ServiceError
+from dyknow.service.client.client import Client, RoundedNumbers, ServiceError
 from dyknow.service.config.media_types import ARROW, NDJSON
 from dyknow.service.config.settings import Settings
 from dyknow.service.http.body_limit import BodyLimit, Held
@@ -321,6 +321,16 @@ def test_samples_without_times_where_others_brought_them(
     with pytest.raises(ServiceError) as caught:
         client.publish_live(stream, [[{"valid": 2, "id": "uav1", "speed": 1.0}]])
     assert caught.value.status == 409
+
+
+def test_the_client_warns_of_numbers_that_are_rounded(client: Client, stream: str) -> None:
+    rows = [{"valid": n, "id": "uav1", "speed": 2**53 + n} for n in (1, 2, 3)]
+    message = f"{stream}: the service rounded 2 numbers .* the first in line 1, field 'speed'"
+    with pytest.warns(RoundedNumbers, match=message) as caught:
+        assert client.publish(stream, rows) == 3
+    assert caught[0].filename == __file__
+    with pytest.warns(RoundedNumbers, match=message):
+        assert client.publish_live(stream, [rows[:2], rows[2:]]) == 3
 
 
 def test_the_client_takes_rows_batches_and_lines(client: Client, stream: str) -> None:
