@@ -13,22 +13,21 @@ from .unsupported import Unsupported
 
 _IN_A_ROW = 64
 _NAMES = {"ISURI": "ISIRI", "URI": "IRI"}
-_NOT_HERE = {
-    "BNODE": "BNODE, whose nodes are new in each solution",
-    "IRI": "IRI(), which depends on the BASE",
-}
 
 
 class ExpressionTranslation:
-    """``term`` reads a variable or constant; ``exists`` a pattern, as the variable of its mark."""
+    """``term`` reads a variable or constant; ``exists`` a pattern, as the variable of its mark.
+    IRI() resolves against ``base``, which is part of the name of its call."""
 
     def __init__(
         self,
         term: Callable[[Variable | NamedNode | Literal], Expression],
         exists: Callable[[ast.Group], Expression],
+        base: str = "",
     ) -> None:
         self.term = term
         self.exists = exists
+        self.base = base
 
     def of(self, node: ast.Expression) -> Expression:
         """``node`` as an `Expression`."""
@@ -57,8 +56,10 @@ class ExpressionTranslation:
                 return Call(str(iri), tuple(map(go, arguments)))
             case ast.Call(name, arguments):
                 name = _NAMES.get(name, name)
-                if name in _NOT_HERE:
-                    raise Unsupported(_NOT_HERE[name])
+                if name == "BNODE":
+                    raise Unsupported("BNODE, whose nodes are new in each solution")
+                if name == "IRI" and self.base:
+                    name = f"BASE <{self.base}> IRI"
                 return Call(name, tuple(map(go, arguments)))
             case ast.Aggregate():
                 raise AssertionError("an aggregate has become a variable (`translate`)")

@@ -48,6 +48,8 @@ from .plan import (
     TypeScan,
     Union,
     Values,
+    certain,
+    mentioned,
     outputs,
 )
 from .property_paths import path_plan
@@ -88,6 +90,7 @@ class _Translation:
     def query(self, query: ast.Query) -> Query:
         if query.form is ast.Form.DESCRIBE:
             raise Unsupported("the form DESCRIBE")
+        self.expressions.base = query.base
         plan = self.solutions(query)
         if query.form is ast.Form.SELECT:
             return Query(Select(shown(query)), with_times(plan))
@@ -266,8 +269,11 @@ class _Translation:
         condition = None
         if conditions:
             condition = self.expression(_all_of(conditions))
-            if self.waiting:
-                raise Unsupported("EXISTS in a condition of OPTIONAL")
+            outer = outputs(child) - certain(optional)
+            if any(mentioned(pattern) & outer for _, pattern in self.waiting):
+                raise Unsupported("EXISTS over outer variables in a condition of OPTIONAL")
+            # What it asks about is bound here: so it holds of the optional side alone.
+            optional = self.marked(optional)
         return LeftJoin(child, optional, condition)
 
     def _graph(self, name: NamedNode | Variable, group: ast.Group) -> Plan:

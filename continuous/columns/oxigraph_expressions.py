@@ -11,7 +11,7 @@ from pyoxigraph import BlankNode, Literal, NamedNode, Quad
 from ...languages.csparql import term_text
 from ...rdf.dictionary import Term
 from ...rdf.timed import ObjectColumn
-from ..algebra.expressions import INFIX, Call, Const, Expression, Var, variables
+from ..algebra.expressions import INFIX, Call, Const, Expression, Var, postorder, variables
 from ..algebra.volatile_functions import VOLATILE, drawn
 from .oxigraph_port import NOTHING, Asking, Found, Table
 from .relation import Relation, TermValues, key_codes, term_column
@@ -83,22 +83,28 @@ def _answers(
 ) -> list[Term | None]:
     places = {name: f"v{i}" for i, name in enumerate(names)}
     text = sparql_text(expression, places)
+    calls = (one for one in postorder(expression) if isinstance(one, Call))
+    base = next((found for call in calls if (found := call.name.rpartition(" ")[0])), "")
     if any(isinstance(term, BlankNode) for row in table for term in row):
         # A blank node cannot be written into a query: the values stand in the store.
-        return _from_store(text, list(places.values()), table, asking)
+        return _from_store(base, text, list(places.values()), table, asking)
     lines = (
         " ".join([str(number), *("UNDEF" if term is None else term_text(term) for term in row)])
         for number, row in enumerate(table)
     )
     heads = " ".join(["?row", *(f"?{place}" for place in places.values())])
     values = " ".join(f"({line})" for line in lines)
-    query = f"SELECT ?row ({text} AS ?answer) WHERE {{ VALUES ({heads}) {{ {values} }} }}"
+    query = f"{base} SELECT ?row ({text} AS ?answer) WHERE {{ VALUES ({heads}) {{ {values} }} }}"
     answers = _by_row(asking.ask(query, NOTHING, ()))
     return [answers.get(Literal(number)) for number in range(len(table))]
 
 
 def _from_store(
-    text: str, places: Sequence[str], table: Sequence[Sequence[Term | None]], asking: Asking
+    base: str,
+    text: str,
+    places: Sequence[str],
+    table: Sequence[Sequence[Term | None]],
+    asking: Asking,
 ) -> list[Term | None]:
     quads, row_of = [], NamedNode(f"{_VALUE}row")
     for number, row in enumerate(table):
@@ -108,7 +114,9 @@ def _from_store(
             if term is not None:
                 quads.append(Quad(node, NamedNode(_VALUE + place), term))
     optional = " ".join(f"OPTIONAL {{ ?row <{_VALUE}{place}> ?{place} }}" for place in places)
-    query = f"SELECT ?row ({text} AS ?answer) WHERE {{ ?row <{row_of.value}> ?row {optional} }}"
+    query = (
+        f"{base} SELECT ?row ({text} AS ?answer) WHERE {{ ?row <{row_of.value}> ?row {optional} }}"
+    )
     answers = _by_row(asking.ask(query, NOTHING, quads))
     return [answers.get(NamedNode(f"{_VALUE}{number}")) for number in range(len(table))]
 
@@ -132,5 +140,6 @@ def sparql_text(expression: Expression, places: Mapping[str, str]) -> str:
             return f"({_PREFIX[name]}{sparql_text(argument, places)})"
         case Call(name, arguments):
             shown = ", ".join(sparql_text(argument, places) for argument in arguments)
-            return f"{name}({shown})"
+            # The base of IRI() stands before the query.
+            return f"{name.rpartition(' ')[2]}({shown})"
     raise AssertionError(expression)

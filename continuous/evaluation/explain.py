@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import assert_never
+from typing import Final, assert_never
 
 from ...languages.csparql import format_query
 from ...languages.csparql.ast import (
@@ -27,6 +27,11 @@ from ..estimation.pattern_sizes import Known
 from ..incremental.aggregate_shape import Shape
 from ..operators.profile import Profile
 from ..windows.grid import Schedule
+
+_OTHER_ANSWERS: Final = (
+    "other answers there: integers beyond 64 bits, decimals beyond 18 places, overflowing sums, "
+    "MIN and MAX, COUNT of errors, MINUS in EXISTS (docs/semantics.md)"
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,6 +74,7 @@ class Stages:
             yield from _section("entailed of each triple of a stream", self.entailed)
         if self.translated is None or self.plan is None:
             yield f"on Oxigraph, a fresh store a window, because of {self.reason}"
+            yield f"  {_OTHER_ANSWERS}"
             yield from _section("SPARQL", self.sparql.splitlines())
             yield from self._equal_triples()
             return
