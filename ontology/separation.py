@@ -10,6 +10,7 @@ few rules, and their conclusions follow from the hierarchies' closure (`hierarch
 | cax-sco, cax-eqc | types |
 | prp-spo1, prp-eqp | triples of super-properties |
 | scm-dom1, scm-dom2, scm-rng1, scm-rng2, prp-dom, prp-rng | domains, ranges, and types of them |
+| eq-rep-s, eq-rep-o | what is said of individuals that are the same |
 
 So `Separation` keeps such *plain* nodes from owlrl, with one deputy for those that say the same of
 themselves, and `Separation.closed` adds what follows. `closure` calls it.
@@ -18,7 +19,8 @@ themselves, and `Separation.closed` adds what follows. `closure` calls it.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Set
+from collections.abc import Iterable, Mapping, Set
+from functools import cached_property
 from typing import Final, TypeAlias
 
 from pyoxigraph import BlankNode, Literal, NamedNode, Triple
@@ -41,6 +43,7 @@ Saying: TypeAlias = tuple[NamedNode, NamedNode | BlankNode | Literal | Triple]
 
 _HIERARCHICAL: Final = (*OF_CLASSES, *OF_PROPERTIES)
 _ENDS: Final = (DOMAIN, RANGE)
+_SAME_AS: Final = NamedNode(OWL + "sameAs")
 _CLASS: Final = NamedNode(OWL + "Class")
 _THING: Final = NamedNode(OWL + "Thing")
 _REMARKS: Final = frozenset(RDFS + name for name in ("label", "comment", "seeAlso", "isDefinedBy"))
@@ -163,9 +166,13 @@ class Separation:
         None: plain nodes are premises of other rules after all, so that owlrl has to see them.
         """
         known = set(self._asserted)
+        same: dict[object, set[Node]] = defaultdict(set)
         for triple in entailed:
-            if triple.predicate.value == OWL + "sameAs" and self.plain:
-                return None
+            if triple.predicate == _SAME_AS and self.plain:
+                if {triple.subject, triple.object} & self._terms:
+                    return None
+                if isinstance(triple.object, NamedNode | BlankNode):
+                    same[triple.subject].add(triple.object)
             if triple.object in self._deputies:
                 return None
             nodes = self._deputies.get(triple.subject)  # type: ignore[arg-type]
@@ -175,7 +182,23 @@ class Separation:
                 known.update(Triple(n, triple.predicate, triple.object) for n in nodes)
             else:
                 return None
+        if same:
+            known.update(self._replaced(same))
         return known | self._following(known)
+
+    @cached_property
+    def _terms(self) -> frozenset[object]:
+        """What stands in a hierarchy, or is a domain or range: where two of them are the same, more
+        follows than `_replaced`."""
+        ends = (triple.object for triple in self._asserted if triple.predicate in _ENDS)
+        return frozenset([*self._classes, *self._properties, *ends])
+
+    def _replaced(self, same: Mapping[object, Set[Node]]) -> Iterable[Triple]:
+        """What owlrl has not seen, said of all that are the ``same`` (rules eq-rep-s, eq-rep-o)."""
+        for triple in self._asserted - self.rest:
+            for subject in (triple.subject, *same.get(triple.subject, ())):
+                for object in (triple.object, *same.get(triple.object, ())):
+                    yield Triple(subject, triple.predicate, object)
 
     def _is_harmless(self, triple: Triple, nodes: Iterable[Node]) -> bool:
         """Whether it makes no plain node a premise of other rules, where it holds of ``nodes``."""

@@ -4,6 +4,7 @@ from collections.abc import Callable, Set
 from functools import cache
 from itertools import chain, pairwise
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pyoxigraph import BlankNode, Literal, NamedNode, Triple
@@ -210,7 +211,22 @@ STATEMENTS = st.one_of(
     saying(some_individual, ["p0", "p1", "p2", "p3"], st.one_of(some_individual, some_class)),
     saying(some_individual, ["p0", "p1"], st.just(Literal("text"))),
     saying(some_class, [RDFS + "label", "remark"], st.just(Literal("text"))),
+    saying(some_class | some_individual, ["remark", "note"], some_class | some_individual),
     restrictions(),
+)
+SAMENESS = st.one_of(
+    saying(some_individual, [OWL + "sameAs"], some_individual),
+    saying(some_individual, [OWL + "sameAs"], some_class | some_property),
+    st.builds(
+        lambda s, o, p: [
+            Triple(node("q"), RDF_TYPE, node(OWL + "FunctionalProperty")),
+            Triple(s, node("q"), o),
+            Triple(s, node("q"), p),
+        ],
+        some_individual,
+        some_individual,
+        some_individual,
+    ),
 )
 
 
@@ -226,6 +242,17 @@ def test_the_closure_is_owlrls(asserted: frozenset[Triple]) -> None:
     assert closed(closure_of) == closed(by_owlrl)
 
 
+@given(
+    st.lists(STATEMENTS, max_size=8).map(lambda parts: frozenset(chain(*parts))),
+    st.lists(SAMENESS, min_size=1, max_size=2).map(lambda parts: frozenset(chain(*parts))),
+)
+@settings(deadline=None, max_examples=60)
+def test_the_closure_is_owlrls_where_individuals_are_the_same(
+    asserted: frozenset[Triple], same: frozenset[Triple]
+) -> None:
+    test_the_closure_is_owlrls.hypothesis.inner_test(asserted | same)  # type: ignore[attr-defined]
+
+
 def test_a_chain_of_classes_closes_without_owlrl() -> None:
     """owlrl makes some 50 triples of what it gets here, and 45,000 of the chain."""
     names = [node(f"C{i}") for i in range(300)]
@@ -236,3 +263,31 @@ def test_a_chain_of_classes_closes_without_owlrl() -> None:
     found = separation.closed(())
     assert found is not None
     assert len(found) == 300 * 299 // 2 + 300
+
+
+@pytest.mark.parametrize(
+    "told",
+    [
+        [("a", OWL + "sameAs", "a2")],
+        [("p", RDF_TYPE.value, OWL + "FunctionalProperty"), ("b", "p", "a"), ("b", "p", "a2")],
+    ],
+)
+def test_a_chain_of_classes_beside_individuals_that_are_the_same(
+    told: list[tuple[str, str, str]],
+) -> None:
+    names = [node(f"C{i}") for i in range(100)]
+    chained = {Triple(lower, node(RDFS + "subClassOf"), upper) for lower, upper in pairwise(names)}
+    beside = {triple(*each) for each in told} | {Triple(node("a"), RDF_TYPE, names[0])}
+    separation = Separation(frozenset(chained | beside))
+    assert separation.plain == set(names)
+    found = separation.closed(by_owlrl(separation.rest))
+    assert found is not None
+    kinds = {each.object for each in found if each.subject == node("a2")}
+    assert kinds >= set(names)
+
+
+def test_a_class_that_is_the_same_as_another_is_seen_by_owlrl() -> None:
+    names = [node(f"C{i}") for i in range(4)]
+    chained = {Triple(lower, node(RDFS + "subClassOf"), upper) for lower, upper in pairwise(names)}
+    separation = Separation(frozenset(chained | {triple("C1", OWL + "sameAs", "D")}))
+    assert separation.closed(by_owlrl(separation.rest)) is None
