@@ -110,7 +110,8 @@ class Settings(BaseSettings):
     sparql_deadline: float = Field(default=10.0, gt=0)
     """A SPARQL query without an answer after this time is answered with 503."""
     sparql_workers: int = Field(default_factory=_workers, gt=0)
-    """How many SPARQL queries are evaluated at once, each in a process of its own."""
+    """How many SPARQL queries are evaluated at once, each in a process of its own; of one sender
+    one less, if there are several."""
     sparql_waiting: int = Field(default=32, ge=0)
     """How many more may wait; beyond it queries are answered with 503 and Retry-After."""
     sparql_rows: int = Field(default=100_000, gt=0)

@@ -14,6 +14,7 @@ from fastapi import APIRouter, Query, Request, Response
 
 from ...ontology.errors import QueryRefused
 from ...ontology.query_guard import LONGEST_TEXT, query_form
+from ..admission.gate import client_key
 from ..config.media_types import FORM, SPARQL_QUERY
 from ..http.negotiation import accepted, content_type, utf8
 from ..http.problems import Problem, responses
@@ -139,7 +140,8 @@ async def _answer(service: Service, request: Request, text: str) -> Response:
         # What is no query is told first, whatever the client would like to have.
         kind, not_acceptable = "", problem
     service.engine.measure()
-    found = await while_connected(request, lambda: service.isolation.queries.answer(text, kind))
+    queries, sender = service.isolation.queries, client_key(request)
+    found = await while_connected(request, lambda: queries.answer(text, kind, sender))
     match found:
         case Written(body):
             return answer(body, kind)

@@ -6,6 +6,7 @@ import threading
 from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass, field
 from typing import Final
 
 import anyio
@@ -28,7 +29,8 @@ class Pool:
     """``count`` workers with ``memory`` bytes each, and ``waiting`` callers more than that.
 
     Workers are started when they are first needed, or by `warm`, and replaced when they were
-    ended. `run` is for the event loop, `call` for a thread that waits itself.
+    ended. `run` is for the event loop, `call` for a thread that waits itself. Senders take turns:
+    none has all workers of several, and who waits comes before those of whom more are at work.
     """
 
     def __init__(self, count: int, memory: int, waiting: int = 0) -> None:
@@ -47,32 +49,25 @@ class Pool:
         """Why no worker could be started at the last try."""
         self._memory = memory
         self._most_waiting = waiting
-        self.waiting = 0
-        """How many callers wait for a worker."""
-        self._slots = anyio.CapacityLimiter(count)
+        self._most_of_one = max(1, count - 1)
+        self._waiting: list[_Place] = []
+        self._running: Counter[str] = Counter()
+        """How many callers have a worker, by their sender."""
         self._threads = anyio.CapacityLimiter(2 * count)
         self._idle: list[Worker] = []
         self._working: set[Worker] = set()
         self._lock = threading.Lock()
         self._closed = False
 
-    async def run(self, job: Callable[[Worker], Answer], patience: float) -> Answer:
-        """What ``job`` gives, which is called with a worker on a thread of its own.
+    async def run(
+        self, job: Callable[[Worker], Answer], patience: float, sender: str = ""
+    ) -> Answer:
+        """What ``job`` of ``sender`` gives, which is called with a worker on a thread of its own.
 
         Whoever cancels this ends the worker. Raises `Busy` when no worker is free for ``patience``
         seconds or too many callers wait already, and `WorkerError`.
         """
-        if self._slots.available_tokens < 1 and self.waiting >= self._most_waiting:
-            raise Busy
-        borrower = object()
-        self.waiting += 1
-        try:
-            with anyio.fail_after(patience):
-                await self._slots.acquire_on_behalf_of(borrower)
-        except TimeoutError as error:
-            raise Busy from error
-        finally:
-            self.waiting -= 1
+        await self._admitted(sender, patience)
         errand = _Errand(self, job)
         try:
             return await anyio.to_thread.run_sync(
@@ -82,7 +77,50 @@ class Pool:
             errand.give_up()
             raise
         finally:
-            self._slots.release_on_behalf_of(borrower)
+            self._leave(sender)
+
+    async def _admitted(self, sender: str, patience: float) -> None:
+        """Return when it is the turn of ``sender``; raises `Busy`."""
+        place = _Place(sender)
+        self._waiting.append(place)
+        self._admit()
+        if place in self._waiting and self.waiting > self._most_waiting:
+            self._waiting.remove(place)
+            raise Busy
+        try:
+            with anyio.fail_after(patience):
+                await place.comes.wait()
+        except BaseException as error:
+            if place in self._waiting:
+                self._waiting.remove(place)
+            else:
+                self._leave(sender)
+            if isinstance(error, TimeoutError):
+                raise Busy from error
+            raise
+
+    def _admit(self) -> None:
+        """Let callers go on for whom there is a worker."""
+        while self._running.total() < self.count:
+            able = [one for one in self._waiting if self._running[one.sender] < self._most_of_one]
+            if not able:
+                return
+            first = min(able, key=lambda one: self._running[one.sender])
+            self._waiting.remove(first)
+            # Its sender's others come after those of other senders: they take turns.
+            self._waiting.sort(key=lambda one: one.sender == first.sender)
+            self._running[first.sender] += 1
+            first.comes.set()
+
+    def _leave(self, sender: str) -> None:
+        self._running[sender] -= 1
+        self._running += Counter()
+        self._admit()
+
+    @property
+    def waiting(self) -> int:
+        """How many callers wait for a worker."""
+        return len(self._waiting)
 
     def call(self, job: Callable[[Worker], Answer]) -> Answer:
         """The same in the thread of the caller, which waits. Raises `WorkerError`."""
@@ -184,6 +222,14 @@ class Pool:
             worker.close()
         for worker in working:
             worker.kill(End.SHUTDOWN)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Place:
+    """A caller that waits until its turn ``comes``."""
+
+    sender: str
+    comes: anyio.Event = field(default_factory=anyio.Event)
 
 
 class _Errand:

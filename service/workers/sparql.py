@@ -39,9 +39,9 @@ class IsolatedQueries:
         self._rows = rows
         self._size = size
 
-    async def answer(self, text: str, format: str) -> Answer:
-        """The answer to a query, written as ``format`` (`sparql_formats`); with none its text is
-        checked.
+    async def answer(self, text: str, format: str, sender: str = "") -> Answer:
+        """The answer to a query of ``sender``, written as ``format`` (`sparql_formats`); with none
+        its text is checked.
 
         Raises `Busy` and `WorkerError`.
         """
@@ -53,7 +53,7 @@ class IsolatedQueries:
 
         while True:
             try:
-                return await self._pool.run(work, self._seconds)
+                return await self._pool.run(work, self._seconds, sender)
             except NotUpToDate as error:
                 # What earlier queries have left of its memory was not enough. Each try ends one
                 # that is like that: after the last one comes a new one, which has all of it.

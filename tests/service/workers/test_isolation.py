@@ -7,8 +7,9 @@ import signal
 import socket
 import threading
 import time
+from collections import defaultdict
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -172,6 +173,77 @@ def test_so_many_may_wait_and_no_more() -> None:
     anyio.run(scenario)
     assert len(begun) == 3
     assert len(set(begun)) == 1
+
+
+def test_senders_take_turns() -> None:
+    begun: list[str] = []
+    releases: dict[str, threading.Event] = defaultdict(threading.Event)
+
+    async def ask(pool: Pool, name: str) -> None:
+        def work(worker: Worker) -> Any:
+            begun.append(name)
+            releases[name].wait(120)
+            return worker.call(job("ASK {}"), 1000)
+
+        await pool.run(work, 60, name[0])
+
+    async def scenario() -> None:
+        pool = Pool(2, MEMORY, waiting=8)
+        async with anyio.create_task_group() as tasks:
+
+            async def told(*names: str) -> None:
+                while begun != [*names]:
+                    await anyio.sleep(0.01)
+
+            for number, name in enumerate(("a1", "a2", "a3")):
+                tasks.start_soon(ask, pool, name)
+                while len(begun) + pool.waiting <= number:
+                    await anyio.sleep(0.01)
+            # One has not all workers: another need not wait for it.
+            await told("a1")
+            tasks.start_soon(ask, pool, "b1")
+            await told("a1", "b1")
+            for name in ("b2", "c1"):
+                tasks.start_soon(ask, pool, name)
+                await anyio.sleep(0.05)
+            assert pool.waiting == 4
+            releases["a1"].set()
+            await told("a1", "b1", "a2")
+            releases["b1"].set()
+            await told("a1", "b1", "a2", "b2")
+            # a3 came before c1, whose sender has not had its turn.
+            releases["a2"].set()
+            await told("a1", "b1", "a2", "b2", "c1")
+            for each in ("b2", "c1", "a3"):
+                releases[each].set()
+        pool.close()
+
+    anyio.run(scenario)
+
+
+def test_who_is_cancelled_while_waiting_leaves_its_place() -> None:
+    async def scenario() -> None:
+        pool = Pool(1, MEMORY, waiting=1)
+        try:
+            begin = threading.Event()
+            async with anyio.create_task_group() as tasks:
+
+                def work(worker: Worker) -> Any:
+                    begin.wait(120)
+                    return worker.call(job("ASK {}"), 1000)
+
+                tasks.start_soon(pool.run, work, 60, "a")
+                while pool.busy == 0:
+                    await anyio.sleep(0.01)
+                with anyio.move_on_after(0.05):
+                    await pool.run(work, 60, "b")
+                assert pool.waiting == 0
+                begin.set()
+            await pool.run(lambda worker: worker.call(job("ASK {}"), 1000), 20, "b")
+        finally:
+            pool.close()
+
+    anyio.run(scenario)
 
 
 def test_who_is_cancelled_frees_the_worker() -> None:
@@ -389,6 +461,23 @@ def test_a_client_that_goes_frees_its_worker(engine: Engine) -> None:
             assert refused.json()["title"] == "too many queries"
         until(lambda: app.state.service.isolation.pools["sparql"].busy == 0)
         assert ask(http, "ASK {}").status_code == 200
+
+
+def test_heavy_queries_of_one_address_do_not_hold_up_another(engine: Engine) -> None:
+    settings = Settings(port=0, sparql_workers=2, sparql_deadline=120)
+    app = create_app(engine, settings, lambda: 10**18)
+    with running(app, settings) as url, ExitStack() as senders:
+        host, port = url.removeprefix("http://").split(":")
+        query = httpx.QueryParams({"query": ENDLESS})
+        pool = app.state.service.isolation.pools["sparql"]
+        for _ in range(4):
+            heavy = senders.enter_context(socket.create_connection((host, int(port))))
+            heavy.sendall(f"GET /sparql?{query} HTTP/1.1\r\nHost: localhost\r\n\r\n".encode())
+        until(lambda: (pool.busy, pool.waiting) == (1, 3))
+        other = httpx.HTTPTransport(local_address="127.0.0.2")
+        with httpx.Client(base_url=url, timeout=60, transport=other) as http:
+            assert ask(http, "ASK {}").status_code == 200
+        assert (pool.busy, pool.waiting) == (1, 3)
 
 
 # -- Oxigraph for continuous queries ---------------------------------------------------------
