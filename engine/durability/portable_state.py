@@ -2,9 +2,9 @@
 
 Definitions (ontologies, templates, annotations, declarations, KPL, specifications, queries) are in
 the triples of the ontology; what was asked for without a name is in `Standing`; and streams that
-people publish to keep their samples, counters and numbers. What is not in it is computed anew:
-windows that were open, and the streams that units make, whose numbers begin again. So it is not the
-same life of the engine, and the ids of its events say so.
+people publish to, and those of registered queries, keep their samples, counters and numbers. What
+is not in it is computed anew: windows that were open, and the streams that other units make, whose
+numbers begin again. So it is not the same life of the engine, and the ids of its events say so.
 """
 
 from __future__ import annotations
@@ -45,8 +45,9 @@ class KeptColumn(msgspec.Struct):
 
 
 class KeptStream(msgspec.Struct):
-    """A stream that people publish to. ``first`` is the number of its oldest sample kept; the last
-    ``pending`` rows are held back within the lateness. Times in ns, little-endian int64."""
+    """A stream that people publish to, or of a query's results. ``first`` is the number of its
+    oldest sample kept; the last ``pending`` rows are held back within the lateness. Times in ns,
+    little-endian int64."""
 
     name: str
     fields: list[Field]
@@ -67,7 +68,8 @@ class Portable(msgspec.Struct):
     that are needed, by their names; ``unkept``: those that remember what is not in the state.
     ``waiting``: what was accepted and could not be done again. ``ids``: those of ``standing``, then
     those that would be given next. ``waiting_ids``: those of ``waiting``, and ``waiting_after``:
-    behind how many of ``standing`` each was accepted. ``rules``: those that held."""
+    behind how many of ``standing`` each was accepted. ``rules``: those that held. ``results``: the
+    streams of registered queries; earlier versions kept none."""
 
     format: int
     now: int
@@ -82,6 +84,7 @@ class Portable(msgspec.Struct):
     waiting_ids: list[str] = []
     waiting_after: list[int] = []
     rules: int = UNIQUE_TIMES
+    results: list[KeptStream] = []
 
 
 class PortableHead(msgspec.Struct):
@@ -121,6 +124,7 @@ def portable_of(
         [id for id, _, _ in waiting],
         [after for _, after, _ in waiting],
         engine.rules.version,
+        [_kept(engine.generator(name)) for name in _query_streams(engine)],
     )
 
 
@@ -151,6 +155,11 @@ def engine_from(
         else:
             lost += _restore(generator, kept)
     engine.intake.remember(each for each in portable.keys if each.stream in there)
+    again = set(_query_streams(engine))
+    for kept in portable.results:
+        # A query whose results are there already reads what happens as the engine begins.
+        if kept.name in again and not engine.generator(kept.name).stream.last_number:
+            lost += _restore(engine.generator(kept.name), kept)
     for text in lost:
         engine.tell_not_restored(text)
     standing = Standing()
@@ -164,6 +173,13 @@ def engine_from(
     for next_id in portable.ids[len(portable.standing) :]:
         engine.keep_id(next_id)
     return engine, standing, lost
+
+
+def _query_streams(engine: Engine) -> list[str]:
+    """The streams of queries that the text names, which are called like these."""
+    named = engine.ontology.registered.queries()
+    streams = (view.stream for view in engine.queries.views() if view.name in named)
+    return [name for name in streams if name is not None]
 
 
 def _asked(portable: Portable) -> Iterator[tuple[str, AnyCommand]]:

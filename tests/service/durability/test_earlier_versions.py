@@ -187,6 +187,39 @@ def told(recorded):
     )
 
 
+def results_of(recorded, name="mean"):
+    """What a reader of a query's stream knows, and who publishes to it."""
+    generator = recorded.engine.generator(name)
+    stream = generator.stream
+    rows = [(available, values) for available, _, values in stream.all().rows()]
+    return stream.first_number, rows, generator.counters.accepted
+
+
+def test_results_of_queries_stay_with_another_program(written, monkeypatch):
+    path, recorded = written
+    before = results_of(recorded)
+    assert len(before[1]) > 5
+    recorded.close()
+    monkeypatch.setattr(PROGRAM, lambda *_: "dyknow 0.2.0")
+    again = RecordedEngine(path, now=12 * SECOND)
+    assert results_of(again) == before
+    # New results follow, and are numbered behind those.
+    for n in range(12, 16):
+        again.do(Publish("s5", "ndjson", body(n), n * SECOND))
+    after = results_of(again)
+    assert after[:2] == (before[0], after[1])
+    assert after[1][: len(before[1])] == before[1]
+    times = [available for available, _ in after[1]]
+    assert times == sorted(times)
+    assert len(times) > len(before[1])
+    assert again.engine.generator("mean").counters.late == 0
+    again.close()
+    monkeypatch.setattr(PROGRAM, lambda *_: "dyknow 0.3.0")
+    third = RecordedEngine(path, now=17 * SECOND)
+    assert results_of(third) == after
+    third.close()
+
+
 def test_what_another_program_wrote_goes_on_under_new_ids(written, settings, clock, monkeypatch):
     path, recorded = written
     before, epoch = told(recorded), recorded.engine.epoch
