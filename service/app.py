@@ -56,7 +56,7 @@ from .runtime.metrics import Metrics
 from .runtime.openapi import openapi_schema
 from .sse.clients import EventClients
 from .sse.feeds import Feeds
-from .turns.batch_decoding import Decoding
+from .turns.batch_decoding import BatchDecoder
 from .workers.services import Isolation, Windows
 
 # Looked through in this order for each request: the most frequent ones first.
@@ -132,7 +132,7 @@ def create_app(
         clock,
         feeds,
         LiveBodies(tokens),
-        Decoding(engine, settings.batch_limits),
+        BatchDecoder(engine, settings.batch_limits),
         Metrics(
             engine,
             feeds,
@@ -166,7 +166,7 @@ def create_app(
             yield
             service.leave()
             service.isolation.close()
-            service.decoding.close()
+            service.decoder.close()
             tasks.cancel_scope.cancel()
         keeper.close()
 

@@ -26,7 +26,6 @@ from .sample import (
 from .sample import Schema as Schema
 from .string_pool import StringPool
 from .time import TIME_MAX, TIME_MIN
-from .yield_points import Pauses
 
 _FAN: Final = 32
 """So many neighbouring runs of one size class are put together to one of the next."""
@@ -40,7 +39,7 @@ _CHARACTERS: Final = 4 << 20
 """But so many characters of them are, if these are more than `_SHARE` times as many as there were
 when texts that are gone were looked for."""
 _TRIES: Final = 4
-"""So often texts are looked for that others have changed meanwhile; then at once."""
+"""Searches for texts to which the stream gets others meanwhile; then `encoded` looks for them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -252,11 +251,12 @@ class FluentStream:
         }
         return SampleBatch(batch.available, batch.valid, found)
 
-    def find_places(self, batch: SampleBatch, pauses: Pauses) -> None:
-        """Look, with moments for others, for what the texts of ``batch`` are here, so that
-        `encoded` is quick right after it. Contract: its pools are its own, without other texts.
+    def find_places(self, batch: SampleBatch) -> None:
+        """Find the codes that the texts of ``batch`` have or will have in this stream, so that
+        `encoded` is quick right after it.
 
-        Law (tests/laws): it changes nothing else.
+        Contract: the pools of ``batch`` are its own, without other texts. May run in another thread
+        than that of the stream: it changes nothing else (law: tests/laws/converters).
         """
         for _ in range(_TRIES):
             lacking = [
@@ -267,7 +267,7 @@ class FluentStream:
                 and not column.pool.has_place(self.pools[name])
             ]
             for own, pool in lacking:
-                own.find_place(pool, pauses)
+                own.find_place(pool)
             if not lacking:
                 return
 

@@ -30,12 +30,12 @@ from ...languages.ssl.annotation import CheckedAnnotation
 from ...ontology.errors import OntologyError, QueryRefused
 from ...ontology.ontology import PreparedOntology
 from ...ontology.reading import TextFormat
+from ...streams.history import FluentStream
 from ...streams.recall import Forgotten
 from ...streams.rules import UNIQUE_TIMES
 from ...streams.sample import Schema
 from ...streams.string_pool import StringPool
 from ...streams.time import SECOND, TIME_MAX, format_duration, format_time
-from ...streams.yield_points import STRAIGHT, Pauses
 from ..catalog.iri_annotations import DescribedStream, DescribedTransformation
 from ..catalog.registered_transformations import TransformationView
 from ..engine import Engine
@@ -111,28 +111,26 @@ class Publish(Command, frozen=True, tag="publish"):
         """The batch, by the fields that the stream has now. Raises `WireError`, also for more than
         ``limits``: what is done again has none, for it was taken."""
         generator = engine.accepting(self.stream)
-        return self._decode(generator.schema, generator.stream.pools, limits, STRAIGHT)
+        return self._decode(generator.schema, generator.stream.pools, limits)
 
-    def decode_apart(self, engine: Engine, limits: BatchLimits, pauses: Pauses) -> Incoming | None:
-        """`decode` with moments for others, or None: the stream has other fields than when it
-        began. It changes nothing: texts get codes of their own, and those of the stream when it
-        takes the batch, so that they are the same when all is done again."""
-        schema = engine.accepting(self.stream).schema
-        incoming = self._decode(schema, {}, limits, pauses)
-        generator = engine.accepting(self.stream)
-        if generator.schema == schema:
-            generator.stream.find_places(incoming.batch, pauses)
-        return incoming if engine.accepting(self.stream).schema == schema else None
+    def decode_beside(self, stream: FluentStream, schema: Schema, limits: BatchLimits) -> Incoming:
+        """Decode the batch by ``schema`` in another thread than the engine's.
+
+        It changes nothing that the engine's thread reads: texts get codes of pools of their own.
+        The stream gives them its codes when it takes the batch, so a replay gives the same codes.
+        """
+        incoming = self._decode(schema, {}, limits)
+        stream.find_places(incoming.batch)
+        return incoming
 
     def _decode(
         self,
         schema: Schema,
         pools: dict[str, StringPool],
         limits: BatchLimits | None,
-        pauses: Pauses,
     ) -> Incoming:
         decode = decode_ndjson if self.kind == "ndjson" else decode_arrow
-        return decode(self.body, schema, pools, limits, pauses)
+        return decode(self.body, schema, pools, limits)
 
     def check_ahead(self, engine: Engine, incoming: Incoming) -> None:
         """Raise `AheadOfClock` where a sample is stamped further ahead of the clock, ``now``, than

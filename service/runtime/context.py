@@ -28,7 +28,7 @@ from ..durability.command_queue import Keeper
 from ..http.client_address import address_of
 from ..sse.clients import ClientKey
 from ..sse.feeds import Feeds
-from ..turns.batch_decoding import Decoding
+from ..turns.batch_decoding import BatchDecoder
 from ..workers.services import Isolation
 from .gc_policy import Garbage
 from .live_ingest import LiveBodies
@@ -50,7 +50,7 @@ class Service:
     clock: Clock
     feeds: Feeds
     bodies: LiveBodies
-    decoding: Decoding
+    decoder: BatchDecoder
     metrics: Metrics
     isolation: Isolation
     started: int
