@@ -124,7 +124,7 @@ class OxigraphWindows:
             text = self.counting
         merged = (bool(copies) or (again and not self.distinct)) and self.counting is None
         budget = self.terms.budget
-        with budget.pauses.apart(waits=True):
+        with budget.pauses.released(waits=True):
             found = budget.asking.ask(text.at(end), self._kept, asked)
         found = self._named_again(found, end, asked)
         return replace(self._read(found, start, end), merged=merged)

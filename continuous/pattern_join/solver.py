@@ -119,7 +119,7 @@ class PatternJoin:
             self._kept = 0
         most = _FIRST_CAPACITY + _MOST * rows.count
         while True:
-            with self.terms.budget.pauses.apart():
+            with self.terms.budget.pauses.released():
                 stayed, found = match(
                     rows.rows,
                     rows.heads,

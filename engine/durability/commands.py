@@ -52,7 +52,7 @@ from ..model.views import (
     TemplateView,
 )
 from ..processes.external_io import Outcome, Reading
-from ..units.backlog import Went
+from ..units.backlog import TurnRecord
 
 BatchKind: TypeAlias = Literal["ndjson", "arrow"]
 
@@ -195,13 +195,13 @@ class Refused(Command, frozen=True, tag="refused"):
             return
 
 
-class GoOn(Command, frozen=True, tag="go on"):
-    """Close windows of units that are behind: those that were ``done``."""
+class WorkBacklog(Command, frozen=True, tag="go on"):
+    """Close the windows of the backlog that were ``done``."""
 
-    done: tuple[Went, ...] = ()
+    done: tuple[TurnRecord, ...] = ()
 
     def apply(self, engine: Engine) -> None:
-        engine.go_on_again(self.done)
+        engine.replay_turns(self.done)
 
 
 class HearOfSinks(Command, frozen=True, tag="sinks"):
@@ -494,7 +494,7 @@ AnyCommand: TypeAlias = (
     | TellUnkept
     | Tick
     | Publish
-    | GoOn
+    | WorkBacklog
     | HearOfSinks
     | EndStream
     | DeclareStream

@@ -32,12 +32,12 @@ from .commands import (
     AddKpl,
     Begin,
     Command,
-    GoOn,
     Publish,
     Refused,
     RegisterQuery,
     RemoveKpl,
     Tick,
+    WorkBacklog,
     read,
     written,
 )
@@ -274,7 +274,7 @@ class Recovering:
                 self._unplaced[f"{stream}: {error}"] += 1
                 self.found.is_continued = False
                 return
-            case GoOn() if not self.found.is_continued:
+            case WorkBacklog() if not self.found.is_continued:
                 # Of another program other windows are due; they close when it is their turn.
                 return
             case AddKpl(text=text, unit=unit):

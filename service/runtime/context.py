@@ -115,7 +115,7 @@ class Service:
         """Do ``command``; return what it gives when it is kept. Who publishes waits a moment for
         those who read the stream."""
         if not isinstance(command, ANYTIME):
-            await self.keeper.quiet()
+            await self.keeper.windows_closed()
         found = self.keeper.do(command, known)
         await self.keeper.kept()
         if isinstance(command, Publish | EndStream):

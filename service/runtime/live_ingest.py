@@ -41,7 +41,7 @@ from ..durability.command_queue import Keeper
 from ..http.body_limit import HELD, Held
 from ..http.problems import Problem
 from ..sse.clients import OPEN
-from ..turns.fibers import let_others
+from ..turns.backlog_task import let_others
 
 _PART = 1 << 16
 """So many bytes are worked off together: some milliseconds of work."""

@@ -175,7 +175,7 @@ class _Service(Collector):
         yield _gauge(
             "dyknow_units_behind",
             "Units with windows that wait to be closed",
-            len(engine.behind.units),
+            len(engine.backlog.units),
         )
         yield _gauge("dyknow_event_requests", "Event requests that run", len(engine.events()))
         yield _gauge("dyknow_bodies", "Requests under way", self._bodies.bodies)

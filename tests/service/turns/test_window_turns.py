@@ -25,7 +25,7 @@ from dyknow.service.app import create_app
 from dyknow.service.config.settings import Settings
 from dyknow.service.server import running
 from dyknow.service.turns import backlog_task
-from dyknow.service.turns.window_turns import Pausing
+from dyknow.service.turns.window_turns import WindowTurns
 from dyknow.streams.sample import Field, FieldType
 
 NDJSON, TEXT = "application/x-ndjson", "text/plain"
@@ -34,8 +34,8 @@ COUNT = """REGISTER QUERY count COMPUTE EVERY 1s AS SELECT (COUNT(?v) AS ?many)
 FROM STREAM <http://www.ida.liu.se/dyknow/s.trdf> [RANGE 1s STEP 1s] WHERE { ?o dyknow:speed ?v }"""
 
 
-def patient() -> Pausing:
-    return Pausing(5, 60)
+def patient() -> WindowTurns:
+    return WindowTurns(5, 60)
 
 
 def windows(*, steps: int, work: Callable[[], None], count: int = 1) -> Callable[[], bool]:
@@ -58,13 +58,13 @@ def test_it_pauses_where_it_may_when_the_time_is_over() -> None:
 
     def work() -> None:
         seen.append(threading.current_thread())
-        pausing.breathe()
+        pausing.pause()
 
     pausing.allow(0)
-    task = pausing.begin(windows(steps=3, work=work))
+    task = pausing.start(windows(steps=3, work=work))
     counts = []
     while True:
-        is_done = task.go_on()
+        is_done = task.run()
         counts.append(len(seen))
         if is_done:
             break
@@ -78,10 +78,10 @@ def test_no_window_is_begun_when_the_time_is_over() -> None:
     pausing, closed = patient(), []
     pausing.allow(0)
     close = windows(steps=1, work=lambda: closed.append(1), count=3)
-    assert pausing.begin(close).go_on()
+    assert pausing.start(close).run()
     assert len(closed) == 1
     pausing.allow(60)
-    assert pausing.begin(close).go_on()
+    assert pausing.start(close).run()
     assert len(closed) == 3
 
 
@@ -91,20 +91,20 @@ def test_others_have_the_turn_while_it_does_something_apart() -> None:
     after = []
 
     def work() -> None:
-        with pausing.apart():
+        with pausing.released():
             assert may.wait(120)
         after.append(1)
 
     pausing.allow(0)
-    task = pausing.begin(windows(steps=1, work=work))
-    assert not task.go_on()
+    task = pausing.start(windows(steps=1, work=work))
+    assert not task.run()
     assert not task.is_ready
     may.set()
     assert ready.wait(120)
     # It is not its turn.
     assert task.is_ready
     assert not after
-    while not task.go_on():
+    while not task.run():
         assert task.is_ready
     assert after == [1]
 
@@ -113,77 +113,77 @@ def test_what_is_soon_done_apart_is_waited_for() -> None:
     pausing = patient()
 
     def work() -> None:
-        with pausing.apart():
+        with pausing.released():
             pass
 
     pausing.allow(20)
-    assert pausing.begin(windows(steps=100, work=work)).go_on()
+    assert pausing.start(windows(steps=100, work=work)).run()
 
 
 def test_to_the_end_of_the_window_that_is_half_done() -> None:
     pausing, may, closed = patient(), threading.Event(), []
 
     def work() -> None:
-        with pausing.apart():
+        with pausing.released():
             may.wait(120)
-        pausing.breathe()
+        pausing.pause()
         closed.append(1)
 
     pausing.allow(0)
-    task = pausing.begin(windows(steps=1, work=work, count=5))
-    assert not task.go_on()
+    task = pausing.start(windows(steps=1, work=work, count=5))
+    assert not task.run()
     threading.Timer(0.05, may.set).start()
-    assert task.go_on(to_end=True)
+    assert task.run(to_end=True)
     assert closed == [1]
 
 
 def test_what_is_left_is_enough_to_tell_what_windows_gave() -> None:
     pausing, closed = patient(), []
     pausing.allow(20)
-    task = pausing.begin(windows(steps=1, work=lambda: closed.append(1), count=1000), telling=1.0)
-    assert task.go_on()
+    task = pausing.start(windows(steps=1, work=lambda: closed.append(1), count=1000), emitting=1.0)
+    assert task.run()
     assert 10 <= len(closed) <= 20
 
 
 def test_a_unit_knows_how_long_its_windows_took_to_be_told() -> None:
-    class Clocked(Pausing):
+    class Clocked(WindowTurns):
         """Telling takes three seconds, whatever is told."""
 
-        def begin(self, close_next: Callable[[], bool], telling: float = 0.0) -> Any:
-            tellings.append(telling)
-            return super().begin(close_next, telling)
+        def start(self, close_next: Callable[[], bool], emitting: float = 0.0) -> Any:
+            emittings.append(emitting)
+            return super().start(close_next, emitting)
 
-        def timed(self, what: Callable[[], None]) -> float:
-            super().timed(what)
+        def time(self, what: Callable[[], None]) -> float:
+            super().time(what)
             return 3.0
 
-    tellings: list[float] = []
+    emittings: list[float] = []
     pausing = Clocked(5, 60)
     engine = engine_with(QUERIES[0], pausing)
     for second in (1, 2, 5, 9):
         Publish("s", "ndjson", batch(second, 2), second * SECOND).apply(engine)
         pausing.allow(1000)
-        while engine.behind:
-            engine.go_on()
-    counts = [3.0 / telling for telling in tellings if telling]
-    assert tellings[0] == 0.0
+        while engine.backlog:
+            engine.work_backlog()
+    counts = [3.0 / emitting for emitting in emittings if emitting]
+    assert emittings[0] == 0.0
     assert counts
     assert counts == [round(count) for count in counts]
 
 
 def test_a_window_that_takes_too_long_is_stopped() -> None:
-    pausing, ends = Pausing(0.05, 60), []
+    pausing, ends = WindowTurns(0.05, 60), []
 
     def close_next() -> bool:
         try:
             while True:
-                pausing.breathe()
+                pausing.pause()
         except Stopped as stopped:
             ends.append(str(stopped))
         return False
 
     pausing.allow(20)
-    assert pausing.begin(close_next).go_on()
+    assert pausing.start(close_next).run()
     assert ends == ["it took more than 0.05 s of processor time (DYKNOW_QUERY_SECONDS)"]
 
 
@@ -197,16 +197,16 @@ def test_an_error_is_raised_where_it_is_waited_for_and_the_thread_is_used_again(
     pausing.allow(20)
     for _ in range(3):
         with pytest.raises(ArithmeticError):
-            pausing.begin(fails).go_on()
+            pausing.start(fails).run()
     assert len(threads) == 1
     pausing.close()
 
 
 def test_without_a_task_there_are_no_pauses() -> None:
     pausing = patient()
-    pausing.breathe()
-    with pausing.apart():
-        pausing.breathe()
+    pausing.pause()
+    with pausing.released():
+        pausing.pause()
 
 
 QUERIES = [
@@ -222,7 +222,7 @@ FROM = "FROM STREAM <http://www.ida.liu.se/dyknow/s.trdf> [RANGE 3s STEP 1s] WHE
 ROWS = [(second, number) for second in range(8) for number in range(second % 4 + 1)]
 
 
-def engine_with(query: str, turns: Pausing | None) -> Engine:
+def engine_with(query: str, turns: WindowTurns | None) -> Engine:
     budget = Budget() if turns is None else Budget(pauses=turns)
     engine = Engine(epoch="e1", budget=budget, turns=turns)
     with_streams(engine)
@@ -254,13 +254,13 @@ def test_pauses_change_no_result(query: str) -> None:
             Publish("s", "ndjson", batch(second, second), second * SECOND).apply(engine)
         pausing.allow(0)
         for _ in range(second % 3):
-            paused.go_on()
+            paused.work_backlog()
             turns += 1
     at_once.end("s")
     paused.end("s")
-    while paused.behind:
+    while paused.backlog:
         pausing.allow(0)
-        paused.go_on()
+        paused.work_backlog()
         turns += 1
     found, expected = (
         [
@@ -345,7 +345,7 @@ def test_ten_thousand_windows_of_one_sample_hold_nobody_up() -> None:
 
 
 def test_a_unit_that_cannot_keep_up_is_cut_off_alone() -> None:
-    engine = Engine(epoch="e1", turns=Pausing(5, 0.05))
+    engine = Engine(epoch="e1", turns=WindowTurns(5, 0.05))
     with (
         served(engine) as url,  # type: ignore[attr-defined]
         httpx.Client(base_url=url, trust_env=False, timeout=60) as http,
@@ -369,9 +369,9 @@ def test_a_unit_that_cannot_keep_up_with_a_live_stream_is_cut_off() -> None:
             end = time.thread_time() + 0.004
             while time.thread_time() < end:
                 pass
-            pausing.breathe()
+            pausing.pause()
 
-    pausing = Pausing(5, 0.3)
+    pausing = WindowTurns(5, 0.3)
     engine = engine_with(QUERIES[1], pausing)
     (unit,) = engine.units()
     closed = unit.evaluator._closed  # type: ignore[attr-defined]
@@ -384,13 +384,13 @@ def test_a_unit_that_cannot_keep_up_with_a_live_stream_is_cut_off() -> None:
     for second in range(1, 400):
         Publish("s", "ndjson", batch(second, 1), second * SECOND).apply(engine)
         pausing.allow(0)
-        engine.go_on()
+        engine.work_backlog()
         if unit.failure is not None:
             break
     assert unit.failure is not None
     assert unit.failure.startswith("Overwhelmed")
     assert second > 15
-    assert not engine.behind
+    assert not engine.backlog
     pausing.close()
 
 
@@ -400,22 +400,22 @@ def test_what_fails_while_the_unit_is_changed_is_told_in_its_turn() -> None:
     (unit,) = engine.units()
 
     def fails(end: int, reports: bool) -> bool:
-        pausing.breathe()
+        pausing.pause()
         raise ArithmeticError("no")
 
     unit.evaluator._closed = fails  # type: ignore[attr-defined]
     for second in range(1, 3):
         Publish("s", "ndjson", batch(second, 1), second * SECOND).apply(engine)
     pausing.allow(0)
-    engine.go_on()
-    assert engine.behind.is_within
-    engine.behind.finish()
+    engine.work_backlog()
+    assert engine.backlog.is_mid_window
+    engine.backlog.finish_windows()
     # It is not told before it is the unit's turn.
-    assert engine.behind.is_within
+    assert engine.backlog.is_mid_window
     assert unit.failure is None
-    engine.go_on(begins=False)
+    engine.work_backlog(begins=False)
     assert unit.failure == "ArithmeticError: no"
-    assert not engine.behind
+    assert not engine.backlog
     pausing.close()
 
 
@@ -476,7 +476,7 @@ def test_who_publishes_waits_until_a_large_batch_is_taken(
     """Else any number of samples would wait."""
     counting(http)
     assert published(http) == 202
-    assert not any(unit.is_taking for unit in engine.behind_of("s"))
+    assert not any(unit.is_taking_parts for unit in engine.backlog_of("s"))
 
 
 @pytest.mark.usefixtures("_small_parts")
@@ -484,14 +484,14 @@ def test_nobody_waits_for_what_is_not_taken_as_the_log_takes_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     recorded = RecordedEngine(tmp_path, now=0, durability=Durability.WRITE, turns=patient())
-    go_on, is_full = recorded.go_on, threading.Event()
+    work_backlog, is_full = recorded.work_backlog, threading.Event()
 
     def when_there_is_room(**given: bool) -> None:
         if is_full.is_set():
             raise JournalFull("no room", "make some")
-        go_on(**given)
+        work_backlog(**given)
 
-    monkeypatch.setattr(recorded, "go_on", when_there_is_room)
+    monkeypatch.setattr(recorded, "work_backlog", when_there_is_room)
     with (
         served(recorded) as url,  # type: ignore[attr-defined]
         httpx.Client(base_url=url, trust_env=False, timeout=120) as http,
@@ -499,6 +499,6 @@ def test_nobody_waits_for_what_is_not_taken_as_the_log_takes_nothing(
         counting(http)
         is_full.set()
         assert published(http) == 202
-        assert recorded.engine.behind_of("s")[0].is_taking
+        assert recorded.engine.backlog_of("s")[0].is_taking_parts
         is_full.clear()
-        until(lambda: not recorded.engine.behind_of("s"))
+        until(lambda: not recorded.engine.backlog_of("s"))

@@ -45,13 +45,13 @@ def test_being_behind_changes_nothing_but_when(seed, length):
     at_once, behind = Engine(epoch="e1"), Engine(epoch="e1", turns=steps)
     for i, command in enumerate(life(random.Random(seed), length)):
         if not isinstance(command, ANYTIME):
-            caught_up(behind.go_on, behind.behind, steps)
+            caught_up(behind.work_backlog, behind.backlog, steps)
         told = do(lambda one: done(at_once, one), command)
         assert do(lambda one: done(behind, one), command) == told, (i, command)
         if pick.random() < 0.3:
             steps.allow()
-            behind.go_on()
-    caught_up(behind.go_on, behind.behind, steps)
+            behind.work_backlog()
+    caught_up(behind.work_backlog, behind.backlog, steps)
     found, expected = state(behind), state(at_once)
     for name, stream in expected["streams"].items():
         assert found["streams"][name] == stream, name
@@ -72,19 +72,19 @@ def lived(path: Path, seed: int, length: int, cuts: set[int], most: float):
     recorded.engine.epoch = "e1"
     try:
         for i, command in enumerate(life(random.Random(seed), length)):
-            if not isinstance(command, ANYTIME) and recorded.engine.behind.is_within:
-                recorded.engine.behind.finish()
-                recorded.go_on(begins=False)
+            if not isinstance(command, ANYTIME) and recorded.engine.backlog.is_mid_window:
+                recorded.engine.backlog.finish_windows()
+                recorded.work_backlog(begins=False)
             do(recorded.do, command)
             if pick.random() < 0.4:
                 steps.allow()
-                recorded.go_on()
+                recorded.work_backlog()
             if i in cuts:
                 if chance.random() < 0.5:
-                    recorded.engine.behind.finish()
+                    recorded.engine.backlog.finish_windows()
                     recorded.checkpoint().write()
                     if chance.random() < 0.5:
-                        recorded.go_on()
+                        recorded.work_backlog()
                 before = state(recorded.engine)
                 recorded.log.commit()
                 recorded._directory.close()
@@ -92,7 +92,7 @@ def lived(path: Path, seed: int, length: int, cuts: set[int], most: float):
                 assert recorded.recovery.notes == []
                 recorded.engine.epoch = "e1"
                 assert state(recorded.engine) == before
-        caught_up(recorded.go_on, recorded.engine.behind, steps)
+        caught_up(recorded.work_backlog, recorded.engine.backlog, steps)
         return state(recorded.engine)
     finally:
         recorded._directory.close()

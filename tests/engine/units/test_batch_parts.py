@@ -1,5 +1,5 @@
 """A large batch is taken in parts, with others' commands in between
-(tests/laws/engine/test_behind.py has the law: nothing changes but when)."""
+(tests/laws/engine/test_backlog.py has the law: nothing changes but when)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from dyknow.engine.durability.commands import (
 from dyknow.engine.engine import Engine
 from dyknow.engine.model.views import StreamDeclaration
 from dyknow.engine.units import windowed
-from dyknow.engine.units.backlog import Went
+from dyknow.engine.units.backlog import TurnRecord
 from dyknow.streams.sample import Field, FieldType
 
 FIELDS = (Field("id", FieldType.STRING), Field("v", FieldType.FLOAT))
@@ -83,42 +83,42 @@ def test_others_have_their_turn_between_two_parts(engine: Engine, looks: Looks) 
     at_once = reading(Engine())
     for each in (engine, at_once):
         publish(each, *range(100, 4600, 100))
-    unit = engine.behind_of("s")[0]
-    assert unit.is_taking
+    unit = engine.backlog_of("s")[0]
+    assert unit.is_taking_parts
     assert counts(at_once)
     assert counts(engine) == []
     looks.left = 2
-    assert engine.go_on() == (Went(unit.name, 0, parts=2),)
+    assert engine.work_backlog() == (TurnRecord(unit.name, 0, parts=2),)
     # What comes meanwhile comes after them.
     for each in (engine, at_once):
         publish(each, 5000, 6100)
-    assert unit.is_taking
+    assert unit.is_taking_parts
     looks.left = 100
-    assert engine.go_on() == (Went(unit.name, 0, parts=3),)
-    assert not unit.is_taking
+    assert engine.work_backlog() == (TurnRecord(unit.name, 0, parts=3),)
+    assert not unit.is_taking_parts
     looks.left = 1000
-    caught_up(engine.go_on, engine.behind, looks)
-    assert engine.behind_of("s") == ()
+    caught_up(engine.work_backlog, engine.backlog, looks)
+    assert engine.backlog_of("s") == ()
     assert counts(engine) == counts(at_once)
 
 
 def test_a_batch_that_is_not_large_is_taken_at_once(engine: Engine) -> None:
     publish(engine, *range(1, 21))
-    assert engine.behind_of("s") == ()
+    assert engine.backlog_of("s") == ()
     publish(engine, *range(21, 42))
-    assert engine.behind_of("s")
+    assert engine.backlog_of("s")
 
 
 def test_what_is_removed_takes_nothing_more(engine: Engine) -> None:
     publish(engine, *range(100, 4600, 100))
     RemoveQuery("count").apply(engine)
-    assert not engine.behind
+    assert not engine.backlog
     publish(engine, *range(4600, 9000, 100))
-    assert not engine.behind
+    assert not engine.backlog
 
 
 def test_parts_that_are_not_there_cannot_be_taken_again(engine: Engine) -> None:
     publish(engine, *range(1, 26))
-    name = engine.behind_of("s")[0].name
+    name = engine.backlog_of("s")[0].name
     with pytest.raises(ValueError, match="has no part of a batch to take"):
-        engine.go_on_again([Went(name, 0, parts=4)])
+        engine.replay_turns([TurnRecord(name, 0, parts=4)])
