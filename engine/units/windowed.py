@@ -1,4 +1,4 @@
-"""Units that evaluate windows, a little at a time (docs/design/0010-turns.md).
+"""Units that evaluate windows, a little at a time (docs/explanation/design/0010-turns.md).
 
 What makes windows due does not close them, and a large batch is taken in parts. A unit that has
 windows to close or parts to take is *behind*: it puts by what its inputs say until it has caught

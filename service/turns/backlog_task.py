@@ -1,4 +1,4 @@
-"""Closing windows between everybody's requests (docs/design/0010-turns.md).
+"""Closing windows between everybody's requests (docs/explanation/design/0010-turns.md).
 
 A command makes windows due. They are closed for a moment before it is answered, which is enough for
 most, then a little at a time, with others in between. Without turns nobody is ever behind, and

@@ -1,4 +1,4 @@
-"""docs/api.md, the routes and the OpenAPI schema say the same."""
+"""docs/reference/http.md, the routes and the OpenAPI schema say the same."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from dyknow.service.app import create_app
 from dyknow.service.cli.main import COMMANDS
 from dyknow.service.config.settings import Settings
 
-DOCS = ROOT / "docs" / "api.md"
+DOCS = ROOT / "docs" / "reference" / "http.md"
 HIDDEN = {("GET", "/openapi.json"), ("GET", "/docs"), ("GET", "/")}
 """Served, and not in the schema."""
 
@@ -83,7 +83,7 @@ def test_the_commands_on_the_page_run_from_top_to_bottom(url: str) -> None:
     checked = 'set -euo pipefail\ncurl() { command curl -sS --fail-with-body "$@"; }\n'
     done = subprocess.run(
         ["bash", "-c", checked + script],
-        cwd=DOCS.parents[1],
+        cwd=ROOT,
         capture_output=True,
         text=True,
         timeout=HANGS,
