@@ -195,7 +195,8 @@ class Client(Connection):
 
     def annotate(self, ssl: str) -> list[dict[str, Any]]:
         """Annotate streams and units by an SSL text; one that is longer than a request may be in
-        parts, each of which is taken whole or not at all (docs/reference/http.md)."""
+        parts, each of which is taken whole or not at all
+        (docs/reference/http-conventions.md, "Sizes")."""
         headers = {"Content-Type": TEXT}
         return joined(
             sent(

@@ -1,4 +1,4 @@
-"""Streams as server-sent events: one ring a stream, a cursor a client (docs/reference/http.md,
+"""Streams as server-sent events: one ring a stream, a cursor a client (docs/reference/streams.md,
 DESIGN §3).
 
 The ring is the stream's own history; a client is the number of the next sample it wants. Samples
