@@ -288,5 +288,5 @@ def _made_ours(path: Path, owner: int | None, group: int | None) -> str:
     return (
         f"the service runs as user {os.geteuid()}, group {os.getegid()}: let its group read the "
         f"file, chgrp {os.getegid()} {path}; chmod 640 {path} "
-        "(docs/reference/access.md#in-a-container)"
+        "(docs/how-to/deploy.md#in-a-container)"
     )
