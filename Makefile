@@ -41,7 +41,7 @@ lint: $(VENV)/installed-dev
 	$(BIN)/mypy -p dyknow
 	$(BIN)/lint-imports
 
-bench: $(VENV)/installed-dev ## the performance tables of docs/explanation/performance.md
+bench: $(VENV)/installed-dev ## the figures of docs/explanation/performance.md
 	$(BIN)/python bench/run.py
 
 format: $(VENV)/installed-dev
