@@ -64,18 +64,16 @@ def anchors(page: Path) -> set[str]:
 def commands(page: Path) -> Iterator[list[str]]:
     """The commands of a page's ``sh`` and ``console`` blocks, each as its words."""
     for block in blocks(page):
-        if block.language == "sh":
-            yield from _commands(block.text.splitlines())
-        elif block.language == "console":
-            yield from _commands(
-                [line[2:] for line in block.text.splitlines() if line.startswith("$ ")]
-            )
+        if block.language in ("sh", "console"):
+            yield from _commands(block.text.splitlines(), "$ " * (block.language == "console"))
 
 
-def _commands(lines: list[str]) -> Iterator[list[str]]:
+def _commands(lines: list[str], prompt: str) -> Iterator[list[str]]:
     waiting = ""
     for line in lines:
-        waiting += line + "\n"
+        if not waiting and not line.startswith(prompt):
+            continue  # output
+        waiting += (line if waiting else line.removeprefix(prompt)) + "\n"
         if line.endswith("\\"):
             continue
         try:
