@@ -108,6 +108,13 @@ def test_named_files_exist(page: Path) -> None:
         assert list(ROOT.glob(name)) or list(ROOT.glob(name + ".*")), name
 
 
+def test_each_figure_names_the_command_that_prints_it() -> None:
+    page = (DOCS / "explanation" / "performance.md").read_text()
+    table = re.findall(r"^\| (.*) \| `(\w+\.py)[^`]*` \|$", page, re.MULTILINE)
+    assert len(table) == len(re.findall(r" 20\d\d-\d\d-\d\d, ", page)) > 40
+    assert all((ROOT / "bench" / script).exists() for _, script in table)
+
+
 @pytest.mark.parametrize("page", PAGES, ids=by_name)
 def test_blocks_are_of_their_language(page: Path) -> None:
     assert len(re.findall(r"^```", page.read_text(), re.MULTILINE)) == 2 * len(blocks(page))
