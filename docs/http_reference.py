@@ -139,14 +139,15 @@ def _details(method: str, path: str, operation: dict[str, Any]) -> Iterator[str]
     yield f"### {method} {path}\n"
     for paragraph in operation["description"].split("\n\n"):
         yield f"{_line(paragraph)}\n"
-    parameters = [one for one in operation.get("parameters", ()) if _about(one)]
+    given = operation.get("parameters", ())
+    parameters = [one for one in given if one["in"] != "path" or _about(one)]
     if parameters:
         yield "| parameter | in | is |\n|---|---|---|"
         for one in parameters:
             about = _about(one)
             default = one["schema"].get("default")
             about += f" (default `{json.dumps(default)}`)" if default is not None else ""
-            yield f"| `{one['name']}` | {one['in']} | {_cell(about)} |"
+            yield f"| `{one['name']}` | {one['in']} | {_cell(about.strip())} |"
         yield ""
     if "requestBody" in operation:
         yield "Body:\n"
