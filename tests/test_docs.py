@@ -74,12 +74,11 @@ def test_every_page_is_of_one_kind() -> None:
 
 def mentions() -> list[tuple[str, str, str]]:
     """Each place that names a file of docs/: the file that does, the name, a heading of it."""
-    hidden = (".", "build", "__pycache__")
     return [
         (by_name(path), match[0].partition(", ")[0], match[1] or "")
         for pattern in MENTIONING
         for path in ROOT.rglob(pattern)
-        if not any(part.startswith(hidden) for part in path.relative_to(ROOT).parts)
+        if not any(part[0] == "." or part == "build" for part in path.relative_to(ROOT).parts)
         if path != Path(__file__)
         for match in MENTION.finditer(path.read_text())
     ]

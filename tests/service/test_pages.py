@@ -64,4 +64,9 @@ def test_the_commands_run_from_top_to_bottom(page: Path, url: str, tmp_path: Pat
     }
     printed = done.stdout.split("\n@@@\n")[1:]
     for command, output in zip(commands, printed, strict=True):
-        assert output.strip() == shown.get(command, output).strip()
+        assert lines(output) == lines(shown.get(command, output))
+
+
+def lines(text: str) -> list[str]:
+    """A text without the blanks at the ends of its lines."""
+    return [line.rstrip() for line in text.strip().splitlines()]
