@@ -46,7 +46,7 @@ lint: $(VENV)/installed-dev
 kernels: $(VENV)/installed-dev ## compile the loops of numba into its cache
 	@$(BIN)/python -c 'import dyknow.service.app; from dyknow.streams.jit import compile_all; compile_all()'
 
-bench: $(VENV)/installed-dev ## the performance tables of docs/performance.md
+bench: $(VENV)/installed-dev ## the performance tables of docs/explanation/performance.md
 	$(BIN)/python bench/run.py
 
 format: $(VENV)/installed-dev

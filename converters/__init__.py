@@ -1,7 +1,7 @@
 """Converters: samples <-> timed triples by annotation ([Events14 §V.A]), samples <-> bytes.
 
 Conversion is renaming and masking of columns; a Python object per sample appears only where a
-wire format makes one. docs/conversion.md shows every form by example.
+wire format makes one. docs/reference/ssl.md shows every form by example.
 """
 
 from .errors import ConversionError, WireError

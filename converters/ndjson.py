@@ -1,4 +1,4 @@
-"""Samples as newline-delimited JSON, ``application/x-ndjson`` (docs/conversion.md).
+"""Samples as newline-delimited JSON, ``application/x-ndjson`` (docs/reference/ssl.md).
 
 A line is ``{"valid": time, "available": time (optional), <field>: value …}``: every declared field
 and no other; null is no_value; a time is ISO-8601 or integer nanoseconds.

@@ -6,7 +6,7 @@ at the time that the default graph tells of it,
 
     <urn:g1> <http://www.w3.org/ns/prov#generatedAtTime> "2021-10-07T19:12:53Z"^^xsd:dateTime .
 
-anywhere in the text. Called by ``dyknow run`` and by programs; docs/conversion.md.
+anywhere in the text. Called by ``dyknow run`` and by programs; docs/reference/ssl.md.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The fields of an open stream, which its first batch decides (docs/conversion.md)."""
+"""The fields of an open stream, which its first batch decides (docs/reference/ssl.md)."""
 
 from __future__ import annotations
 

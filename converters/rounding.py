@@ -1,4 +1,4 @@
-"""Numbers of a batch that float fields round beyond a last digit (docs/conversion.md).
+"""Numbers of a batch that float fields round beyond a last digit (docs/reference/ssl.md).
 
 A float field holds the double nearest to the number that was sent (IEEE 754, ties to even), as
 every reader of decimals does. This module reports two kinds of numbers that lose more: integers

@@ -1,7 +1,7 @@
 """Samples -> timed triples by a stream's SSL annotation ([Events14 §V.A], SPEC §4).
 
 The annotation is compiled once to a plan of columns; converting a batch renames, masks and looks
-up columns. docs/conversion.md shows the triples of s1-s7.
+up columns. docs/reference/ssl.md shows the triples of s1-s7.
 """
 
 from __future__ import annotations

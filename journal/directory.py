@@ -9,7 +9,7 @@
     DIR/backup.json        it is no data directory, but a backup of one
     DIR/ontology/          format 1: an Oxigraph store, read once; kept as ontology.format1
 
-docs/data-directory.md says what each version of DyKnow does with each format.
+docs/reference/data-directory.md says what each version of DyKnow does with each format.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Semantic matching: a wanted feature in, the streams and units that give it out.
 
 [Introspection15 §4.3]. The engine calls `match_all` with what a query or a subscription needs;
-docs/design/0003-semantic-matching.md says how it works.
+docs/explanation/design/0003-semantic-matching.md says how it works.
 
 How much of what was wanted: one stream (or unit) that holds every wanted object is a complete
 supply. Where there is none, each stream that holds some of them is a source, and together they

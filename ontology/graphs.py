@@ -1,7 +1,8 @@
 """The named graphs of the store, and the IRIs of what is kept in them.
 
 The store's default graph is the merge of all of them (each triple once), and is what SPARQL sees;
-the named graphs say where a triple is from, and `GRAPH` reaches them. docs/ontology.md explains.
+the named graphs say where a triple is from, and `GRAPH` reaches them. docs/reference/ontology.md
+explains.
 """
 
 from __future__ import annotations

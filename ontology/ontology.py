@@ -1,7 +1,7 @@
 """The ontology: Oxigraph store, closure, vocabulary, live stream space (SPEC §2, DESIGN §4).
 
 One `Ontology` owns its store. Changes are made one at a time and whole; queries see the state
-before or after one. The graphs are listed in `graphs` and explained in docs/ontology.md.
+before or after one. The graphs are listed in `graphs` and explained in docs/reference/ontology.md.
 """
 
 from __future__ import annotations

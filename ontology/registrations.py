@@ -1,5 +1,6 @@
 """What people have registered, kept as texts in graphs of the store: templates, annotations,
-declared streams, transformations, continuous queries, KPL, specifications (docs/ontology.md)."""
+declared streams, transformations, continuous queries, KPL, specifications
+(docs/reference/ontology.md)."""
 
 from __future__ import annotations
 

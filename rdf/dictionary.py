@@ -7,7 +7,7 @@ fit no column.
 Streams say new terms without end, and so do those who ask, so terms are of two kinds. *Pinned* ones
 stay: features, sorts and the static side. *Transient* ones, of streams, computed, and constants of
 queries and annotations (`Named`), are forgotten by mark and sweep when no *holder* has their ids
-any more (docs/design/0006-terms-that-pass.md).
+any more (docs/explanation/design/0006-terms-that-pass.md).
 """
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
-"""The rules by which a program orders and adapts the samples of a stream (docs/data-directory.md).
+"""The rules by which a program orders and adapts the samples of a stream
+(docs/reference/data-directory.md).
 
 Rules 1, up to DyKnow 0.1: available times are unique. A row with a taken available time is a
 duplicate, and samples of one moment stand 1 ns apart. A policy is of the whole stream. Rules 2:

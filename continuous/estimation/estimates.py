@@ -23,7 +23,7 @@ from .pattern_sizes import Known, Size
 
 
 class Way(StrEnum):
-    """How an operator is done (docs/semantics.md, "How it is computed")."""
+    """How an operator is done (docs/explanation/semantics.md, "How it is computed")."""
 
     COLUMNS = "in columns"
     INCREMENTAL = "incrementally"

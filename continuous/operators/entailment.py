@@ -3,7 +3,8 @@
 The rules are those on single triples (`ontology.entailment`): sub-properties, inverse and symmetric
 properties, equivalences, domains and ranges, sub-classes. Transitivity, property chains and
 owl:sameAs hold in the static side only. `window_schedule` adds the rows that are made here to those
-that come, so that every way to evaluate a query sees them; docs/semantics.md has the table.
+that come, so that every way to evaluate a query sees them; docs/explanation/semantics.md has the
+table.
 """
 
 from __future__ import annotations

@@ -58,7 +58,7 @@ class WindowResult:
 
     Exactly one of ``solutions`` (SELECT), ``triples`` (CONSTRUCT, DESCRIBE; τ and valid time are
     ``end``) and ``answer`` (ASK) is there. ``merged``: the bag was asked for, the window held equal
-    triples, and they counted once (docs/semantics.md says where).
+    triples, and they counted once (docs/explanation/semantics.md says where).
     """
 
     start: int

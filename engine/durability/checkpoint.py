@@ -1,5 +1,5 @@
 """The whole state of an engine as bytes, and an engine out of them
-(docs/design/0007-the-journal.md).
+(docs/explanation/design/0007-the-journal.md).
 
 An engine is a graph of objects; this is its pickle, with what pickle cannot do by itself: functions
 within functions, compiled loops, stores, locks. It is for the very program that wrote it: who keeps

@@ -2,8 +2,8 @@
 
 An engine is a function of its commands: the same ones in the same order make the same streams with
 the same samples under the same numbers, in another process, too. That is what the journal rests on
-(docs/design/0007-the-journal.md). So a command holds all that it depends on, time included, in the
-forms in which people say it: texts, and batches as they came.
+(docs/explanation/design/0007-the-journal.md). So a command holds all that it depends on, time
+included, in the forms in which people say it: texts, and batches as they came.
 
 The written form (MessagePack, a map with the member ``do``) is a promise: members are added with
 defaults, and never change their meaning. tests/cases/journal has one of each.

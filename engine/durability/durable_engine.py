@@ -1,5 +1,5 @@
 """An engine whose commands are written down before they are done, and done again at the next start
-(docs/design/0007-the-journal.md).
+(docs/explanation/design/0007-the-journal.md).
 
 A data directory holds the log of commands, and checkpoints of the engine between them. At a start
 the engine of the newest checkpoint does again what the log has after it. What comes of it are the

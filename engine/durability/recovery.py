@@ -1,5 +1,5 @@
 """What a start does: an engine out of the newest sound checkpoint and the log after it
-(docs/design/0007-the-journal.md).
+(docs/explanation/design/0007-the-journal.md).
 
 What cannot be had again is told, and kept for another start; then numbers and ids begin anew.
 """

@@ -1,4 +1,4 @@
-"""Units that evaluate windows (docs/design/0010-turns.md).
+"""Units that evaluate windows (docs/explanation/design/0010-turns.md).
 
 A command that makes windows due does not close them, and a large batch is taken in parts. While a
 unit has windows to close or parts to take it is in the engine's backlog and defers what its inputs

@@ -1,8 +1,8 @@
 """A specification in parts that are applied one after the other, each within bounds
 ([Introspection15 §3.2]).
 
-What runs may be more than one text may say (docs/isolation.md). Parts say the same together: each
-stands behind those whose streams it reads. Called by the client.
+What runs may be more than one text may say (docs/explanation/isolation.md). Parts say the same
+together: each stands behind those whose streams it reads. Called by the client.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 """Which host a request may name, and which pages may send one: what a browser of somebody who
-visits a hostile page must not be used for (docs/access.md, "Browsers").
+visits a hostile page must not be used for (docs/reference/access.md, "Browsers").
 
 A page whose name is made to point at this machine (DNS rebinding) sends its own name as Host; a
 page elsewhere sends its Origin, or the browser says ``Sec-Fetch-Site``. Programs send neither.
@@ -95,7 +95,7 @@ class Hosts:
                 421,
                 "wrong host",
                 f"this service is not called {place.host}",
-                hint=f"if it is: DYKNOW_TRUSTED_HOSTS={place.host} (docs/access.md)",
+                hint=f"if it is: DYKNOW_TRUSTED_HOSTS={place.host} (docs/reference/access.md)",
             )
         if len(self._known) < LISTED:
             self._known[value] = place
@@ -181,7 +181,7 @@ def _foreign(whose: str) -> Problem:
         403,
         "foreign origin",
         f"{whose} may not use this service from a browser",
-        hint="DYKNOW_TRUSTED_ORIGINS lists the pages that may (docs/access.md)",
+        hint="DYKNOW_TRUSTED_ORIGINS lists the pages that may (docs/reference/access.md)",
     )
 
 

@@ -1,4 +1,4 @@
-"""Which scope each route needs: the one place that says so (docs/access.md, "Scopes").
+"""Which scope each route needs: the one place that says so (docs/reference/access.md, "Scopes").
 
 A route that stands nowhere here needs ``admin``; a test walks all routes of the application.
 Everything that makes, changes or removes streams, units, templates or requests is ``admin``.

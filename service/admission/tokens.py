@@ -1,4 +1,4 @@
-"""Bearer tokens (RFC 6750): who may read, publish, administer (docs/access.md).
+"""Bearer tokens (RFC 6750): who may read, publish, administer (docs/reference/access.md).
 
 A line a token, `<scope>[,<scope>] <name> <token or sha256:hex>`, in a file or the environment.
 Kept are hashes only. Used by service/admission/gate; `token_file` reads the file again when it
@@ -158,7 +158,7 @@ class Tokens:
                 f"{settings.host or 'every address'} can be reached from other machines, "
                 "and there are no tokens",
                 "make one: dyknow token me --scope admin --add tokens.txt; then: dyknow serve "
-                f"--host {settings.host} --tokens tokens.txt (docs/access.md)",
+                f"--host {settings.host} --tokens tokens.txt (docs/reference/access.md)",
             )
         return cls(found.items(), stamp)
 
@@ -287,5 +287,6 @@ def _made_ours(path: Path, owner: int | None, group: int | None) -> str:
         return f"chmod 640 {path}"
     return (
         f"the service runs as user {os.geteuid()}, group {os.getegid()}: let its group read the "
-        f"file, chgrp {os.getegid()} {path}; chmod 640 {path} (docs/access.md#in-a-container)"
+        f"file, chgrp {os.getegid()} {path}; chmod 640 {path} "
+        "(docs/how-to/deploy.md#in-a-container)"
     )

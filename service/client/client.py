@@ -1,4 +1,4 @@
-"""A Python client with the verbs of the HTTP routes (docs/api.md).
+"""A Python client with the verbs of the HTTP routes (docs/reference/http.md).
 
     client = dyknow.Client("http://127.0.0.1:8000")
     request = client.request_event("dyknow:HighSpeedEvent(?o, dyknow:UAV, 100)")
@@ -195,7 +195,8 @@ class Client(Connection):
 
     def annotate(self, ssl: str) -> list[dict[str, Any]]:
         """Annotate streams and units by an SSL text; one that is longer than a request may be in
-        parts, each of which is taken whole or not at all (docs/api.md)."""
+        parts, each of which is taken whole or not at all
+        (docs/reference/http-conventions.md, "Sizes")."""
         headers = {"Content-Type": TEXT}
         return joined(
             sent(

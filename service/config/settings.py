@@ -20,7 +20,7 @@ def _workers() -> int:
 
 
 class Settings(BaseSettings):
-    """What can be set; docs/api.md explains each. Sizes are bytes, durations seconds."""
+    """The settings (docs/reference/settings.md). Sizes are bytes, durations seconds."""
 
     model_config = SettingsConfigDict(env_prefix="DYKNOW_", extra="ignore")
 

@@ -10,7 +10,8 @@ HINTS: Final = {
     "bad Accept header": "send media types such as Accept: application/json, text/csv;q=0.5",
     "bad JSON": "send JSON in UTF-8, not nested deeply, with each member once",
     "bad ontology": "send Turtle, RDF/XML, JSON-LD or N-Triples, as Content-Type says",
-    "bad samples": "GET /streams/{name} tells the fields; docs/api.md has samples to start from",
+    "bad samples": "GET /streams/{name} tells the fields; docs/how-to/publish-samples.md has "
+    "samples to start from",
     "bad unit": "write units as SSL does: km.h-1, m.s-2",
     "conflict": "GET what is there, and send what agrees with it, or remove it first",
     "conversion failed": "GET /streams/{name} tells the annotation and the fields it is for",
@@ -40,7 +41,7 @@ HINTS: Final = {
     "values do not fit": "the schema of each route is at /docs and in /openapi.json",
     "wrong arguments": "the parameters of each route are at /docs and in /openapi.json",
 }
-GENERAL: Final = "docs/api.md and /docs say what each route takes"
+GENERAL: Final = "docs/reference/http.md and /docs say what each route takes"
 
 
 def hint_for(title: str) -> str:

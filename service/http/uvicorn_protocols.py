@@ -81,7 +81,8 @@ class Bounded(AutoHTTPProtocol):  # type: ignore[misc, valid-type]
                 400,
                 "bad request",
                 "this is no HTTP that the service understands",
-                hint="speak HTTP/1.1 without TLS, as curl does; docs/access.md has what is bounded",
+                hint="speak HTTP/1.1 without TLS, as curl does; "
+                "docs/reference/access.md has what is bounded",
             )
         )
 

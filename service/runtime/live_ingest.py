@@ -1,4 +1,4 @@
-"""Samples that are published while the body of their request comes (docs/api.md, "Live samples").
+"""Samples that are published while the body of their request comes (docs/reference/streams.md).
 
 One request for as long as its sender has something to say: what has arrived by now is one call of
 the engine, so that several small parts that wait are taken together. `LiveBodies` has those under

@@ -1,7 +1,7 @@
 """Metrics for Prometheus: requests as they happen, streams and units as they are when asked.
 
-docs/operations.md lists them all. Streams and units are told by `stream_metrics`, since there may
-be tens of thousands; everything else by the client library of Prometheus.
+docs/reference/metrics.md lists them all. Streams and units are told by `stream_metrics`, since
+there may be tens of thousands; everything else by the client library of Prometheus.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """What is done beside the start so that the first requests need not wait for it: compiled loops,
 worker processes, grammars, tables of units, the schema of the routes.
 
-The service is not ready before it is over (docs/operations.md, "Readiness"). Used by cli/serve.
+The service is not ready before it is over (docs/reference/metrics.md, "Readiness"). Used by
+cli/serve.
 """
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
-"""Streams as server-sent events: one ring a stream, a cursor a client (docs/api.md, DESIGN §3).
+"""Streams as server-sent events: one ring a stream, a cursor a client (docs/reference/streams.md,
+DESIGN §3).
 
 The ring is the stream's own history; a client is the number of the next sample it wants. Samples
 are encoded when somebody listens, once for all clients, and kept in a bounded cache

@@ -1,4 +1,4 @@
-"""Several streams on one connection, resumed by one id (docs/api.md, "Several streams").
+"""Several streams on one connection, resumed by one id (docs/reference/streams.md).
 
 Each stream has a cursor of its own; a sample's message gets an id that says how far the client has
 got in all of them: ``<epoch>-<names>-<position>.<position>…``, the positions in the order of the

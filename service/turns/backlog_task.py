@@ -1,4 +1,4 @@
-"""Close due windows between requests (docs/design/0010-turns.md).
+"""Close due windows between requests (docs/explanation/design/0010-turns.md).
 
 A command makes windows due. The service closes them for a moment before it answers, which is enough
 for most; then a task closes the rest a little at a time, with requests in between. Without turns

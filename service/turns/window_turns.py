@@ -4,7 +4,7 @@ A task closes the windows of one unit on a thread of its own. The thread and the
 turns: only one of them touches the engine at a time. Where an evaluation may pause
 (`continuous.columns.pauses`) the thread hands the turn back once its time is over. It computes
 without the turn what needs nothing of the engine: a compiled join, a question to a worker. Design
-and measurements: docs/design/0010-turns.md.
+and measurements: docs/explanation/design/0010-turns.md.
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ from dyknow.languages.specification.decoding import MAX_BYTES
 from dyknow.languages.specification.markup import MAX_DEPTH, NAMESPACE
 
 HERE = Span(0, 0)
-PAGE = ROOT / "docs" / "specifications.md"
+PAGE = ROOT / "docs" / "reference" / "specifications.md"
 CASES = TESTS / "cases" / "specification"
 XSD = Path(parser.__file__).with_name("specification.xsd")
 

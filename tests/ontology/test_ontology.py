@@ -347,7 +347,8 @@ def test_a_store_in_memory_is_made_anew_now_and_then() -> None:
 
 
 def test_a_deep_hierarchy_loads_with_marks_and_answers_for_all_its_pairs() -> None:
-    """2,000 classes in a chain are 2 million pairs: no store has them (docs/ontology.md)."""
+    """2,000 classes in a chain are 2 million pairs: no store has them
+    (docs/reference/ontology.md)."""
     lines = ["dyknow:C0 a owl:Class ; rdfs:subClassOf dyknow:Vehicle ."]
     lines += [
         f"dyknow:C{i} a owl:Class ; rdfs:subClassOf dyknow:C{i - 1} ." for i in range(1, 2000)

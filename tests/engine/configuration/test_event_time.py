@@ -1,4 +1,4 @@
-"""Late samples on streams of their own, and idle streams (docs/semantics.md)."""
+"""Late samples on streams of their own, and idle streams (docs/explanation/semantics.md)."""
 
 import gc
 import json

@@ -114,8 +114,8 @@ def test_prove_a_flight_log(tmp_path: Path) -> None:
 
 
 def test_the_texts_of_the_page_on_kpl_are_kpl(tmp_path):
-    page = (ROOT / "docs" / "kpl.md").read_text()
-    texts = re.findall(r"^```\n(.*?)^```", page, re.DOTALL | re.MULTILINE)
+    page = (ROOT / "docs" / "reference" / "kpl.md").read_text()
+    texts = re.findall(r"^```kpl\n(.*?)^```", page, re.DOTALL | re.MULTILINE)
     assert len(texts) == 2
     for text in texts:
         file = tmp_path / "text.kpl"

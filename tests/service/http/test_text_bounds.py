@@ -1,5 +1,5 @@
 """What one request may declare, and who reads it: XML another process, SSL and KPL another thread
-than the one in which everybody waits (docs/isolation.md)."""
+than the one in which everybody waits (docs/explanation/isolation.md)."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ from dyknow.service.runtime.warm_up import Warming
 from dyknow.service.server import running
 from dyknow.streams.time import SECOND, Clock
 
-PAGE = ROOT / "docs" / "operations.md"
+PAGE = ROOT / "docs" / "reference" / "metrics.md"
 LINES = {"Content-Type": "application/x-ndjson"}
 
 
