@@ -6,14 +6,14 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 
 from ..ontology.vocabulary import THING
 from ..rdf.namespaces import shorten
-from .fast import FastSearch
+from .fast_search import FastSearch
 from .goals import Answer, Goal, Goals, Offer, Through, why_not_convertible
 from .plan import Compute, Detect, Supply, UseStream, nodes_of
+from .plan_text import stream_text, transformation_text
 from .space import Ask, StreamDescription, TransformationDescription
 from .subject import Subjects, whose
 from .tree import Alternative, Outcome
 from .want import Want
-from .words import stream_words, unit_words
 
 LISTED = 20
 """Alternatives listed of one kind; of more, only the number is told."""
@@ -68,7 +68,7 @@ class Explainer:
         for stream in streams[:LISTED]:
             serving = goals.serving(goal.asks[0].feature)
             fields = [c.field for c in stream.contents if c.feature in serving]
-            text = stream_words(stream.name, stream.contents, fields, maker=stream.maker)
+            text = stream_text(stream.name, stream.contents, fields, maker=stream.maker)
             if stream.name in chosen:
                 yield Alternative(text, Outcome.CHOSEN)
             else:
@@ -109,11 +109,11 @@ class Explainer:
         for unit in self._giving(top.asks[0]):
             if unit.name in chosen:
                 passed = is_lazy
-                yield Alternative(unit_words(unit), Outcome.CHOSEN)
+                yield Alternative(transformation_text(unit), Outcome.CHOSEN)
             elif passed:
-                yield Alternative(unit_words(unit), Outcome.UNTRIED)
+                yield Alternative(transformation_text(unit), Outcome.UNTRIED)
             elif any(self._is_possible(unit, goal) for goal in answered):
-                yield Alternative(unit_words(unit), Outcome.POSSIBLE)
+                yield Alternative(transformation_text(unit), Outcome.POSSIBLE)
             else:
                 yield self._unit(unit, answered[0], frozenset())
 
@@ -133,7 +133,7 @@ class Explainer:
         self, unit: TransformationDescription, goal: Goal, path: frozenset[Goal]
     ) -> Alternative:
         """Why this transformation gives nothing."""
-        text = unit_words(unit)
+        text = transformation_text(unit)
         reason = self._no_answer(unit, goal)
         if reason:
             return Alternative(text, Outcome.FAILED, reason)

@@ -19,19 +19,19 @@ from itertools import chain
 from typing import TypeAlias
 
 from ..ontology.vocabulary import Vocabulary
-from .building import Builder, source_of
 from .explain import Explainer
-from .fast import FastSearch
+from .fast_search import FastSearch
+from .gc_pause import gc_paused
 from .goals import Answer, Goal, Goals
+from .optimal_plan import find_optimal_plan
 from .plan import Node, Supply, nothing_runs
+from .plan_builder import Builder, source_of
 from .render import render
 from .space import StreamSpace
 from .strategy import Kind, Strategy, UnknownStrategy
 from .subject import Sorts, Subjects
 from .tree import Alternative, Match, Outcome
-from .uncollected import uncollected
 from .want import Want
-from .weigh import weigh
 
 __all__ = [
     "Alternative",
@@ -69,7 +69,7 @@ def match_all(
     trees are left out. Raises `UnknownStrategy`. Law: the same arguments give equal matches.
     """
     chosen = Strategy.parse(strategy)
-    with uncollected():
+    with gc_paused():
         return _match_all(
             wants, space, vocabulary, chosen, without, is_running, explained=explained
         )
@@ -178,9 +178,9 @@ def _choose(
     roots = [goal for need in needed for goal in need.goals]
     if strategy.kind is Kind.FAST or not roots:
         return search.chosen, True
-    weighed = weigh(goals, roots, strategy, is_running)
-    assert weighed is not None, "each of them has an answer"
-    return weighed.chosen, weighed.proven
+    optimal = find_optimal_plan(goals, roots, strategy, is_running)
+    assert optimal is not None, "each of them has an answer"
+    return optimal.chosen, optimal.proven
 
 
 def _supply(need: _Needed, builder: Builder) -> Supply | None:

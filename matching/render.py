@@ -22,9 +22,9 @@ from .plan import (
     below_of,
     nodes_of_supply,
 )
+from .plan_text import conversion_text, stream_text
 from .tree import Alternative, Match, Outcome
 from .want import Want
-from .words import conversion_words, stream_words
 
 MOST_LINES = 500
 """So many lines has a match, and one more that says how many others there are."""
@@ -140,7 +140,7 @@ def _node(node: Node, ports: tuple[Port, ...]) -> tuple[str, Sequence[_Use]]:
     match node:
         case UseStream(stream, contents):
             fields = tuple(port.source_field for port in ports)
-            return stream_words(stream, contents, fields, ports), ()
+            return stream_text(stream, contents, fields, ports), ()
         case SelectObject(source, id_field, object):
             return f"select {id_field} = {local_name(object)}", (_Use(source, ports),)
         case Synchronize(inputs):
@@ -150,7 +150,7 @@ def _node(node: Node, ports: tuple[Port, ...]) -> tuple[str, Sequence[_Use]]:
         case Compute(transformation, inputs, output):
             names = [local_name(port.feature) for edge in inputs for port in edge.ports]
             head = f"{transformation} : {', '.join(names) or '∅'} ⇒ {local_name(output.feature)}"
-            changes = ", ".join(filter(None, map(conversion_words, ports)))
+            changes = ", ".join(filter(None, map(conversion_text, ports)))
             return f"{head}   ({changes})" if changes else head, _uses(inputs)
         case _:
             assert_never(node)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from .optimal_plan import SELECTION_COST, SYNCHRONIZATION_COST
 from .plan import (
     Compute,
     Detect,
@@ -18,7 +19,6 @@ from .plan import (
 )
 from .space import StreamSpace
 from .strategy import Kind, Strategy
-from .weigh import SELECTION_COST, SYNCHRONIZATION_COST
 
 
 def quality_of(supply: Supply, space: StreamSpace) -> float:

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 
 @contextmanager
-def uncollected() -> Iterator[None]:
+def gc_paused() -> Iterator[None]:
     """Without Python's collector: work that makes many small values and drops few of them would
     have a large stream space walked through again and again for nothing."""
     was_enabled = gc.isenabled()

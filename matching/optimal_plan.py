@@ -28,7 +28,7 @@ SYNCHRONIZATION_COST = 1.0
 
 
 @dataclass(frozen=True, slots=True)
-class Weighed:
+class OptimalPlan:
     """The best answers. ``value`` is their total weight, or with *quality* the least quality over
     what was wanted; no plan is better than ``bound``. With ``proven`` this one is as good."""
 
@@ -38,12 +38,12 @@ class Weighed:
     proven: bool
 
 
-def weigh(
+def find_optimal_plan(
     goals: Goals,
     roots: Sequence[Goal],
     strategy: Strategy,
     is_running: Callable[[Node], bool] = nothing_runs,
-) -> Weighed | None:
+) -> OptimalPlan | None:
     """The best plan for all of ``roots`` together; None if one of them has none.
 
     Cost: linear in what leads to the roots, and then the optimum's.
@@ -62,7 +62,7 @@ def weigh(
         if answered is not None:
             goal, answer = answered
             chosen[goal] = answer
-    return Weighed(chosen, choice.value, choice.bound, choice.proven)
+    return OptimalPlan(chosen, choice.value, choice.bound, choice.proven)
 
 
 class _Unfolded:

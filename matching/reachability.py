@@ -6,7 +6,7 @@ from ..ontology.vocabulary import Vocabulary
 from .space import StreamSpace
 
 
-class Reach:
+class Reachability:
     """The features that lead to a feature, remembered until transformations or the vocabulary
     change (`forget`)."""
 
