@@ -7,10 +7,11 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from ..ontology.vocabulary import THING
 from ..rdf.namespaces import shorten
 from .fast_search import FastSearch
-from .goals import Answer, Goal, Goals, Offer, Through, why_not_convertible
+from .goal import Answer, Goal, Offer, Through, goal_of
+from .goals import Goals
 from .plan import Compute, Detect, Supply, UseStream, nodes_of
 from .plan_text import stream_text, transformation_text
-from .space import Ask, StreamDescription, TransformationDescription
+from .space import Ask, StreamDescription, TransformationDescription, why_not_convertible
 from .subject import Subjects, whose
 from .tree import Alternative, Outcome
 from .want import Want
@@ -26,6 +27,7 @@ class Explainer:
 
     def __init__(self, goals: Goals, search: FastSearch, chosen: Mapping[Goal, Answer]) -> None:
         self._goals = goals
+        self._index = goals.index
         self._search = search
         self._chosen = chosen
         self._explained: set[tuple[str, Goal]] = set()
@@ -38,7 +40,7 @@ class Explainer:
         With *fast*, what comes after the choice was not tried: that is what makes it fast. Streams
         are judged all the same, since a look suffices.
         """
-        top = self._goals.top(want)
+        top = goal_of(want, self._index.sorts)
         self._explained.clear()
         streams = tuple(self._streams(top, supply))
         units = tuple(self._units(top, answered or (top,), supply))
@@ -54,19 +56,19 @@ class Explainer:
 
     def _streams(self, goal: Goal, supply: Supply | None) -> Iterator[Alternative]:
         """Each stream with the feature: chosen, possible, or why not."""
-        goals = self._goals
+        index = self._index
         chosen = _chosen_streams(supply)
-        found = {stream.name: stream for stream in goals.candidates(goal)}
+        found = {stream.name: stream for stream in self._goals.streams.candidates(goal)}
         if supply is None and len(found) < LISTED:
             # Streams about other objects are no candidates, but they tell what there is.
-            space = goals.space
-            names = (n for f in goals.serving(goal.asks[0].feature) for n in space.holding(f))
+            space = index.space
+            names = (n for f in index.serving(goal.asks[0].feature) for n in space.holding(f))
             found |= {name: space.streams[name] for name in names}
         streams = sorted(
-            found.values(), key=lambda s: (s.name not in chosen, goals.space.place(s.name))
+            found.values(), key=lambda s: (s.name not in chosen, index.space.place(s.name))
         )
         for stream in streams[:LISTED]:
-            serving = goals.serving(goal.asks[0].feature)
+            serving = index.serving(goal.asks[0].feature)
             fields = [c.field for c in stream.contents if c.feature in serving]
             text = stream_text(stream.name, stream.contents, fields, maker=stream.maker)
             if stream.name in chosen:
@@ -78,20 +80,20 @@ class Explainer:
             yield Alternative(f"{more} more streams", Outcome.UNTRIED, "not listed")
 
     def _stream(self, stream: StreamDescription, goal: Goal, text: str) -> Alternative:
-        goals = self._goals
-        if stream.name in goals.without:
+        index = self._index
+        if stream.name in index.without:
             return Alternative(
                 text, Outcome.FAILED, "it is silent, has ended, or answers somebody else only"
             )
         ask, subjects = goal.asks[0], goal.subjects
         reasons: dict[str, None] = {}
         for content, unit in zip(stream.contents, stream.units, strict=True):
-            if content.feature not in goals.serving(ask.feature) or not content.roles:
+            if content.feature not in index.serving(ask.feature) or not content.roles:
                 continue
-            reason = goals.sorts.why_not_all(content.roles, subjects)
+            reason = index.sorts.why_not_all(content.roles, subjects)
             reason = reason or why_not_convertible(unit, ask.unit)
             if not reason:
-                whole = goals.sorts.holds(content.roles, subjects)
+                whole = index.sorts.holds(content.roles, subjects)
                 part = "" if whole else "some of the objects"
                 return Alternative(text, Outcome.POSSIBLE, part)
             reasons[reason] = None
@@ -118,7 +120,7 @@ class Explainer:
                 yield self._unit(unit, answered[0], frozenset())
 
     def _giving(self, ask: Ask) -> tuple[TransformationDescription, ...]:
-        return tuple(self._goals.producers(ask))
+        return tuple(self._index.producers(ask))
 
     def _is_possible(self, unit: TransformationDescription, goal: Goal) -> bool:
         return any(self._solves(goal, way) for way in self._goals.ways(goal) if _is_by(way, unit))
@@ -186,10 +188,10 @@ class Explainer:
             return reason
         for argument, subject in zip(unit.arguments, goal.subjects, strict=False):
             if argument.object is not None:
-                object = self._goals.sorts.canonical(argument.object)
+                object = self._index.sorts.canonical(argument.object)
                 if subject.object != object:
                     return f"it speaks of {shorten(object)}, not of {subject}"
-            elif not self._goals.sorts.belongs(subject, argument.sort or THING):
+            elif not self._index.sorts.belongs(subject, argument.sort or THING):
                 return _of_another_sort(unit, argument.sort or THING, goal.subjects)
         return ""
 

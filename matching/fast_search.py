@@ -15,7 +15,8 @@ from collections.abc import Iterator
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field
 
-from .goals import Answer, Goal, Goals, Offer
+from .goal import Answer, Goal, Offer
+from .goals import Goals
 
 _FREE = 1 << 62
 """The depth of a failure that depends on no goal above."""

@@ -21,14 +21,17 @@ from typing import TypeAlias
 from ..ontology.vocabulary import Vocabulary
 from .explain import Explainer
 from .fast_search import FastSearch
+from .feature_index import FeatureIndex
 from .gc_pause import gc_paused
-from .goals import Answer, Goal, Goals
+from .goal import Answer, Goal, goal_of
+from .goals import Goals
 from .optimal_plan import find_optimal_plan
 from .plan import Node, Supply, nothing_runs
 from .plan_builder import Builder, source_of
 from .render import render
 from .space import StreamSpace
 from .strategy import Kind, Strategy, UnknownStrategy
+from .stream_offers import StreamOffers
 from .subject import Sorts, Subjects
 from .tree import Alternative, Match, Outcome
 from .want import Want
@@ -90,7 +93,7 @@ def _match_all(
     search = FastSearch(goals)
     needed = [_needed(goals, search, want) for want in dict.fromkeys(wants)]
     answers, proven = _choose(goals, search, needed, chosen, is_running)
-    builder = Builder(answers, goals.sorts)
+    builder = Builder(answers, goals.index.sorts)
     explainer = Explainer(goals, search, answers)
     found = {}
     for need in needed:
@@ -125,18 +128,20 @@ def _favoured(
     counts: Counter[str] = Counter()
     distinct = tuple(dict.fromkeys(wants))
     if len(distinct) > 1:
-        goals = Goals(space, vocabulary, without=without)
+        index = FeatureIndex(space, vocabulary, without)
+        offers = StreamOffers(index, {})
         for want in distinct:
-            counts.update({offer.stream.name for offer in goals.offers(goals.top(want))})
+            found = offers.of(goal_of(want, index.sorts))
+            counts.update({offer.stream.name for offer in found})
     return counts
 
 
 def _needed(goals: Goals, search: FastSearch, want: Want) -> _Needed:
-    whole = goals.top(want)
+    whole = goal_of(want, goals.index.sorts)
     if search.solve(whole):
         return _Needed(want, (whole,), complete=True)
     parts = [part for part in goals.parts(whole) if search.solve(part)]
-    return _Needed(want, tuple(_widest(goals.sorts, parts)), complete=False)
+    return _Needed(want, tuple(_widest(goals.index.sorts, parts)), complete=False)
 
 
 def _widest(sorts: Sorts, parts: Sequence[Goal]) -> Sequence[Goal]:

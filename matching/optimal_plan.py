@@ -13,7 +13,8 @@ from itertools import zip_longest
 
 import numpy as np
 
-from .goals import Answer, Apart, Goal, Goals, Offer, Through
+from .goal import Answer, Apart, Goal, Offer, Through
+from .goals import Goals
 from .optimum.best_quality import best_quality
 from .optimum.hypergraph import Hypergraph
 from .optimum.least_weight import least_weight
@@ -177,7 +178,7 @@ class _Unfolded:
         strategy = self._strategy
         cost = stream.cost
         if strategy.subscribers:
-            cost += strategy.subscribers * self._goals.space.subscribers(stream.name)
+            cost += strategy.subscribers * self._goals.index.space.subscribers(stream.name)
         weight = strategy.weight(cost, stream.quality)
         shared = self._shared(("stream", stream.name), [], weight, stream.quality)
         node: Node = UseStream(stream.name, stream.contents)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from ..languages.ssl.annotation import Role
 from ..ontology.units import IDENTITY, Unit, conversion, parse_unit
-from .goals import Answer, Apart, Goal, Offer, Through
+from .goal import Answer, Apart, Goal, Offer, Through
 from .plan import (
     Compute,
     Detect,

@@ -20,7 +20,7 @@ from ..languages.ssl.annotation import (
     StreamAnnotation,
     TransformationAnnotation,
 )
-from ..ontology.units import Unit, format_unit
+from ..ontology.units import Unit, UnitError, conversion, format_unit, parse_unit
 from ..ontology.vocabulary import SELF
 from .subject import Subject
 from .want import Want
@@ -250,3 +250,16 @@ def _leave(index: _Index[K], key: K, name: str) -> None:
 def unit_text(unit: Unit) -> str:
     """A unit's text: cheaper to compare and to look up than the unit itself."""
     return format_unit(unit)
+
+
+@lru_cache(maxsize=4096)
+def why_not_convertible(source: str, target: str | None) -> str:
+    """Why values in ``source`` units cannot be had in ``target`` units (None: any), as texts;
+    empty if they can."""
+    if target is None or source == target:
+        return ""
+    try:
+        conversion(parse_unit(source), parse_unit(target))
+    except UnitError as error:
+        return str(error)
+    return ""

@@ -156,3 +156,19 @@ class Sorts:
 def whose(subjects: Sequence[Subject]) -> str:
     """``every dyknow:UAV``, ``dyknow:uav1``; several of an n-ary feature."""
     return " and ".join(map(str, subjects))
+
+
+def named_objects(subjects: Sequence[Subject]) -> dict[str | None, Subject]:
+    """The subject that names each object; of several the first that gives a sort."""
+    named: dict[str | None, Subject] = {}
+    for subject in subjects:
+        object = subject.object
+        if object is not None and (object not in named or named[object].sort is None):
+            named[object] = subject
+    return named
+
+
+def unified(subjects: Subjects) -> Subjects:
+    """The same subjects, where an object is the same subject in all its places."""
+    named = named_objects(subjects)
+    return tuple(named.get(subject.object, subject) for subject in subjects)
