@@ -1,4 +1,4 @@
-"""Why this plan, and why not another: the transformation tree in words ([Introspection15 §4.3])."""
+"""The reasons for and against each alternative of a match ([Introspection15 §4.3])."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from .tree import Alternative, Outcome
 from .want import Want
 
 LISTED = 20
-"""Alternatives listed of one kind; of more, only the number is told."""
+"""Alternatives of one kind to list; of the others only the number is shown."""
 EXPLAINED_DEPTH = 12
-"""Features on a path beyond which a failure is not taken apart further."""
+"""Features on a path beyond which a failure is not explained further."""
 
 
 class Explainer:
-    """Words for a match. A transformation that fails is explained where it is met first."""
+    """Explains a match. A transformation that fails is explained where it comes first."""
 
     def __init__(self, goals: Goals, search: FastSearch, chosen: Mapping[Goal, Answer]) -> None:
         self._goals = goals
@@ -37,8 +37,8 @@ class Explainer:
     ) -> tuple[Alternative, ...]:
         """All ways to the wanted feature: streams, then transformations, in the order of trying.
 
-        With *fast*, what comes after the choice was not tried: that is what makes it fast. Streams
-        are judged all the same, since a look suffices.
+        *fast* does not try the transformations after its choice, so they are listed as not tried.
+        Streams are judged in any case, since that is cheap.
         """
         top = goal_of(want, self._index.sorts)
         self._explained.clear()
@@ -47,7 +47,7 @@ class Explainer:
         return streams + units
 
     def missing(self, want: Want, tree: tuple[Alternative, ...]) -> tuple[str, ...]:
-        """What would have to be there: the leaves of a tree without a plan, each once."""
+        """The reasons at the leaves of a tree without a plan, each once."""
         if not tree:
             return (_nothing_gives(want.feature),)
         return tuple(dict.fromkeys(_leaves(tree)))[:LISTED]
@@ -60,7 +60,7 @@ class Explainer:
         chosen = _chosen_streams(supply)
         found = {stream.name: stream for stream in self._goals.streams.candidates(goal)}
         if supply is None and len(found) < LISTED:
-            # Streams about other objects are no candidates, but they tell what there is.
+            # Streams about other objects are no candidates, but the user learns that they exist.
             space = index.space
             names = (n for f in index.serving(goal.asks[0].feature) for n in space.holding(f))
             found |= {name: space.streams[name] for name in names}
@@ -83,7 +83,7 @@ class Explainer:
         index = self._index
         if stream.name in index.without:
             return Alternative(
-                text, Outcome.FAILED, "it is silent, has ended, or answers somebody else only"
+                text, Outcome.FAILED, "it is silent, has ended, or serves another request only"
             )
         ask, subjects = goal.asks[0], goal.subjects
         reasons: dict[str, None] = {}
@@ -126,7 +126,7 @@ class Explainer:
         return any(self._solves(goal, way) for way in self._goals.ways(goal) if _is_by(way, unit))
 
     def _solves(self, goal: Goal, way: Answer) -> bool:
-        """All that ``way`` needs can be had without ``goal`` itself."""
+        """Whether all needs of ``way`` have answers without ``goal`` itself."""
         assert not isinstance(way, Offer)
         search = FastSearch(self._goals, blocked={goal})
         return all(search.solve(need) for need in way.needs)
@@ -180,7 +180,7 @@ class Explainer:
         return Alternative(text, Outcome.FAILED, "" if failed else _nothing_gives(feature), failed)
 
     def _no_answer(self, unit: TransformationDescription, goal: Goal) -> str:
-        """Why its output is not what is wanted, whatever it is fed with; empty if it is."""
+        """Why its output cannot be the wanted feature, whatever its inputs; empty if it can."""
         if unit.lacks:
             return unit.lacks
         reason = why_not_convertible(unit.output_unit, goal.asks[0].unit)
@@ -196,7 +196,7 @@ class Explainer:
         return ""
 
     def _unclear(self, unit: TransformationDescription) -> str:
-        """Why no choice of what it takes besides the objects of its output is possible."""
+        """Why no choice of its further arguments is possible."""
         own = {a.variable for a in unit.arguments if a.id_field is None}
         sorts = dict.fromkeys(
             shorten(argument.sort or THING)

@@ -1,4 +1,4 @@
-"""What of a stream space matching may use, by feature: sub-features, transformations, subjects."""
+"""An index of a stream space by feature: sub-features, transformations, subjects."""
 
 from __future__ import annotations
 
@@ -71,8 +71,8 @@ class FeatureIndex:
         return found
 
     def subjects(self, features: frozenset[str]) -> tuple[Subject, ...]:
-        """Whose features stand in any stream, or come from any source, that can lead to
-        ``features``: each once, in the order of looking."""
+        """The subjects of all streams and sources that can lead to ``features``: each once, in the
+        order of discovery."""
         found = self._known.get(features)
         if found is None:
             found = self._known[features] = tuple(self._look(features))

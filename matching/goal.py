@@ -19,8 +19,8 @@ from .want import Want
 class Goal(NamedTuple):
     """Features of the same objects, in samples that belong together.
 
-    ``joined``: whoever needs it synchronizes it with others, so parts of it need no
-    synchronization of their own.
+    ``joined``: its consumer synchronizes it with others, so parts of it need no synchronization of
+    their own.
     """
 
     asks: tuple[Ask, ...]
@@ -29,7 +29,7 @@ class Goal(NamedTuple):
 
 
 class Offer(NamedTuple):
-    """A stream that holds all that is asked for; ``contents`` one an ask, all of the same roles."""
+    """A stream that holds all asks; ``contents`` has one for each ask, all of the same roles."""
 
     stream: StreamDescription
     contents: tuple[Content, ...]

@@ -59,8 +59,8 @@ class Goals:
             yield from self._aparts(goal)
 
     def parts(self, goal: Goal) -> tuple[Goal, ...]:
-        """The same for parts of what is wanted, where no stream gives all of it; in order of
-        trying. Cost: what leads to the feature is looked through once for each subject."""
+        """The same goal for some of its objects, where no stream gives all; in order of trying.
+        Cost: one pass over all that leads to the feature, for each subject."""
         held = self.index.subjects(frozenset(ask.feature for ask in goal.asks))
         choices = []
         for wanted in goal.subjects:
@@ -74,8 +74,8 @@ class Goals:
         return tuple(Goal(goal.asks, subjects) for subjects in combined)
 
     def _aparts(self, goal: Goal) -> Iterator[Apart]:
-        """What one stream serves together, as much as possible, and the rest one by one; last
-        everything one by one."""
+        """Asks that one stream serves together, as many as possible, and the others one by one;
+        last all asks one by one."""
         everything = range(len(goal.asks))
         groups: dict[tuple[int, ...], None] = {}
         for first in everything if len(goal.asks) > 2 else ():

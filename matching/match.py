@@ -1,12 +1,11 @@
-"""Semantic matching: a wanted feature in, the streams and units that give it out.
+"""Semantic matching: find the streams and units that give a wanted feature.
 
-[Introspection15 §4.3]. The engine calls `match_all` with what a query or a subscription needs;
-docs/design/0003-semantic-matching.md says how it works.
+[Introspection15 §4.3]. The engine calls `match_all` with the wants of a query or a subscription;
+docs/design/0003-semantic-matching.md explains how it works.
 
-How much of what was wanted: one stream (or unit) that holds every wanted object is a complete
-supply. Where there is none, each stream that holds some of them is a source, and together they
-are a partial supply; of two where one covers the other's objects only the wider is taken, so that
-no sample counts twice.
+One stream (or unit) that holds every wanted object is a complete supply. Where there is none, each
+stream that holds some of them is a source, and together they are a partial supply. Of two sources
+of which one covers the other's objects only the wider is taken, so that no sample counts twice.
 """
 
 from __future__ import annotations
@@ -49,7 +48,7 @@ __all__ = [
 
 
 def match(want: Want, space: StreamSpace, vocabulary: Vocabulary, strategy: str = "fast") -> Match:
-    """The supply that the strategy chooses, or what is missing; see `match_all`."""
+    """Match one want; see `match_all`."""
     (found,) = match_all([want], space, vocabulary, strategy)
     return found
 
@@ -64,12 +63,13 @@ def match_all(
     is_running: Callable[[Node], bool] = nothing_runs,
     explained: bool = True,
 ) -> tuple[Match, ...]:
-    """A match a want, in order. What several wants need is made once: with *cost* it counts once,
-    with *fast* a stream that serves several goes before others.
+    """Match several wants together; returns one match for each, in order.
 
-    ``without`` names streams and transformations that are not to be used; ``is_running`` says of
-    a selection whether there is a unit for it, which costs nothing more. Without ``explained`` the
-    trees are left out. Raises `UnknownStrategy`. Law: the same arguments give equal matches.
+    A unit that several wants need is made once: *cost* counts it once, and *fast* tries a stream
+    that serves several before others. ``without`` names streams and transformations that are not
+    to be used. ``is_running`` returns whether a selection has a unit, which then costs nothing.
+    Without ``explained`` the trees are left out. Raises `UnknownStrategy`. Law: the same arguments
+    give equal matches.
     """
     chosen = Strategy.parse(strategy)
     with gc_paused():
@@ -124,7 +124,7 @@ class _Needed:
 def _favoured(
     wants: Sequence[Want], space: StreamSpace, vocabulary: Vocabulary, without: AbstractSet[str]
 ) -> Mapping[str, int]:
-    """How many of several wants each stream serves wholly by itself."""
+    """The number of wants that each stream serves completely by itself, where there are several."""
     counts: Counter[str] = Counter()
     distinct = tuple(dict.fromkeys(wants))
     if len(distinct) > 1:
@@ -145,7 +145,7 @@ def _needed(goals: Goals, search: FastSearch, want: Want) -> _Needed:
 
 
 def _widest(sorts: Sorts, parts: Sequence[Goal]) -> Sequence[Goal]:
-    """Those whose objects no other covers; of equals the first."""
+    """The parts whose objects no other part covers; of equal ones the first."""
     # Only a sort covers other objects, and sorts are few where objects may be many.
     wide: list[int] = []
     alike: defaultdict[_Objects, list[int]] = defaultdict(list)

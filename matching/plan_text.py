@@ -1,4 +1,4 @@
-"""Streams, units and conversions in words, for trees and reasons."""
+"""Streams, transformations and conversions as text, for trees and reasons."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def transformation_text(unit: TransformationDescription) -> str:
 
 
 def port_text(port: PortAnnotation) -> str:
-    """``RGB[RMAX]``; ``latitude`` of whatever it is for."""
+    """``RGB[RMAX]``; ``latitude`` where the port has no arguments."""
     names = ", ".join(
         "self" if argument.object == SELF else local_name(argument.object or argument.sort or THING)
         for argument in port.arguments

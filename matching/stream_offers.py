@@ -31,7 +31,7 @@ class StreamOffers:
         self._offers: dict[Goal, tuple[Offer, ...]] = {}
 
     def of(self, goal: Goal) -> tuple[Offer, ...]:
-        """The streams that hold all that is asked for, best first."""
+        """The streams that hold all asks of a goal, best first."""
         found = self._offers.get(goal)
         if found is None:
             ranked = list(self._ranked_offers(goal))
@@ -41,7 +41,7 @@ class StreamOffers:
         return found
 
     def candidates(self, goal: Goal) -> Iterator[StreamDescription]:
-        """The streams that hold the first feature asked for, of anything that may be meant."""
+        """The streams that hold the first feature of a goal, of any object that may be meant."""
         features = self._serving(goal.asks[0].feature)
         if not any(map(self._space.holding, features)):
             return
@@ -60,7 +60,7 @@ class StreamOffers:
     def contents(
         self, stream: StreamDescription, ask: Ask, roles: Roles | None
     ) -> Iterator[Content]:
-        """What answers ``ask`` for ``roles`` (None: any): exact features, then sub-features."""
+        """The contents that answer ``ask`` for ``roles`` (None: any): exact features first."""
         serving = self._serving(ask.feature)
         fitting = [
             content
@@ -102,8 +102,8 @@ class StreamOffers:
                 yield rank, Offer(stream, contents)
 
     def _generality(self, roles: Roles, subjects: Subjects) -> int:
-        """How far the stream's sort is above the wanted one: a stream made for a sort goes before
-        one that speaks of it among others."""
+        """How far the stream's sort is above the wanted one: a stream made for a sort comes before
+        one for a more general sort."""
         sort = roles[0].sort
         above = self._index.vocabulary.supersorts((subjects[0].sort if subjects else None) or THING)
         if sort is None or sort not in above:

@@ -50,8 +50,8 @@ class TransformationWays:
             yield from self._through(unit, goal)
 
     def _through(self, unit: TransformationDescription, goal: Goal) -> Iterator[Through]:
-        """The ways in which a transformation gives the goal, one for each choice of what it takes
-        besides the objects of its output."""
+        """The ways in which a transformation gives the goal: one for each choice of the arguments
+        that its output does not name."""
         if unit.lacks or not all(self._gives(unit, ask) for ask in goal.asks):
             return
         if unit.passes_through:
@@ -81,7 +81,7 @@ class TransformationWays:
         )
 
     def _bind(self, arguments: Sequence[Argument], subjects: Subjects) -> _Binding | None:
-        """What the arguments of an output are, for it to speak of ``subjects``; None: never."""
+        """Bind the arguments of an output to ``subjects``; None if that is impossible."""
         if not arguments:
             return {}
         if len(arguments) < len(subjects):
@@ -104,7 +104,7 @@ class TransformationWays:
     def _bindings(
         self, unit: TransformationDescription, bound: _Binding, said: _Said
     ) -> Iterator[_Binding]:
-        """``bound`` with every choice for what is not bound."""
+        """Extend ``bound`` by every choice of the arguments that are not bound."""
         free: dict[str, list[str]] = {}
         features: dict[str, set[str]] = {}
         for port in unit.inputs:
@@ -126,7 +126,7 @@ class TransformationWays:
                 yield from self._bindings(unit, {**bound, variable: subject}, said)
 
     def _participants(self, features: frozenset[str]) -> Iterator[Subject]:
-        """Objects and sorts that there may be streams of: ``self`` first."""
+        """Objects and sorts of which there may be streams: ``self`` first."""
         own = Subject(None, self._sorts.canonical(SELF))
         yield own
         yield from (subject for subject in self._index.subjects(features) if subject != own)
@@ -134,7 +134,7 @@ class TransformationWays:
     def _needs(
         self, unit: TransformationDescription, binding: _Binding, said: _Said
     ) -> tuple[tuple[Goal, ...], tuple[tuple[int, int], ...]] | None:
-        """The goals of the inputs, those of the same objects together, and what feeds which."""
+        """The goals of the inputs, one for the same objects, and the feeds of `Through`."""
         groups: dict[_Group, dict[Ask, None]] = {}
         wanted: list[tuple[_Group, Ask]] = []
         for port, place in zip(unit.inputs, unit.fed, strict=True):
@@ -146,7 +146,7 @@ class TransformationWays:
             many = tuple(a.variable for a, subject in pairs if subject.object is None)
             # Two arguments that stand for every object of a sort are still two.
             group, ask = (many, own), unit.asks[place]
-            groups.setdefault(group, {})[ask] = None  # what feeds two inputs is needed once
+            groups.setdefault(group, {})[ask] = None  # one ask may feed two inputs
             wanted.append((group, ask))
         if len(groups) > 1 and not self._is_clear(unit, {many for many, _ in groups if many}):
             return None
@@ -170,14 +170,14 @@ class TransformationWays:
         joined: bool = False,
     ) -> tuple[tuple[Goal, ...], tuple[tuple[int, int], ...]]:
         """The goals of several asks of the same subjects: one, where a stream might hold some of
-        them together, or one for each; and what feeds which input."""
+        them together, or one for each; and the feeds of `Through`."""
         if len(asks) == 1 or self._index.may_be_held_together(asks):
             goal = Goal(asks, subjects, joined and len(asks) > 1)
             return (goal,), _in_one(fed)
         return tuple([Goal((ask,), subjects) for ask in asks]), _one_each(fed)
 
     def _is_clear(self, unit: TransformationDescription, kinds: set[tuple[str, ...]]) -> bool:
-        """Of several kinds of objects at most one is many, and the output keeps it apart."""
+        """Whether at most one of several kinds of objects is many, and the output names it."""
         if not kinds:
             return True
         own = {argument.variable for argument in unit.arguments if argument.id_field is None}
@@ -202,11 +202,11 @@ class TransformationWays:
 
 @lru_cache(maxsize=4096)
 def _in_one(fed: tuple[int, ...]) -> tuple[tuple[int, int], ...]:
-    """What feeds which input, where all asks are of one goal."""
+    """The feeds of `Through`, where all asks are of one goal."""
     return tuple((0, place) for place in fed)
 
 
 @lru_cache(maxsize=4096)
 def _one_each(fed: tuple[int, ...]) -> tuple[tuple[int, int], ...]:
-    """What feeds which input, where each ask is a goal of its own."""
+    """The feeds of `Through`, where each ask is a goal of its own."""
     return tuple((place, 0) for place in fed)
