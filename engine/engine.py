@@ -20,7 +20,7 @@ from ..languages.csparql.ast import EventRequest
 from ..languages.kpl import parse_policy
 from ..languages.specification import Specification, parse_specification
 from ..languages.ssl.annotation import CheckedAnnotation
-from ..matching.uncollected import uncollected
+from ..matching.gc_pause import gc_paused
 from ..ontology.ontology import Ontology, PreparedOntology
 from ..ontology.reading import TextFormat
 from ..rdf.namespaces import DYKNOW, PREFIXES
@@ -330,7 +330,7 @@ class Engine:
             return
         self._measured = self._now
         streams = tuple(self._parts.configuration.streams.items())
-        with uncollected(), self._parts.manager.together():
+        with gc_paused(), self._parts.manager.together():
             self._parts.count_subscribers()
             self._parts.manager.measure_rates((name, rate_of(each)) for name, each in streams)
             self._parts.manager.show_samples(streams)

@@ -21,7 +21,7 @@ from ...languages.ssl.annotation import (
     StreamAnnotation,
     TransformationAnnotation,
 )
-from ...matching.words import unit_words
+from ...matching.plan_text import transformation_text
 from ...ontology.ontology import Ontology
 from ...ontology.units import format_unit, parse_unit
 from ..configuration.configuration import Configuration
@@ -95,7 +95,7 @@ class RegisteredTransformations:
             parameters = self._transformations.parameters_of(known)
         return TransformationView(
             name=known.name,
-            text=unit_words(description),
+            text=transformation_text(description),
             annotation=known.annotation,
             implementation=known.implementation,
             parameters=dict(parameters),

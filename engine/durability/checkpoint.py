@@ -30,7 +30,7 @@ import numpy as np
 from pyoxigraph import Store
 
 from ...continuous.columns.budget import UNLIMITED, Budget
-from ...matching.uncollected import uncollected
+from ...matching.gc_pause import gc_paused
 from ...ontology.quad_store import quads_of, store_of
 from ..engine import Engine
 from ..processes.registry import Processes
@@ -161,7 +161,7 @@ def state_of(engine: Engine, more: object, outside: Outside) -> State:
 def _written(graph: object, names: dict[int, str], unkept: list[Unkept] | None) -> State:
     target = io.BytesIO()
     writer = _Writer(target, names, unkept)
-    with uncollected():
+    with gc_paused():
         _deep(lambda: writer.dump(graph))
     return State(target.getvalue(), tuple(unkept or ()))
 
@@ -173,7 +173,7 @@ def engine_of(state: bytes, outside: Outside) -> tuple[Engine, Any]:
     Raises `CheckpointError` for what cannot be read.
     """
     try:
-        with uncollected():
+        with gc_paused():
             engine, more = _deep(lambda: _Reader(io.BytesIO(state), outside).load())
     except Exception as error:  # a pickle that is not whole may raise whatever it names
         raise CheckpointError(f"the state cannot be read: {error}") from error

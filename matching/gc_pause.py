@@ -1,4 +1,4 @@
-"""Work that Python's collector is kept out of."""
+"""A pause of Python's garbage collector."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from contextlib import contextmanager
 
 
 @contextmanager
-def uncollected() -> Iterator[None]:
-    """Without Python's collector: work that makes many small values and drops few of them would
-    have a large stream space walked through again and again for nothing."""
+def gc_paused() -> Iterator[None]:
+    """Pause the garbage collector. Work that makes many small values and drops few would trigger it
+    again and again, and each time it would walk through a large stream space in vain."""
     was_enabled = gc.isenabled()
     gc.disable()
     try:

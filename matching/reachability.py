@@ -1,4 +1,4 @@
-"""What can lead to a feature: what transformations make it from, and these from what in turn."""
+"""Features that lead to a feature through transformations."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from ..ontology.vocabulary import Vocabulary
 from .space import StreamSpace
 
 
-class Reach:
+class Reachability:
     """The features that lead to a feature, remembered until transformations or the vocabulary
     change (`forget`)."""
 
@@ -16,12 +16,12 @@ class Reach:
         self._version = -1
 
     def forget(self) -> None:
-        """A transformation is there that was not, or takes something else."""
+        """Forget all: a transformation is new, or has other inputs."""
         self._known.clear()
 
     def of(self, feature: str, vocabulary: Vocabulary) -> frozenset[str]:
-        """``feature``, its sub-features, and what they can be made from. Cost: once linear in the
-        transformations on the way, then a look-up."""
+        """``feature``, its sub-features, and the features from which they can be made. Cost: linear
+        in the transformations on the way the first time, then a look-up."""
         if vocabulary.version != self._version:
             self._version = vocabulary.version
             self._known.clear()

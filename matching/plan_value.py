@@ -1,9 +1,10 @@
-"""What a plan is worth in a stream space: its quality and its cost ([Introspection15 §4.3])."""
+"""Quality, cost and weight of a plan in a stream space ([Introspection15 §4.3])."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
+from .optimal_plan import SELECTION_COST, SYNCHRONIZATION_COST
 from .plan import (
     Compute,
     Detect,
@@ -18,12 +19,11 @@ from .plan import (
 )
 from .space import StreamSpace
 from .strategy import Kind, Strategy
-from .weigh import SELECTION_COST, SYNCHRONIZATION_COST
 
 
 def quality_of(supply: Supply, space: StreamSpace) -> float:
     """The least quality of its sources: each is as good as its unit, times the worst of its
-    inputs. What is no longer in the space counts as 0."""
+    inputs. A stream or transformation that has left the space counts as 0."""
     qualities: dict[Node, float] = {}
     for node in nodes_of_supply(supply):
         below = min((qualities[part] for part in below_of(node)), default=1.0)
@@ -46,8 +46,8 @@ def weight_of(
     strategy: Strategy,
     is_running: Callable[[Node], bool] = nothing_runs,
 ) -> float:
-    """What the strategy compares plans by; less is better. With *quality* it is 1 less the
-    quality."""
+    """The weight by which the strategy compares plans; less is better. With *quality* it is 1 minus
+    the quality."""
     if strategy.kind is Kind.QUALITY:
         return 1.0 - quality_of(supply, space)
     total = 0.0

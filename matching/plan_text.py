@@ -1,4 +1,4 @@
-"""Streams, units and conversions in words, for trees and reasons."""
+"""Streams, transformations and conversions as text, for trees and reasons."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .space import ITSELF, TransformationDescription
 from .subject import Roles
 
 
-def conversion_words(port: Port) -> str:
+def conversion_text(port: Port) -> str:
     """``m.s-1 → km.h-1 × 3.6``; empty where values stay as they are."""
     change = port.conversion
     if change.is_identity:
@@ -27,7 +27,7 @@ def conversion_words(port: Port) -> str:
     return text
 
 
-def stream_words(
+def stream_text(
     stream: str,
     contents: tuple[Content, ...],
     fields: Collection[str],
@@ -40,16 +40,16 @@ def stream_words(
     ``maker`` is the transformation whose unit makes the stream.
     """
     used = [content for content in contents if content.field in fields] or list(contents)
-    changes = {port.source_field: conversion_words(port) for port in ports}
+    changes = {port.source_field: conversion_text(port) for port in ports}
     features = []
     for content in used:
         unit = changes.get(content.field) or (format_unit(content.unit) if content.unit else "")
         features.append(local_name(content.feature) + (f" [{unit}]" if unit else ""))
     made = f" by {maker}" if maker else ""
-    return f"stream {stream}{made} : {', '.join(features)}{_for_words(used[0].roles)}"
+    return f"stream {stream}{made} : {', '.join(features)}{_for_text(used[0].roles)}"
 
 
-def _for_words(roles: Roles) -> str:
+def _for_text(roles: Roles) -> str:
     pairs = []
     for role in roles:
         name = local_name(role.object or role.sort or THING)
@@ -58,19 +58,19 @@ def _for_words(roles: Roles) -> str:
     return f" for {', '.join(pairs)}" if pairs else ""
 
 
-def unit_words(unit: TransformationDescription) -> str:
+def transformation_text(unit: TransformationDescription) -> str:
     """``coordinatesToSpeed : latitude, longitude ⇒ speed``, as [Introspection15 §4.3] writes it;
     sorts where they were written: ``humanDetector : RGB[RMAX], IR[RMAX] ⇒ PixelLocation[Human]``.
     """
-    inputs = ", ".join(map(port_words, unit.inputs)) or "∅"
-    output = port_words(
+    inputs = ", ".join(map(port_text, unit.inputs)) or "∅"
+    output = port_text(
         replace(unit.output, arguments=unit.output.arguments or (ITSELF if not unit.inputs else ()))
     )
     return f"{unit.name} : {inputs} ⇒ {output}"
 
 
-def port_words(port: PortAnnotation) -> str:
-    """``RGB[RMAX]``; ``latitude`` of whatever it is for."""
+def port_text(port: PortAnnotation) -> str:
+    """``RGB[RMAX]``; ``latitude`` where the port has no arguments."""
     names = ", ".join(
         "self" if argument.object == SELF else local_name(argument.object or argument.sort or THING)
         for argument in port.arguments

@@ -1,7 +1,7 @@
 """From chosen answers to a plan: which streams, selections, synchronizations and units.
 
-What goals leave open is settled here: in which field of which stream a feature stands, which field
-names the objects, and in which unit it is.
+The builder settles the details that goals leave open: the stream and field of a feature, its unit
+of measurement, and the field that names the objects.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from ..languages.ssl.annotation import Role
 from ..ontology.units import IDENTITY, Unit, conversion, parse_unit
-from .goals import Answer, Apart, Goal, Offer, Through
+from .goal import Answer, Apart, Goal, Offer, Through
 from .plan import (
     Compute,
     Detect,
@@ -52,7 +52,7 @@ class Found(NamedTuple):
 class Builder:
     """Builds nodes; equal goals are one node.
 
-    Contract: every goal that is built is in ``chosen``, with all that it needs, in no circle.
+    Contract: ``chosen`` has every goal to build with all its needs, without a circle.
     """
 
     def __init__(self, chosen: Mapping[Goal, Answer], sorts: Sorts) -> None:
@@ -61,12 +61,12 @@ class Builder:
         self._built: dict[Goal, tuple[tuple[Found, tuple[int, ...]], ...]] = {}
 
     def build(self, goal: Goal) -> Found:
-        """What answers a goal of one ask."""
+        """Build the node that answers a goal of one ask."""
         ((found, _),) = self._parts(goal)
         return found
 
     def _parts(self, goal: Goal) -> tuple[tuple[Found, tuple[int, ...]], ...]:
-        """What answers a goal, with the places of the asks that each part answers."""
+        """Build the parts that answer a goal, each with the places of its asks."""
         waiting = [goal]
         while waiting:
             last = waiting[-1]
@@ -135,7 +135,7 @@ class Builder:
         return 1 + max(below, default=0)
 
     def _feeds(self, through: Through) -> tuple[list[Edge], list[int]]:
-        """What feeds the inputs, each stream once, and which of it feeds which."""
+        """The edges that feed the inputs, each stream once, and the edge of each input."""
         fed = []
         for port, (j, k) in zip(through.unit.inputs, through.feeds, strict=True):
             found, asks = next(part for part in self._built[through.needs[j]] if k in part[1])
@@ -147,11 +147,11 @@ class Builder:
 def gathered(
     fed: Sequence[tuple[Node, Roles, Port]], wanted: Sequence[int] | None = None
 ) -> tuple[list[Edge], list[int]]:
-    """What feeds the inputs of a unit, each stream once, and which of it feeds which.
+    """The edges that feed the inputs of a unit, each stream once, and the edge of each input.
 
     ``fed[i]`` is the node, the roles of what it holds, and the port that feed input ``i``. Where
-    several streams meet, input ``i`` speaks of the first ``wanted[i]`` roles: of what further ones
-    speak, nothing says how it meets the other streams.
+    several streams meet, input ``i`` has the first ``wanted[i]`` roles only: nothing defines how
+    further roles meet the other streams.
     """
     if len(fed) == 1:
         ((node, roles, port),) = fed
@@ -179,10 +179,10 @@ def computed(
     unit: TransformationDescription, feeds: Sequence[Edge], places: Sequence[int], sorts: Sorts
 ) -> Compute:
     """The unit of a transformation whose input ``i`` is fed by ``feeds[places[i]]``; several feeds
-    are synchronized. Where nobody says whose an input is, nobody says whose the output is."""
+    are synchronized. Where an input has no roles, the output has none."""
     feed = synchronized(feeds) if len(feeds) > 1 else next(iter(feeds), None)
     given = _output_roles(unit, feeds, places, feed, sorts)
-    # What comes with the inputs may have the name of a field of the output.
+    # An id field of the inputs may have the name of a field of the output.
     taken = {unit.output.field, *_own_fields(unit)}
     names: dict[str, str] = {}
     roles: list[Role] = []
@@ -203,7 +203,7 @@ def computed(
 
 
 def synchronized(feeds: Sequence[Edge]) -> Edge:
-    """One stream of tuples of what several streams hold of the same objects.
+    """One stream of tuples of the values that several streams hold of the same objects.
 
     Its id fields are those of the first stream that has any: of several kinds of objects only
     one is many.
@@ -213,7 +213,7 @@ def synchronized(feeds: Sequence[Edge]) -> Edge:
     ports: list[Port] = []
     edges: list[Edge] = []
     for feed in feeds:
-        # Values stand in the tuple as they do in the stream: whoever reads it converts.
+        # Values stand in the tuple as in the stream: the consumer converts them.
         own: dict[str, Port] = {}
         for port in feed.ports:
             if port.source_field not in own:
@@ -244,7 +244,7 @@ def _output_roles(
     feed: Edge | None,
     sorts: Sorts,
 ) -> Roles:
-    """Whose the output is."""
+    """The roles of the output."""
     whose = []
     if feed is not None:
         whose = [feed.roles if len(feeds) == 1 else tuple_roles(f, feed.roles) for f in feeds]
@@ -267,17 +267,17 @@ def _output_roles(
 
 
 def source_of(found: Found, goal: Goal, want: Want) -> SupplySource:
-    """What answers the goal of a want, as a source of it."""
+    """The node that answers the goal of a want, as a source of the want."""
     (ask,), (output,) = goal.asks, found.outputs
     unit = output.unit if ask.unit is None else parse_unit(ask.unit)
     return SupplySource(found.node, make_port(output, want.feature, unit), found.roles)
 
 
 def _selected(found: Found, subjects: Subjects, fields: Collection[str] | None = None) -> Found:
-    """Only the samples of the objects that are meant, where a stream has those of others.
+    """Select the samples of the wanted objects, where a stream has those of others.
 
-    ``fields`` are the id fields that are to be looked at (None: all): what a unit takes over from
-    its inputs was selected there.
+    ``fields`` are the id fields to look at (None: all): those that a unit takes over from its
+    inputs were selected there.
     """
     node = found.node
     roles: list[Role] = []

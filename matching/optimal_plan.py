@@ -1,8 +1,8 @@
 """The strategies that compare plans: cost, quality, and a weighted mix ([Introspection15 §4.3]).
 
-What leads to the wanted features is unfolded into an AND/OR graph of goals and producers; the
-optimum over it is `least_weight`'s and `best_quality`'s. A producer is a stream, a selection, a
-transformation or a synchronization; one that several goals use is one unit and counts once.
+The goals that lead to the wanted features are unfolded into an AND/OR graph of goals and producers;
+`least_weight` and `best_quality` find its optimum. A producer is a stream, a selection, a
+transformation or a synchronization. A producer that several goals use is one unit and counts once.
 """
 
 from __future__ import annotations
@@ -13,7 +13,8 @@ from itertools import zip_longest
 
 import numpy as np
 
-from .goals import Answer, Apart, Goal, Goals, Offer, Through
+from .goal import Answer, Apart, Goal, Offer, Through
+from .goals import Goals
 from .optimum.best_quality import best_quality
 from .optimum.hypergraph import Hypergraph
 from .optimum.least_weight import least_weight
@@ -22,15 +23,15 @@ from .space import EventDescription
 from .strategy import Kind, Strategy
 
 SELECTION_COST = 1.0
-"""What one more unit costs that selects an object's samples."""
+"""The cost of one more unit that selects an object's samples."""
 SYNCHRONIZATION_COST = 1.0
-"""What one more unit costs that synchronizes streams."""
+"""The cost of one more unit that synchronizes streams."""
 
 
 @dataclass(frozen=True, slots=True)
-class Weighed:
-    """The best answers. ``value`` is their total weight, or with *quality* the least quality over
-    what was wanted; no plan is better than ``bound``. With ``proven`` this one is as good."""
+class OptimalPlan:
+    """The best answers. ``value`` is their total weight, or with *quality* the least quality of a
+    wanted feature; no plan is better than ``bound``. ``proven``: this plan is as good."""
 
     chosen: dict[Goal, Answer]
     value: float
@@ -38,15 +39,15 @@ class Weighed:
     proven: bool
 
 
-def weigh(
+def find_optimal_plan(
     goals: Goals,
     roots: Sequence[Goal],
     strategy: Strategy,
     is_running: Callable[[Node], bool] = nothing_runs,
-) -> Weighed | None:
-    """The best plan for all of ``roots`` together; None if one of them has none.
+) -> OptimalPlan | None:
+    """Find the best plan for all ``roots`` together; None if one of them has none.
 
-    Cost: linear in what leads to the roots, and then the optimum's.
+    Cost: linear in the goals and answers below the roots, then that of the optimum.
     """
     unfolded = _Unfolded(goals, strategy, is_running)
     places = [unfolded.goal(root) for root in roots]
@@ -62,11 +63,11 @@ def weigh(
         if answered is not None:
             goal, answer = answered
             chosen[goal] = answer
-    return Weighed(chosen, choice.value, choice.bound, choice.proven)
+    return OptimalPlan(chosen, choice.value, choice.bound, choice.proven)
 
 
 class _Unfolded:
-    """The graph in the making; a node of it is a goal, or a stream or selection that is shared."""
+    """Builds the graph; its nodes are goals, and streams, selections and units that are shared."""
 
     def __init__(
         self, goals: Goals, strategy: Strategy, is_running: Callable[[Node], bool]
@@ -95,13 +96,13 @@ class _Unfolded:
         return place
 
     def unfold(self) -> None:
-        """Everything below the goals asked for so far."""
+        """Add everything below the goals that were asked for so far."""
         while self._waiting:
             goal, place = self._waiting.pop()
             for offer in self._goals.offers(goal):
                 weight = self._offer(place, goal, offer)
                 if weight == 0.0 and self._strategy.kind is not Kind.QUALITY:
-                    break  # none of those that come later is better
+                    break  # no later one is better
             for way in self._goals.ways(goal):
                 if isinstance(way, Apart):
                     self._apart(place, goal, way)
@@ -109,7 +110,7 @@ class _Unfolded:
                     self._through(place, goal, way)
 
     def graph(self) -> Hypergraph:
-        """What was unfolded."""
+        """The graph as unfolded so far."""
         return Hypergraph(
             len(self._places),
             np.array(self._derives, np.int32),
@@ -120,21 +121,21 @@ class _Unfolded:
         )
 
     def _apart(self, place: int, goal: Goal, way: Apart) -> None:
-        """Parts, and the synchronization of them, unless whoever needs them does that."""
+        """Add parts, and their synchronization unless the consumer of the goal does that."""
         needs = [self.goal(need) for need in way.needs]
         if not goal.joined:
             needs = [self._synchronization(needs)]
         self._add(place, needs, 0.0, 1.0, (goal, way))
 
     def _synchronization(self, needs: list[int]) -> int:
-        # Numbers of goals tell them apart as well as goals do, and are looked up faster.
+        # Numbers identify goals as well as goals do, and are faster to look up.
         return self._shared(("synchronize", *needs), needs, self._synchronizing, 1.0)
 
     def _through(self, place: int, goal: Goal, way: Through) -> None:
-        """A unit, which may give other goals too, and the selection of what it finds."""
+        """Add a unit, which may give other goals too, and the selections from its output."""
         unit = way.unit
         needs = [self.goal(need) for need in way.needs]
-        # What speaks of nothing in particular is no event, and finds no objects.
+        # A unit without arguments is no event, and its output names no objects.
         is_event = bool(unit.arguments) and isinstance(unit, EventDescription)
         if len(needs) > 1 and not is_event:
             needs = [self._synchronization(needs)]
@@ -157,11 +158,11 @@ class _Unfolded:
         self._add(place, [made], 0.0, 1.0, (goal, way))
 
     def _unit(self, key: Hashable, needs: list[int], weight: float, quality: float) -> int:
-        """The number of a unit that gives several goals: it is paid once."""
+        """The number of a unit that gives several goals, so that its cost counts once."""
         known = self._units.get(key)
         place = self._places.get(("unit", key))
         if known is not None and place is None:
-            # It gave one goal only so far.
+            # So far it gave one goal only.
             place = self._places["unit", key] = len(self._places)
             first, answered = self._derives[known], self.answered[known]
             self._derives[known], self.answered[known] = place, None
@@ -172,12 +173,12 @@ class _Unfolded:
         return place
 
     def _offer(self, place: int, goal: Goal, offer: Offer) -> float:
-        """The producer of an offer; gives its weight alone."""
+        """Add the producer of an offer; returns its own weight."""
         stream = offer.stream
         strategy = self._strategy
         cost = stream.cost
         if strategy.subscribers:
-            cost += strategy.subscribers * self._goals.space.subscribers(stream.name)
+            cost += strategy.subscribers * self._goals.index.space.subscribers(stream.name)
         weight = strategy.weight(cost, stream.quality)
         shared = self._shared(("stream", stream.name), [], weight, stream.quality)
         node: Node = UseStream(stream.name, stream.contents)
@@ -192,7 +193,7 @@ class _Unfolded:
         return weight
 
     def _shared(self, key: Hashable, inputs: list[int], weight: float, quality: float) -> int:
-        """The number of a stream or selection, which is there once for whoever uses it."""
+        """The number of a producer that all its users share."""
         place = self._places.get(key)
         if place is None:
             place = self._places[key] = len(self._places)

@@ -1,12 +1,12 @@
 """The strategy *fast*: the first valid plan that depth-first search finds ([Introspection15 §4.3]).
 
-Definition: to answer a goal, its answers are tried in order; one is taken if all that it needs can
-be answered in turn. On one path a goal stands once, and a goal that was answered keeps its answer,
-so that what is needed twice is made once.
+Definition: the search tries the answers of a goal in order, and takes the first whose needs all
+have answers in turn. A goal stands once on a path. It keeps its answer, so that a unit that two
+others need is made once.
 
-`solve` finds the same without trying anything twice in vain. That a goal has no answer may be only
-because another one above it was being answered already; such a failure is remembered for as long
-as that one is (the strongly connected components of Tarjan 1972, as in tabled logic programs).
+`solve` finds the same without repeating failures. A goal may fail only because a goal above it is
+still open. Such a failure is remembered while that goal is open (the strongly connected components
+of Tarjan 1972, as in tabled logic programs).
 """
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ from collections.abc import Iterator
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field
 
-from .goals import Answer, Goal, Goals, Offer
+from .goal import Answer, Goal, Offer
+from .goals import Goals
 
 _FREE = 1 << 62
 """The depth of a failure that depends on no goal above."""
@@ -33,11 +34,11 @@ class _Frame:
 
 
 class FastSearch:
-    """Answers goals one after another; what was answered for one is used for the next. What is
-    ``blocked`` has no answer.
+    """Answers goals one after another, and keeps the answers for the next. ``blocked`` goals have
+    no answer.
 
-    Law (tests/laws): the same answers as the definition's. Cost: each answer that is met is looked
-    at once for each goal that is answered while it is open, in practice once; no recursion.
+    Law (tests/laws): the same answers as the definition's. Cost: one look at each answer for each
+    goal that gets an answer while it is open, in practice one look; no recursion.
     """
 
     def __init__(self, goals: Goals, blocked: AbstractSet[Goal] = frozenset()) -> None:
@@ -49,7 +50,7 @@ class FastSearch:
         self._stack: list[_Frame] = []
 
     def solve(self, goal: Goal) -> bool:
-        """Whether ``goal`` has an answer; it is in `chosen` then, with all that it needs."""
+        """Answer ``goal``: `chosen` then has it with all its needs. False: it has no answer."""
         if goal in self.chosen:
             return True
         if goal in self._failed:
@@ -64,7 +65,7 @@ class FastSearch:
         self._stack.append(_Frame(goal, self.goals.answers(goal)))
 
     def _step(self, frame: _Frame) -> None:
-        """Look at the next thing that the topmost goal needs."""
+        """Look at the next need of the topmost goal."""
         if frame.answer is None:
             frame.answer = next(frame.answers, None)
             if frame.answer is None:
@@ -84,7 +85,7 @@ class FastSearch:
         self._succeed(frame)
 
     def _dependence(self, need: Goal) -> int | None:
-        """What a failure of ``need`` depends on; None: nobody has tried it yet."""
+        """The depth that a failure of ``need`` depends on; None: it was not tried yet."""
         if need in self._failed:
             return _FREE
         return self._depths.get(need, self._tentative.get(need))
@@ -98,7 +99,7 @@ class FastSearch:
         assert frame.answer is not None
         self._pop()
         self.chosen[frame.goal] = frame.answer
-        # What failed because this goal was open may have an answer now.
+        # Goals that failed because this goal was open may have an answer now.
         for goal in frame.failures:
             self._tentative.pop(goal, None)
 
@@ -106,14 +107,14 @@ class FastSearch:
         depth = self._depths[frame.goal]
         self._pop()
         if frame.lowest >= depth:
-            # It depends on itself at most: nothing of this component has an answer.
+            # It depends on itself at most: no goal of this component has an answer.
             self._failed.add(frame.goal)
             self._failed.update(frame.failures)
             for goal in frame.failures:
                 self._tentative.pop(goal, None)
             return
         above = self._stack[-1]
-        # Depths of goals that are open no more mean nothing: all now depend on what this does.
+        # Depths of closed goals no longer count: all now depend on the same goal as this one.
         self._tentative[frame.goal] = frame.lowest
         for goal in frame.failures:
             self._tentative[goal] = min(self._tentative[goal], frame.lowest)
