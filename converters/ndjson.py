@@ -15,11 +15,11 @@ from ..streams.sample import SampleBatch, Schema, Value
 from ..streams.string_pool import StringPool
 from ..streams.time import format_time
 from ..streams.yield_points import STRAIGHT, Pauses
-from .bad_lines import NO_JSON
-from .exact import decode_exactly
 from .lines import PART, count_lines
+from .ndjson_errors import NO_JSON
+from .ndjson_lines import decode_exactly
+from .ndjson_scan import decode_regular
 from .open_fields import decided_by
-from .regular import decode_regular
 from .rounding import rounded_lines
 from .wire import BOM, BatchLimits, Incoming, check_names, format_times
 

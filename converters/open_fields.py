@@ -9,9 +9,9 @@ import msgspec
 
 from ..streams.sample import TIME_FIELDS, Field, FieldType, Schema
 from ..streams.yield_points import STRAIGHT, Pauses
-from .bad_lines import NO_JSON, PYTHON_TYPES, values_of
 from .errors import WireError
 from .lines import PART, Part, parts
+from .ndjson_errors import NO_JSON, PYTHON_TYPES, values_of
 from .wire import BatchLimits
 
 _PLAIN = str | int | float | bool | None

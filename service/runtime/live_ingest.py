@@ -26,9 +26,9 @@ from ...converters.arrow.stream import (
     joined,
     samples_of_table,
 )
-from ...converters.bad_lines import mixed_times
 from ...converters.errors import WireError
 from ...converters.ndjson import decode_ndjson
+from ...converters.ndjson_errors import mixed_times
 from ...converters.rounding import Rounded
 from ...converters.wire import BOM, BatchLimits, Incoming
 from ...engine.durability.commands import BatchKind, Publish

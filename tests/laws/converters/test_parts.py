@@ -10,12 +10,12 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from sample_lines import bodies, mutated
 
-from dyknow.converters import WireError, exact, open_fields, regular, wire
+from dyknow.converters import WireError, ndjson_lines, ndjson_scan, open_fields, wire
 from dyknow.converters.arrow import stream
 from dyknow.converters.arrow.stream import ArrowWriter, decode_arrow
-from dyknow.converters.bad_lines import mixed_times
-from dyknow.converters.exact import decode_exactly
 from dyknow.converters.ndjson import decode_ndjson
+from dyknow.converters.ndjson_errors import mixed_times
+from dyknow.converters.ndjson_lines import decode_exactly
 from dyknow.converters.open_fields import decided_by
 from dyknow.converters.wire import BatchLimits
 from dyknow.engine.durability.commands import (
@@ -204,12 +204,12 @@ def said(engine):
 def small_parts():
     """Each moment that there can be, and texts forgotten at every chance."""
     with (
-        patch.object(exact, "PART", 40),
+        patch.object(ndjson_lines, "PART", 40),
         patch.object(open_fields, "PART", 40),
         patch.object(wire, "_STRINGS", 2),
         patch.object(string_pool, "_MANY", 2),
         patch.object(string_pool, "_FEW", 1),
-        patch.object(regular, "_TEXTS", 2),
+        patch.object(ndjson_scan, "_TEXTS", 2),
         patch.object(stream, "_SOME", 3),
         patch.object(history, "_TEXTS", 2),
         patch.object(history, "_SHARE", 1),
@@ -252,7 +252,7 @@ def test_it_is_as_if_it_had_come_when_it_was_decoded(kind, rows, before, moments
     """Done again from the log, in the order in which all was done, the same comes of it: the same
     samples under the same numbers, their texts in the same codes."""
     live, again = anew(EMPTY), anew(OTHER)
-    with small_parts(), patch.object(regular.cells, "LEAST", 0 if is_regular else 10**9):
+    with small_parts(), patch.object(ndjson_scan.cells, "LEAST", 0 if is_regular else 10**9):
         for each, time in before:
             for engine in (live, again):
                 attempted(engine, Publish("s", "ndjson", lines(each, time), time))
@@ -335,7 +335,7 @@ def test_decoding_touches_nothing_before_it_is_taken():
 def test_there_are_moments_between_parts(decode):
     make_body = lines if decode is decode_ndjson else tables
     rows = [(f"t{i}", i) for i in range(100)]
-    with small_parts(), patch.object(regular.cells, "LEAST", 10**9):
+    with small_parts(), patch.object(ndjson_scan.cells, "LEAST", 10**9):
         counted = Meanwhile(EMPTY, {})
         decode(make_body(rows, 0), Schema(FIELDS), {}, BOUNDS, counted)
         assert counted.count >= 50

@@ -10,9 +10,9 @@ from sample_lines import NUMBERS, TIMES, bodies, mutated
 
 from dyknow.converters import WireError, cells
 from dyknow.converters.decimals import floats
-from dyknow.converters.exact import decode_exactly
 from dyknow.converters.ndjson import decode_ndjson, encode_ndjson
-from dyknow.converters.regular import decode_regular
+from dyknow.converters.ndjson_lines import decode_exactly
+from dyknow.converters.ndjson_scan import decode_regular
 from dyknow.streams.jit import JIT
 from dyknow.streams.sample import Field, FieldType, Schema, batch_from_rows
 from dyknow.streams.time import parse_time

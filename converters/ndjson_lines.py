@@ -26,9 +26,9 @@ from ..streams.sample import (
 )
 from ..streams.string_pool import StringPool
 from ..streams.yield_points import STRAIGHT, Pauses
-from .bad_lines import NO_JSON, PYTHON_TYPES, first_bad, key_twice
 from .errors import WireError
 from .lines import PART, Part, parts
+from .ndjson_errors import NO_JSON, PYTHON_TYPES, first_bad, key_twice
 from .wire import Incoming, null_mask, pool_of, text_column, time_of
 
 
