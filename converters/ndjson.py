@@ -15,11 +15,9 @@ from ..streams.sample import SampleBatch, Schema, Value
 from ..streams.string_pool import StringPool
 from ..streams.time import format_time
 from ..streams.yield_points import STRAIGHT, Pauses
-from .lines import PART, count_lines
 from .ndjson_errors import NO_JSON
-from .ndjson_lines import decode_exactly
-from .ndjson_scan import decode_regular
-from .open_fields import decided_by
+from .ndjson_lines import decode_lines, infer_fields, sample_lines
+from .ndjson_scan import scan_lines
 from .rounding import rounded_lines
 from .wire import BOM, BatchLimits, Incoming, check_names, format_times
 
@@ -50,19 +48,18 @@ def decode_ndjson(
         _check_limits(data, limits, pauses)
         pauses.breathe()
     if not schema.fields:
-        schema = decided_by(data, limits, pauses)
+        schema = infer_fields(data, limits, pauses)
     check_names(schema)
-    regular = decode_regular(data, schema, pools, pauses)
-    found = decode_exactly(data, schema, pools, pauses) if regular is None else regular
+    found = scan_lines(data, schema, pools, pauses) or decode_lines(data, schema, pools, pauses)
     return replace(found, rounded=rounded_lines(data, found.batch, pauses))
 
 
 def _check_limits(data: bytes, limits: BatchLimits, pauses: Pauses) -> None:
     """Raises `WireError` for too many lines, and for a line or a text that is too long. Cost: a
     look at a line every ``limits.text`` bytes, and where the line feeds may be too many."""
-    first = count_lines(data, limits.samples, PART, pauses)
-    if first is not None:
-        limits.check_samples(limits.samples + 1, first)
+    if data.count(b"\n") >= limits.samples:
+        for count, (number, _) in enumerate(sample_lines(data, pauses), 1):
+            limits.check_samples(count, number)
     start = 0
     while start + limits.text < len(data):
         end = data.rfind(b"\n", start, start + limits.text + 1)

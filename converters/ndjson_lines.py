@@ -1,179 +1,228 @@
-"""NDJSON of any make, decoded exactly: it decides what is good and what an error is.
+"""NDJSON line by line with msgspec: the exact path, which defines the samples and the errors.
 
-A body is decoded part by part (`lines`), each checked whole before the next one, so that others may
-go on between two. Called by `ndjson`, for what is not regular (`regular`).
+A body is decoded in parts of whole lines, each checked completely before the next, so that the
+service can yield between them. Called by `ndjson` for bodies that `ndjson_scan` declines.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from typing import Any, Final
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from ..languages.attached import attached
 from ..streams.sample import (
+    TIME_FIELDS,
     Column,
     Field,
     FieldType,
-    Mask,
     SampleBatch,
     Schema,
     Times,
+    concatenate,
 )
 from ..streams.string_pool import StringPool
 from ..streams.yield_points import STRAIGHT, Pauses
 from .errors import WireError
-from .lines import PART, Part, parts
-from .ndjson_errors import NO_JSON, PYTHON_TYPES, first_bad, key_twice
-from .wire import Incoming, null_mask, pool_of, text_column, time_of
+from .ndjson_errors import (
+    NO_JSON,
+    ONE_A_LINE,
+    PYTHON_TYPES,
+    first_error,
+    repeated_key,
+    values_of,
+)
+from .wire import BatchLimits, Incoming, null_mask, pool_of, text_column, time_of
+
+PART: Final = 1 << 16
+"""Bytes of a part, some milliseconds of work; the last part has up to twice as many."""
+_WIDE: Final = 200
+"""Schemas with more fields get longer parts, because each part has an array per field."""
+_BEFORE_COLON: Final = (b" :", b"\t:", b"\r:")
 
 
-def decode_exactly(
+def sample_lines(
+    data: bytes, pauses: Pauses = STRAIGHT, size: int = 0
+) -> Iterator[tuple[int, bytes]]:
+    """The lines that are not blank, with their numbers from 1 on. It yields to others every
+    ``size`` bytes (0: `PART`)."""
+    for number, part in _parts(data, size or PART):
+        yield from _numbered(part, number)
+        pauses.breathe()
+
+
+def decode_lines(
     data: bytes,
     schema: Schema,
     pools: dict[str, StringPool],
     pauses: Pauses = STRAIGHT,
-    size: int | None = None,
+    size: int = 0,
 ) -> Incoming:
-    """`decode_ndjson` without the short way. An error tells the first line that is no sample.
+    """Decode as `decode_ndjson`; an error names the first bad line.
 
-    Law (tests/laws): what comes of it does not depend on ``size``, the bytes of a part. Cost: 30 to
-    90 ns a byte; memory: the columns, and a Python object a text.
+    Law (tests/laws): the result does not depend on ``size``, the bytes of a part. Cost: 30 to 90 ns
+    a byte. Memory: the columns, and Python objects for one part.
     """
-    reader = _Reader(schema, pauses)
-    # Each part has its arrays of each field.
-    wide = max(1, len(schema.fields) // _WIDE)
-    for part in parts(data, wide * PART if size is None else size):
-        reader.read(part)
+    size = size or PART * max(1, len(schema.fields) // _WIDE)
+    # `_samples` encodes texts when a part has no error. Later parts may have one.
+    own = pools if len(data) <= 2 * size else {}
+    decoder = _decoder(schema)
+    stamped: bool | None = None
+    batches: list[SampleBatch] = []
+    for number, part in _parts(data, size):
+        try:
+            lines = list(filter(bytes.strip, part.split(b"\n")))
+            if lines:
+                batch, stamped = _samples(part, lines, schema, stamped, own, decoder)
+                batches.append(batch)
+        except (_Bad, *NO_JSON):
+            bad = first_error(_numbered(part, number), schema, stamped, decoder, pauses)
+            raise bad from None
         pauses.breathe()
-    if reader.stamped is None:
-        raise WireError(
-            None, "the body holds no sample", "send one JSON object a line, at least one"
-        )
-    return Incoming(reader.batch(pools), reader.stamped)
+    if stamped is None:
+        raise WireError(None, "the body holds no sample", f"{ONE_A_LINE}, at least one")
+    batch = concatenate(batches)
+    columns = {
+        name: column if column.pool is None else column.recoded(pools.setdefault(name, column.pool))
+        for name, column in batch.columns.items()
+    }
+    return Incoming(SampleBatch(batch.available, batch.valid, columns), stamped)
 
 
-class _Rows(NamedTuple):
-    """The samples of one part: values of texts as they are, those of others in arrays."""
+def infer_fields(
+    data: bytes, limits: BatchLimits | None = None, pauses: Pauses = STRAIGHT, size: int = 0
+) -> Schema:
+    """The fields of an open stream: those of its first line, each with the narrowest type that fits
+    all lines up to the first bad one, which `decode_lines` reports.
 
-    available: Times
-    valid: Times
-    columns: list[tuple[Any, Mask | None]]
-
-
-class _Reader:
-    """Reads the parts of one body. ``stamped``: whether its samples bring no available times; None
-    before the first one."""
-
-    def __init__(self, schema: Schema, pauses: Pauses) -> None:
-        self.stamped: bool | None = None
-        self._schema = schema
-        self._pauses = pauses
-        self._decoder = _decoder(schema)
-        self._rows: list[_Rows] = []
-
-    def read(self, part: Part) -> None:
-        """Raises `WireError` for the first line that is no sample."""
+    Raises `WireError` for more fields than ``limits`` allow, and for a field without a value.
+    """
+    types: dict[str, set[type]] | None = None
+    is_good = True
+    for _, line in sample_lines(data, pauses, size):
+        row: dict[str, Any] | None
         try:
-            samples = self._decoder.decode_lines(part.data)
-        except NO_JSON as error:
-            raise self._bad(part, str(error)) from None
-        if not _one_a_line(part, len(samples)):
-            raise self._bad(part, "a line is not exactly one sample")
-        if not samples:
-            return
-        stamped = self.stamped
-        if stamped is None:
-            stamped = samples[0].available is msgspec.UNSET
-        keys = len(self._schema.fields) + (1 if stamped else 2)
-        try:
-            if any((sample.available is msgspec.UNSET) is not stamped for sample in samples):
-                raise _Bad
-            self._check_keys(part, len(samples), keys)
-            valid = _times([sample.valid for sample in samples])
-            available = valid if stamped else _times([sample.available for sample in samples])
-            found = list(zip(*map(msgspec.structs.astuple, samples), strict=True))
-            columns = [
-                _values(field, values)
-                for field, values in zip(self._schema.fields, found, strict=False)
-            ]
-        except _Bad as bad:
-            raise self._bad(part, str(bad)) from None
-        self.stamped = stamped
-        self._rows.append(_Rows(available, valid, columns))
-
-    def batch(self, pools: dict[str, StringPool]) -> SampleBatch:
-        """All that was read. Only now do the pools grow, as all is good."""
-        columns = {}
-        for k, field in enumerate(self._schema.fields):
-            pool = None
-            if field.type is FieldType.STRING:
-                pool = pool_of(field, pools)
-                for rows in self._rows:
-                    values, null = rows.columns[k]
-                    # In the place of the texts, which so go one part after the other.
-                    rows.columns[k] = text_column(values, pool, null).values, null
-                    del values
-                    self._pauses.breathe()
-            columns[field.name] = _joined(field, [rows.columns[k] for rows in self._rows], pool)
-            self._pauses.breathe()
-        valid = _together([rows.valid for rows in self._rows])
-        if self.stamped:
-            return SampleBatch(valid, valid, columns)
-        return SampleBatch(_together([rows.available for rows in self._rows]), valid, columns)
-
-    def _bad(self, part: Part, message: str) -> WireError:
-        return first_bad(part, self._schema, self.stamped, self._decoder, message, self._pauses)
-
-    def _check_keys(self, part: Part, samples: int, keys: int) -> None:
-        """Raises `_Bad` where a sample has a key twice.
-
-        Every sample has all its ``keys``, so that more ends of keys than that are suspicious. Such
-        an end may also stand in a text, so only then lines are read again, slowly.
-        """
-        usual = all(spelling not in part.data for spelling in _BEFORE_COLON)
-        if usual and part.data.count(b'":') == samples * keys:
-            return
-        for number, (_, line) in enumerate(part.lines()):
-            if key_twice(line, keys) is not None:
-                raise _Bad("a key is there twice")
-            if not number % _SOME:
-                self._pauses.breathe()
+            row = _PLAIN_ROW.decode(line)
+        except NO_JSON:
+            is_good, row = False, _object_of(line)
+        if row is None:
+            break
+        if types is None:
+            types = {name: set() for name in row if name not in TIME_FIELDS}
+            if limits is not None:
+                limits.check_fields(types)
+        for name, found in types.items():
+            found.add(type(row.get(name)))
+        if not is_good:
+            break
+    fields = []
+    for name, found in (types or {}).items():
+        found.discard(type(None))
+        if not found and is_good:
+            raise WireError(
+                None,
+                f"field {name!r} has no value anywhere, so its type is not known",
+                "declare the fields: PUT /streams/{name}, or a sort in KPL",
+            )
+        fields.append(Field(name, _narrowest(found)))
+    return Schema(tuple(fields))
 
 
-_WIDE = 200
-"""Of so many fields parts are as long as usual; of more, longer."""
-_BEFORE_COLON = (b" :", b"\t:", b"\r:")
-_SOME = 100
-"""Lines that are read slowly between two moments for others."""
+_PLAIN_ROW = msgspec.json.Decoder(dict[str, str | int | float | bool | None])
+
+
+def _object_of(line: bytes) -> dict[str, Any] | None:
+    """A bad line as an object, if it is one."""
+    try:
+        values = values_of(line)
+    except NO_JSON:
+        return None
+    return values if isinstance(values, dict) else None
+
+
+def _narrowest(types: set[type]) -> FieldType:
+    if types == {int, float}:
+        return FieldType.FLOAT
+    for kind, python in PYTHON_TYPES.items():
+        if types == {python}:
+            return kind
+    return FieldType.STRING  # `decode_lines` reports values that are no text
+
+
+def _parts(data: bytes, size: int) -> Iterator[tuple[int, bytes]]:
+    """Parts of whole lines, at least one each, with the number of the first."""
+    start, number = 0, 1
+    while start < len(data):
+        end = len(data)
+        if end - start > 2 * size:
+            end = data.rfind(b"\n", start, start + size) + 1 or data.find(b"\n", start + size) + 1
+            end = end or len(data)
+        part = data[start:end]
+        yield number, part
+        number += part.count(b"\n")
+        start = end
+
+
+def _numbered(part: bytes, number: int) -> Iterator[tuple[int, bytes]]:
+    for at, line in enumerate(part.split(b"\n"), number):
+        if line.strip():
+            yield at, line
 
 
 class _Bad(Exception):
-    """A line of the part is no sample."""
+    """A line of the part is no sample; `first_error` finds it."""
 
 
-def _one_a_line(part: Part, samples: int) -> bool:
-    """Whether each line that is not blank is one sample: none has two, and none two have one."""
-    # A sample begins with the one brace that it has: all of them begin a line, and no other does.
-    data = part.data
-    if data.count(b"\n{") + data.startswith(b"{") == samples:
-        if data.count(b"\n") + (not data.endswith(b"\n")) == samples:
-            return True
-    elif any(not line.lstrip().startswith(b"{") for _, line in part.lines()):
-        return False
-    return part.samples() == samples
+def _samples(
+    part: bytes,
+    lines: list[bytes],
+    schema: Schema,
+    stamped: bool | None,
+    pools: dict[str, StringPool],
+    decoder: Any,
+) -> tuple[SampleBatch, bool]:
+    """The samples of a part, and whether they lack available times. ``stamped`` is whether those
+    before it did. Raises `_Bad` or `NO_JSON`; ``pools`` grow only if it raises nothing."""
+    samples = list(map(decoder.decode, lines))
+    lacking = [sample.available for sample in samples].count(msgspec.UNSET)
+    if lacking not in (0, len(samples)) or stamped not in (None, lacking > 0):
+        raise _Bad
+    stamped = lacking > 0
+    _check_keys(part, lines, len(schema.fields) + (1 if stamped else 2))
+    found = list(zip(*map(msgspec.structs.astuple, samples), strict=True))
+    valid = _times(found[-2])
+    available = valid if stamped else _times(found[-1])
+    sent = list(zip(schema.fields, found, strict=False))
+    columns = {f.name: _column(f, v) for f, v in sent if f.type is not FieldType.STRING}
+    for field, values in sent:
+        if field.type is FieldType.STRING:
+            columns[field.name] = text_column(values, pool_of(field, pools), null_mask(values))
+    return SampleBatch(available, valid, {name: columns[name] for name in schema.names}), stamped
+
+
+def _check_keys(part: bytes, lines: list[bytes], keys: int) -> None:
+    """Raise `_Bad` where a sample has a key twice.
+
+    Every sample has all its ``keys``, so that more ends of keys are suspicious. A text may hold
+    such an end, too: then each line is read again.
+    """
+    usual = all(spelling not in part for spelling in _BEFORE_COLON)
+    if usual and part.count(b'":') == len(lines) * keys:
+        return
+    if any(repeated_key(line, keys) is not None for line in lines):
+        raise _Bad
 
 
 @attached
 def _decoder(schema: Schema) -> Any:
     """A decoder compiled for the schema; field ``f<i>`` holds the i-th field.
 
-    Raises `WireError` for names that are spelled otherwise in JSON: units may say such fields, and
-    once they could be declared.
+    Raises `WireError` for names that JSON spells with escapes: user-written units may name such
+    fields, and old journals declare them.
     """
     fields: list[Any] = [
         (f"f{i}", PYTHON_TYPES[field.type] | None) for i, field in enumerate(schema.fields)
@@ -200,51 +249,24 @@ _PLAIN_TIME = re.compile(
 
 def _times(values: Sequence[str | int]) -> Times:
     """Raises `_Bad` where one is no time."""
-    if set(map(type, values)) == {int}:
-        try:
-            return np.array(values, np.int64)
-        except OverflowError:
-            raise _Bad from None
-    if all(map(_is_plain_time, values)):
-        try:  # numpy parses the usual spelling many times faster than one by one
-            return np.array([v[:-1] for v in values], "M8[ns]").astype(np.int64)  # type: ignore[index]
-        except ValueError:  # such as a 13th month
-            raise _Bad from None
     try:
+        if set(map(type, values)) == {int}:
+            return np.array(values, np.int64)
+        if all(isinstance(value, str) and _PLAIN_TIME(value) for value in values):
+            # numpy parses the usual spelling many times faster than `time_of`.
+            with suppress(ValueError):  # such as a 13th month
+                return np.array([v[:-1] for v in values], "M8[ns]").astype(np.int64)  # type: ignore[index]
         return np.array([time_of(value, "", 0) for value in values], np.int64)
-    except WireError:
+    except (OverflowError, WireError):
         raise _Bad from None
 
 
-def _is_plain_time(value: object) -> bool:
-    return isinstance(value, str) and _PLAIN_TIME(value) is not None
-
-
-def _values(field: Field, values: Sequence[Any]) -> tuple[Any, Mask | None]:
-    """What a part has of a field, and where it is null. Raises `_Bad`."""
+def _column(field: Field, values: Sequence[Any]) -> Column:
+    """Raises `_Bad` for an integer outside 64 bits."""
     null = null_mask(values)
-    if field.type is FieldType.STRING:
-        return values, null
     if null is not None:
         values = [0 if value is None else value for value in values]
     try:
-        return np.array(values, field.type.dtype), null
+        return Column(field.type, np.array(values, field.type.dtype), null)
     except OverflowError:
         raise _Bad from None
-
-
-def _joined(
-    field: Field, read: Sequence[tuple[NDArray[Any], Mask | None]], pool: StringPool | None
-) -> Column:
-    """The parts of a column in one."""
-    if len(read) == 1:
-        return Column(field.type, *read[0], pool)
-    values = _together([part for part, _ in read])
-    if all(null is None for _, null in read):
-        return Column(field.type, values, None, pool)
-    masks = [np.zeros(len(part), np.bool_) if null is None else null for part, null in read]
-    return Column(field.type, values, _together(masks), pool)
-
-
-def _together(arrays: Sequence[NDArray[Any]]) -> NDArray[Any]:
-    return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)

@@ -149,7 +149,7 @@ def _signature() -> Any:
 _tokens_kernel = Kernel(_tokens, _signature)
 
 
-def decode_regular(
+def scan_lines(
     raw: bytes,
     schema: Schema,
     pools: dict[str, StringPool],

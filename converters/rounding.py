@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from decimal import Decimal
 from functools import cache
 from typing import Any, Final
@@ -21,7 +20,8 @@ from numpy.typing import NDArray
 
 from ..streams.sample import FieldType, SampleBatch
 from ..streams.yield_points import Pauses
-from .lines import Part
+from .ndjson_lines import sample_lines
+from .wire import Rounded
 
 _EXACT: Final = 2.0**53
 """Every integer below is a double."""
@@ -30,17 +30,8 @@ _LEAST: Final = 2.0**-1022
 _SMALL: Final = (b"e-", b"E-", b"0" * 300)
 """A number nearer to 0 contains one of these."""
 _FEW: Final = 16
-_SOME: Final = 256
-"""Lines that are read again between two moments for others."""
-
-
-@dataclass(frozen=True, slots=True)
-class Rounded:
-    """So many values of a batch were rounded; the first of them stands in ``line``."""
-
-    count: int
-    line: int
-    field: str
+_PART: Final = 1 << 14
+"""Bytes of lines that are read again before it yields to others."""
 
 
 def rounded_lines(data: bytes, batch: SampleBatch, pauses: Pauses) -> Rounded | None:
@@ -53,7 +44,7 @@ def rounded_lines(data: bytes, batch: SampleBatch, pauses: Pauses) -> Rounded | 
         return None
     rows = set().union(*suspects.values())
     found: list[tuple[int, str]] = []
-    for row, (line, text) in enumerate(Part(data, 1).lines()):
+    for row, (line, text) in enumerate(sample_lines(data, pauses, _PART)):
         if row in rows:
             sent = json.loads(text, parse_float=Decimal, parse_int=Decimal)
             found += [
@@ -61,8 +52,6 @@ def rounded_lines(data: bytes, batch: SampleBatch, pauses: Pauses) -> Rounded | 
                 for name, places in suspects.items()
                 if row in places and _is_other(batch.columns[name].values[row], sent[name])
             ]
-        if not row % _SOME:
-            pauses.breathe()
     return Rounded(len(found), *found[0]) if found else None
 
 

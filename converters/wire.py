@@ -23,10 +23,18 @@ from ..streams.string_pool import Codes, StringPool
 from ..streams.time import TIME_MIN, format_time, parse_time
 from ..streams.yield_points import Pauses, slices
 from .errors import WireError
-from .rounding import Rounded
 
 BOM = b"\xef\xbb\xbf"
 """The byte order mark that some editors put before UTF-8; it is no part of the text."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rounded:
+    """So many values of a batch were rounded; the first of them stands in ``line``."""
+
+    count: int
+    line: int
+    field: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,4 +181,7 @@ def null_mask(values: Sequence[object]) -> Mask | None:
 
 def pool_of(field: Field, pools: dict[str, StringPool]) -> StringPool:
     """The pool of a text field, made when it is not there yet."""
-    return pools.setdefault(field.name, StringPool())
+    pool = pools.get(field.name)
+    if pool is None:
+        pool = pools[field.name] = StringPool()
+    return pool

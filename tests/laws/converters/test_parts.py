@@ -10,13 +10,12 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from sample_lines import bodies, mutated
 
-from dyknow.converters import WireError, ndjson_lines, ndjson_scan, open_fields, wire
+from dyknow.converters import WireError, ndjson_lines, ndjson_scan, wire
 from dyknow.converters.arrow import stream
 from dyknow.converters.arrow.stream import ArrowWriter, decode_arrow
 from dyknow.converters.ndjson import decode_ndjson
 from dyknow.converters.ndjson_errors import mixed_times
-from dyknow.converters.ndjson_lines import decode_exactly
-from dyknow.converters.open_fields import decided_by
+from dyknow.converters.ndjson_lines import decode_lines, infer_fields
 from dyknow.converters.wire import BatchLimits
 from dyknow.engine.durability.commands import (
     DeclareStream,
@@ -62,7 +61,7 @@ def line_by_line(data, schema, pools):
         if not line.strip():
             continue
         try:
-            found = decode_exactly(line, schema, {})
+            found = decode_lines(line, schema, {})
         except WireError as error:
             raise WireError(number, error.message, error.hint) from None
         if stamped not in (None, found.stamped):
@@ -93,8 +92,8 @@ TWO = Schema((Field("a", FieldType.INTEGER), Field("b", FieldType.STRING)))
 @example((TWO, b'{"valid":1,"a":1,"a":1,"b":""}\n{"valid":1,"a":99999999999999999999,"b":""}'), 99)
 def test_a_body_is_its_lines_whatever_a_part_is(drawn, size):
     schema, data = drawn
-    whole = outcome(lambda pools: decode_exactly(data, schema, pools))
-    assert whole == outcome(lambda pools: decode_exactly(data, schema, pools, STRAIGHT, size))
+    whole = outcome(lambda pools: decode_lines(data, schema, pools))
+    assert whole == outcome(lambda pools: decode_lines(data, schema, pools, STRAIGHT, size))
     assert whole == outcome(lambda pools: line_by_line(data, schema, pools))
 
 
@@ -105,8 +104,8 @@ def test_an_open_streams_fields_do_not_depend_on_parts(drawn, size):
     _, data = drawn
 
     def decided(pools, *more):
-        schema = decided_by(data, None, STRAIGHT, *more)
-        found = decode_exactly(data, schema, pools, STRAIGHT, *more)
+        schema = infer_fields(data, None, STRAIGHT, *more)
+        found = decode_lines(data, schema, pools, STRAIGHT, *more)
         assert [*found.batch.columns] == [*schema.names]
         return found
 
@@ -205,7 +204,6 @@ def small_parts():
     """Each moment that there can be, and texts forgotten at every chance."""
     with (
         patch.object(ndjson_lines, "PART", 40),
-        patch.object(open_fields, "PART", 40),
         patch.object(wire, "_STRINGS", 2),
         patch.object(string_pool, "_MANY", 2),
         patch.object(string_pool, "_FEW", 1),
