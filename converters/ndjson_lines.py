@@ -121,14 +121,13 @@ def infer_fields(
             break
     fields = []
     for name, found in (types or {}).items():
-        found.discard(type(None))
-        if not found and is_good:
+        if found == {type(None)} and is_good:
             raise WireError(
                 None,
                 f"field {name!r} has no value anywhere, so its type is not known",
                 "declare the fields: PUT /streams/{name}, or a sort in KPL",
             )
-        fields.append(Field(name, _narrowest(found)))
+        fields.append(Field(name, json_type(found)))
     return Schema(tuple(fields))
 
 
@@ -144,13 +143,15 @@ def _object_of(line: bytes) -> dict[str, Any] | None:
     return values if isinstance(values, dict) else None
 
 
-def _narrowest(types: set[type]) -> FieldType:
-    if types == {int, float}:
+def json_type(types: set[type]) -> FieldType:
+    """The narrowest type of a field with values of these Python types; text for a mixture."""
+    present = types - {type(None)}
+    if present == {int, float}:
         return FieldType.FLOAT
     for kind, python in PYTHON_TYPES.items():
-        if types == {python}:
+        if present == {python}:
             return kind
-    return FieldType.STRING  # `decode_lines` reports values that are no text
+    return FieldType.STRING
 
 
 def _parts(data: bytes, size: int) -> Iterator[tuple[int, bytes]]:

@@ -25,7 +25,7 @@ from .names import valid_name
 from .recording import (
     Recording,
     ValueChunk,
-    decode_lines,
+    decode_rows,
     open_recording,
     open_rows,
     read_lines,
@@ -148,7 +148,7 @@ def has_many_streams(path: Path) -> bool:
     """Whether ``path`` is an NDJSON file whose first line says which stream it is of."""
     if not path.name.lower().removesuffix(".gz").endswith(_NDJSON):
         return False
-    for _, rows in decode_lines(islice(read_lines(path), 1)):
+    for _, rows in decode_rows(islice(read_lines(path), 1)):
         return isinstance(rows[0].get(STREAM), str)
     return False
 
@@ -204,7 +204,7 @@ def _open_many(
     """A recording for each stream that the lines of the file name."""
     texts: dict[str, list[tuple[int, bytes]]] = {}
     for number, line in read_lines(path):
-        for _, (row,) in decode_lines([(number, line)]):
+        for _, (row,) in decode_rows([(number, line)]):
             name = row.get(STREAM)
             if not isinstance(name, str):
                 raise WireError(
@@ -228,7 +228,7 @@ def _open_many(
 
 
 def _rows(numbered: Sequence[tuple[int, bytes]]) -> Iterator[ValueChunk]:
-    for lines, rows in decode_lines(numbered):
+    for lines, rows in decode_rows(numbered):
         plain: list[dict[str, Any]] = [
             {key: value for key, value in row.items() if key != STREAM} for row in rows
         ]

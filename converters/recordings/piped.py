@@ -23,7 +23,7 @@ from ..errors import EmptyTable, WireError
 from ..inference import TimeReader, time_column
 from ..wire import BOM
 from .many_streams import STREAM
-from .recording import Recording, ValueChunk, decode_lines, open_cells, open_rows
+from .recording import Recording, ValueChunk, decode_rows, open_cells, open_rows
 
 HEAD: Final = 1000
 """So many rows decide what the fields of a stream are that is not declared yet."""
@@ -247,9 +247,9 @@ def _decoded(lines: Iterable[bytes], pace: _Pace) -> Iterator[ValueChunk]:
             numbered.append((number, line))
         is_row = bool(numbered) and numbered[-1][0] == number
         if numbered and (pace.ends(int(is_row)) or len(numbered) == CHUNK):
-            yield from decode_lines(numbered)
+            yield from decode_rows(numbered)
             numbered = []
-    yield from decode_lines(numbered)
+    yield from decode_rows(numbered)
 
 
 def _checked(names: AbstractSet[str], always: AbstractSet[str], chunk: ValueChunk) -> ValueChunk:

@@ -37,6 +37,7 @@ from ..arrow.stream import (
 from ..csv_table import CHUNK, TextChunk, column_from_cells, read_csv
 from ..errors import EmptyTable, WireError
 from ..inference import TextColumnType, TimeReader, time_column
+from ..ndjson_lines import json_type
 from ..wire import BOM, Incoming, not_json
 
 ValueChunk = tuple[list[int], list[dict[str, Any]]]
@@ -98,7 +99,7 @@ def open_recording(
     if name.endswith(".csv"):
         return open_cells(lambda: read_csv(path), time_column, times, types or {}, pools)
     if name.endswith((".ndjson", ".jsonl")):
-        return open_rows(lambda: decode_lines(read_lines(path)), time_column, times, types, pools)
+        return open_rows(lambda: decode_rows(read_lines(path)), time_column, times, types, pools)
     if name.endswith((".arrow", ".arrows", ".feather")) and name == path.name.lower():
         return _open_arrow(path, time_column, times, types or {}, pools)
     raise WireError(
@@ -183,7 +184,7 @@ def open_rows(
     for _, rows in rows_again():
         for clock in clocks:
             times.observe(row.get(clock) for row in rows)
-    schema = _schema([(n, _json_type(t)) for n, t in seen.items() if n not in clocks], types or {})
+    schema = _schema([(n, json_type(t)) for n, t in seen.items() if n not in clocks], types or {})
     _make_pools(schema, pools)
 
     def read() -> Iterator[SampleBatch]:
@@ -248,7 +249,7 @@ def read_lines(path: Path) -> Iterator[tuple[int, bytes]]:
                 yield number, line
 
 
-def decode_lines(numbered: Iterable[tuple[int, bytes]]) -> Iterator[ValueChunk]:
+def decode_rows(numbered: Iterable[tuple[int, bytes]]) -> Iterator[ValueChunk]:
     """Line numbers and objects in chunks; raises `WireError` with the line."""
     lines: list[int] = []
     rows: list[dict[str, Any]] = []
@@ -277,18 +278,6 @@ def _decode_line(number: int, line: bytes) -> dict[str, Any]:
         if isinstance(value, list | dict):
             raise WireError(number, f"field {name!r} is nested: values are plain")
     return row
-
-
-def _json_type(types: set[type]) -> FieldType:
-    """One type for all values of a field; a mixture is text."""
-    present = types - {type(None)}
-    if present == {bool}:
-        return FieldType.BOOLEAN
-    if present == {int}:
-        return FieldType.INTEGER
-    if present and present <= {int, float}:
-        return FieldType.FLOAT
-    return FieldType.STRING
 
 
 def _json_column(
