@@ -40,7 +40,7 @@ class SampleConverter:
     stream's; ``ranges`` are those of features that the vocabulary does not know. Objects named by
     an id field lie in ``namespace`` unless they are IRIs.
 
-    Law (tests/laws): `TripleConverter` of the same annotation gives the samples back.
+    Law (tests/laws): the triples determine the samples, but for what docs/conversion.md names.
 
     Raises `ConversionError` at once when the annotation does not fit the schema or the ontology's
     ranges, and in `convert`, naming the row, when a value is no object of its feature.
