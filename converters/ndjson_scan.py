@@ -10,15 +10,13 @@ Law (tests/laws): the answer is None or equals the exact decoder's, codes of poo
 
 from __future__ import annotations
 
-from typing import Any, assert_never
+from typing import Any, NamedTuple, assert_never
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..streams.jit import JIT, Kernel
 from ..streams.sample import (
     Column,
-    Field,
     FieldType,
     Mask,
     SampleBatch,
@@ -26,7 +24,7 @@ from ..streams.sample import (
     Times,
 )
 from ..streams.string_pool import StringPool
-from ..streams.yield_points import STRAIGHT, Pauses
+from ..streams.yield_points import STRAIGHT, Pauses, slices
 from . import cells
 from .decimals import floats
 from .wire import Incoming, encoded, pool_of
@@ -197,30 +195,29 @@ def _decode(
         available = valid = _time(data, starts[fields, :rows], ends[fields, :rows])
         if not stamped:
             available = _time(data, starts[fields + 1, :rows], ends[fields + 1, :rows])
-    columns: dict[str, cells.Values] = {}
+    columns: dict[str, Column] = {}
     texts: dict[str, _Texts] = {}
     for k, field in enumerate(schema.fields):
         column = data, starts[k, :rows], ends[k, :rows]
         match field.type:
             case FieldType.FLOAT:
-                columns[field.name] = floats(*column, pauses)
+                columns[field.name] = Column(field.type, *floats(*column, pauses))
             case FieldType.INTEGER:
                 with pauses.apart():
-                    columns[field.name] = cells.integers(*column)
+                    columns[field.name] = Column(field.type, *cells.integers(*column))
             case FieldType.BOOLEAN:
                 with pauses.apart():
-                    columns[field.name] = cells.booleans(*column)
+                    columns[field.name] = Column(field.type, *cells.booleans(*column))
             case FieldType.STRING:
-                codes, null, texts[field.name] = _texts(raw, *column, pauses)
-                columns[field.name] = codes, null
+                texts[field.name] = _texts(raw, *column, pauses)
             case _:
                 assert_never(field.type)
-    # The pools grow only now, when every column is good.
-    made = {
-        field.name: _column(field, *columns[field.name], texts.pop(field.name, None), pools, pauses)
-        for field in schema.fields
-    }
-    return Incoming(SampleBatch(available, valid, made), bool(stamped))
+    # The pools grow only now, because every column is good.
+    for field in schema.fields:
+        if field.type is FieldType.STRING:
+            columns[field.name] = texts.pop(field.name).column(pool_of(field, pools), pauses)
+    ordered = {name: columns[name] for name in schema.names}
+    return Incoming(SampleBatch(available, valid, ordered), bool(stamped))
 
 
 def _time(data: cells.Bytes, starts: cells.Positions, ends: cells.Positions) -> Times:
@@ -232,8 +229,20 @@ def _time(data: cells.Bytes, starts: cells.Positions, ends: cells.Positions) -> 
     return values
 
 
-_Texts = tuple[Mask, list[str]]
-"""Of a batch's own codes: which stand for text, and for which."""
+class _Texts(NamedTuple):
+    """A column of texts: ``codes`` of its distinct cells by row and where they are ``null``; by
+    code, whether the cell is a text; the texts in order of their codes."""
+
+    codes: cells.Positions
+    null: Mask | None
+    is_text: Mask
+    strings: list[str]
+
+    def column(self, pool: StringPool, pauses: Pauses) -> Column:
+        """The column in codes of ``pool``, which gets the texts that it lacks."""
+        found = np.zeros(len(self.is_text), np.int32)
+        found[self.is_text] = encoded(self.strings, pool, pauses)
+        return Column(FieldType.STRING, found[self.codes], self.null, pool)
 
 
 def _texts(
@@ -242,43 +251,21 @@ def _texts(
     starts: cells.Positions,
     ends: cells.Positions,
     pauses: Pauses,
-) -> tuple[cells.Positions, Mask | None, _Texts]:
-    """Codes of the batch's own, where they are null, and what they stand for."""
+) -> _Texts:
     with pauses.apart():
         codes, first = cells.distinct(data, starts, ends)
     starts, ends = starts[first], ends[first]
-    quoted = data[starts] == ord('"')
-    nothing = np.flatnonzero(~quoted)
+    is_text = data[starts] == ord('"')
+    others = np.flatnonzero(~is_text)
     null = None
-    if len(nothing):
-        if len(nothing) > 1 or raw[starts[nothing[0]] : ends[nothing[0]]] != b"null":
+    if len(others):
+        if len(others) > 1 or raw[starts[others[0]] : ends[others[0]]] != b"null":
             raise cells.Irregular
-        null = codes == nothing[0]
+        null = codes == others[0]
     strings: list[str] = []
-    starts, ends = starts[quoted] + 1, ends[quoted] - 1
-    for part in range(0, len(starts), _TEXTS):
-        places = zip(
-            starts[part : part + _TEXTS].tolist(), ends[part : part + _TEXTS].tolist(), strict=True
-        )
+    places = list(zip((starts[is_text] + 1).tolist(), (ends[is_text] - 1).tolist(), strict=True))
+    for part in slices(places, _TEXTS, pauses):
         # No text holds an end of line, so that they can be decoded together.
-        together = b"\n".join([raw[start:end] for start, end in places])
-        strings += together.decode().split("\n")
-        pauses.breathe()
-    return codes, null, (quoted, strings)
-
-
-def _column(
-    field: Field,
-    values: NDArray[Any],
-    null: Mask | None,
-    texts: _Texts | None,
-    pools: dict[str, StringPool],
-    pauses: Pauses,
-) -> Column:
-    if texts is None:
-        return Column(field.type, values, null)
-    pool = pool_of(field, pools)
-    quoted, strings = texts
-    codes = np.zeros(len(quoted), np.int32)
-    codes[quoted] = encoded(strings, pool, pauses)
-    return Column(field.type, codes[values], null, pool)
+        together = b"\n".join([raw[start:end] for start, end in part])
+        strings += together.decode().split("\n") if part else ()
+    return _Texts(codes, null, is_text, strings)
