@@ -20,6 +20,9 @@ from ..streams.jit import Kernel
 
 LEAST = 4_096
 """Bytes from which on the loops are worth their calls; they are not even compiled before."""
+TAB, LF, CR, SPACE = b"\t\n\r "
+QUOTE, HASH, PLUS, COMMA, MINUS, POINT, ZERO, NINE = b'"#+,-.09'
+COLON, LESS, GREATER, AT, BACKSLASH, CARET, UNDERSCORE, OPEN, CLOSE = b":<>@\\^_{}"
 Bytes = NDArray[np.uint8]
 Positions = NDArray[np.int32]
 
@@ -38,16 +41,16 @@ def _integers(data: Any, starts: Any, ends: Any, values: Any, null: Any) -> int:
             values[row] = 0
             nulls += 1
             continue
-        negative = data[i] == 45
+        negative = data[i] == MINUS
         if negative:
             i += 1
-        if i == end or end - i > 19 or (data[i] == 48 and end - i > 1):
+        if i == end or end - i > 19 or (data[i] == ZERO and end - i > 1):
             return -1
         value = np.uint64(0)
         while i < end:
-            if data[i] < 48 or data[i] > 57:
+            if data[i] < ZERO or data[i] > NINE:
                 return -1
-            value = value * np.uint64(10) + np.uint64(data[i] - 48)
+            value = value * np.uint64(10) + np.uint64(data[i] - ZERO)
             i += 1
         if value > np.uint64(2**63 - 1):
             return -1
@@ -92,28 +95,28 @@ def _times(data: Any, starts: Any, ends: Any, values: Any) -> int:
     for row in range(starts.shape[0]):
         i = starts[row] + 1
         end = ends[row] - 1  # at the closing quote
-        if end - i < 20 or data[i - 1] != 34 or data[end] != 34 or data[end - 1] != 90:
+        if end - i < 20 or data[i - 1] != QUOTE or data[end] != QUOTE or data[end - 1] != 90:
             return -1
         for k in range(19):
             byte = data[i + k]
             if k == 4 or k == 7:
-                if byte != 45:
+                if byte != MINUS:
                     return -1
             elif k == 10:
                 if byte != 84:
                     return -1
             elif k == 13 or k == 16:
-                if byte != 58:
+                if byte != COLON:
                     return -1
-            elif byte < 48 or byte > 57:
+            elif byte < ZERO or byte > NINE:
                 return -1
-        year = np.int64(data[i] - 48) * 1000 + np.int64(data[i + 1] - 48) * 100
-        year += np.int64(data[i + 2] - 48) * 10 + np.int64(data[i + 3] - 48)
-        month = np.int64(data[i + 5] - 48) * 10 + np.int64(data[i + 6] - 48)
-        day = np.int64(data[i + 8] - 48) * 10 + np.int64(data[i + 9] - 48)
-        hour = np.int64(data[i + 11] - 48) * 10 + np.int64(data[i + 12] - 48)
-        minute = np.int64(data[i + 14] - 48) * 10 + np.int64(data[i + 15] - 48)
-        second = np.int64(data[i + 17] - 48) * 10 + np.int64(data[i + 18] - 48)
+        year = np.int64(data[i] - ZERO) * 1000 + np.int64(data[i + 1] - ZERO) * 100
+        year += np.int64(data[i + 2] - ZERO) * 10 + np.int64(data[i + 3] - ZERO)
+        month = np.int64(data[i + 5] - ZERO) * 10 + np.int64(data[i + 6] - ZERO)
+        day = np.int64(data[i + 8] - ZERO) * 10 + np.int64(data[i + 9] - ZERO)
+        hour = np.int64(data[i + 11] - ZERO) * 10 + np.int64(data[i + 12] - ZERO)
+        minute = np.int64(data[i + 14] - ZERO) * 10 + np.int64(data[i + 15] - ZERO)
+        second = np.int64(data[i + 17] - ZERO) * 10 + np.int64(data[i + 18] - ZERO)
         leap = year % 4 == 0 and (year % 100 != 0 or year % 400 == 0)
         length = 31 - (month == 4 or month == 6 or month == 9 or month == 11)
         if month == 2:
@@ -124,14 +127,14 @@ def _times(data: Any, starts: Any, ends: Any, values: Any) -> int:
             return -1
         fraction = 0
         if end - i > 20:
-            if data[i + 19] != 46 or end - i == 21 or end - i > 30:
+            if data[i + 19] != POINT or end - i == 21 or end - i > 30:
                 return -1
             for k in range(i + 20, i + 29):
                 fraction *= 10
                 if k < end - 1:
-                    if data[k] < 48 or data[k] > 57:
+                    if data[k] < ZERO or data[k] > NINE:
                         return -1
-                    fraction += int(data[k] - 48)
+                    fraction += int(data[k] - ZERO)
         # Years begin in March, so that a leap day is the last of its year.
         y = year - (month <= 2)
         days = 365 * y + y // 4 - y // 100 + y // 400

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ..streams.jit import Kernel
 from ..streams.yield_points import STRAIGHT, Pauses, slices
-from .cells import Bytes, Irregular, Positions, Values, known
+from .cells import MINUS, NINE, PLUS, POINT, ZERO, Bytes, Irregular, Positions, Values, known
 
 _LEAST_POWER, _GREATEST_POWER = -342, 308
 
@@ -71,26 +71,26 @@ def _floats(
             bits[row] = 0
             nulls += 1
             continue
-        negative = data[i] == 45
+        negative = data[i] == MINUS
         if negative:
             i += 1
         first = i
         digits = 0
         mantissa = np.uint64(0)
         power = 0
-        while i < end and 48 <= data[i] <= 57:
-            mantissa = mantissa * np.uint64(10) + np.uint64(data[i] - 48)
+        while i < end and ZERO <= data[i] <= NINE:
+            mantissa = mantissa * np.uint64(10) + np.uint64(data[i] - ZERO)
             digits += mantissa != 0
             i += 1
-        if i == first or (data[first] == 48 and i > first + 1):
+        if i == first or (data[first] == ZERO and i > first + 1):
             return -1, 0  # no digit, or a leading zero
         if negative and mantissa == 0 and i == end:
             return -1, 0  # -0: an integer, or a float64 with a sign
-        if i < end and data[i] == 46:
+        if i < end and data[i] == POINT:
             i += 1
             fraction = i
-            while i < end and 48 <= data[i] <= 57:
-                mantissa = mantissa * np.uint64(10) + np.uint64(data[i] - 48)
+            while i < end and ZERO <= data[i] <= NINE:
+                mantissa = mantissa * np.uint64(10) + np.uint64(data[i] - ZERO)
                 digits += mantissa != 0
                 i += 1
             if i == fraction:
@@ -98,14 +98,14 @@ def _floats(
             power = fraction - i
         if i < end and (data[i] == 101 or data[i] == 69):
             i += 1
-            lowered = i < end and data[i] == 45
-            if i < end and (data[i] == 45 or data[i] == 43):
+            lowered = i < end and data[i] == MINUS
+            if i < end and (data[i] == MINUS or data[i] == PLUS):
                 i += 1
             if i == end or end - i > 4:
                 return -1, 0
             exponent = 0
-            while i < end and 48 <= data[i] <= 57:
-                exponent = exponent * 10 + int(data[i] - 48)
+            while i < end and ZERO <= data[i] <= NINE:
+                exponent = exponent * 10 + int(data[i] - ZERO)
                 i += 1
             power += -exponent if lowered else exponent
         if i != end:

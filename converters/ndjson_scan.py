@@ -26,6 +26,7 @@ from ..streams.sample import (
 from ..streams.string_pool import StringPool
 from ..streams.yield_points import STRAIGHT, Pauses, slices
 from . import cells
+from .cells import BACKSLASH, CLOSE, COLON, COMMA, CR, LF, OPEN, QUOTE, SPACE, TAB
 from .decimals import floats
 from .wire import Incoming, encoded, pool_of
 
@@ -50,18 +51,18 @@ def _tokens(
     i = 0
     while i < size:
         # A line begins; blank ones are nothing.
-        while i < size and (data[i] == 32 or data[i] == 9 or data[i] == 13 or data[i] == 10):
+        while i < size and (data[i] == SPACE or data[i] == TAB or data[i] == CR or data[i] == LF):
             i += 1
         if i == size:
             break
-        if data[i] != 123 or rows == starts.shape[1]:
+        if data[i] != OPEN or rows == starts.shape[1]:
             return -1, False
         i += 1
         place = 0
         while True:
-            while i < size and (data[i] == 32 or data[i] == 9):
+            while i < size and (data[i] == SPACE or data[i] == TAB):
                 i += 1
-            if i == size or data[i] != 34 or place == fields:
+            if i == size or data[i] != QUOTE or place == fields:
                 return -1, False
             i += 1
             # The key that stood here in the line before, else any.
@@ -74,7 +75,7 @@ def _tokens(
                 if i + length < size:
                     while k < length and data[i + k] == keys[offsets[field] + k]:
                         k += 1
-                    if k == length and data[i + k] == 34:
+                    if k == length and data[i + k] == QUOTE:
                         break
                 if attempt == fields:
                     return -1, False
@@ -83,38 +84,38 @@ def _tokens(
             seen[field] = rows
             order[place] = field
             i += offsets[field + 1] - offsets[field] + 1
-            while i < size and (data[i] == 32 or data[i] == 9):
+            while i < size and (data[i] == SPACE or data[i] == TAB):
                 i += 1
-            if i == size or data[i] != 58:
+            if i == size or data[i] != COLON:
                 return -1, False
             i += 1
-            while i < size and (data[i] == 32 or data[i] == 9):
+            while i < size and (data[i] == SPACE or data[i] == TAB):
                 i += 1
             if i == size:
                 return -1, False
             starts[field, rows] = i
-            if data[i] == 34:
+            if data[i] == QUOTE:
                 i += 1
-                while i < size and data[i] != 34 and data[i] != 92 and data[i] >= 32:
+                while i < size and data[i] != QUOTE and data[i] != BACKSLASH and data[i] >= SPACE:
                     i += 1
-                if i == size or data[i] != 34:
+                if i == size or data[i] != QUOTE:
                     return -1, False
                 i += 1
             else:
                 # Which characters a number or a literal may have is looked at with its value.
-                while i < size and data[i] > 32 and data[i] != 44 and data[i] != 125:
+                while i < size and data[i] > SPACE and data[i] != COMMA and data[i] != CLOSE:
                     i += 1
                 if i == starts[field, rows]:
                     return -1, False
             ends[field, rows] = i
             place += 1
-            while i < size and (data[i] == 32 or data[i] == 9):
+            while i < size and (data[i] == SPACE or data[i] == TAB):
                 i += 1
             if i == size:
                 return -1, False
-            if data[i] == 44:
+            if data[i] == COMMA:
                 i += 1
-            elif data[i] == 125:
+            elif data[i] == CLOSE:
                 i += 1
                 break
             else:
@@ -125,9 +126,9 @@ def _tokens(
         if place != expected or (stamped and seen[fields - 1] == rows):
             return -1, False
         # Nothing else in the line.
-        while i < size and (data[i] == 32 or data[i] == 9 or data[i] == 13):
+        while i < size and (data[i] == SPACE or data[i] == TAB or data[i] == CR):
             i += 1
-        if i < size and data[i] != 10:
+        if i < size and data[i] != LF:
             return -1, False
         rows += 1
     return rows, stamped

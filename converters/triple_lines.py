@@ -13,7 +13,27 @@ from numpy.typing import NDArray
 
 from ..rdf.timed import Kind
 from ..streams.jit import Kernel
-from .cells import Bytes, Irregular, Positions
+from .cells import (
+    AT,
+    BACKSLASH,
+    CARET,
+    CR,
+    GREATER,
+    HASH,
+    LESS,
+    LF,
+    MINUS,
+    NINE,
+    POINT,
+    QUOTE,
+    SPACE,
+    TAB,
+    UNDERSCORE,
+    ZERO,
+    Bytes,
+    Irregular,
+    Positions,
+)
 
 DATATYPES = (
     (b"integer", Kind.INTEGER),
@@ -38,13 +58,13 @@ def _statements(data: Any, starts: Any, ends: Any, lines: Any, quads: bool) -> i
         # Between statements: blanks, ends of lines, comments.
         while i < size:
             byte = data[i]
-            if byte == 10:
+            if byte == LF:
                 line += 1
-            elif byte == 35:
-                while i < size and data[i] != 10 and data[i] != 13:
+            elif byte == HASH:
+                while i < size and data[i] != LF and data[i] != CR:
                     i += 1
                 continue
-            elif byte != 32 and byte != 9 and byte != 13:
+            elif byte != SPACE and byte != TAB and byte != CR:
                 break
             i += 1
         if i == size:
@@ -56,61 +76,61 @@ def _statements(data: Any, starts: Any, ends: Any, lines: Any, quads: bool) -> i
         starts[3, rows] = 0
         ends[3, rows] = 0
         while True:
-            while i < size and (data[i] == 32 or data[i] == 9):
+            while i < size and (data[i] == SPACE or data[i] == TAB):
                 i += 1
             if i == size:
                 return -1
             byte = data[i]
-            if byte == 46 and place >= 3:
+            if byte == POINT and place >= 3:
                 i += 1
                 break
             if place == 4 or (place == 3 and not quads):
                 return -1
             starts[place, rows] = i
-            if byte == 34 and place == 2:
+            if byte == QUOTE and place == 2:
                 i += 1
-                while i < size and data[i] != 34 and data[i] != 10 and data[i] != 13:
+                while i < size and data[i] != QUOTE and data[i] != LF and data[i] != CR:
                     # What a backslash escapes is no end, and no end of a line either.
-                    i += 1 + (data[i] == 92 and i + 1 < size and data[i + 1] > 31)
-                if i >= size or data[i] != 34:
+                    i += 1 + (data[i] == BACKSLASH and i + 1 < size and data[i + 1] > 31)
+                if i >= size or data[i] != QUOTE:
                     return -1
                 i += 1
-                if i < size and data[i] == 64:
+                if i < size and data[i] == AT:
                     i += 1
                     while i < size and (
                         97 <= data[i] <= 122
                         or 65 <= data[i] <= 90
-                        or 48 <= data[i] <= 57
-                        or data[i] == 45
+                        or ZERO <= data[i] <= NINE
+                        or data[i] == MINUS
                     ):
                         i += 1
-                elif i + 2 < size and data[i] == 94:
-                    if data[i + 1] != 94 or data[i + 2] != 60:
+                elif i + 2 < size and data[i] == CARET:
+                    if data[i + 1] != CARET or data[i + 2] != LESS:
                         return -1
                     i += 3
-                    while i < size and data[i] != 62 and data[i] > 32:
+                    while i < size and data[i] != GREATER and data[i] > SPACE:
                         i += 1
-                    if i == size or data[i] != 62:
+                    if i == size or data[i] != GREATER:
                         return -1
                     i += 1
-            elif byte == 60:
-                while i < size and data[i] != 62 and data[i] > 32:
+            elif byte == LESS:
+                while i < size and data[i] != GREATER and data[i] > SPACE:
                     i += 1
-                if i == size or data[i] != 62:
+                if i == size or data[i] != GREATER:
                     return -1
                 i += 1
-            elif byte == 95 and place != 1:
+            elif byte == UNDERSCORE and place != 1:
                 # A label may hold dots and end in none: what follows must be a blank.
-                while i < size and data[i] > 32:
+                while i < size and data[i] > SPACE:
                     i += 1
             else:
                 return -1
             ends[place, rows] = i
             place += 1
         # One statement a line.
-        while i < size and (data[i] == 32 or data[i] == 9):
+        while i < size and (data[i] == SPACE or data[i] == TAB):
             i += 1
-        if i < size and data[i] != 10 and data[i] != 13 and data[i] != 35:
+        if i < size and data[i] != LF and data[i] != CR and data[i] != HASH:
             return -1
         rows += 1
 
@@ -138,11 +158,11 @@ def _numbers(
         kinds[row] = 0
         start = starts[row]
         end = ends[row]
-        if data[start] != 34 or end - start < prefix + 6 or data[end - 1] != 62:
+        if data[start] != QUOTE or end - start < prefix + 6 or data[end - 1] != GREATER:
             continue
         # The text ends where the longest possible datatype of XSD begins.
         quote = start + 1
-        while quote < end and data[quote] != 34 and quote - start < 32:
+        while quote < end and data[quote] != QUOTE and quote - start < 32:
             quote += 1
         if end - quote < prefix + 6:
             continue
@@ -176,31 +196,31 @@ def _numbers(
             ends_of_text[row] = quote
             count += 1
             continue
-        if data[i] == 45:
+        if data[i] == MINUS:
             i += 1
         first = i
         digits = 0
-        while i < quote and 48 <= data[i] <= 57:
-            digits += digits > 0 or data[i] != 48
+        while i < quote and ZERO <= data[i] <= NINE:
+            digits += digits > 0 or data[i] != ZERO
             i += 1
-        if i == first or (data[first] == 48 and i > first + 1):
+        if i == first or (data[first] == ZERO and i > first + 1):
             continue
         small = False
         if i < quote:
-            if kind == 1 or data[i] != 46:
+            if kind == 1 or data[i] != POINT:
                 continue
             i += 1
             point = i
-            while i < quote and 48 <= data[i] <= 57:
-                digits += digits > 0 or data[i] != 48
+            while i < quote and ZERO <= data[i] <= NINE:
+                digits += digits > 0 or data[i] != ZERO
                 i += 1
-            if i < quote or i == point or data[i - 1] == 48:
+            if i < quote or i == point or data[i - 1] == ZERO:
                 continue
             k = point
-            while data[k] == 48:
+            while data[k] == ZERO:
                 k += 1
-            small = data[first] == 48 and k - point > 3
-        if digits == 0 and data[start + 1] == 45:
+            small = data[first] == ZERO and k - point > 3
+        if digits == 0 and data[start + 1] == MINUS:
             continue
         if digits > 17 or small:
             continue
