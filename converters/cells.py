@@ -1,12 +1,12 @@
-"""Cells of a text, read by compiled loops: where values stand in the bytes, and what they are.
+"""Cells of a text, read by compiled loops: integers, booleans, times, distinct texts.
 
-A *cell* is a value's bytes, ``start <= position < end``; a column of cells is two int32 arrays of
-shape ``(n,)``. Each loop takes only spellings whose meaning is beyond doubt and says ``-1`` to all
-others; whoever calls then reads the whole text again with the exact decoder, which also knows the
-error. So a loop decides nothing but speed. Where loops are not compiled (`JIT`), nobody calls them.
+A *cell* is the bytes of one value, ``start <= position < end``; a column of cells is two int32
+arrays of shape ``(n,)``. A loop reads only unambiguous spellings and returns ``-1`` for all others.
+The caller then decodes the whole text by its exact path, which also makes the errors, so that a
+loop affects speed only. Callers use the exact path alone where loops are not compiled (`JIT`).
 
-Numbers with fractions are in `decimals`. Used by `regular` (NDJSON) and `ntriples`. Cost: 1 to 2 ns
-a byte.
+`decimals` reads numbers with fractions. Used by `ndjson_scan` and `ntriples`. Cost: 1 to 2 ns a
+byte.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ..streams.jit import Kernel
 
 LEAST = 4_096
-"""Bytes from which on the loops are worth their calls; they are not even compiled before."""
+"""Bytes of a text from which the loops pay off; no loop is compiled for a shorter one."""
 TAB, LF, CR, SPACE = b"\t\n\r "
 QUOTE, HASH, PLUS, COMMA, MINUS, POINT, ZERO, NINE = b'"#+,-.09'
 COLON, LESS, GREATER, AT, BACKSLASH, CARET, UNDERSCORE, OPEN, CLOSE = b":<>@\\^_{}"
@@ -28,7 +28,7 @@ Positions = NDArray[np.int32]
 
 
 def _integers(data: Any, starts: Any, ends: Any, values: Any, null: Any) -> int:
-    """JSON integers within 64 bits; returns how many are ``null``, ``-1`` for anything else."""
+    """Read JSON integers within 64 bits; returns the number of nulls, ``-1`` for other cells."""
     nulls = 0
     for row in range(starts.shape[0]):
         i = starts[row]
@@ -59,7 +59,7 @@ def _integers(data: Any, starts: Any, ends: Any, values: Any, null: Any) -> int:
 
 
 def _booleans(data: Any, starts: Any, ends: Any, values: Any, null: Any) -> int:
-    """``true``, ``false`` and ``null``; returns how many are null, ``-1`` for anything else."""
+    """Read ``true``, ``false`` and ``null``; returns the number of nulls, ``-1`` for others."""
     nulls = 0
     for row in range(starts.shape[0]):
         i = starts[row]
@@ -88,7 +88,7 @@ def _booleans(data: Any, starts: Any, ends: Any, values: Any, null: Any) -> int:
 
 
 def _times(data: Any, starts: Any, ends: Any, values: Any) -> int:
-    """Quoted ISO-8601 times in UTC, years 1900 to 2199, as ns; ``-1`` for any other spelling.
+    """Read quoted ISO-8601 times in UTC, years 1900 to 2199, as ns; ``-1`` for other cells.
 
     ``"YYYY-MM-DDThh:mm:ssZ"``, with up to nine digits of a fraction.
     """
@@ -135,7 +135,7 @@ def _times(data: Any, starts: Any, ends: Any, values: Any) -> int:
                     if data[k] < ZERO or data[k] > NINE:
                         return -1
                     fraction += int(data[k] - ZERO)
-        # Years begin in March, so that a leap day is the last of its year.
+        # Count years from March, so that a leap day is the last of its year.
         y = year - (month <= 2)
         days = 365 * y + y // 4 - y // 100 + y // 400
         days += (153 * ((month + 9) % 12) + 2) // 5 + day - 719469
@@ -147,11 +147,11 @@ def _times(data: Any, starts: Any, ends: Any, values: Any) -> int:
 def _distinct(
     data: Any, starts: Any, ends: Any, table: Any, hashes: Any, codes: Any, first: Any
 ) -> int:
-    """Number the distinct cells as they are met: ``codes`` by row, the ``first`` row by code.
+    """Number the distinct cells in order of appearance: ``codes`` by row, ``first`` row by code.
 
-    Empty cells (``end <= start``) have code 0 and are none. ``table`` (-1 everywhere, a power of 2
-    of slots, more than twice the rows) is worked in. Returns how many are distinct; ``-1`` when a
-    thousand slots in a row are taken, which only texts made for it bring about.
+    Empty cells (``end <= start``) get code 0 and do not count. ``table`` is scratch: -1 everywhere,
+    a power of 2 of slots, more than twice the rows. Returns the number of distinct cells; ``-1``
+    after a thousand taken slots in a row, which only texts made for collisions reach.
     """
     mask = np.int64(table.shape[0] - 1)
     count = 0
@@ -236,7 +236,7 @@ _distinct_kernel = Kernel(_distinct, _signature("distinct"))
 
 
 class Irregular(Exception):
-    """A cell whose spelling the loops do not know: the exact decoder reads the whole text."""
+    """A cell that the loops cannot read: the caller takes the exact path."""
 
 
 Values = tuple[NDArray[Any], NDArray[np.bool_] | None]
@@ -244,14 +244,14 @@ Values = tuple[NDArray[Any], NDArray[np.bool_] | None]
 
 
 def integers(data: Bytes, starts: Positions, ends: Positions) -> Values:
-    """JSON integers and nulls as int64; raises `Irregular`, as all of these do."""
+    """JSON integers and nulls as int64; raises `Irregular`, as do the functions below."""
     values, null = np.empty(len(starts), np.int64), np.empty(len(starts), np.bool_)
     nulls = known(_integers_kernel(data, starts, ends, values, null))
     return values, null if nulls else None
 
 
 def booleans(data: Bytes, starts: Positions, ends: Positions) -> Values:
-    """JSON truths and nulls as bool."""
+    """JSON booleans and nulls as bool."""
     values, null = np.empty(len(starts), np.bool_), np.empty(len(starts), np.bool_)
     nulls = known(_booleans_kernel(data, starts, ends, values, null))
     return values, null if nulls else None
@@ -267,8 +267,8 @@ def times(data: Bytes, starts: Positions, ends: Positions) -> NDArray[np.int64]:
 def distinct(
     data: Bytes, starts: Positions, ends: Positions
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """``codes, first``: equal cells have equal codes, counted from 0 as they are met; code c is
-    met first in row ``first[c]``. An empty cell has code 0 and meets nothing."""
+    """``codes, first``: equal cells have equal codes, numbered from 0 in order of appearance; code
+    c appears first in row ``first[c]``. An empty cell has code 0 and does not count."""
     count = len(starts)
     table = np.full(1 << (2 * count).bit_length(), -1, np.int32)
     hashes = np.empty(count, np.uint64)
@@ -278,7 +278,7 @@ def distinct(
 
 
 def known(found: int) -> int:
-    """What a loop said, unless it was ``-1``."""
+    """The return value of a loop; raises `Irregular` for ``-1``."""
     if found < 0:
         raise Irregular
     return found

@@ -1,7 +1,7 @@
 """Decimal texts to the nearest float64, in a compiled loop; see `cells`.
 
-The product of the digits and 64 bits of a power of five, after Eisel and Lemire; in the rare case
-that it does not decide the rounding, Python's ``float`` does.
+It multiplies the digits by 64 bits of a power of five, after Eisel and Lemire. In the rare cases
+where the product does not decide the rounding, Python's ``float`` reads the number.
 """
 
 from __future__ import annotations
@@ -45,10 +45,11 @@ def _floats(
     null: Any,
     unsure: Any,
 ) -> tuple[int, int]:
-    """JSON numbers as the bits of the nearest float64; ``null`` cells are marked.
+    """Read JSON numbers as the bits of the nearest float64, and mark ``null`` cells.
 
-    Rows whose rounding 128 bits do not decide, and those outside the normal numbers or with more
-    than 19 digits, go to ``unsure``. Returns how many are null and unsure; ``-1`` for no number.
+    ``unsure`` gets the rows whose rounding 128 bits do not decide, and those outside the normal
+    numbers or with more than 19 digits. Returns the numbers of nulls and of unsure rows; ``-1`` for
+    other cells.
 
     Law (tests/laws): the bits are those of Python's ``float``. Why: with w the digits' integer,
     shifted to 64 bits, and T <= 5**q·2**k < T + 1, the product lies in [w·T, w·T + w), so that its
@@ -123,7 +124,7 @@ def _floats(
             while mantissa < np.uint64(1 << 63):
                 mantissa <<= one
                 shift += 1
-            # 64 x 64 bits by halves.
+            # 64 x 64 bits, by halves of 32.
             ten = powers[power + 342]
             a, b = mantissa >> half, mantissa & low32
             c, d = ten >> half, ten & low32
@@ -164,7 +165,7 @@ _floats_kernel = Kernel(_floats, _signature)
 
 
 _UNSURE = 4096
-"""Numbers that are read one by one between two moments for others."""
+"""Numbers that are read one by one before it yields."""
 
 
 def floats(data: Bytes, starts: Positions, ends: Positions, pauses: Pauses = STRAIGHT) -> Values:
@@ -179,6 +180,6 @@ def floats(data: Bytes, starts: Positions, ends: Positions, pauses: Pauses = STR
     for rows in slices(unsure[:doubts], _UNSURE, pauses):
         for row in rows.tolist():
             values[row] = float(data[starts[row] : ends[row]].tobytes())
-            if not 1e-300 < abs(values[row]) < 1e300:  # what is allowed there is not for us to say
+            if not 1e-300 < abs(values[row]) < 1e300:  # the exact path decides about these
                 raise Irregular
     return values, null if nulls else None

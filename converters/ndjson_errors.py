@@ -22,7 +22,7 @@ PYTHON_TYPES: Final[dict[FieldType, Any]] = {
     FieldType.STRING: str,
 }
 NO_JSON: Final = (msgspec.MsgspecError, UnicodeDecodeError, RecursionError)
-"""What decoders raise for a line that is no sample."""
+"""Exceptions of msgspec's decoders for a bad line."""
 _LONG: Final = 1 << 16
 """Bytes of a line up to which nested values are decoded: a longer one may hold a million."""
 _NOT_FINITE = re.compile(rb"(?<![\"\w])-?(NaN|Infinity)(?![\"\w])")

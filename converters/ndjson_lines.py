@@ -48,8 +48,8 @@ _BEFORE_COLON: Final = (b" :", b"\t:", b"\r:")
 def sample_lines(
     data: bytes, pauses: Pauses = STRAIGHT, size: int = 0
 ) -> Iterator[tuple[int, bytes]]:
-    """The lines that are not blank, with their numbers from 1 on. It yields to others every
-    ``size`` bytes (0: `PART`)."""
+    """The lines that are not blank, numbered from 1, with a yield point every ``size`` bytes (0:
+    `PART`)."""
     for number, part in _parts(data, size or PART):
         yield from _numbered(part, number)
         pauses.breathe()

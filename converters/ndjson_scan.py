@@ -1,11 +1,11 @@
-"""NDJSON whose lines are all of one make: columns without a Python object a value.
+"""NDJSON with regular lines: the fast path, a compiled scan into columns.
 
-Regular are lines of the declared fields, each key once and spelled without escapes, in any order
-and with any blanks; values of the field's type in a spelling that `cells` knows; text without
-escapes; times as integers or as ISO-8601 in UTC. Everything else, right or wrong, `decode_ndjson`
-reads with its exact decoder, which also tells the error. Called by it alone.
+A regular line has the declared fields, each key once and without escapes, in any order and with any
+blanks. Its values have the field's type in a spelling that `cells` reads; texts have no escapes;
+times are integers or ISO-8601 in UTC. `ndjson_lines` decodes every other body, good or bad. Called
+by `ndjson` only.
 
-Law (tests/laws): the answer is None or equals the exact decoder's, codes of pools included.
+Law (tests/laws): the result is None or equals that of `ndjson_lines`, codes of pools included.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ _MOST = 2**31 - 1
 def _tokens(
     data: Any, keys: Any, offsets: Any, starts: Any, ends: Any, order: Any, seen: Any
 ) -> tuple[int, bool]:
-    """Where the values stand: ``starts[field, row]``, ``ends`` likewise, quotes included.
+    """Find the bytes of each value: ``starts[field, row]`` to ``ends[field, row]``, with quotes.
 
-    Field k is called ``keys[offsets[k]:offsets[k + 1]]``; the last two are `valid` and `available`,
-    which is in all lines or in none. ``order`` (at place p stood field ``order[p]``) and ``seen``
-    (the row that had field k last) are worked in. Returns rows and whether `available` is there;
-    ``-1`` for lines that are not regular.
+    ``keys[offsets[k]:offsets[k + 1]]`` is the name of field k. The last two fields are `valid` and
+    `available`, which all lines have or none. ``order`` and ``seen`` are scratch: ``order[p]`` is
+    the field at place p of the line before, ``seen[k]`` the last row with field k. Returns the
+    number of rows and whether `available` is missing; ``-1`` for irregular lines.
     """
     size = data.shape[0]
     fields = offsets.shape[0] - 1
@@ -50,7 +50,7 @@ def _tokens(
     stamped = True
     i = 0
     while i < size:
-        # A line begins; blank ones are nothing.
+        # A line begins; blank lines are skipped.
         while i < size and (data[i] == SPACE or data[i] == TAB or data[i] == CR or data[i] == LF):
             i += 1
         if i == size:
@@ -65,7 +65,7 @@ def _tokens(
             if i == size or data[i] != QUOTE or place == fields:
                 return -1, False
             i += 1
-            # The key that stood here in the line before, else any.
+            # Try the key at this place of the line before first, then all others.
             field = order[place]
             for attempt in range(fields + 1):
                 if attempt > 0:
@@ -102,7 +102,7 @@ def _tokens(
                     return -1, False
                 i += 1
             else:
-                # Which characters a number or a literal may have is looked at with its value.
+                # `cells` checks the characters of a number or literal.
                 while i < size and data[i] > SPACE and data[i] != COMMA and data[i] != CLOSE:
                     i += 1
                 if i == starts[field, rows]:
@@ -125,7 +125,7 @@ def _tokens(
             expected = fields - stamped
         if place != expected or (stamped and seen[fields - 1] == rows):
             return -1, False
-        # Nothing else in the line.
+        # The rest of the line is blank.
         while i < size and (data[i] == SPACE or data[i] == TAB or data[i] == CR):
             i += 1
         if i < size and data[i] != LF:
@@ -155,10 +155,10 @@ def scan_lines(
     pauses: Pauses = STRAIGHT,
     least: int = cells.LEAST,
 ) -> Incoming | None:
-    """The batch, or None when the lines are not regular, or fewer bytes than ``least``: then
-    nothing has been touched.
+    """Decode as `decode_ndjson`, or return None for irregular lines and for fewer bytes than
+    ``least``; ``pools`` are then unchanged.
 
-    Cost: about 3 ns a byte, nearly all of it apart, and Python once a distinct text of the batch.
+    Cost: about 3 ns a byte, nearly all in compiled loops, and Python once per distinct text.
     """
     if not JIT or not least <= len(raw) <= _MOST:
         return None
@@ -169,7 +169,7 @@ def scan_lines(
 
 
 _TEXTS = 8192
-"""Distinct texts between two moments for others."""
+"""Distinct texts that are decoded before it yields."""
 
 
 def _decode(
@@ -181,7 +181,7 @@ def _decode(
         return None
     offsets = np.cumsum([0, *map(len, names)], dtype=np.int64)
     keys = np.frombuffer(b"".join(names), np.uint8)
-    # A line has its braces, and of each key but `available` the name, four signs and a value.
+    # The shortest line has two braces, and per key but `available` a name, four signs, a value.
     shortest = 2 + int(offsets[-2]) + 5 * (len(names) - 1) - 1
     shape = (len(names), min(raw.count(b"\n"), len(raw) // shortest) + 1)
     starts, ends = np.empty(shape, np.int32), np.empty(shape, np.int32)
@@ -266,7 +266,7 @@ def _texts(
     strings: list[str] = []
     places = list(zip((starts[is_text] + 1).tolist(), (ends[is_text] - 1).tolist(), strict=True))
     for part in slices(places, _TEXTS, pauses):
-        # No text holds an end of line, so that they can be decoded together.
+        # Texts hold no line feed, so that one call decodes many.
         together = b"\n".join([raw[start:end] for start, end in part])
         strings += together.decode().split("\n") if part else ()
     return _Texts(codes, null, is_text, strings)

@@ -1,7 +1,7 @@
 """Lines of N-Triples and N-Quads, cut into terms by compiled loops; see `cells` and `ntriples`.
 
-The loops only find where a term begins and ends. Whether it is one, pyoxigraph's parser says, once
-for each distinct spelling; only plain numbers are read here.
+The loops only find the begin and end of each term. pyoxigraph's parser checks each distinct
+spelling once; the loops read plain numbers only.
 """
 
 from __future__ import annotations
@@ -44,12 +44,13 @@ DATATYPES = (
 )
 _XSD = b'"^^<http://www.w3.org/2001/XMLSchema#'
 SURE, LOOK = 0, 1
-"""Of a number: it is spelled as `rdf.timed.make_term` would; or it is, if that gives its text."""
+"""Of a number: its spelling is canonical (`rdf.timed.make_term`), or the caller must compare."""
 
 
 def _statements(data: Any, starts: Any, ends: Any, lines: Any, quads: bool) -> int:
-    """Where terms stand: ``starts[k, row]``, k = 0 to 3 for subject, predicate, object and graph
-    (empty where there is none), and in which line; returns the rows, ``-1`` for unknown lines."""
+    """Find the bytes of terms: ``starts[k, row]`` to ``ends[k, row]``, k = 0 to 3 for subject,
+    predicate, object and graph (empty if absent), and the line. Returns the number of rows; ``-1``
+    for lines that it cannot read."""
     size = data.shape[0]
     rows = 0
     line = 1
@@ -90,7 +91,7 @@ def _statements(data: Any, starts: Any, ends: Any, lines: Any, quads: bool) -> i
             if byte == QUOTE and place == 2:
                 i += 1
                 while i < size and data[i] != QUOTE and data[i] != LF and data[i] != CR:
-                    # What a backslash escapes is no end, and no end of a line either.
+                    # An escaped quote does not end the text.
                     i += 1 + (data[i] == BACKSLASH and i + 1 < size and data[i + 1] > 31)
                 if i >= size or data[i] != QUOTE:
                     return -1
@@ -120,7 +121,7 @@ def _statements(data: Any, starts: Any, ends: Any, lines: Any, quads: bool) -> i
                     return -1
                 i += 1
             elif byte == UNDERSCORE and place != 1:
-                # A label may hold dots and end in none: what follows must be a blank.
+                # A label may contain dots but not end in one: a blank must follow.
                 while i < size and data[i] > SPACE:
                     i += 1
             else:
@@ -146,11 +147,12 @@ def _numbers(
     ends_of_text: Any,
     sure: Any,
 ) -> int:
-    """Which objects are plain numbers or truths: ``kinds[row]`` (else 0), the end of their text.
+    """Find the objects that are plain numbers or booleans: ``kinds[row]`` (else 0), and the end of
+    their text.
 
-    Plain is what has a single spelling: no sign but a minus, no leading zero, no zero at the end of
-    a fraction, no exponent. Up to 15 digits from 0.0001 on it is `make_term`'s spelling, since no
-    two such texts have the same float64; with 16 or 17 digits somebody must look.
+    A plain number has no plus sign, no leading zero, no zero at the end of a fraction, no exponent.
+    With up to 15 digits and from 0.0001 on that is the canonical spelling, because no two such
+    texts have the same float64. With 16 or 17 digits the caller must compare.
     """
     count = 0
     prefix = xsd.shape[0]
@@ -160,7 +162,7 @@ def _numbers(
         end = ends[row]
         if data[start] != QUOTE or end - start < prefix + 6 or data[end - 1] != GREATER:
             continue
-        # The text ends where the longest possible datatype of XSD begins.
+        # A plain number has its closing quote within 32 bytes; its datatype follows.
         quote = start + 1
         while quote < end and data[quote] != QUOTE and quote - start < 32:
             quote += 1
@@ -256,22 +258,22 @@ _OFFSETS = np.cumsum([0, *(len(name) for name, _ in DATATYPES)], dtype=np.int64)
 def statements(
     data: Bytes, most: int, *, quads: bool
 ) -> tuple[NDArray[np.int32], NDArray[np.int32], Positions]:
-    """``starts, ends`` of shape ``(4, n)`` and the line of each statement, of which there are at
-    most ``most``; raises `Irregular`."""
+    """``starts, ends`` of shape ``(4, n)`` and the line of each statement, at most ``most``; raises
+    `Irregular`."""
     starts, ends = np.empty((4, most), np.int32), np.empty((4, most), np.int32)
     lines = np.empty(most, np.int32)
     rows = _statements_kernel(data, starts, ends, lines, quads)
     if rows < 0:
         raise Irregular
-    # The loops want columns without gaps.
+    # The loops take contiguous columns only.
     return starts[:, :rows].copy(), ends[:, :rows].copy(), lines[:rows]
 
 
 def numbers(
     data: Bytes, starts: Positions, ends: Positions
 ) -> tuple[NDArray[np.int8], Positions, NDArray[np.int8]]:
-    """Of objects: the place in `DATATYPES` counted from 1 (0: no plain number), where the text
-    between the quotes ends, and `SURE` or `LOOK`."""
+    """For each object: the place in `DATATYPES` counted from 1 (0: no plain number), the end of the
+    text between the quotes, and `SURE` or `LOOK`."""
     count = len(starts)
     kinds, sure = np.empty(count, np.int8), np.zeros(count, np.int8)
     until = np.empty(count, np.int32)

@@ -1,8 +1,8 @@
 """Recorded tables as streams: CSV, packed CSV, NDJSON and Arrow, for ``dyknow replay``.
 
 The valid time is the time column. The available time is the ``available`` column if there is one,
-else the valid time. A row with a step back becomes available with the row before it; rows of one
-time are one instant (SPEC §1).
+else the valid time. A row that steps back in time becomes available with the row before it; rows of
+one time are one instant (SPEC §1).
 """
 
 from __future__ import annotations
@@ -45,17 +45,17 @@ ValueChunk = tuple[list[int], list[dict[str, Any]]]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:
-    """A table that was looked through once: its fields, how many rows, and the way to read them.
+    """A table after a first pass: its fields, its number of rows, and the function that reads it.
 
-    Iterating reads it again from the start, in chunks, in the table's order; the text columns of
-    all chunks share ``pools``. Raises `WireError` with the line.
+    Iteration reads the table from the start, in chunks, in the table's order; the text columns of
+    all chunks share ``pools``. It raises `WireError` with the line.
     """
 
     schema: Schema
     rows: int
     pools: dict[str, StringPool]
     read: Callable[[], Iterator[SampleBatch]] = field(repr=False)
-    """The rows with the times that stand in the table; the valid time where there is one only."""
+    """Read the rows with the times of the table, valid times in place of missing available ones."""
     _has_available: bool = False
 
     def __iter__(self) -> Iterator[Incoming]:
@@ -76,15 +76,15 @@ def open_recording(
     pools: dict[str, StringPool] | None = None,
     abstract_unit: str = "s",
 ) -> Recording:
-    """Look through the table at ``path``: ``.csv .csv.gz .ndjson .ndjson.gz .arrow``.
+    """Infer fields and times of the table at ``path``: ``.csv .csv.gz .ndjson .ndjson.gz .arrow``.
 
-    ``time_column``: else ``valid``, ``timestamp``, ``time`` or ``t``. ``time_unit`` of numeric
-    times: ``s ms us ns``, else by their magnitude; ``abstract_unit`` where they are small.
-    ``types`` of fields: else by their values (CSV: columns named like identifiers stay text).
-    ``pools`` to encode text with.
+    ``time_column``: default ``valid``, ``timestamp``, ``time`` or ``t``. ``time_unit`` of numeric
+    times: ``s ms us ns``, default by their magnitude; ``abstract_unit`` if they are small.
+    ``types`` of fields: default by their values (CSV: columns named like identifiers stay text).
+    ``pools`` encode text.
 
-    Raises `WireError` with the line, `OSError` when the file cannot be read.
-    Cost: the file is read twice. Memory: a chunk of rows, and every distinct text (Arrow: all).
+    Raises `WireError` with the line, `OSError` if the file cannot be read.
+    Cost: it reads the file twice. Memory: a chunk of rows, and every distinct text (Arrow: all).
     """
     path = Path(path)
     name = path.name.lower().removesuffix(".gz")
@@ -116,7 +116,7 @@ def open_cells(
     types: Mapping[str, FieldType],
     pools: dict[str, StringPool],
 ) -> Recording:
-    """Look through the cells of a table, which ``cells_again`` gives each time it is called.
+    """The recording of a table's cells; each call of ``cells_again`` returns them from the start.
 
     Other arguments and errors as for `open_recording`, with one unit of time.
     """
@@ -161,10 +161,11 @@ def open_rows(
     types: Mapping[str, FieldType] | None,
     pools: dict[str, StringPool],
 ) -> Recording:
-    """Look through rows of named values, which ``rows_again`` gives each time it is called.
+    """The recording of rows of named values; each call of ``rows_again`` returns them from the
+    start.
 
-    ``times`` has its unit when the recording is iterated: tables of one file may share it.
-    Raises `WireError` with the line.
+    Tables of one file may share ``times``, which fixes its unit at the first iteration. Raises
+    `WireError` with the line.
     """
     seen: dict[str, set[type]] = {}
     with_available = count = 0
@@ -311,5 +312,5 @@ def _make_pools(schema: Schema, pools: dict[str, StringPool]) -> None:
 
 
 def running_maximum(times: Times, last: int) -> Times:
-    """``max(time, one before)`` for each: the least times from ``last`` on that do not decrease."""
+    """The running maximum of ``times``, from ``last`` on."""
     return np.maximum.accumulate(np.maximum(times, last))
