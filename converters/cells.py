@@ -246,21 +246,21 @@ Values = tuple[NDArray[Any], NDArray[np.bool_] | None]
 def integers(data: Bytes, starts: Positions, ends: Positions) -> Values:
     """JSON integers and nulls as int64; raises `Irregular`, as do the functions below."""
     values, null = np.empty(len(starts), np.int64), np.empty(len(starts), np.bool_)
-    nulls = known(_integers_kernel(data, starts, ends, values, null))
+    nulls = checked_count(_integers_kernel(data, starts, ends, values, null))
     return values, null if nulls else None
 
 
 def booleans(data: Bytes, starts: Positions, ends: Positions) -> Values:
     """JSON booleans and nulls as bool."""
     values, null = np.empty(len(starts), np.bool_), np.empty(len(starts), np.bool_)
-    nulls = known(_booleans_kernel(data, starts, ends, values, null))
+    nulls = checked_count(_booleans_kernel(data, starts, ends, values, null))
     return values, null if nulls else None
 
 
 def times(data: Bytes, starts: Positions, ends: Positions) -> NDArray[np.int64]:
     """Quoted ISO-8601 times in UTC, as ns."""
     values = np.empty(len(starts), np.int64)
-    known(_times_kernel(data, starts, ends, values))
+    checked_count(_times_kernel(data, starts, ends, values))
     return values
 
 
@@ -273,11 +273,11 @@ def distinct(
     table = np.full(1 << (2 * count).bit_length(), -1, np.int32)
     hashes = np.empty(count, np.uint64)
     codes, first = np.empty(count, np.int32), np.empty(count, np.int32)
-    met = known(_distinct_kernel(data, starts, ends, table, hashes, codes, first))
+    met = checked_count(_distinct_kernel(data, starts, ends, table, hashes, codes, first))
     return codes, first[:met]
 
 
-def known(found: int) -> int:
+def checked_count(found: int) -> int:
     """The return value of a loop; raises `Irregular` for ``-1``."""
     if found < 0:
         raise Irregular

@@ -14,7 +14,18 @@ from numpy.typing import NDArray
 
 from ..streams.jit import Kernel
 from ..streams.yield_points import STRAIGHT, Pauses, slices
-from .cells import MINUS, NINE, PLUS, POINT, ZERO, Bytes, Irregular, Positions, Values, known
+from .cells import (
+    MINUS,
+    NINE,
+    PLUS,
+    POINT,
+    ZERO,
+    Bytes,
+    Irregular,
+    Positions,
+    Values,
+    checked_count,
+)
 
 _LEAST_POWER, _GREATEST_POWER = -342, 308
 
@@ -175,7 +186,7 @@ def floats(data: Bytes, starts: Positions, ends: Positions, pauses: Pauses = STR
     unsure = np.empty(count, np.int64)
     with pauses.apart():
         found = _floats_kernel(data, starts, ends, *_powers(), bits, null, unsure)
-    nulls, doubts = known(found[0]), found[1]
+    nulls, doubts = checked_count(found[0]), found[1]
     values = bits.view(np.float64)
     for rows in slices(unsure[:doubts], _UNSURE, pauses):
         for row in rows.tolist():

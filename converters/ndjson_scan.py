@@ -30,7 +30,8 @@ from .cells import BACKSLASH, CLOSE, COLON, COMMA, CR, LF, OPEN, QUOTE, SPACE, T
 from .decimals import floats
 from .wire import Incoming, encoded, pool_of
 
-_MOST = 2**31 - 1
+_LONGEST_BODY = 2**31 - 1
+"""Bytes that 32-bit positions can address."""
 
 
 def _tokens(
@@ -160,7 +161,7 @@ def scan_lines(
 
     Cost: about 3 ns a byte, nearly all in compiled loops, and Python once per distinct text.
     """
-    if not JIT or not least <= len(raw) <= _MOST:
+    if not JIT or not least <= len(raw) <= _LONGEST_BODY:
         return None
     try:
         return _decode(raw, schema, pools, pauses)

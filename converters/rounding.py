@@ -30,6 +30,7 @@ _LEAST: Final = 2.0**-1022
 _SMALL: Final = (b"e-", b"E-", b"0" * 300)
 """The text of a number closer to 0 contains one of these."""
 _FEW: Final = 16
+"""Values up to which plain Python is faster than numpy."""
 _PART: Final = 1 << 14
 """Bytes of lines that are read again before it yields."""
 
