@@ -33,8 +33,8 @@ from .ndjson_errors import (
     ONE_A_LINE,
     PYTHON_TYPES,
     first_error,
+    object_of,
     repeated_key,
-    values_of,
 )
 from .wire import BatchLimits, Incoming, null_mask, pool_of, text_column, time_of
 
@@ -103,14 +103,15 @@ def infer_fields(
     """
     types: dict[str, set[type]] | None = None
     is_good = True
-    for _, line in sample_lines(data, pauses, size):
-        row: dict[str, Any] | None
+    for number, line in sample_lines(data, pauses, size):
         try:
-            row = _PLAIN_ROW.decode(line)
+            row: dict[str, Any] = _PLAIN_ROW.decode(line)
         except NO_JSON:
-            is_good, row = False, _object_of(line)
-        if row is None:
-            break
+            is_good = False
+            try:
+                row = object_of(line, number)
+            except WireError:
+                break
         if types is None:
             types = {name: set() for name in row if name not in TIME_FIELDS}
             if limits is not None:
@@ -132,15 +133,6 @@ def infer_fields(
 
 
 _PLAIN_ROW = msgspec.json.Decoder(dict[str, str | int | float | bool | None])
-
-
-def _object_of(line: bytes) -> dict[str, Any] | None:
-    """A bad line as an object, if it is one."""
-    try:
-        values = values_of(line)
-    except NO_JSON:
-        return None
-    return values if isinstance(values, dict) else None
 
 
 def json_type(types: set[type]) -> FieldType:

@@ -37,8 +37,9 @@ from ..arrow.stream import (
 from ..csv_table import CHUNK, TextChunk, column_from_cells, read_csv
 from ..errors import EmptyTable, WireError
 from ..inference import TextColumnType, TimeReader, time_column
+from ..ndjson_errors import object_of
 from ..ndjson_lines import json_type
-from ..wire import BOM, Incoming, not_json
+from ..wire import BOM, Incoming
 
 ValueChunk = tuple[list[int], list[dict[str, Any]]]
 
@@ -265,18 +266,9 @@ def decode_rows(numbered: Iterable[tuple[int, bytes]]) -> Iterator[ValueChunk]:
 
 
 def _decode_line(number: int, line: bytes) -> dict[str, Any]:
-    try:
-        row = msgspec.json.decode(line)
-    except RecursionError:
-        raise WireError(
-            number, "the value is nested too deeply", "values of a sample are plain"
-        ) from None
-    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
-        raise WireError(number, not_json(error)) from None
-    if not isinstance(row, dict):
-        raise WireError(number, f"a sample is a JSON object, got {type(row).__name__}")
+    row = object_of(line, number)
     for name, value in row.items():
-        if isinstance(value, list | dict):
+        if isinstance(value, list | dict | msgspec.Raw):
             raise WireError(number, f"field {name!r} is nested: values are plain")
     return row
 
