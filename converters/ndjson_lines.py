@@ -39,7 +39,7 @@ from .ndjson_errors import (
 from .wire import BatchLimits, Incoming, null_mask, pool_of, text_column, time_of
 
 PART: Final = 1 << 16
-"""Bytes of a part, some milliseconds of work; the last part has up to twice as many."""
+"""Bytes of a part: some milliseconds of work."""
 _WIDE: Final = 200
 """Schemas with more fields get longer parts, because each part has an array per field."""
 _BEFORE_COLON: Final = (b" :", b"\t:", b"\r:")
@@ -68,8 +68,10 @@ def decode_lines(
     a byte. Memory: the columns, and Python objects for one part.
     """
     size = size or PART * max(1, len(schema.fields) // _WIDE)
+    if len(data) <= 2 * size:  # two parts would only encode texts twice
+        size = len(data)
     # `_samples` encodes texts when a part has no error. Later parts may have one.
-    own = pools if len(data) <= 2 * size else {}
+    own = pools if len(data) <= size else {}
     decoder = _decoder(schema)
     stamped: bool | None = None
     batches: list[SampleBatch] = []
@@ -151,7 +153,7 @@ def _parts(data: bytes, size: int) -> Iterator[tuple[int, bytes]]:
     start, number = 0, 1
     while start < len(data):
         end = len(data)
-        if end - start > 2 * size:
+        if end - start > size:
             end = data.rfind(b"\n", start, start + size) + 1 or data.find(b"\n", start + size) + 1
             end = end or len(data)
         part = data[start:end]
