@@ -1,11 +1,11 @@
 """Converters: samples <-> timed triples by annotation ([Events14 §V.A]), samples <-> bytes.
 
-Conversion is renaming and masking of columns; a Python object per sample appears only where a
-wire format makes one. docs/reference/ssl.md shows every form by example.
+A conversion renames and masks columns. Python objects for single samples appear only where a wire
+format makes them. docs/reference/formats.md shows every form by example.
 """
 
 from .errors import ConversionError, WireError
-from .to_samples import ResultConverter, TripleConverter, result_schema
+from .to_samples import ResultConverter, result_schema
 from .to_triples import SampleConverter
 from .wire import Incoming
 
@@ -14,7 +14,6 @@ __all__ = [
     "Incoming",
     "ResultConverter",
     "SampleConverter",
-    "TripleConverter",
     "WireError",
     "result_schema",
 ]

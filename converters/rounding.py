@@ -1,9 +1,9 @@
-"""Numbers of a batch that float fields round beyond a last digit (docs/reference/ssl.md).
+"""Numbers of a batch that float fields change beyond the last digit (docs/reference/formats.md).
 
-A float field holds the double nearest to the number that was sent (IEEE 754, ties to even), as
-every reader of decimals does. This module reports two kinds of numbers that lose more: integers
-from 2^53 on that no double is, such as 9007199254740993, and numbers so near to 0 that doubles have
-fewer digits there, or none, such as 1e-400. Such a number is *rounded* if the shortest decimal of
+A float field holds the double nearest to the sent number (IEEE 754, ties to even), as in every
+reader of decimals. This module reports two kinds of numbers that lose more: integers from 2^53 on
+that no double equals, such as 9007199254740993, and numbers so close to 0 that doubles have fewer
+digits there, or none, such as 1e-400. Such a number counts as *rounded* if the shortest decimal of
 its double is another number.
 """
 
@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from decimal import Decimal
 from functools import cache
 from typing import Any, Final
@@ -21,39 +20,32 @@ from numpy.typing import NDArray
 
 from ..streams.sample import FieldType, SampleBatch
 from ..streams.yield_points import Pauses
-from .lines import Part
+from .ndjson_lines import sample_lines
+from .wire import Rounded
 
 _EXACT: Final = 2.0**53
-"""Every integer below is a double."""
+"""Doubles represent every integer below."""
 _LEAST: Final = 2.0**-1022
-"""Doubles nearer to 0 have fewer digits."""
+"""Doubles closer to 0 have fewer digits."""
 _SMALL: Final = (b"e-", b"E-", b"0" * 300)
-"""A number nearer to 0 contains one of these."""
+"""The text of a number closer to 0 contains one of these."""
 _FEW: Final = 16
-_SOME: Final = 256
-"""Lines that are read again between two moments for others."""
-
-
-@dataclass(frozen=True, slots=True)
-class Rounded:
-    """So many values of a batch were rounded; the first of them stands in ``line``."""
-
-    count: int
-    line: int
-    field: str
+"""Values up to which plain Python is faster than numpy."""
+_PART: Final = 1 << 14
+"""Bytes of lines that are read again before it yields."""
 
 
 def rounded_lines(data: bytes, batch: SampleBatch, pauses: Pauses) -> Rounded | None:
-    """The numbers of an NDJSON body that were rounded in ``batch``, its samples.
+    """The rounded numbers of an NDJSON body; ``batch`` are its samples.
 
-    Cost: a look at each float column; the lines are read again where values are large or tiny.
+    Cost: one pass over each float column. Lines with large or tiny values are parsed again.
     """
     suspects = _suspects(batch, lambda: any(mark in data for mark in _SMALL))
     if not suspects:
         return None
     rows = set().union(*suspects.values())
     found: list[tuple[int, str]] = []
-    for row, (line, text) in enumerate(Part(data, 1).lines()):
+    for row, (line, text) in enumerate(sample_lines(data, pauses, _PART)):
         if row in rows:
             sent = json.loads(text, parse_float=Decimal, parse_int=Decimal)
             found += [
@@ -61,13 +53,11 @@ def rounded_lines(data: bytes, batch: SampleBatch, pauses: Pauses) -> Rounded | 
                 for name, places in suspects.items()
                 if row in places and _is_other(batch.columns[name].values[row], sent[name])
             ]
-        if not row % _SOME:
-            pauses.breathe()
     return Rounded(len(found), *found[0]) if found else None
 
 
 def rounded_rows(columns: Mapping[str, Any], batch: SampleBatch) -> Rounded | None:
-    """The integers of Arrow's ``columns`` that were rounded in ``batch``; ``line`` is the row."""
+    """The rounded integers of Arrow's ``columns``, whose samples are ``batch``; lines are rows."""
     found = [
         (row + 1, name)
         for name, rows in _suspects(batch, lambda: False).items()
@@ -79,8 +69,8 @@ def rounded_rows(columns: Mapping[str, Any], batch: SampleBatch) -> Rounded | No
 
 
 def _suspects(batch: SampleBatch, may_be_small: Callable[[], bool]) -> dict[str, set[int]]:
-    """The rows of each float column that have large values, and, where there ``may_be_small`` ones,
-    those next to 0."""
+    """The rows of each float column with large values and, if there ``may_be_small`` ones, with
+    values next to 0."""
     found = {}
     may_be_small = cache(may_be_small)
     for name, column in batch.columns.items():
@@ -98,7 +88,7 @@ def _suspects(batch: SampleBatch, may_be_small: Callable[[], bool]) -> dict[str,
 
 
 def _is_plain(values: NDArray[np.float64], may_be_small: Callable[[], bool]) -> bool:
-    """Whether a few values are surely neither large nor small: much cheaper than columns are."""
+    """Whether a few values are neither large nor small: cheaper here than by columns."""
     return len(values) <= _FEW and all(
         _LEAST <= abs(value) < _EXACT or (value == 0 and not may_be_small())
         for value in values.tolist()
@@ -106,5 +96,5 @@ def _is_plain(values: NDArray[np.float64], may_be_small: Callable[[], bool]) -> 
 
 
 def _is_other(value: float, sent: Decimal) -> bool:
-    """Whether the shortest decimal of ``value`` is another number than was sent."""
+    """Whether the shortest decimal of ``value`` differs from the sent number."""
     return Decimal(repr(float(value))) != sent

@@ -1,7 +1,7 @@
 """Samples as an Arrow IPC stream, ``application/vnd.apache.arrow.stream``.
 
 Columns: ``valid`` and, optionally, ``available`` (a timestamp of any unit, or int64 ns), and one a
-field. pyarrow is an extra of the installation: `ArrowMissing` says how to get it.
+field. pyarrow is an optional dependency: `ArrowMissing` names the command that installs it.
 """
 
 from __future__ import annotations
@@ -60,11 +60,11 @@ def decode_arrow(
     limits: BatchLimits | None = None,
     pauses: Pauses = STRAIGHT,
 ) -> Incoming:
-    """A batch from an IPC stream, taken whole or refused whole (`WireError`, lines are rows).
+    """Decode a batch from an IPC stream; an error refuses all of it (`WireError`, lines are rows).
 
-    Without fields in ``schema`` (an open stream) the table's columns decide them. What has more
-    than ``limits`` by what it declares is refused before it is read. Most of the work is pyarrow's
-    and done apart (``pauses``).
+    A ``schema`` without fields belongs to an open stream: the table's columns then decide them. A
+    body that declares more than ``limits`` is refused before pyarrow reads it. Most of the work is
+    pyarrow's; other work runs meanwhile (``pauses``).
     """
     if limits is not None:
         check_sizes(data, limits, pauses)
@@ -80,7 +80,7 @@ def samples_of_table(
     limits: BatchLimits | None = None,
     pauses: Pauses = STRAIGHT,
 ) -> Incoming:
-    """`decode_arrow` of a table that has been read; of ``limits`` those of texts and fields."""
+    """Decode as `decode_arrow`, from a table; checks the ``limits`` of texts and fields."""
     names = table.column_names
     times = Counter(names)
     if not schema.fields and len(times) == len(names):
@@ -108,7 +108,7 @@ def samples_of_table(
         if stamped
         else times_from_arrow(table.column("available"), "available", TimeReader("ns"), pauses)
     )
-    # Text last: the pools grow only when every other column is good.
+    # Text last: the pools grow only if every other column is good.
     text_last = sorted(schema.fields, key=lambda field: field.type is FieldType.STRING)
     given = {}
     for field in text_last:
@@ -128,7 +128,7 @@ def samples_of_table(
 
 
 def joined(tables: Sequence[Any]) -> Any:
-    """Tables of the same columns as one."""
+    """Concatenate tables of the same columns."""
     return tables[0] if len(tables) == 1 else pyarrow_module().concat_tables(tables)
 
 
@@ -149,14 +149,14 @@ def encode_arrow(batch: SampleBatch) -> bytes:
 
 
 class ArrowWriter:
-    """Writes one IPC stream of several batches of the same fields, a record batch each."""
+    """Writes an IPC stream of batches of the same fields, one record batch each."""
 
     def __init__(self) -> None:
         self._sink = _Sink()
         self._writer: Any = None
 
     def write(self, batch: SampleBatch) -> bytes:
-        """The bytes that ``batch`` adds; the first one's begin with the schema."""
+        """The bytes of ``batch``; those of the first one begin with the schema."""
         table = table_of(batch)
         if self._writer is None:
             self._writer = pyarrow_module().ipc.new_stream(self._sink, table.schema)
@@ -164,13 +164,13 @@ class ArrowWriter:
         return self._sink.take()
 
     def close(self) -> bytes:
-        """What ends the stream. Contract: something was written."""
+        """The end of the stream. Contract: `write` was called."""
         self._writer.close()
         return self._sink.take()
 
 
 class _Sink(io.RawIOBase):
-    """What pyarrow has written and nobody has taken."""
+    """The bytes that pyarrow has written since the last `take`."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -195,7 +195,7 @@ class _Sink(io.RawIOBase):
 
 
 def table_of(batch: SampleBatch) -> Any:
-    """A batch as an Arrow table, texts as texts."""
+    """A batch as an Arrow table, texts as strings."""
     pa = pyarrow_module()
     zoned = pa.timestamp("ns", "UTC")
     arrays = {
@@ -268,7 +268,7 @@ def times_from_arrow(column: Any, key: str, reader: TimeReader, pauses: Pauses =
 def column_from_arrow(
     field: Field, column: Any, pools: dict[str, StringPool], pauses: Pauses = STRAIGHT
 ) -> Column:
-    """A field's column; raises `WireError` with the row for a value that is none."""
+    """A field's column; raises `WireError` with the row of a bad value."""
     if field.type is FieldType.STRING:
         return _text(field, column, pools, pauses)
     with pauses.apart():
@@ -276,7 +276,7 @@ def column_from_arrow(
 
 
 def _numbers(field: Field, column: Any) -> Column:
-    """A column of what is no text."""
+    """A column of numbers or booleans."""
     pa = pyarrow_module()
     null = column.is_null().to_numpy() if column.null_count else None
     if field.type is FieldType.INTEGER and pa.types.is_uint64(column.type):
@@ -295,7 +295,7 @@ def _numbers(field: Field, column: Any) -> Column:
     filled = _as(column, target)
     if null is not None:
         filled = filled.fill_null(False if field.type is FieldType.BOOLEAN else 0)
-    # A view of the body where its bytes are the column's.
+    # A view of the body if that has the column's type.
     values = np.require(filled.to_numpy(), field.type.dtype, ("C", "A"))
     if field.type is FieldType.FLOAT and not np.isfinite(values).all():
         row = int(np.argmin(np.isfinite(values)))
@@ -308,13 +308,13 @@ def _numbers(field: Field, column: Any) -> Column:
 
 
 _FEW = 64
-"""Texts below this are encoded one by one: cheaper than the calls that spare it."""
+"""Rows below which texts are encoded one by one, without a dictionary."""
 _SOME = 4096
-"""Values that become Python's between two moments for others."""
+"""Values that become Python objects before it yields."""
 
 
 def _together(column: Any, pauses: Pauses) -> Any:
-    """A column of texts whose chunks are one, where they can be: each has a dictionary to read."""
+    """A column of texts in one chunk, if possible: each chunk has a dictionary to read."""
     pa = pyarrow_module()
     if column.num_chunks <= 1:
         return column
@@ -326,9 +326,9 @@ def _together(column: Any, pauses: Pauses) -> Any:
 
 
 def _text(field: Field, column: Any, pools: dict[str, StringPool], pauses: Pauses) -> Column:
-    """Text in codes of the field's pool, which gets the texts of the rows in their order.
+    """Encode text with the field's pool, which gets new texts in the order of the rows.
 
-    Cost: Python once a distinct text and chunk; a dictionary that came with the column is used.
+    Cost: Python once per distinct text and chunk. A dictionary column is not encoded again.
     """
     pa = pyarrow_module()
     pool = pool_of(field, pools)
@@ -349,8 +349,8 @@ def _text(field: Field, column: Any, pools: dict[str, StringPool], pauses: Pause
 
 
 def _check_texts(name: str, column: Any, limits: BatchLimits, pauses: Pauses) -> None:
-    """Raises `WireError` with the row for a text that is too long. A dictionary's texts are looked
-    at once, however often they are used."""
+    """Raise `WireError` with the row of a text that is too long. Each text of a dictionary is
+    measured once."""
     pa = pyarrow_module()
     before = 0
     for chunk in column.chunks:
@@ -385,7 +385,7 @@ def _sizes(texts: Any) -> NDArray[np.int64]:
 
 
 def _codes(chunk: Any, pool: StringPool, pauses: Pauses) -> tuple[NDArray[np.int32], Mask]:
-    """Codes of a dictionary array's rows, and which have none (their code means nothing)."""
+    """Codes of a dictionary array's rows, and which rows are null (their codes have no meaning)."""
     absent: Mask = chunk.indices.is_null().to_numpy(zero_copy_only=False)
     places = chunk.indices
     if places.null_count:
@@ -397,7 +397,7 @@ def _codes(chunk: Any, pool: StringPool, pauses: Pauses) -> tuple[NDArray[np.int
     pauses.breathe()
     used = places[~absent] if chunk.indices.null_count else places
     first = np.full(len(texts), len(used), np.int64)
-    first[used[::-1]] = np.arange(len(used) - 1, -1, -1)  # of equal places the last one written
+    first[used[::-1]] = np.arange(len(used) - 1, -1, -1)  # numpy keeps the last of equal places
     met = np.flatnonzero(first < len(used))
     met = met[np.argsort(first[met])]
     if texts.null_count:  # a dictionary may have an entry for null
@@ -414,19 +414,18 @@ def _codes(chunk: Any, pool: StringPool, pauses: Pauses) -> tuple[NDArray[np.int
 
 
 def _as(column: Any, type: Any) -> Any:
-    """The column as ``type``: numbers wrap, what is there already stays."""
+    """The column cast to ``type``, where numbers wrap; unchanged if it has that type."""
     return column if column.type == type else column.cast(type, safe=False)
 
 
-def _expect(field: Field, column: Any) -> bool:
-    """True if the column can hold the field's values, by type alone; else raises `WireError`."""
+def _expect(field: Field, column: Any) -> None:
+    """Raise `WireError` unless the column's type can hold the field's values."""
     pa = pyarrow_module()
     if pa.types.is_null(column.type):
-        return True
+        return
     got = arrow_field_type(field.name, column.type)
     if got is not field.type and (got, field.type) != (FieldType.INTEGER, FieldType.FLOAT):
         raise WireError(None, f"field {field.name!r} is {field.type}, got {column.type}")
-    return True
 
 
 def _read(data: bytes) -> Any:
@@ -444,7 +443,7 @@ def _read(data: bytes) -> Any:
 
 
 def failures(pa: Any) -> tuple[type[Exception], ...]:
-    """What pyarrow raises for bytes that are no Arrow."""
+    """The exceptions that pyarrow raises for bytes that are no Arrow."""
     return (pa.ArrowException, OSError, ValueError, UnicodeDecodeError)
 
 
@@ -456,7 +455,7 @@ def _is_text(type: Any) -> bool:
 
 
 def pyarrow_module() -> Any:
-    """pyarrow, which may not be installed; raises `ArrowMissing`."""
+    """The module pyarrow; raises `ArrowMissing` if it is not installed."""
     try:
         import pyarrow
     except ImportError:

@@ -12,6 +12,7 @@ defaults, and never change their meaning. tests/cases/journal has one of each.
 from __future__ import annotations
 
 import hashlib
+from itertools import islice
 from typing import Any, Final, Literal, TypeAlias
 
 import msgspec
@@ -21,8 +22,8 @@ from ...continuous.algebra.options import Bounds, Report, Semantics
 from ...converters.arrow.sizes import declares_more
 from ...converters.arrow.stream import decode_arrow
 from ...converters.errors import AheadOfClock, ConversionError
-from ...converters.lines import Part
 from ...converters.ndjson import decode_ndjson
+from ...converters.ndjson_lines import sample_lines
 from ...converters.wire import BatchLimits, Incoming
 from ...languages.errors import LanguageError
 from ...languages.specification import Specification
@@ -148,8 +149,11 @@ class Publish(Command, frozen=True, tag="publish"):
             return
         row = int(np.argmax(available > latest))
         time = int(available[row])
+        line = row + 1
+        if self.kind == "ndjson":
+            line, _ = next(islice(sample_lines(self.body), row, None))
         raise AheadOfClock(
-            row + 1 if self.kind == "arrow" else Part(self.body, 1).number(row),
+            line,
             f"'available' is {format_time(time)}, {format_duration(time - self.now)} ahead of the "
             f"clock; stream {self.stream!r} takes {format_duration(generator.ahead)} at most",
             'correct the time; declare the stream of a simulation with "ahead": "oo"',

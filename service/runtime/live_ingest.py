@@ -26,11 +26,10 @@ from ...converters.arrow.stream import (
     joined,
     samples_of_table,
 )
-from ...converters.bad_lines import mixed_times
 from ...converters.errors import WireError
 from ...converters.ndjson import decode_ndjson
-from ...converters.rounding import Rounded
-from ...converters.wire import BOM, BatchLimits, Incoming
+from ...converters.ndjson_errors import mixed_times
+from ...converters.wire import BOM, BatchLimits, Incoming, Rounded
 from ...engine.durability.commands import BatchKind, Publish
 from ...engine.engine import Engine
 from ...streams.generator import StreamGenerator
@@ -190,10 +189,6 @@ class LiveLines(LiveSamples):
             self._decode_and_publish(lines)
         except WireError as error:
             rows = _LINE.findall(lines)
-            if error.line is None and len(rows) > 1:
-                for row in rows:
-                    self._take_part(row)
-                return
             # One before it may be bad in a way that is looked for later: then that one is told.
             if before := b"".join(rows[: (error.line or 1) - 1]):
                 self._take_part(before)

@@ -12,7 +12,7 @@ from dyknow.continuous.columns.expression_evaluation import (
     _parted_call,
     foreign_calls,
 )
-from dyknow.converters.exact import _decoder
+from dyknow.converters.ndjson_lines import _decoder
 from dyknow.engine.model.result_schema import _form
 from dyknow.languages.attached import attached
 from dyknow.ontology.ontology import Ontology

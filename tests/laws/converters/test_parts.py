@@ -10,12 +10,11 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from sample_lines import bodies, mutated
 
-from dyknow.converters import WireError, exact, open_fields, regular, wire
+from dyknow.converters import WireError, ndjson_lines, ndjson_scan, wire
 from dyknow.converters.arrow import stream
 from dyknow.converters.arrow.stream import ArrowWriter
-from dyknow.converters.bad_lines import mixed_times
-from dyknow.converters.exact import decode_exactly
-from dyknow.converters.open_fields import decided_by
+from dyknow.converters.ndjson_errors import mixed_times
+from dyknow.converters.ndjson_lines import decode_lines, infer_fields
 from dyknow.converters.wire import BatchLimits
 from dyknow.engine.durability.commands import (
     DeclareStream,
@@ -61,7 +60,7 @@ def line_by_line(data, schema, pools):
         if not line.strip():
             continue
         try:
-            found = decode_exactly(line, schema, {})
+            found = decode_lines(line, schema, {})
         except WireError as error:
             raise WireError(number, error.message, error.hint) from None
         if stamped not in (None, found.stamped):
@@ -92,8 +91,8 @@ TWO = Schema((Field("a", FieldType.INTEGER), Field("b", FieldType.STRING)))
 @example((TWO, b'{"valid":1,"a":1,"a":1,"b":""}\n{"valid":1,"a":99999999999999999999,"b":""}'), 99)
 def test_a_body_is_its_lines_whatever_a_part_is(drawn, size):
     schema, data = drawn
-    whole = outcome(lambda pools: decode_exactly(data, schema, pools))
-    assert whole == outcome(lambda pools: decode_exactly(data, schema, pools, STRAIGHT, size))
+    whole = outcome(lambda pools: decode_lines(data, schema, pools))
+    assert whole == outcome(lambda pools: decode_lines(data, schema, pools, STRAIGHT, size))
     assert whole == outcome(lambda pools: line_by_line(data, schema, pools))
 
 
@@ -104,8 +103,8 @@ def test_an_open_streams_fields_do_not_depend_on_parts(drawn, size):
     _, data = drawn
 
     def decided(pools, *more):
-        schema = decided_by(data, None, STRAIGHT, *more)
-        found = decode_exactly(data, schema, pools, STRAIGHT, *more)
+        schema = infer_fields(data, None, STRAIGHT, *more)
+        found = decode_lines(data, schema, pools, STRAIGHT, *more)
         assert [*found.batch.columns] == [*schema.names]
         return found
 
@@ -212,12 +211,11 @@ def said(engine):
 def small_parts():
     """Each moment that there can be, and texts forgotten at every chance."""
     with (
-        patch.object(exact, "PART", 40),
-        patch.object(open_fields, "PART", 40),
+        patch.object(ndjson_lines, "PART", 40),
         patch.object(wire, "_STRINGS", 2),
         patch.object(string_pool, "_MANY", 2),
         patch.object(string_pool, "_FEW", 1),
-        patch.object(regular, "_TEXTS", 2),
+        patch.object(ndjson_scan, "_TEXTS", 2),
         patch.object(stream, "_SOME", 3),
         patch.object(history, "_TEXTS", 2),
         patch.object(history, "_SHARE", 1),
@@ -260,7 +258,7 @@ def test_it_is_as_if_it_had_come_when_it_was_decoded(kind, rows, before, moments
     """Done again from the log, in the order in which all was done, the same comes of it: the same
     samples under the same numbers, their texts in the same codes."""
     live, again = anew(EMPTY), anew(OTHER)
-    with small_parts(), patch.object(regular.cells, "LEAST", 0 if is_regular else 10**9):
+    with small_parts(), patch.object(ndjson_scan.cells, "LEAST", 0 if is_regular else 10**9):
         for each, time in before:
             for engine in (live, again):
                 attempted(engine, Publish("s", "ndjson", lines(each, time), time))

@@ -1,24 +1,22 @@
-"""NDJSON whose lines are all of one make: columns without a Python object a value.
+"""NDJSON with regular lines: the fast path, a compiled scan into columns.
 
-Regular are lines of the declared fields, each key once and spelled without escapes, in any order
-and with any blanks; values of the field's type in a spelling that `cells` knows; text without
-escapes; times as integers or as ISO-8601 in UTC. Everything else, right or wrong, `decode_ndjson`
-reads with its exact decoder, which also tells the error. Called by it alone.
+A regular line has the declared fields, each key once and without escapes, in any order and with any
+blanks. Its values have the field's type in a spelling that `cells` reads; texts have no escapes;
+times are integers or ISO-8601 in UTC. `ndjson_lines` decodes every other body, good or bad. Called
+by `ndjson` only.
 
-Law (tests/laws): the answer is None or equals the exact decoder's, codes of pools included.
+Law (tests/laws): the result is None or equals that of `ndjson_lines`, codes of pools included.
 """
 
 from __future__ import annotations
 
-from typing import Any, assert_never
+from typing import Any, NamedTuple, assert_never
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..streams.jit import JIT, Kernel
 from ..streams.sample import (
     Column,
-    Field,
     FieldType,
     Mask,
     SampleBatch,
@@ -26,23 +24,25 @@ from ..streams.sample import (
     Times,
 )
 from ..streams.string_pool import StringPool
-from ..streams.yield_points import STRAIGHT, Pauses
+from ..streams.yield_points import STRAIGHT, Pauses, slices
 from . import cells
+from .cells import BACKSLASH, CLOSE, COLON, COMMA, CR, LF, OPEN, QUOTE, SPACE, TAB
 from .decimals import floats
 from .wire import Incoming, encoded, pool_of
 
-_MOST = 2**31 - 1
+_LONGEST_BODY = 2**31 - 1
+"""Bytes that 32-bit positions can address."""
 
 
 def _tokens(
     data: Any, keys: Any, offsets: Any, starts: Any, ends: Any, order: Any, seen: Any
 ) -> tuple[int, bool]:
-    """Where the values stand: ``starts[field, row]``, ``ends`` likewise, quotes included.
+    """Find the bytes of each value: ``starts[field, row]`` to ``ends[field, row]``, with quotes.
 
-    Field k is called ``keys[offsets[k]:offsets[k + 1]]``; the last two are `valid` and `available`,
-    which is in all lines or in none. ``order`` (at place p stood field ``order[p]``) and ``seen``
-    (the row that had field k last) are worked in. Returns rows and whether `available` is there;
-    ``-1`` for lines that are not regular.
+    ``keys[offsets[k]:offsets[k + 1]]`` is the name of field k. The last two fields are `valid` and
+    `available`, which all lines have or none. ``order`` and ``seen`` are scratch: ``order[p]`` is
+    the field at place p of the line before, ``seen[k]`` the last row with field k. Returns the
+    number of rows and whether `available` is missing; ``-1`` for irregular lines.
     """
     size = data.shape[0]
     fields = offsets.shape[0] - 1
@@ -51,22 +51,22 @@ def _tokens(
     stamped = True
     i = 0
     while i < size:
-        # A line begins; blank ones are nothing.
-        while i < size and (data[i] == 32 or data[i] == 9 or data[i] == 13 or data[i] == 10):
+        # A line begins; blank lines are skipped.
+        while i < size and (data[i] == SPACE or data[i] == TAB or data[i] == CR or data[i] == LF):
             i += 1
         if i == size:
             break
-        if data[i] != 123 or rows == starts.shape[1]:
+        if data[i] != OPEN or rows == starts.shape[1]:
             return -1, False
         i += 1
         place = 0
         while True:
-            while i < size and (data[i] == 32 or data[i] == 9):
+            while i < size and (data[i] == SPACE or data[i] == TAB):
                 i += 1
-            if i == size or data[i] != 34 or place == fields:
+            if i == size or data[i] != QUOTE or place == fields:
                 return -1, False
             i += 1
-            # The key that stood here in the line before, else any.
+            # Try the key at this place of the line before first, then all others.
             field = order[place]
             for attempt in range(fields + 1):
                 if attempt > 0:
@@ -76,7 +76,7 @@ def _tokens(
                 if i + length < size:
                     while k < length and data[i + k] == keys[offsets[field] + k]:
                         k += 1
-                    if k == length and data[i + k] == 34:
+                    if k == length and data[i + k] == QUOTE:
                         break
                 if attempt == fields:
                     return -1, False
@@ -85,38 +85,38 @@ def _tokens(
             seen[field] = rows
             order[place] = field
             i += offsets[field + 1] - offsets[field] + 1
-            while i < size and (data[i] == 32 or data[i] == 9):
+            while i < size and (data[i] == SPACE or data[i] == TAB):
                 i += 1
-            if i == size or data[i] != 58:
+            if i == size or data[i] != COLON:
                 return -1, False
             i += 1
-            while i < size and (data[i] == 32 or data[i] == 9):
+            while i < size and (data[i] == SPACE or data[i] == TAB):
                 i += 1
             if i == size:
                 return -1, False
             starts[field, rows] = i
-            if data[i] == 34:
+            if data[i] == QUOTE:
                 i += 1
-                while i < size and data[i] != 34 and data[i] != 92 and data[i] >= 32:
+                while i < size and data[i] != QUOTE and data[i] != BACKSLASH and data[i] >= SPACE:
                     i += 1
-                if i == size or data[i] != 34:
+                if i == size or data[i] != QUOTE:
                     return -1, False
                 i += 1
             else:
-                # Which characters a number or a literal may have is looked at with its value.
-                while i < size and data[i] > 32 and data[i] != 44 and data[i] != 125:
+                # `cells` checks the characters of a number or literal.
+                while i < size and data[i] > SPACE and data[i] != COMMA and data[i] != CLOSE:
                     i += 1
                 if i == starts[field, rows]:
                     return -1, False
             ends[field, rows] = i
             place += 1
-            while i < size and (data[i] == 32 or data[i] == 9):
+            while i < size and (data[i] == SPACE or data[i] == TAB):
                 i += 1
             if i == size:
                 return -1, False
-            if data[i] == 44:
+            if data[i] == COMMA:
                 i += 1
-            elif data[i] == 125:
+            elif data[i] == CLOSE:
                 i += 1
                 break
             else:
@@ -126,10 +126,10 @@ def _tokens(
             expected = fields - stamped
         if place != expected or (stamped and seen[fields - 1] == rows):
             return -1, False
-        # Nothing else in the line.
-        while i < size and (data[i] == 32 or data[i] == 9 or data[i] == 13):
+        # The rest of the line is blank.
+        while i < size and (data[i] == SPACE or data[i] == TAB or data[i] == CR):
             i += 1
-        if i < size and data[i] != 10:
+        if i < size and data[i] != LF:
             return -1, False
         rows += 1
     return rows, stamped
@@ -149,19 +149,19 @@ def _signature() -> Any:
 _tokens_kernel = Kernel(_tokens, _signature)
 
 
-def decode_regular(
+def scan_lines(
     raw: bytes,
     schema: Schema,
     pools: dict[str, StringPool],
     pauses: Pauses = STRAIGHT,
     least: int = cells.LEAST,
 ) -> Incoming | None:
-    """The batch, or None when the lines are not regular, or fewer bytes than ``least``: then
-    nothing has been touched.
+    """Decode as `decode_ndjson`, or return None for irregular lines and for fewer bytes than
+    ``least``; ``pools`` are then unchanged.
 
-    Cost: about 3 ns a byte, nearly all of it apart, and Python once a distinct text of the batch.
+    Cost: about 3 ns a byte, nearly all in compiled loops, and Python once per distinct text.
     """
-    if not JIT or not least <= len(raw) <= _MOST:
+    if not JIT or not least <= len(raw) <= _LONGEST_BODY:
         return None
     try:
         return _decode(raw, schema, pools, pauses)
@@ -170,7 +170,7 @@ def decode_regular(
 
 
 _TEXTS = 8192
-"""Distinct texts between two moments for others."""
+"""Distinct texts that are decoded before it yields."""
 
 
 def _decode(
@@ -182,7 +182,7 @@ def _decode(
         return None
     offsets = np.cumsum([0, *map(len, names)], dtype=np.int64)
     keys = np.frombuffer(b"".join(names), np.uint8)
-    # A line has its braces, and of each key but `available` the name, four signs and a value.
+    # The shortest line has two braces, and per key but `available` a name, four signs, a value.
     shortest = 2 + int(offsets[-2]) + 5 * (len(names) - 1) - 1
     shape = (len(names), min(raw.count(b"\n"), len(raw) // shortest) + 1)
     starts, ends = np.empty(shape, np.int32), np.empty(shape, np.int32)
@@ -197,30 +197,29 @@ def _decode(
         available = valid = _time(data, starts[fields, :rows], ends[fields, :rows])
         if not stamped:
             available = _time(data, starts[fields + 1, :rows], ends[fields + 1, :rows])
-    columns: dict[str, cells.Values] = {}
+    columns: dict[str, Column] = {}
     texts: dict[str, _Texts] = {}
     for k, field in enumerate(schema.fields):
         column = data, starts[k, :rows], ends[k, :rows]
         match field.type:
             case FieldType.FLOAT:
-                columns[field.name] = floats(*column, pauses)
+                columns[field.name] = Column(field.type, *floats(*column, pauses))
             case FieldType.INTEGER:
                 with pauses.apart():
-                    columns[field.name] = cells.integers(*column)
+                    columns[field.name] = Column(field.type, *cells.integers(*column))
             case FieldType.BOOLEAN:
                 with pauses.apart():
-                    columns[field.name] = cells.booleans(*column)
+                    columns[field.name] = Column(field.type, *cells.booleans(*column))
             case FieldType.STRING:
-                codes, null, texts[field.name] = _texts(raw, *column, pauses)
-                columns[field.name] = codes, null
+                texts[field.name] = _texts(raw, *column, pauses)
             case _:
                 assert_never(field.type)
-    # The pools grow only now, when every column is good.
-    made = {
-        field.name: _column(field, *columns[field.name], texts.pop(field.name, None), pools, pauses)
-        for field in schema.fields
-    }
-    return Incoming(SampleBatch(available, valid, made), bool(stamped))
+    # The pools grow only now, because every column is good.
+    for field in schema.fields:
+        if field.type is FieldType.STRING:
+            columns[field.name] = texts.pop(field.name).column(pool_of(field, pools), pauses)
+    ordered = {name: columns[name] for name in schema.names}
+    return Incoming(SampleBatch(available, valid, ordered), bool(stamped))
 
 
 def _time(data: cells.Bytes, starts: cells.Positions, ends: cells.Positions) -> Times:
@@ -232,8 +231,20 @@ def _time(data: cells.Bytes, starts: cells.Positions, ends: cells.Positions) -> 
     return values
 
 
-_Texts = tuple[Mask, list[str]]
-"""Of a batch's own codes: which stand for text, and for which."""
+class _Texts(NamedTuple):
+    """A column of texts: ``codes`` of its distinct cells by row and where they are ``null``; by
+    code, whether the cell is a text; the texts in order of their codes."""
+
+    codes: cells.Positions
+    null: Mask | None
+    is_text: Mask
+    strings: list[str]
+
+    def column(self, pool: StringPool, pauses: Pauses) -> Column:
+        """The column in codes of ``pool``, which gets the texts that it lacks."""
+        found = np.zeros(len(self.is_text), np.int32)
+        found[self.is_text] = encoded(self.strings, pool, pauses)
+        return Column(FieldType.STRING, found[self.codes], self.null, pool)
 
 
 def _texts(
@@ -242,43 +253,21 @@ def _texts(
     starts: cells.Positions,
     ends: cells.Positions,
     pauses: Pauses,
-) -> tuple[cells.Positions, Mask | None, _Texts]:
-    """Codes of the batch's own, where they are null, and what they stand for."""
+) -> _Texts:
     with pauses.apart():
         codes, first = cells.distinct(data, starts, ends)
     starts, ends = starts[first], ends[first]
-    quoted = data[starts] == ord('"')
-    nothing = np.flatnonzero(~quoted)
+    is_text = data[starts] == ord('"')
+    others = np.flatnonzero(~is_text)
     null = None
-    if len(nothing):
-        if len(nothing) > 1 or raw[starts[nothing[0]] : ends[nothing[0]]] != b"null":
+    if len(others):
+        if len(others) > 1 or raw[starts[others[0]] : ends[others[0]]] != b"null":
             raise cells.Irregular
-        null = codes == nothing[0]
+        null = codes == others[0]
     strings: list[str] = []
-    starts, ends = starts[quoted] + 1, ends[quoted] - 1
-    for part in range(0, len(starts), _TEXTS):
-        places = zip(
-            starts[part : part + _TEXTS].tolist(), ends[part : part + _TEXTS].tolist(), strict=True
-        )
-        # No text holds an end of line, so that they can be decoded together.
-        together = b"\n".join([raw[start:end] for start, end in places])
-        strings += together.decode().split("\n")
-        pauses.breathe()
-    return codes, null, (quoted, strings)
-
-
-def _column(
-    field: Field,
-    values: NDArray[Any],
-    null: Mask | None,
-    texts: _Texts | None,
-    pools: dict[str, StringPool],
-    pauses: Pauses,
-) -> Column:
-    if texts is None:
-        return Column(field.type, values, null)
-    pool = pool_of(field, pools)
-    quoted, strings = texts
-    codes = np.zeros(len(quoted), np.int32)
-    codes[quoted] = encoded(strings, pool, pauses)
-    return Column(field.type, codes[values], null, pool)
+    places = list(zip((starts[is_text] + 1).tolist(), (ends[is_text] - 1).tolist(), strict=True))
+    for part in slices(places, _TEXTS, pauses):
+        # Texts hold no line feed, so that one call decodes many.
+        together = b"\n".join([raw[start:end] for start, end in part])
+        strings += together.decode().split("\n") if part else ()
+    return _Texts(codes, null, is_text, strings)

@@ -1,9 +1,10 @@
-"""Which line is no sample, and why: looked for slowly, where the quick way has failed."""
+"""Errors of NDJSON: the first bad line of a part, and its cause."""
 
 from __future__ import annotations
 
 import json
 import re
+from collections.abc import Iterable
 from typing import Any, Final
 
 import msgspec
@@ -11,7 +12,6 @@ import msgspec
 from ..streams.sample import TIME_FIELDS, FieldType, Schema
 from ..streams.yield_points import Pauses
 from .errors import WireError
-from .lines import Part
 from .wire import not_json, shown, time_of
 
 ONE_A_LINE: Final = "send one JSON object a line"
@@ -22,43 +22,63 @@ PYTHON_TYPES: Final[dict[FieldType, Any]] = {
     FieldType.STRING: str,
 }
 NO_JSON: Final = (msgspec.MsgspecError, UnicodeDecodeError, RecursionError)
-"""What decoders raise for what is no sample."""
+"""Exceptions of msgspec's decoders for a bad line."""
 _LONG: Final = 1 << 16
-"""Of a line with more bytes what is nested is not made: it may be a million objects."""
+"""Bytes of a line up to which nested values are decoded: a longer one may hold a million."""
 _NOT_FINITE = re.compile(rb"(?<![\"\w])-?(NaN|Infinity)(?![\"\w])")
 _KEY_END = re.compile(rb'"[ \t\r]*:')
 _RAW = msgspec.json.Decoder(msgspec.Raw)
 _RAW_VALUES = msgspec.json.Decoder(dict[str, msgspec.Raw])
 
 
-def first_bad(
-    part: Part, schema: Schema, stamped: bool | None, decoder: Any, message: str, pauses: Pauses
+def first_error(
+    lines: Iterable[tuple[int, bytes]],
+    schema: Schema,
+    stamped: bool | None,
+    decoder: Any,
+    pauses: Pauses,
 ) -> WireError:
-    """The first line of ``part`` that is no sample of ``schema``, and why. ``stamped``: whether
-    samples before it bring no available times. ``message`` is what ``decoder`` said of the part."""
-    for number, line in part.lines():
+    """The error of the first bad line among ``lines``, which have their numbers. ``stamped`` is
+    whether samples before them lack available times, ``decoder`` the one that reads samples.
+
+    Contract: one of the lines is bad.
+    """
+    for number, line in lines:
         pauses.breathe()
         try:
-            error = _error_of(line, number, schema, stamped)
-        except RecursionError:
-            hint = "values of a sample are plain"
-            return WireError(number, "the line is nested too deeply", hint)
-        if error is not None:
+            values = _check(line, number, schema, stamped)
+            decoder.decode(line)
+        except WireError as error:
             return error
-        if stamped is None:
-            stamped = "available" not in msgspec.json.decode(line)
-    # What the decoder says stands in its own words: `Number out of range - at `$[...]``. It takes
-    # fewer characters for blanks than who looks for lines, which are none then.
-    for line in part.data.split(b"\n"):
-        pauses.breathe()
-        try:
-            decoder.decode_lines(line)
-        except NO_JSON as error:
-            return WireError(None, _words(str(error)), ONE_A_LINE)
-    return WireError(None, _words(message), ONE_A_LINE)
+        except RecursionError:
+            return _too_deep(number)
+        except NO_JSON as error:  # in the decoder's own words: `Number out of range - at `$[...]``
+            return WireError(number, str(error).partition(" - at `")[0], ONE_A_LINE)
+        stamped = "available" not in values
+    raise AssertionError("no line of the part is bad")
 
 
-def key_twice(line: bytes, keys: int) -> str | None:
+def object_of(line: bytes, number: int) -> dict[str, Any]:
+    """The JSON object of line ``number``; raises `WireError`. Nested values of a long line stay
+    raw."""
+    try:
+        values = _values_of(line)
+    except RecursionError:
+        raise _too_deep(number) from None
+    except msgspec.ValidationError:  # the one limit of plain JSON: 1e999
+        hint = "send null for no value"
+        raise WireError(number, "a number is larger than a float holds", hint) from None
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        if _NOT_FINITE.search(line):
+            hint = "send null for no value"
+            raise WireError(number, "NaN and Infinity are no JSON numbers", hint) from None
+        raise WireError(number, not_json(error), ONE_A_LINE) from None
+    if not isinstance(values, dict):
+        raise WireError(number, f"a sample is a JSON object, got {shown(values)}", ONE_A_LINE)
+    return values
+
+
+def repeated_key(line: bytes, keys: int) -> str | None:
     """A key that ``line``, a sample with all its ``keys``, has twice. JSON parsers differ in which
     of the two they take."""
     if len(_KEY_END.findall(line)) > keys:
@@ -79,8 +99,7 @@ def mixed_times(line: int) -> WireError:
     )
 
 
-def values_of(line: bytes) -> Any:
-    """What ``line`` says; raises `NO_JSON`. What is nested in a long one is left as it is."""
+def _values_of(line: bytes) -> Any:
     if len(line) <= _LONG:
         return msgspec.json.decode(line)
     _RAW.decode(line)
@@ -93,23 +112,13 @@ def _value(raw: msgspec.Raw) -> Any:
     return raw if bytes(raw)[:1] in (b"[", b"{") else msgspec.json.decode(raw)
 
 
-def _words(message: str) -> str:
-    return message.partition(" - at `")[0]
+def _too_deep(line: int) -> WireError:
+    return WireError(line, "the line is nested too deeply", "values of a sample are plain")
 
 
-def _error_of(line: bytes, number: int, schema: Schema, stamped: bool | None) -> WireError | None:
-    try:
-        values = values_of(line)
-    except msgspec.ValidationError:  # the one limit of plain JSON: 1e999
-        return WireError(number, "a number is larger than a float holds", "send null for no value")
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        if _NOT_FINITE.search(line):
-            return WireError(
-                number, "NaN and Infinity are no JSON numbers", "send null for no value"
-            )
-        return WireError(number, not_json(error), ONE_A_LINE)
-    if not isinstance(values, dict):
-        return WireError(number, f"a sample is a JSON object, got {shown(values)}", ONE_A_LINE)
+def _check(line: bytes, number: int, schema: Schema, stamped: bool | None) -> dict[str, Any]:
+    """The values of a good line; raises `WireError` for a bad one."""
+    values = object_of(line, number)
     for name in ("valid", *schema.names):
         if name not in values:
             hint = (
@@ -117,36 +126,33 @@ def _error_of(line: bytes, number: int, schema: Schema, stamped: bool | None) ->
                 if name == "valid"
                 else "send null for a field without value"
             )
-            return WireError(number, f"{name!r} is missing", hint)
+            raise WireError(number, f"{name!r} is missing", hint)
     for name in values:
         if name not in TIME_FIELDS and schema.get(name) is None:
-            return WireError(
+            raise WireError(
                 number, f"{name!r} is not declared", f"the fields are {', '.join(schema.names)}"
             )
     for key in TIME_FIELDS:
         if key in values:
-            try:
-                time_of(values[key], key, number)
-            except WireError as error:
-                return error
+            time_of(values[key], key, number)
     for field in schema.fields:
         if not _fits(field.type, values[field.name]):
-            return WireError(
+            raise WireError(
                 number, f"field {field.name!r} is {_a(field.type)}, got {shown(values[field.name])}"
             )
-    twice = key_twice(line, len(values))
+    twice = repeated_key(line, len(values))
     if twice is not None:
-        return WireError(number, f"{twice!r} is there twice", "a sample has a key once")
+        raise WireError(number, f"{twice!r} is there twice", "a sample has a key once")
     for field in schema.fields:
         if field.type is FieldType.INTEGER and not _is_within(values[field.name]):
-            return WireError(
+            raise WireError(
                 number,
                 f"field {field.name!r} is outside 64 bits: {shown(values[field.name])}",
                 "integers have 64 bits: declare the field as float, or as string",
             )
     if stamped is not None and ("available" not in values) is not stamped:
-        return mixed_times(number)
-    return None
+        raise mixed_times(number)
+    return values
 
 
 def _is_within(value: Any) -> bool:
