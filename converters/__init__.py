@@ -5,7 +5,7 @@ format makes them. docs/reference/formats.md shows every form by example.
 """
 
 from .errors import ConversionError, WireError
-from .to_samples import ResultConverter, result_schema
+from .to_samples import ResultConverter, TripleConverter, result_schema
 from .to_triples import SampleConverter
 from .wire import Incoming
 
@@ -14,6 +14,7 @@ __all__ = [
     "Incoming",
     "ResultConverter",
     "SampleConverter",
+    "TripleConverter",
     "WireError",
     "result_schema",
 ]

@@ -84,8 +84,8 @@ class ObjectTable(TermTable):
     its integers.
 
     With ``keeps`` the terms stay in the dictionary as long as the table does, for callers that
-    store their ids and are no holders (docs/explanation/design/0006). Else the table forgets a term with the
-    dictionary.
+    store their ids and are no holders (docs/explanation/design/0006). Else the table forgets a
+    term with the dictionary.
 
     Law (tests/laws): each row has the id that `of_name` gives its name; a known name adds nothing.
     Cost: one gather a batch (a binary search for large integers), and an IRI per distinct name.

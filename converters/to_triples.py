@@ -40,7 +40,7 @@ class SampleConverter:
     the stream's, ``ranges`` gives the ranges of features that the vocabulary lacks. Objects named
     by an id field lie in ``namespace`` unless they are IRIs.
 
-    Law (tests/laws): the triples determine the samples, but for what docs/reference/formats.md names.
+    Law (tests/laws): `TripleConverter` of the same annotation gives the samples back.
 
     The constructor raises `ConversionError` if the annotation does not fit the schema or the
     ontology's ranges; `convert` raises it with the row of a value that is no object of its feature.

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from pyoxigraph import Literal, NamedNode
-from triple_inverse import TripleConverter
 
 from dyknow.converters import (
     ConversionError,
     ResultConverter,
+    TripleConverter,
     result_schema,
 )
 from dyknow.languages.ssl.annotation import Content, Role, StreamAnnotation

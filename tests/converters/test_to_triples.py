@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 from pyoxigraph import Literal, NamedNode, Triple
-from triple_inverse import TripleConverter
 
-from dyknow.converters import ConversionError, SampleConverter
+from dyknow.converters import ConversionError, SampleConverter, TripleConverter
 from dyknow.languages.ssl.annotation import Content, Role, StreamAnnotation
 from dyknow.ontology.units import parse_unit
 from dyknow.ontology.vocabulary import Vocabulary

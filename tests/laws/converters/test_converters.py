@@ -4,9 +4,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pyoxigraph import NamedNode, Triple
-from triple_inverse import TripleConverter
 
-from dyknow.converters import SampleConverter
+from dyknow.converters import SampleConverter, TripleConverter
 from dyknow.converters.arrow.stream import (
     column_from_arrow,
     decode_arrow,
