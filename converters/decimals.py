@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..streams.jit import Kernel
-from ..streams.yield_points import STRAIGHT, Pauses, slices
 from .cells import (
     MINUS,
     NINE,
@@ -175,22 +174,16 @@ def _signature() -> Any:
 _floats_kernel = Kernel(_floats, _signature)
 
 
-_UNSURE = 4096
-"""Numbers that are read one by one before it yields."""
-
-
-def floats(data: Bytes, starts: Positions, ends: Positions, pauses: Pauses = STRAIGHT) -> Values:
+def floats(data: Bytes, starts: Positions, ends: Positions) -> Values:
     """JSON numbers and nulls as float64; raises `Irregular`."""
     count = len(starts)
     bits, null = np.empty(count, np.int64), np.empty(count, np.bool_)
     unsure = np.empty(count, np.int64)
-    with pauses.apart():
-        found = _floats_kernel(data, starts, ends, *_powers(), bits, null, unsure)
+    found = _floats_kernel(data, starts, ends, *_powers(), bits, null, unsure)
     nulls, doubts = checked_count(found[0]), found[1]
     values = bits.view(np.float64)
-    for rows in slices(unsure[:doubts], _UNSURE, pauses):
-        for row in rows.tolist():
-            values[row] = float(data[starts[row] : ends[row]].tobytes())
-            if not 1e-300 < abs(values[row]) < 1e300:  # the exact path decides about these
-                raise Irregular
+    for row in unsure[:doubts].tolist():
+        values[row] = float(data[starts[row] : ends[row]].tobytes())
+        if not 1e-300 < abs(values[row]) < 1e300:  # the exact path decides about these
+            raise Irregular
     return values, null if nulls else None

@@ -16,7 +16,6 @@ import msgspec
 from ..streams.sample import SampleBatch, Schema, Value
 from ..streams.string_pool import StringPool
 from ..streams.time import format_time
-from ..streams.yield_points import STRAIGHT, Pauses
 from .ndjson_errors import NO_JSON
 from .ndjson_lines import decode_lines, infer_fields, sample_lines
 from .ndjson_scan import scan_lines
@@ -33,36 +32,33 @@ def decode_ndjson(
     schema: Schema,
     pools: dict[str, StringPool],
     limits: BatchLimits | None = None,
-    pauses: Pauses = STRAIGHT,
 ) -> Incoming:
     """Decode a batch; one bad line refuses all of it.
 
     ``pools`` (by field, made where missing) encode texts and grow only if the whole batch is good.
     A ``schema`` without fields belongs to an open stream: the batch then decides its fields, from
-    the first line, typed by all values. The decoder yields between parts (``pauses``); other work
-    may add to the pools meanwhile, because a code never changes its meaning. Raises `WireError`
-    with the line, also for more than ``limits``.
+    the first line, typed by all values. Raises `WireError` with the line, also
+    for more than ``limits``.
 
     Cost: 3 ns a byte for regular lines, 0.3 µs a field for others and for small batches.
     """
     data = data.removeprefix(BOM)
     if limits is not None:
-        _check_limits(data, limits, pauses)
-        pauses.breathe()
+        _check_limits(data, limits)
     if not schema.fields:
-        schema = infer_fields(data, limits, pauses)
+        schema = infer_fields(data, limits)
     check_names(schema)
-    found = scan_lines(data, schema, pools, pauses) or decode_lines(data, schema, pools, pauses)
-    return replace(found, rounded=rounded_lines(data, found.batch, pauses))
+    found = scan_lines(data, schema, pools) or decode_lines(data, schema, pools)
+    return replace(found, rounded=rounded_lines(data, found.batch))
 
 
-def _check_limits(data: bytes, limits: BatchLimits, pauses: Pauses) -> None:
+def _check_limits(data: bytes, limits: BatchLimits) -> None:
     """Raise `WireError` for too many samples, a line that is too long or a text that is too long.
 
     Cost: one search for a line feed in every ``limits.text`` bytes. Only a body with as many line
     feeds as ``limits.samples`` is read line by line."""
     if data.count(b"\n") >= limits.samples:
-        for count, (number, _) in enumerate(sample_lines(data, pauses), 1):
+        for count, (number, _) in enumerate(sample_lines(data), 1):
             limits.check_samples(count, number)
     start = 0
     while start + limits.text < len(data):
@@ -71,7 +67,6 @@ def _check_limits(data: bytes, limits: BatchLimits, pauses: Pauses) -> None:
             end = data.find(b"\n", start)
             end = len(data) if end < 0 else end
             _check_line(data, start, end, limits)
-            pauses.breathe()
         start = end + 1
 
 

@@ -10,7 +10,6 @@ from typing import Any, Final
 import msgspec
 
 from ..streams.sample import TIME_FIELDS, FieldType, Schema
-from ..streams.yield_points import Pauses
 from .errors import WireError
 from .wire import not_json, shown, time_of
 
@@ -36,7 +35,6 @@ def first_error(
     schema: Schema,
     stamped: bool | None,
     decoder: Any,
-    pauses: Pauses,
 ) -> WireError:
     """The error of the first bad line among ``lines``, which have their numbers. ``stamped`` is
     whether samples before them lack available times, ``decoder`` the one that reads samples.
@@ -44,7 +42,6 @@ def first_error(
     Contract: one of the lines is bad.
     """
     for number, line in lines:
-        pauses.breathe()
         try:
             values = _check(line, number, schema, stamped)
             decoder.decode(line)

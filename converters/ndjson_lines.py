@@ -26,7 +26,6 @@ from ..streams.sample import (
     concatenate,
 )
 from ..streams.string_pool import StringPool
-from ..streams.yield_points import STRAIGHT, Pauses
 from .errors import WireError
 from .ndjson_errors import (
     NO_JSON,
@@ -45,21 +44,17 @@ _WIDE: Final = 200
 _BEFORE_COLON: Final = (b" :", b"\t:", b"\r:")
 
 
-def sample_lines(
-    data: bytes, pauses: Pauses = STRAIGHT, size: int = 0
-) -> Iterator[tuple[int, bytes]]:
-    """The lines that are not blank, numbered from 1, with a yield point every ``size`` bytes (0:
-    `PART`)."""
+def sample_lines(data: bytes, size: int = 0) -> Iterator[tuple[int, bytes]]:
+    """The lines that are not blank, numbered from 1; ``size`` bytes (0: `PART`) become lines at
+    once."""
     for number, part in _parts(data, size or PART):
         yield from _numbered(part, number)
-        pauses.breathe()
 
 
 def decode_lines(
     data: bytes,
     schema: Schema,
     pools: dict[str, StringPool],
-    pauses: Pauses = STRAIGHT,
     size: int = 0,
 ) -> Incoming:
     """Decode as `decode_ndjson`; an error names the first bad line.
@@ -82,9 +77,8 @@ def decode_lines(
                 batch, stamped = _samples(part, lines, schema, stamped, own, decoder)
                 batches.append(batch)
         except (_Bad, *NO_JSON):
-            bad = first_error(_numbered(part, number), schema, stamped, decoder, pauses)
+            bad = first_error(_numbered(part, number), schema, stamped, decoder)
             raise bad from None
-        pauses.breathe()
     if stamped is None:
         raise WireError(None, "the body holds no sample", f"{ONE_A_LINE}, at least one")
     batch = concatenate(batches)
@@ -95,9 +89,7 @@ def decode_lines(
     return Incoming(SampleBatch(batch.available, batch.valid, columns), stamped)
 
 
-def infer_fields(
-    data: bytes, limits: BatchLimits | None = None, pauses: Pauses = STRAIGHT, size: int = 0
-) -> Schema:
+def infer_fields(data: bytes, limits: BatchLimits | None = None, size: int = 0) -> Schema:
     """The fields of an open stream: those of its first line, each with the narrowest type that fits
     all lines up to the first bad one, which `decode_lines` reports.
 
@@ -105,7 +97,7 @@ def infer_fields(
     """
     types: dict[str, set[type]] | None = None
     is_good = True
-    for number, line in sample_lines(data, pauses, size):
+    for number, line in sample_lines(data, size):
         try:
             row: dict[str, Any] = _PLAIN_ROW.decode(line)
         except NO_JSON:

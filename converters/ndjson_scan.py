@@ -24,11 +24,10 @@ from ..streams.sample import (
     Times,
 )
 from ..streams.string_pool import StringPool
-from ..streams.yield_points import STRAIGHT, Pauses, slices
 from . import cells
 from .cells import BACKSLASH, CLOSE, COLON, COMMA, CR, LF, OPEN, QUOTE, SPACE, TAB
 from .decimals import floats
-from .wire import Incoming, encoded, pool_of
+from .wire import Incoming, pool_of
 
 _LONGEST_BODY = 2**31 - 1
 """Bytes that 32-bit positions can address."""
@@ -153,7 +152,6 @@ def scan_lines(
     raw: bytes,
     schema: Schema,
     pools: dict[str, StringPool],
-    pauses: Pauses = STRAIGHT,
     least: int = cells.LEAST,
 ) -> Incoming | None:
     """Decode as `decode_ndjson`, or return None for irregular lines and for fewer bytes than
@@ -164,18 +162,12 @@ def scan_lines(
     if not JIT or not least <= len(raw) <= _LONGEST_BODY:
         return None
     try:
-        return _decode(raw, schema, pools, pauses)
+        return _decode(raw, schema, pools)
     except (cells.Irregular, UnicodeDecodeError):
         return None
 
 
-_TEXTS = 8192
-"""Distinct texts that are decoded before it yields."""
-
-
-def _decode(
-    raw: bytes, schema: Schema, pools: dict[str, StringPool], pauses: Pauses
-) -> Incoming | None:
+def _decode(raw: bytes, schema: Schema, pools: dict[str, StringPool]) -> Incoming | None:
     data = np.frombuffer(raw, np.uint8)
     names = [name.encode() for name in (*schema.names, "valid", "available")]
     if any(b < 32 or b in b'"\\' for name in names for b in name):
@@ -188,36 +180,32 @@ def _decode(
     starts, ends = np.empty(shape, np.int32), np.empty(shape, np.int32)
     order = np.arange(len(names), dtype=np.int64)
     seen = np.full(len(names), -1, np.int64)
-    with pauses.apart():
-        rows, stamped = _tokens_kernel(data, keys, offsets, starts, ends, order, seen)
+    rows, stamped = _tokens_kernel(data, keys, offsets, starts, ends, order, seen)
     if rows <= 0:
         return None
     fields = len(schema.fields)
-    with pauses.apart():
-        available = valid = _time(data, starts[fields, :rows], ends[fields, :rows])
-        if not stamped:
-            available = _time(data, starts[fields + 1, :rows], ends[fields + 1, :rows])
+    available = valid = _time(data, starts[fields, :rows], ends[fields, :rows])
+    if not stamped:
+        available = _time(data, starts[fields + 1, :rows], ends[fields + 1, :rows])
     columns: dict[str, Column] = {}
     texts: dict[str, _Texts] = {}
     for k, field in enumerate(schema.fields):
         column = data, starts[k, :rows], ends[k, :rows]
         match field.type:
             case FieldType.FLOAT:
-                columns[field.name] = Column(field.type, *floats(*column, pauses))
+                columns[field.name] = Column(field.type, *floats(*column))
             case FieldType.INTEGER:
-                with pauses.apart():
-                    columns[field.name] = Column(field.type, *cells.integers(*column))
+                columns[field.name] = Column(field.type, *cells.integers(*column))
             case FieldType.BOOLEAN:
-                with pauses.apart():
-                    columns[field.name] = Column(field.type, *cells.booleans(*column))
+                columns[field.name] = Column(field.type, *cells.booleans(*column))
             case FieldType.STRING:
-                texts[field.name] = _texts(raw, *column, pauses)
+                texts[field.name] = _texts(raw, *column)
             case _:
                 assert_never(field.type)
     # The pools grow only now, because every column is good.
     for field in schema.fields:
         if field.type is FieldType.STRING:
-            columns[field.name] = texts.pop(field.name).column(pool_of(field, pools), pauses)
+            columns[field.name] = texts.pop(field.name).column(pool_of(field, pools))
     ordered = {name: columns[name] for name in schema.names}
     return Incoming(SampleBatch(available, valid, ordered), bool(stamped))
 
@@ -240,22 +228,15 @@ class _Texts(NamedTuple):
     is_text: Mask
     strings: list[str]
 
-    def column(self, pool: StringPool, pauses: Pauses) -> Column:
+    def column(self, pool: StringPool) -> Column:
         """The column in codes of ``pool``, which gets the texts that it lacks."""
         found = np.zeros(len(self.is_text), np.int32)
-        found[self.is_text] = encoded(self.strings, pool, pauses)
+        found[self.is_text] = pool.encode(self.strings)
         return Column(FieldType.STRING, found[self.codes], self.null, pool)
 
 
-def _texts(
-    raw: bytes,
-    data: cells.Bytes,
-    starts: cells.Positions,
-    ends: cells.Positions,
-    pauses: Pauses,
-) -> _Texts:
-    with pauses.apart():
-        codes, first = cells.distinct(data, starts, ends)
+def _texts(raw: bytes, data: cells.Bytes, starts: cells.Positions, ends: cells.Positions) -> _Texts:
+    codes, first = cells.distinct(data, starts, ends)
     starts, ends = starts[first], ends[first]
     is_text = data[starts] == ord('"')
     others = np.flatnonzero(~is_text)
@@ -264,10 +245,8 @@ def _texts(
         if len(others) > 1 or raw[starts[others[0]] : ends[others[0]]] != b"null":
             raise cells.Irregular
         null = codes == others[0]
-    strings: list[str] = []
-    places = list(zip((starts[is_text] + 1).tolist(), (ends[is_text] - 1).tolist(), strict=True))
-    for part in slices(places, _TEXTS, pauses):
-        # Texts hold no line feed, so that one call decodes many.
-        together = b"\n".join([raw[start:end] for start, end in part])
-        strings += together.decode().split("\n") if part else ()
+    places = zip((starts[is_text] + 1).tolist(), (ends[is_text] - 1).tolist(), strict=True)
+    texts = [raw[start:end] for start, end in places]
+    # Texts hold no line feed, so that one call decodes all of them.
+    strings = b"\n".join(texts).decode().split("\n") if texts else []
     return _Texts(codes, null, is_text, strings)

@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..streams.sample import FieldType, SampleBatch
-from ..streams.yield_points import Pauses
 from .ndjson_lines import sample_lines
 from .wire import Rounded
 
@@ -31,11 +30,9 @@ _SMALL: Final = (b"e-", b"E-", b"0" * 300)
 """The text of a number closer to 0 contains one of these."""
 _FEW: Final = 16
 """Values up to which plain Python is faster than numpy."""
-_PART: Final = 1 << 14
-"""Bytes of lines that are read again before it yields."""
 
 
-def rounded_lines(data: bytes, batch: SampleBatch, pauses: Pauses) -> Rounded | None:
+def rounded_lines(data: bytes, batch: SampleBatch) -> Rounded | None:
     """The rounded numbers of an NDJSON body; ``batch`` are its samples.
 
     Cost: one pass over each float column. Lines with large or tiny values are parsed again.
@@ -45,7 +42,7 @@ def rounded_lines(data: bytes, batch: SampleBatch, pauses: Pauses) -> Rounded | 
         return None
     rows = set().union(*suspects.values())
     found: list[tuple[int, str]] = []
-    for row, (line, text) in enumerate(sample_lines(data, pauses, _PART)):
+    for row, (line, text) in enumerate(sample_lines(data)):
         if row in rows:
             sent = json.loads(text, parse_float=Decimal, parse_int=Decimal)
             found += [

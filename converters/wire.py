@@ -19,9 +19,8 @@ from ..streams.sample import (
     Times,
     check_field_name,
 )
-from ..streams.string_pool import Codes, StringPool
+from ..streams.string_pool import StringPool
 from ..streams.time import TIME_MIN, format_time, parse_time
-from ..streams.yield_points import Pauses, slices
 from .errors import WireError
 
 BOM = b"\xef\xbb\xbf"
@@ -157,17 +156,6 @@ def text_column(values: Sequence[str | None], pool: StringPool, null: Mask | Non
             (0 if value is None else code(value) for value in values), np.int32, len(values)
         )
     return Column(FieldType.STRING, codes, null, pool)
-
-
-def encoded(strings: Sequence[str], pool: StringPool, pauses: Pauses) -> Codes:
-    """`StringPool.encode` with yield points."""
-    if len(strings) <= _STRINGS:
-        return pool.encode(strings)
-    return np.concatenate([pool.encode(part) for part in slices(strings, _STRINGS, pauses)])
-
-
-_STRINGS = 8192
-"""Texts that are encoded before it yields."""
 
 
 def null_mask(values: Sequence[object]) -> Mask | None:

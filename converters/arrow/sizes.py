@@ -11,7 +11,6 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 
-from ...streams.yield_points import STRAIGHT, Pauses
 from ..errors import WireError
 from ..wire import BatchLimits
 
@@ -63,7 +62,7 @@ class Size:
             )
 
 
-def check_sizes(data: bytes, limits: BatchLimits, pauses: Pauses = STRAIGHT) -> None:
+def check_sizes(data: bytes, limits: BatchLimits) -> None:
     """Raise `WireError` if the batches of an IPC stream have more than ``limits`` together.
 
     Cost: O(buffers).
@@ -74,7 +73,6 @@ def check_sizes(data: bytes, limits: BatchLimits, pauses: Pauses = STRAIGHT) -> 
             found += size_of(data, at)
             found.check(limits)
         at += message.size
-        pauses.breathe()
 
 
 def declares_more(data: bytes, most: int) -> bool:

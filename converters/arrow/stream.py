@@ -27,7 +27,6 @@ from ...streams.sample import (
 )
 from ...streams.string_pool import StringPool
 from ...streams.time import TIME_MAX, TIME_MIN
-from ...streams.yield_points import STRAIGHT, Pauses, slices
 from ..errors import WireError
 from ..inference import TIME_UNITS, TimeReader
 from ..rounding import rounded_rows
@@ -36,7 +35,6 @@ from ..wire import (
     BatchLimits,
     Incoming,
     check_names,
-    encoded,
     null_mask,
     pool_of,
     text_column,
@@ -58,19 +56,15 @@ def decode_arrow(
     schema: Schema,
     pools: dict[str, StringPool],
     limits: BatchLimits | None = None,
-    pauses: Pauses = STRAIGHT,
 ) -> Incoming:
     """Decode a batch from an IPC stream; an error refuses all of it (`WireError`, lines are rows).
 
     A ``schema`` without fields belongs to an open stream: the table's columns then decide them. A
-    body that declares more than ``limits`` is refused before pyarrow reads it. Most of the work is
-    pyarrow's; other work runs meanwhile (``pauses``).
+    body that declares more than ``limits`` is refused before pyarrow reads it.
     """
     if limits is not None:
-        check_sizes(data, limits, pauses)
-    with pauses.apart():
-        table = _read(data)
-    return samples_of_table(table, schema, pools, limits, pauses)
+        check_sizes(data, limits)
+    return samples_of_table(_read(data), schema, pools, limits)
 
 
 def samples_of_table(
@@ -78,7 +72,6 @@ def samples_of_table(
     schema: Schema,
     pools: dict[str, StringPool],
     limits: BatchLimits | None = None,
-    pauses: Pauses = STRAIGHT,
 ) -> Incoming:
     """Decode as `decode_arrow`, from a table; checks the ``limits`` of texts and fields."""
     names = table.column_names
@@ -101,12 +94,12 @@ def samples_of_table(
             raise WireError(None, f"column {name!r} is missing")
     if not table.num_rows:
         raise WireError(None, "the body holds no sample", "send at least one")
-    valid = times_from_arrow(table.column("valid"), "valid", TimeReader("ns"), pauses)
+    valid = times_from_arrow(table.column("valid"), "valid", TimeReader("ns"))
     stamped = "available" not in times
     available = (
         valid
         if stamped
-        else times_from_arrow(table.column("available"), "available", TimeReader("ns"), pauses)
+        else times_from_arrow(table.column("available"), "available", TimeReader("ns"))
     )
     # Text last: the pools grow only if every other column is good.
     text_last = sorted(schema.fields, key=lambda field: field.type is FieldType.STRING)
@@ -115,13 +108,10 @@ def samples_of_table(
         column = given[field.name] = table.column(field.name)
         _expect(field, column)
         if field.type is FieldType.STRING:
-            given[field.name] = _together(column, pauses)
+            given[field.name] = _together(column)
             if limits is not None:
-                _check_texts(field.name, given[field.name], limits, pauses)
-    found = {
-        field.name: column_from_arrow(field, given[field.name], pools, pauses)
-        for field in text_last
-    }
+                _check_texts(field.name, given[field.name], limits)
+    found = {field.name: column_from_arrow(field, given[field.name], pools) for field in text_last}
     columns = {name: found[name] for name in schema.names}
     batch = SampleBatch(available, valid, columns)
     return Incoming(batch, stamped, rounded_rows(given, batch))
@@ -229,7 +219,7 @@ def arrow_field_type(name: str, type: Any) -> FieldType:
     raise WireError(None, f"column {name!r} is {type}", "fields are numbers, booleans and strings")
 
 
-def times_from_arrow(column: Any, key: str, reader: TimeReader, pauses: Pauses = STRAIGHT) -> Times:
+def times_from_arrow(column: Any, key: str, reader: TimeReader) -> Times:
     """A column of times in ns; plain numbers are in the reader's unit."""
     pa = pyarrow_module()
     if column.null_count:
@@ -252,27 +242,16 @@ def times_from_arrow(column: Any, key: str, reader: TimeReader, pauses: Pauses =
                 )
         times: Times = counts * np.int64(scale)
         return times
-    read = []
-    for start in range(0, len(column), _SOME):
-        read.append(column.slice(start, _SOME).to_pylist())
-        reader.observe(read[-1])
-        pauses.breathe()
-    found = []
-    for number, values in enumerate(read):
-        first = 1 + number * _SOME
-        found.append(reader.read(values, range(first, first + len(values)), key))
-        pauses.breathe()
-    return np.concatenate(found) if found else np.empty(0, np.int64)
+    values = column.to_pylist()
+    reader.observe(values)
+    return reader.read(values, range(1, len(values) + 1), key)
 
 
-def column_from_arrow(
-    field: Field, column: Any, pools: dict[str, StringPool], pauses: Pauses = STRAIGHT
-) -> Column:
+def column_from_arrow(field: Field, column: Any, pools: dict[str, StringPool]) -> Column:
     """A field's column; raises `WireError` with the row of a bad value."""
     if field.type is FieldType.STRING:
-        return _text(field, column, pools, pauses)
-    with pauses.apart():
-        return _numbers(field, column)
+        return _text(field, column, pools)
+    return _numbers(field, column)
 
 
 def _numbers(field: Field, column: Any) -> Column:
@@ -309,23 +288,20 @@ def _numbers(field: Field, column: Any) -> Column:
 
 _FEW = 64
 """Rows below which texts are encoded one by one, without a dictionary."""
-_SOME = 4096
-"""Values that become Python objects before it yields."""
 
 
-def _together(column: Any, pauses: Pauses) -> Any:
+def _together(column: Any) -> Any:
     """A column of texts in one chunk, if possible: each chunk has a dictionary to read."""
     pa = pyarrow_module()
     if column.num_chunks <= 1:
         return column
-    with pauses.apart():
-        try:
-            return pa.chunked_array([column.combine_chunks()])
-        except pa.ArrowNotImplementedError:  # dictionaries with an entry for null
-            return column
+    try:
+        return pa.chunked_array([column.combine_chunks()])
+    except pa.ArrowNotImplementedError:  # dictionaries with an entry for null
+        return column
 
 
-def _text(field: Field, column: Any, pools: dict[str, StringPool], pauses: Pauses) -> Column:
+def _text(field: Field, column: Any, pools: dict[str, StringPool]) -> Column:
     """Encode text with the field's pool, which gets new texts in the order of the rows.
 
     Cost: Python once per distinct text and chunk. A dictionary column is not encoded again.
@@ -336,9 +312,8 @@ def _text(field: Field, column: Any, pools: dict[str, StringPool], pauses: Pause
         values = _as(column, pa.string()).to_pylist()
         return text_column(values, pool, null_mask(values))
     if not pa.types.is_dictionary(column.type):
-        with pauses.apart():
-            column = column.dictionary_encode()
-    parts = [_codes(chunk, pool, pauses) for chunk in column.chunks if len(chunk)]
+        column = column.dictionary_encode()
+    parts = [_codes(chunk, pool) for chunk in column.chunks if len(chunk)]
     null = np.concatenate([absent for _, absent in parts])
     return Column(
         field.type,
@@ -348,7 +323,7 @@ def _text(field: Field, column: Any, pools: dict[str, StringPool], pauses: Pause
     )
 
 
-def _check_texts(name: str, column: Any, limits: BatchLimits, pauses: Pauses) -> None:
+def _check_texts(name: str, column: Any, limits: BatchLimits) -> None:
     """Raise `WireError` with the row of a text that is too long. Each text of a dictionary is
     measured once."""
     pa = pyarrow_module()
@@ -368,7 +343,6 @@ def _check_texts(name: str, column: Any, limits: BatchLimits, pauses: Pauses) ->
                 row = int(np.argmax(sizes > limits.text))
                 raise limits.too_long(before + row + 1, name, int(sizes[row]))
         before += len(chunk)
-        pauses.breathe()
 
 
 def _sizes(texts: Any) -> NDArray[np.int64]:
@@ -384,7 +358,7 @@ def _sizes(texts: Any) -> NDArray[np.int64]:
     return sizes
 
 
-def _codes(chunk: Any, pool: StringPool, pauses: Pauses) -> tuple[NDArray[np.int32], Mask]:
+def _codes(chunk: Any, pool: StringPool) -> tuple[NDArray[np.int32], Mask]:
     """Codes of a dictionary array's rows, and which rows are null (their codes have no meaning)."""
     absent: Mask = chunk.indices.is_null().to_numpy(zero_copy_only=False)
     places = chunk.indices
@@ -394,7 +368,6 @@ def _codes(chunk: Any, pool: StringPool, pauses: Pauses) -> tuple[NDArray[np.int
     texts = chunk.dictionary
     if not len(texts):
         return np.zeros(len(chunk), np.int32), absent
-    pauses.breathe()
     used = places[~absent] if chunk.indices.null_count else places
     first = np.full(len(texts), len(used), np.int64)
     first[used[::-1]] = np.arange(len(used) - 1, -1, -1)  # numpy keeps the last of equal places
@@ -405,11 +378,7 @@ def _codes(chunk: Any, pool: StringPool, pauses: Pauses) -> tuple[NDArray[np.int
         met = met[~nothing[met]]
         absent = absent | nothing[places]
     codes = np.zeros(len(texts), np.int32)
-    pauses.breathe()
-    strings: list[str] = []
-    for places_met in slices(met, _SOME, pauses):
-        strings += texts.take(places_met).to_numpy(zero_copy_only=False).tolist()
-    codes[met] = encoded(strings, pool, pauses)
+    codes[met] = pool.encode(texts.take(met).to_numpy(zero_copy_only=False).tolist())
     return codes[places], absent
 
 

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from sample_lines import bodies, mutated
 
 from dyknow.converters import WireError, ndjson_lines, ndjson_scan, wire
-from dyknow.converters.arrow import stream
 from dyknow.converters.arrow.stream import ArrowWriter
 from dyknow.converters.ndjson_errors import mixed_times
 from dyknow.converters.ndjson_lines import decode_lines, infer_fields
@@ -30,7 +29,6 @@ from dyknow.streams import history, string_pool
 from dyknow.streams.history import Retention
 from dyknow.streams.sample import Field, FieldType, Schema, batch_from_rows
 from dyknow.streams.string_pool import StringPool
-from dyknow.streams.yield_points import STRAIGHT
 
 LIMITS = settings(deadline=None, max_examples=300)
 SIZES = st.integers(1, 200)
@@ -92,7 +90,7 @@ TWO = Schema((Field("a", FieldType.INTEGER), Field("b", FieldType.STRING)))
 def test_a_body_is_its_lines_whatever_a_part_is(drawn, size):
     schema, data = drawn
     whole = outcome(lambda pools: decode_lines(data, schema, pools))
-    assert whole == outcome(lambda pools: decode_lines(data, schema, pools, STRAIGHT, size))
+    assert whole == outcome(lambda pools: decode_lines(data, schema, pools, size))
     assert whole == outcome(lambda pools: line_by_line(data, schema, pools))
 
 
@@ -103,8 +101,8 @@ def test_an_open_streams_fields_do_not_depend_on_parts(drawn, size):
     _, data = drawn
 
     def decided(pools, *more):
-        schema = infer_fields(data, None, STRAIGHT, *more)
-        found = decode_lines(data, schema, pools, STRAIGHT, *more)
+        schema = infer_fields(data, None, *more)
+        found = decode_lines(data, schema, pools, *more)
         assert [*found.batch.columns] == [*schema.names]
         return found
 
@@ -212,11 +210,8 @@ def small_parts():
     """Each moment that there can be, and texts forgotten at every chance."""
     with (
         patch.object(ndjson_lines, "PART", 40),
-        patch.object(wire, "_STRINGS", 2),
         patch.object(string_pool, "_MANY", 2),
         patch.object(string_pool, "_FEW", 1),
-        patch.object(ndjson_scan, "_TEXTS", 2),
-        patch.object(stream, "_SOME", 3),
         patch.object(history, "_TEXTS", 2),
         patch.object(history, "_SHARE", 1),
     ):
