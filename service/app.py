@@ -25,7 +25,6 @@ from .durability.command_queue import Keeper
 from .http import problems
 from .http.access_log import Observe
 from .http.body_limit import BodyLimit, UnderWay
-from .http.body_timeouts import SlowBodies
 from .http.response_limit import PART, Answers, LongAnswers
 from .routes import (
     annotations,
@@ -191,7 +190,9 @@ def create_app(
         BodyLimit,
         limit=settings.body_limit,
         total=settings.bodies_limit,
-        slow=SlowBodies(settings.body_timeout, settings.body_rate, service.metrics.refused),
+        timeout=settings.body_timeout,
+        rate=settings.body_rate,
+        refused=service.metrics.refused,
         under_way=bodies,
     )
     app.add_middleware(Access, gate=service.gate, refused=service.metrics.refused)

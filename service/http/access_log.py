@@ -13,7 +13,7 @@ from starlette.requests import ClientDisconnect
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from ..config.logs import REQUEST, log
-from .body_limit import HELD, Held
+from .body_limit import BODY, Body
 from .problems import REQUEST_ID, problem_of, stopping
 
 HEAD = "dyknow.head"
@@ -101,7 +101,7 @@ class Observe:
             seconds = (ready or time.perf_counter()) - begun
             route = scope.get("route")
             path = getattr(route, "path_format", "(none)")
-            body: Held | None = scope.get(HELD)
+            body: Body | None = scope.get(BODY)
             endless = endless or (body is not None and body.live)
             self._metrics.request(method, path, status, None if endless else seconds)
             slow = seconds >= self._slow and not endless

@@ -38,7 +38,7 @@ from ...streams.time import Clock
 from ..admission.gate import CALLER, revoked
 from ..admission.tokens import Caller, Scope, Tokens
 from ..durability.command_queue import Keeper
-from ..http.body_limit import HELD, Held
+from ..http.body_limit import BODY, Body
 from ..http.problems import Problem
 from ..sse.clients import OPEN
 from ..turns.fibers import let_others
@@ -322,7 +322,7 @@ class LiveBodies:
     async def _publish(
         self, request: Request, under_way: _UnderWay, live: LiveSamples, patience: float
     ) -> None:
-        body: Held = request.scope[HELD]
+        body: Body = request.scope[BODY]
         while not self._closing:
             if not self._may_go_on(under_way):
                 raise revoked()

@@ -13,16 +13,14 @@ from urllib.parse import urlsplit
 
 import httpx
 import pytest
+from starlette.types import Receive, Scope, Send
 from waiting import until
 
 from dyknow.engine.engine import Engine
 from dyknow.service.app import create_app
 from dyknow.service.config.settings import Settings
-from dyknow.service.http import (
-    body_timeouts,
-    uvicorn_protocols,
-)
-from dyknow.service.http.body_timeouts import GRACE, SlowBodies, Wait
+from dyknow.service.http import body_limit, uvicorn_protocols
+from dyknow.service.http.body_limit import GRACE, BodyLimit
 from dyknow.service.http.connection_limits import Bounds
 from dyknow.service.http.uvicorn_protocols import HEAD_LIMIT, REFUSED, TRAILERS
 from dyknow.service.server import running
@@ -128,8 +126,8 @@ def test_a_body_that_trickles_is_answered(url: str, http: httpx.Client, stream: 
 def test_a_body_that_is_too_slow_need_not_come_to_its_deadline(
     engine: Engine, clock: Clock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(body_timeouts, "GRACE", SOON)
-    # It has ten times as long as this test, and looks at the waiting often enough.
+    monkeypatch.setattr(body_limit, "GRACE", SOON)
+    # Its deadline is far beyond the end of this test.
     settings = Settings(port=0, body_timeout=120 * LONG, body_rate=1_000_000)
     with running(create_app(engine, settings, clock), settings) as url, connected(url) as slow:
         httpx.put(f"{url}/streams/s", json={"fields": FIELDS}, trust_env=False)
@@ -201,14 +199,14 @@ def test_a_slow_body_of_a_get_ends_its_event_stream(
 
 
 def test_what_comes_slowly_has_until_a_deadline_that_moves_with_it() -> None:
-    slow = SlowBodies(30.0, 500, lambda _: None)
-    wait = Wait(100.0)
-    assert slow.deadline(wait) == 100 + GRACE
-    wait.size = 5_000
-    assert slow.deadline(wait) == 100 + GRACE + 10
-    wait.size = 1_000_000
-    assert slow.deadline(wait) == 130
-    assert SlowBodies(30.0, 0, lambda _: None).deadline(Wait(100.0)) == 130
+    async def nothing(scope: Scope, receive: Receive, send: Send) -> None:
+        """Never called."""
+
+    limit = BodyLimit(nothing, 1, 1, timeout=30.0, rate=500)
+    assert limit.deadline(100.0, 0) == 100 + GRACE
+    assert limit.deadline(100.0, 5_000) == 100 + GRACE + 10
+    assert limit.deadline(100.0, 1_000_000) == 130
+    assert BodyLimit(nothing, 1, 1, timeout=30.0, rate=0).deadline(100.0, 0) == 130
 
 
 # -- heads -----------------------------------------------------------------------------------------
