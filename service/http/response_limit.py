@@ -4,7 +4,7 @@ An answer that is handed to the server in one go stays in memory until the clien
 a client may ask for the next one without taking any. So what is long is cut here, which holds for
 every route: the server has at most a piece of it, and what remains is counted until it is taken.
 Event streams are counted by themselves (service/sse/clients). Who takes nothing is let go by
-`Bounds.review`.
+`ConnectionLimits.review`.
 """
 
 from __future__ import annotations

@@ -19,10 +19,14 @@ from waiting import until
 from dyknow.engine.engine import Engine
 from dyknow.service.app import create_app
 from dyknow.service.config.settings import Settings
-from dyknow.service.http import body_limit, uvicorn_protocols
+from dyknow.service.http import body_limit, connection_limits
 from dyknow.service.http.body_limit import GRACE, BodyLimit
-from dyknow.service.http.connection_limits import Bounds
-from dyknow.service.http.uvicorn_protocols import HEAD_LIMIT, REFUSED, TRAILERS
+from dyknow.service.http.connection_limits import (
+    HEAD_LIMIT,
+    REFUSED,
+    TRAILERS,
+    ConnectionLimits,
+)
 from dyknow.service.server import running
 from dyknow.streams.time import Clock
 
@@ -455,12 +459,13 @@ def is_heard(url: str) -> bool:
 
 
 def test_a_flood_of_connections_is_let_go(
-    url: str, http: httpx.Client, monkeypatch: pytest.MonkeyPatch
+    engine: Engine, settings: Settings, clock: Clock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Some are heard, the others closed at once: who is to be told so holds a descriptor."""
-    monkeypatch.setattr(uvicorn_protocols, "PATIENCE", 10 * LONG)
-    http.close()
+    """Some receive an answer, the service closes the others at once: each holds a descriptor."""
+    monkeypatch.setattr(connection_limits, "PATIENCE", 10 * LONG)
+    patient = settings.model_copy(update={"head_timeout": 10 * LONG})
     with ExitStack() as stack:
+        url = stack.enter_context(running(create_app(engine, patient, clock), patient))
         held = [stack.enter_context(connected(url)) for _ in range(12)]
         for connection in held:
             connection.sendall(head("GET", "/status/events"))
@@ -469,7 +474,19 @@ def test_a_flood_of_connections_is_let_go(
         assert [rest(connection) for connection in flood[REFUSED:]] == [b""] * REFUSED
         flood[0].sendall(head("GET", "/healthz"))
         assert answer(flood[0])[0] == 503
-    until(lambda: is_heard(url))
+        held[0].close()
+        until(lambda: is_heard(url))
+
+
+def test_a_client_that_leaves_ends_the_request_before_the_last_one(
+    url: str, http: httpx.Client, stream: str
+) -> None:
+    """The event stream would wait for ever: uvicorn ends the last request of the pipeline only."""
+    with connected(url) as connection:
+        connection.sendall(head("GET", "/streams/s/events") + 2 * head("GET", "/healthz"))
+        assert connection.recv(16).startswith(b"HTTP/1.1 200")
+        until(lambda: "dyknow_event_stream_clients 1" in http.get("/metrics").text)
+    until(lambda: "dyknow_event_stream_clients 0" in http.get("/metrics").text)
 
 
 def test_what_is_no_http_is_told_in_a_problem(url: str, http: httpx.Client) -> None:
@@ -496,7 +513,7 @@ def test_a_bound_that_is_reached_is_counted(url: str) -> None:
 
 def test_bounds_count_what_is_there() -> None:
     settings = Settings(max_connections=3, max_connections_per_client=2)
-    counted = Bounds(settings, lambda _: None)
+    counted = ConnectionLimits(settings, lambda _: None)
     assert [counted.admit(address) is None for address in ("a", "a", "a", "b", "c")] == [
         True,
         True,
