@@ -30,7 +30,7 @@ from ..sse.clients import ClientKey
 from ..sse.feeds import Feeds
 from ..turns.batch_decoding import Decoding
 from ..workers.services import Isolation
-from .gc_policy import Garbage
+from .gc_policy import CollectionSchedule
 from .live_ingest import LiveBodies
 from .metrics import Metrics
 from .warm_up import Warming
@@ -66,8 +66,8 @@ class Service:
     """Reads the tokens again when they change."""
     warming: Warming | None = None
     """What goes on beside the start; the service is not ready before it is over."""
-    garbage: Garbage | None = None
-    """How the process looks for garbage; None: as Python does."""
+    collector: CollectionSchedule | None = None
+    """The schedule of the garbage collector; None: as Python does it."""
     client_key: ClientKey = address_of
     """Whose event streams are counted together (`Settings.sse_clients_each`)."""
     histories: asyncio.Semaphore = field(default_factory=lambda: asyncio.Semaphore(BEGUN))
@@ -127,8 +127,8 @@ class Service:
         self.keeper.do(Tick(self.clock()))
         self.feeds.review()
         self.memory.review()
-        if self.garbage is not None:
-            self.garbage.review()
+        if self.collector is not None:
+            self.collector.review()
 
 
 async def _service(request: Request) -> Service:
