@@ -25,7 +25,7 @@ from .durability.command_queue import Keeper
 from .http import problems
 from .http.access_log import Observe
 from .http.body_limit import BodyLimit, UnderWay
-from .http.response_limit import PART, Answers, LongAnswers
+from .http.response_limit import PART, LongAnswers, ResponseLimit
 from .routes import (
     annotations,
     docs,
@@ -185,7 +185,7 @@ def create_app(
     problems.install(app)
     for resource in RESOURCES:
         app.include_router(resource.router)
-    app.add_middleware(Answers, long=answers, key=lambda request: service.client_key(request))
+    app.add_middleware(ResponseLimit, long=answers, key=lambda request: service.client_key(request))
     app.add_middleware(
         BodyLimit,
         limit=settings.body_limit,

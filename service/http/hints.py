@@ -1,5 +1,4 @@
-"""What to do next after an error that does not say so itself, by the title of its problem: every
-problem has a hint (service/http/problems)."""
+"""The default hint of a problem, by its title: what to do next (service/http/problems)."""
 
 from __future__ import annotations
 
@@ -44,5 +43,5 @@ GENERAL: Final = "docs/api.md and /docs say what each route takes"
 
 
 def hint_for(title: str) -> str:
-    """What to do next after a problem with this ``title``."""
+    """The hint for a problem with this ``title``."""
     return HINTS.get(title, GENERAL)

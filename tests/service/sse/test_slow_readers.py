@@ -28,8 +28,8 @@ from dyknow.service.http.response_limit import (
     EACH,
     PIECE_BYTES,
     STREAMED,
-    Answers,
     LongAnswers,
+    ResponseLimit,
 )
 from dyknow.service.server import running
 from dyknow.streams.time import Clock
@@ -223,7 +223,7 @@ async def sent(app: FastAPI | PlainTextResponse | StreamingResponse, method: str
         raise AssertionError
 
     scope = {"type": "http", "method": method, "path": "/", "headers": [], "client": None}
-    await Answers(app, LongAnswers(1, 10), lambda _: "")(scope, receive, send)
+    await ResponseLimit(app, LongAnswers(1, 10), lambda _: "")(scope, receive, send)
     return messages
 
 
