@@ -1,9 +1,8 @@
-"""Who may do what: the layer that every request passes before anything of it is read.
+"""Access control: the ASGI layer that checks each request before the service reads its body.
 
-In this order: a host that is ours, no page from elsewhere (service/admission/origins), a token or
-session with the scope that the route needs (service/admission/tokens, service/admission/scopes),
-room within the quotas and in memory (service/admission/quotas, service/admission/memory_limit). A
-pure ASGI layer: a small batch of samples must stay cheap.
+It checks, in this order: Host and Origin (origins), a token or session with the scope of the route
+(tokens, sessions, scopes), quotas and memory (quotas, memory_limit). A pure ASGI layer costs less
+than a middleware or dependency of the framework, which matters for small batches.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from .sessions import Sessions
 from .tokens import Caller, Tokens
 
 CALLER = "dyknow.caller"
-"""In the scope of a request: the `Caller`; not there where nobody has said who asks."""
+"""In the scope of a request: its `Caller`, if tokens are required."""
 CHALLENGE = 'Bearer realm="dyknow"'
 ALLOWED_METHODS = "GET, HEAD, POST, PUT, PATCH, DELETE"
 ALLOWED_HEADERS = (
@@ -37,7 +36,7 @@ EXPOSED_HEADERS = (
     "Dyknow-Position, Dyknow-Window-End, ETag, Location, Retry-After, WWW-Authenticate"
 )
 PREFLIGHT_LASTS = 600
-"""Seconds for which a browser need not ask again."""
+"""Seconds for which a browser caches a preflight."""
 
 _READ = frozenset(
     (
@@ -55,7 +54,7 @@ _Headers = dict[bytes, list[bytes]]
 
 @dataclass(frozen=True, slots=True)
 class Gate:
-    """What decides: whom the service knows, which pages it trusts, how much there may be."""
+    """The parts that decide on a request."""
 
     tokens: Tokens
     sessions: Sessions
@@ -73,7 +72,7 @@ class Gate:
         return cls(tokens, sessions, quotas, memory, Rules(), Hosts(settings), Origins(settings))
 
     def check_page(self, scope: Scope, headers: _Headers) -> Place:
-        """Raises a `Problem` for a request to another host, or from a page elsewhere."""
+        """Check Host and Origin. Raises a `Problem` for another host or an untrusted origin."""
         server = scope.get("server") or ("",)
         place = self.hosts.check(headers.get(b"host", []), server[0])
         if len(headers) > 1:
@@ -87,7 +86,7 @@ class Gate:
         return place
 
     def check_caller(self, scope: Scope, headers: _Headers, place: Place) -> None:
-        """Raises a `Problem` where the caller may not do this, or there is no room for it."""
+        """Check token, quotas and memory. Raises a `Problem`."""
         rule, parameters = self.rules.find(scope["method"], scope["path"])
         if self.tokens.required and rule.scope is not None:
             caller = self._caller(scope, headers, place)
@@ -100,13 +99,13 @@ class Gate:
         self.memory.check_route(rule.route)
 
     def who(self, scope: Scope) -> Caller | None:
-        """Who sends a request that has passed; None if it does not say. Raises a `Problem` for a
-        token that is not known."""
+        """The caller of an admitted request; None without a token or session. Raises a `Problem`
+        for an unknown token."""
         headers = _wanted(scope)
         return self._caller(scope, headers, self.check_page(scope, headers))
 
     def known(self, token: bytes) -> Caller:
-        """Whose ``token`` it is. Raises a 401 `Problem` if nobody's."""
+        """The caller with ``token``. Raises a 401 `Problem` if there is none."""
         caller = self.tokens.caller(token)
         if caller is None:
             raise _unknown(401, "the token is not known here", 'error="invalid_token"')
@@ -128,25 +127,25 @@ class Gate:
         return None
 
     def _is_own_page(self, scope: Scope, headers: _Headers, place: Place) -> bool:
-        """Whether a cookie counts: the browser says that it is not another page that asks."""
+        """Whether a cookie counts: the browser confirms that no page of another origin asks."""
         if origins := headers.get(b"origin"):
             return is_same(origins[0], scope["scheme"], place)
         return _fetch_metadata(headers).is_own
 
 
 def revoked() -> Problem:
-    """The end of a request whose token is not accepted any more."""
+    """The problem that ends a request whose token was removed."""
     return _unknown(401, "the token was accepted, and is no more", 'error="invalid_token"')
 
 
 def client_key(request: Request) -> str:
-    """Who a request's event stream is counted with: the token's, else those of the address."""
+    """The key under which a request's streams and answers count: its token, else its address."""
     caller: Caller | None = request.scope.get(CALLER)
     return address_of(request) if caller is None else f"token {caller.name}"
 
 
 class Access:
-    """The layer. ``refused`` counts refusals by their title."""
+    """The ASGI layer. ``refused`` counts refusals by their title."""
 
     def __init__(self, app: ASGIApp, gate: Gate, refused: Callable[[str], None]) -> None:
         self._app = app
@@ -156,7 +155,7 @@ class Access:
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] != "http":
             if scope["type"] == "websocket":
-                await send({"type": "websocket.close", "code": 1008})  # nothing speaks it here
+                await send({"type": "websocket.close", "code": 1008})  # no route takes it
                 return
             await self._app(scope, receive, send)
             return
@@ -180,7 +179,7 @@ class Access:
 
 
 def _wanted(scope: Scope) -> _Headers:
-    """The headers that are looked at here; each may be there several times."""
+    """The values of the headers that the checks read; a header may have several."""
     headers: _Headers = {}
     for name, value in scope["headers"]:
         if name in _READ:
@@ -197,7 +196,7 @@ def _fetch_metadata(headers: _Headers) -> FetchMetadata:
 
 
 def _unknown(status: int, detail: str, error: str = "") -> Problem:
-    """401, or 400 for a request that says in several ways who asks (RFC 6750, section 3)."""
+    """A 401, or 400 for a request with several tokens (RFC 6750, section 3)."""
     challenge = f"{CHALLENGE}, {error}" if error else CHALLENGE
     return Problem(
         status,
@@ -223,7 +222,8 @@ def _lacking(caller: Caller, rule: Rule) -> Problem:
 
 
 def _cors(origin: bytes) -> list[tuple[bytes, bytes]]:
-    """What lets a page of a trusted origin read the answer. No cookies: those are our pages'."""
+    """The headers that let a page of a trusted origin read the answer. Without credentials: cookies
+    are for pages of this service."""
     return [
         (b"access-control-allow-origin", origin),
         (b"access-control-expose-headers", EXPOSED_HEADERS.encode()),
@@ -241,7 +241,7 @@ def _with_headers(send: Send, headers: list[tuple[bytes, bytes]]) -> Send:
 
 
 async def _preflight(scope: Scope, receive: Receive, send: Send) -> None:
-    """Tell a browser what a page of a trusted origin may send."""
+    """Answer the preflight of a page of a trusted origin."""
     headers = {
         "Access-Control-Allow-Methods": ALLOWED_METHODS,
         "Access-Control-Allow-Headers": ALLOWED_HEADERS,
