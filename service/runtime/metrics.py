@@ -1,7 +1,8 @@
-"""Metrics for Prometheus: requests as they happen, streams and units as they are when asked.
+"""Metrics for Prometheus: the service counts requests as they happen, and reads streams and units
+at each scrape.
 
-docs/operations.md lists them all. Streams and units are told by `stream_metrics`, since there may
-be tens of thousands; everything else by the client library of Prometheus.
+docs/operations.md lists the metrics. `stream_metrics` writes those of streams and units, since
+there may be tens of thousands; Prometheus' client library writes all others.
 """
 
 from __future__ import annotations
@@ -37,14 +38,14 @@ from .stream_metrics import StreamMetrics
 
 CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 _MOMENTS = (0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0)
-"""Bounds of histograms of what the event loop does, in seconds."""
+"""The buckets of histograms of the event loop, in seconds."""
 _METHODS = frozenset(("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"))
 OTHER = "other"
-"""The label of methods that nobody serves: whoever likes may send as many as there are words."""
+"""The label of unknown methods: a client may send any number of them."""
 
 
 class Metrics:
-    """The service's own registry: several services in one process do not meet."""
+    """The metrics of one service, in its own registry: a process may have several services."""
 
     def __init__(
         self,
@@ -58,14 +59,14 @@ class Metrics:
         memory: Memory,
         streams: int,
     ) -> None:
-        """``streams``: so many streams and units are told one by one."""
+        """``streams``: the number of streams, and of units, with lines of their own."""
         self._clock = clock
         self._keeper = keeper
         self._streams = StreamMetrics(engine, streams)
         self._journal = JournalState(keeper)
         self._registry = registry = CollectorRegistry()
         self._is_told = False
-        """Whether the log says that the disk does not answer."""
+        """Whether the log has the warning that the disk does not answer."""
         ProcessCollector(registry=registry)
         registry.register(_Service(engine, feeds, bodies, answers, memory))
         registry.register(self._journal)
@@ -121,15 +122,15 @@ class Metrics:
             self._seconds.labels(route).observe(seconds)
 
     def refused(self, reason: str) -> None:
-        """Count a refusal by what the service protects itself from."""
+        """Count a refusal by the title of its problem."""
         self._refusals.labels(reason).inc()
 
     def tokens_read(self, outcome: str) -> None:
-        """The file of tokens was read again."""
+        """Count a reading of the file of tokens."""
         self._reloads.labels(outcome).inc()
 
     def tell_readiness(self, reasons: Callable[[], list[str]]) -> None:
-        """``reasons`` says why the service is not ready."""
+        """Set the function that returns why the service is not ready."""
         self._ready.set_function(lambda: not reasons())
 
     async def text(self) -> bytes:
@@ -138,9 +139,9 @@ class Metrics:
             self._journal.use = await self._keeper.disk_use()
             self._is_told = False
         except (OSError, TimeoutError) as error:
-            # What is not known is not told; everything else is.
+            # Omit these metrics only.
             self._journal.use = None
-            if not self._is_told:  # once until it does: many may ask, again and again
+            if not self._is_told:  # one warning, not one a scrape
                 reason = str(error) or "it did not answer in time"
                 log().warning("the disk does not say how full it is", reason=reason)
             self._is_told = True
@@ -148,7 +149,7 @@ class Metrics:
 
 
 class _Service(Collector):
-    """Reads what the service counts itself at each scrape: nothing is counted twice."""
+    """Reads the counters of the service's parts at each scrape."""
 
     def __init__(
         self,

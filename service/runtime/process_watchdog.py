@@ -1,8 +1,8 @@
-"""Deadlines for user-written processes: their code runs on a thread of its own, and who does not
-come back is left there (see engine/processes/supervision.py).
+"""Deadlines for user-written processes, whose code runs on a thread of its own (see
+engine/processes/supervision.py).
 
-Python cannot end a thread. One that is stuck is abandoned: it is a daemon, so it does not keep the
-service alive; what it gives at last goes nowhere; and the next call gets a new thread.
+Python cannot end a thread, so the watchdog abandons a blocked one. It is a daemon thread, which
+does not keep the service alive; its late result is discarded; the next call gets a new thread.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from ...streams.time import SECOND, format_duration
 T = TypeVar("T")
 
 _LOOKS = 4
-"""So many looks without progress make a deadline: after the machine slept, one look proves
+"""Checks without progress that make a deadline. After the machine slept, a single one would prove
 nothing."""
 
 
 class Watchdog:
-    """A `Runner` with a deadline. One thread serves all processes, one call at a time, as the
-    engine makes them; ``abandoned`` counts the threads that were left behind.
+    """A `Runner` with a deadline. One thread runs all processes, one call at a time, as the engine
+    makes them; ``abandoned`` counts the abandoned threads.
 
-    Contract: a process touches nothing of the engine. What it does to its own things it does on
-    another thread than the engine's, the same one as long as nothing blocks.
+    Contract: a process does not use the engine. It runs on another thread than the engine, on the
+    same one as long as no call blocks.
 
     Cost: two thread switches a run (a run is a batch of calls). ``deadline`` None: no switch.
     """
@@ -39,8 +39,7 @@ class Watchdog:
         self._worker: _Worker | None = None
 
     def run(self, work: Callable[[], T], deadline: int | None, progress: Callable[[], int]) -> T:
-        """See `Runner`. A process that is called from within another has the outer one's
-        deadline."""
+        """See `Runner`. A process that another process calls has the deadline of the caller."""
         if deadline is None or isinstance(threading.current_thread(), _Worker):
             return work()
         worker = self._worker
@@ -52,7 +51,7 @@ class Watchdog:
             worker.take(task)
             if not _finished(task, deadline, progress):
                 raise UnitBlocked(f"it did not come back within {format_duration(deadline)}")
-        except BaseException:  # blocked, or whoever waits was interrupted: it may run for ever
+        except BaseException:  # blocked, or this wait was interrupted: the call may not return
             self._worker = None
             self.abandoned += 1
             worker.leave()
@@ -60,14 +59,14 @@ class Watchdog:
         return task.result()
 
     def close(self) -> None:
-        """Let the thread go that waits for work."""
+        """End the thread that waits for work."""
         if self._worker is not None:
             self._worker.leave()
             self._worker = None
 
 
 def _finished(task: _Task[Any], deadline: int, progress: Callable[[], int]) -> bool:
-    """Wait while there is progress; False once there was none for ``deadline`` ns."""
+    """Wait for ``task``; False after ``deadline`` ns without progress."""
     seen, quiet = progress(), 0
     while quiet < _LOOKS:
         if task.done.wait(min(deadline / SECOND / _LOOKS, threading.TIMEOUT_MAX)):
@@ -110,7 +109,7 @@ class _Worker(threading.Thread):
             self._changed.notify()
 
     def leave(self) -> None:
-        """Nobody will bring work any more: end once the present task has come back."""
+        """End the thread after its present task."""
         with self._changed:
             self._left = True
             self._changed.notify()
@@ -125,4 +124,4 @@ class _Worker(threading.Thread):
                 task, self._task = self._task, None
             if task is not None:
                 task.run()
-                del task  # an idle thread keeps no samples
+                del task  # free its samples
