@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from typing import Any, Generic, TypeVar
+from concurrent.futures import Future
+from queue import SimpleQueue
+from typing import Any, TypeVar
 
 from ...engine.processes.external_io import Tape
 from ...engine.processes.supervision import UnitBlocked
@@ -46,82 +48,51 @@ class Watchdog:
         if worker is None:
             worker = self._worker = _Worker()
             worker.start()
-        task = _Task(work)
+        result: Future[T] = Future()
         try:
-            worker.take(task)
-            if not _finished(task, deadline, progress):
+            worker.calls.put((work, result))
+            if not _finished(result, deadline, progress):
                 raise UnitBlocked(f"it did not come back within {format_duration(deadline)}")
         except BaseException:  # blocked, or this wait was interrupted: the call may not return
             self._worker = None
             self.abandoned += 1
-            worker.leave()
+            worker.calls.put(None)
             raise
-        return task.result()
+        return result.result()
 
     def close(self) -> None:
         """End the thread that waits for work."""
         if self._worker is not None:
-            self._worker.leave()
+            self._worker.calls.put(None)
             self._worker = None
 
 
-def _finished(task: _Task[Any], deadline: int, progress: Callable[[], int]) -> bool:
-    """Wait for ``task``; False after ``deadline`` ns without progress."""
+def _finished(result: Future[Any], deadline: int, progress: Callable[[], int]) -> bool:
+    """Wait for ``result``; False after ``deadline`` ns without progress."""
     seen, quiet = progress(), 0
     while quiet < _LOOKS:
-        if task.done.wait(min(deadline / SECOND / _LOOKS, threading.TIMEOUT_MAX)):
+        try:
+            # An error of the process is returned here; only the wait raises one.
+            result.exception(min(deadline / SECOND / _LOOKS, threading.TIMEOUT_MAX))
             return True
-        now = progress()
+        except TimeoutError:
+            now = progress()
         seen, quiet = (now, 0) if now != seen else (seen, quiet + 1)
     return False
 
 
-class _Task(Generic[T]):
-    def __init__(self, work: Callable[[], T]) -> None:
-        self.done = threading.Event()
-        self._work = work
-        self._result: list[T] = []
-        self._error: BaseException | None = None
-
-    def run(self) -> None:
-        try:
-            self._result.append(self._work())
-        except BaseException as error:  # noqa: BLE001  raised again where it is waited for
-            self._error = error
-        self.done.set()
-
-    def result(self) -> T:
-        if self._error is not None:
-            raise self._error
-        return self._result[0]
-
-
 class _Worker(threading.Thread):
+    """Runs ``calls`` one after the other, until it gets None."""
+
     def __init__(self) -> None:
         super().__init__(name="dyknow-process", daemon=True)
-        self._changed = threading.Condition()
-        self._task: _Task[Any] | None = None
-        self._left = False
-
-    def take(self, task: _Task[Any]) -> None:
-        with self._changed:
-            self._task = task
-            self._changed.notify()
-
-    def leave(self) -> None:
-        """End the thread after its present task."""
-        with self._changed:
-            self._left = True
-            self._changed.notify()
+        self.calls: SimpleQueue[tuple[Callable[[], Any], Future[Any]] | None] = SimpleQueue()
 
     def run(self) -> None:
-        while True:
-            with self._changed:
-                while self._task is None and not self._left:
-                    self._changed.wait()
-                if self._left:
-                    return
-                task, self._task = self._task, None
-            if task is not None:
-                task.run()
-                del task  # free its samples
+        while (call := self.calls.get()) is not None:
+            work, result = call
+            try:
+                result.set_result(work())
+            except BaseException as error:  # noqa: BLE001  `Watchdog.run` raises it
+                result.set_exception(error)
+            del call, work, result  # an idle thread keeps no samples
