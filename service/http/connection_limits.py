@@ -296,7 +296,8 @@ class LimitedProtocol(HttpToolsProtocol):
             return
         begun = self.cycle is not None and self.cycle.response_started
         if not self.pipeline and (not begun if self._in_body else self.is_answered):
-            self.transport.write(_encoded(self._limits.refusal(problem)))
+            response = self._limits.refusal(problem)
+            self.transport.write(_encoded(response, self.server_state.default_headers))
         else:
             self._limits.refused(problem.title)
         self.transport.close()
@@ -321,11 +322,11 @@ def _large_head() -> Problem:
     )
 
 
-def _encoded(response: Response) -> bytes:
-    """The bytes of ``response``, as uvicorn would send them."""
+def _encoded(response: Response, headers: Iterable[tuple[bytes, bytes]]) -> bytes:
+    """The bytes of ``response`` with further ``headers``, as uvicorn would send them."""
     status = HTTPStatus(response.status_code)
     head = [b"HTTP/1.1 %d %s" % (status, status.phrase.encode())]
-    head += [name + b": " + value for name, value in response.raw_headers]
+    head += [name + b": " + value for name, value in (*headers, *response.raw_headers)]
     return b"\r\n".join([*head, b"", bytes(response.body)])
 
 

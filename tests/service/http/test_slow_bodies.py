@@ -299,6 +299,15 @@ def test_a_head_without_end_is_refused(url: str, http: httpx.Client, begin: byte
     assert refusals(http, "head too large") == 1
 
 
+def test_so_is_one_that_comes_during_an_answer(url: str, http: httpx.Client, stream: str) -> None:
+    with connected(url) as connection:
+        connection.sendall(head("GET", "/streams/s/events"))
+        assert connection.recv(16).startswith(b"HTTP/1.1 200")
+        connection.sendall(b"GET /")
+        assert flood(connection, b"x" * HEAD_LIMIT) < 20_000_000
+    assert refusals(http, "head too large") == 1
+
+
 def test_a_large_head_is_told_so(url: str, http: httpx.Client) -> None:
     with connected(url) as connection:
         connection.sendall(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\nX-Large: ")
@@ -495,6 +504,7 @@ def test_what_is_no_http_is_told_in_a_problem(url: str, http: httpx.Client) -> N
         status, problem, headers = answer(connection)
         assert (status, problem["title"]) == (400, "bad request")
         assert headers["content-type"] == "application/problem+json"
+        assert headers["x-content-type-options"] == "nosniff"
         assert problem["hint"]
         assert problem["instance"] == f"urn:dyknow:request:{headers['x-request-id']}"
     assert refusals(http, "bad request") == 1
