@@ -91,7 +91,7 @@ class Gate:
         if self.tokens.required and rule.scope is not None:
             caller = self._caller(scope, headers, place)
             if caller is None:
-                raise _unknown(401, "this service wants a token")
+                raise _unknown(401, "this service requires a token")
             scope[CALLER] = caller
             if not caller.may(rule.scope):
                 raise _lacking(caller, rule)
@@ -108,7 +108,7 @@ class Gate:
         """The caller with ``token``. Raises a 401 `Problem` if there is none."""
         caller = self.tokens.caller(token)
         if caller is None:
-            raise _unknown(401, "the token is not known here", 'error="invalid_token"')
+            raise _unknown(401, "the service does not know the token", 'error="invalid_token"')
         return caller
 
     def _caller(self, scope: Scope, headers: _Headers, place: Place) -> Caller | None:
@@ -135,7 +135,7 @@ class Gate:
 
 def revoked() -> Problem:
     """The problem that ends a request whose token was removed."""
-    return _unknown(401, "the token was accepted, and is no more", 'error="invalid_token"')
+    return _unknown(401, "the token is no longer valid", 'error="invalid_token"')
 
 
 def client_key(request: Request) -> str:
@@ -203,7 +203,7 @@ def _unknown(status: int, detail: str, error: str = "") -> Problem:
         "not authenticated",
         detail,
         hint="send one header Authorization: Bearer <token>; "
-        "who runs the service makes tokens: dyknow token --help",
+        "its operator makes tokens: dyknow token --help",
         headers={"WWW-Authenticate": challenge},
     )
 
@@ -214,7 +214,7 @@ def _lacking(caller: Caller, rule: Rule) -> Problem:
         403,
         "scope missing",
         f"this needs scope {rule.scope}; the token of {caller.name} has {scopes}",
-        hint="ask who runs the service for a token with that scope",
+        hint="ask the operator of the service for a token with that scope",
         headers={
             "WWW-Authenticate": f'{CHALLENGE}, error="insufficient_scope", scope="{rule.scope}"'
         },

@@ -5,15 +5,13 @@ process is larger than its limit, the gate refuses the routes that create someth
 `Keeper.check_room` refuses samples and ontologies when their body has arrived, since a client
 reads an answer only after sending it. Reading, event streams and removal go on, so that a user can
 free memory.
-
-psutil would not help: it does not read the limits of control groups, and the rest, the resident
-size, is one line here and takes the same 9 µs. The kernel's file is read fifty times a second.
 """
 
 from __future__ import annotations
 
 import ctypes
 import os
+import resource
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -48,6 +46,7 @@ _SHARE: Final = 0.01
 """The part of the time that this may take."""
 _APART: Final = 1.0
 """Seconds from one time to the next, at least."""
+_PAGE: Final = resource.getpagesize()
 _PATIENCE: Final = "5"
 """Seconds after which a refused client should try again."""
 
@@ -180,10 +179,7 @@ def resident() -> int:
 def available_memory(proc: Path = Path("/proc"), groups: Path = Path("/sys/fs/cgroup")) -> int:
     """Bytes of memory that are available to this process: those of the machine, or of the control
     group (container, systemd unit) that limits it. 0 if unknown."""
-    try:
-        machine = int(_PAGE * os.sysconf("SC_PHYS_PAGES"))
-    except (ValueError, OSError, AttributeError):
-        machine = 0
+    machine = _PAGE * os.sysconf("SC_PHYS_PAGES")
     return min((each for each in (machine, *_limits(proc, groups)) if each > 0), default=0)
 
 
@@ -211,16 +207,6 @@ def _limits(proc: Path, groups: Path) -> Iterator[int]:
                 continue
             if text.isdigit():
                 yield int(text)
-
-
-def _pages() -> int:
-    try:
-        return int(os.sysconf("SC_PAGE_SIZE"))
-    except (ValueError, OSError, AttributeError):
-        return 4096
-
-
-_PAGE: Final = _pages()
 
 
 def _trim() -> None:

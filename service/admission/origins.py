@@ -88,14 +88,17 @@ class Hosts:
         place = Place.of(value.decode("latin-1"))
         if place is None:
             raise Problem(
-                400, "bad Host header", "it is no host, or host and port", hint=_HOST_HINT
+                400,
+                "bad Host header",
+                "its value is neither a host nor a host and port",
+                hint=_HOST_HINT,
             )
         if not (self._is_ours(place.host) or place.host == reached):
             raise Problem(
                 421,
                 "wrong host",
-                f"this service is not called {place.host}",
-                hint=f"if it is: DYKNOW_TRUSTED_HOSTS={place.host} (docs/access.md)",
+                f"this service has no host {place.host}",
+                hint=f"if it should: DYKNOW_TRUSTED_HOSTS={place.host} (docs/access.md)",
             )
         if len(self._known) < LISTED:
             self._known[value] = place

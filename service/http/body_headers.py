@@ -72,8 +72,8 @@ def _check_codings(values: Iterable[bytes]) -> None:
             raise Problem(
                 415,
                 "unsupported content encoding",
-                f"bodies are not taken as {coding.strip().decode('latin-1')!r}",
-                hint="send the body as it is, without Content-Encoding, at most in chunks",
+                f"the service does not decode bodies in {coding.strip().decode('latin-1')!r}",
+                hint="send the body without Content-Encoding; chunks are allowed",
                 headers={"Accept-Encoding": "identity"},
             )
 
@@ -85,6 +85,6 @@ def _check_charset(kind: bytes) -> None:
             raise Problem(
                 415,
                 "unsupported charset",
-                f"bodies are not taken in {charset.decode('latin-1')!r}",
+                f"the service does not read bodies in {charset.decode('latin-1')!r}",
                 hint="send the body in UTF-8",
             )

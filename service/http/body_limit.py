@@ -145,7 +145,7 @@ class BodyLimit:
             raise Problem(
                 413,
                 "body too large",
-                f"a request body, of a live one each line or record batch, has at most "
+                f"a request body, or a line or record batch of a live one, has at most "
                 f"{self._limit} bytes",
                 hint="send samples in several batches",
             )
@@ -153,17 +153,17 @@ class BodyLimit:
             raise Problem(
                 429,
                 "queue full",
-                "too many request bodies are under way",
+                "too many bytes of request bodies are under way",
                 hint="send again after the seconds in Retry-After, with the same Idempotency-Key",
                 headers={"Retry-After": "1"},
             )
 
     def _slow(self) -> Problem:
-        rate = f", or at less than {self._rate} bytes a second" if self._rate else ""
+        rate = f", at {self._rate} bytes a second or more" if self._rate else ""
         return Problem(
             408,
             "slow body",
-            f"the body did not come within {self._timeout:g} seconds{rate}",
+            f"the body did not arrive within {self._timeout:g} seconds{rate}",
             hint="send smaller bodies, or live samples to /streams/{name}/samples/live",
             # The rest of the body, which may still arrive, is not another request.
             headers={"Connection": "close"},

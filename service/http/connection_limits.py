@@ -74,7 +74,7 @@ class ConnectionLimits:
     def admit(self, address: str) -> str | None:
         """Count a connection of ``address``, or return the reason why it is one too many."""
         if self.count >= self._most:
-            return f"the service has {self._most} connections, as many as it may have"
+            return f"the service has {self._most} connections, the most it accepts"
         if self._of[address] >= self._most_of_one:
             return f"there are {self._most_of_one} connections from your address"
         self.count += 1
@@ -284,8 +284,8 @@ class LimitedProtocol(HttpToolsProtocol):
             Problem(
                 400,
                 "bad request",
-                "this is no HTTP that the service understands",
-                hint="speak HTTP/1.1 without TLS, as curl does; docs/access.md has what is bounded",
+                "the service cannot parse this as HTTP/1.1",
+                hint="speak HTTP/1.1 without TLS, as curl does; docs/access.md lists the limits",
             )
         )
 

@@ -54,7 +54,7 @@ def accepted(request: Request, offered: Sequence[str]) -> str:
         raise Problem(
             406,
             "not acceptable",
-            f"there is no {header} here",
+            f"this route does not offer {header}",
             hint=f"Accept one of {', '.join(offered)}",
         )
     return str(best)
@@ -72,7 +72,7 @@ def content_type(request: Request, allowed: Sequence[str]) -> str:
         raise Problem(
             415,
             "unsupported media type",
-            f"this route does not take {given}",
+            f"this route does not accept {given}",
             hint=f"send Content-Type: {' or '.join(allowed)}",
             headers={"Accept-Post": ", ".join(allowed)},
         )
@@ -112,16 +112,16 @@ async def read_json(body: bytes) -> Any:
         raise Problem(
             413,
             "body too large",
-            f"a JSON body has at most {LONGEST_JSON} bytes, and this one {len(body)}",
-            hint="say it in several requests",
+            f"a JSON body has at most {LONGEST_JSON} bytes, and this one has {len(body)}",
+            hint="split it into several requests",
         )
     # Counted before the reading, which is work too.
     if body.count(b",") >= MOST_VALUES:
         raise Problem(
             413,
             "body too large",
-            f"a JSON body has at most {MOST_VALUES} values, told by its commas",
-            hint="say it in several requests",
+            f"a JSON body has at most {MOST_VALUES} values, counted by its commas",
+            hint="split it into several requests",
         )
     if len(body) <= _SHORT:
         return _json(body)
@@ -138,7 +138,7 @@ def _members(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         names = Counter(name for name, _ in pairs)
         name = next(name for name, _ in pairs if names[name] > 1)
         raise Problem(
-            400, "bad JSON", f"the member {name!r} is there twice", hint="an object has it once"
+            400, "bad JSON", f"the member {name!r} is there twice", hint="send each member once"
         )
     return found
 

@@ -216,7 +216,7 @@ def problem_of(error: Exception) -> Problem:
             return _plain(error)
         case _:
             # The log has the error; its message may name files, and does not help the client.
-            return Problem(500, "internal error", "the service failed; its log says why")
+            return Problem(500, "internal error", "the service failed; its log has the error")
 
 
 def stopping() -> Problem:
@@ -224,7 +224,7 @@ def stopping() -> Problem:
     return Problem(
         503,
         "the service stops",
-        "the request was not worked off to its end",
+        "the service did not complete the request",
         hint="send it again when the service is back; samples with the same Idempotency-Key",
         headers={"Retry-After": "5"},
     )

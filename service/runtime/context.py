@@ -82,7 +82,7 @@ class Service:
         if self.warming is not None:
             found += self.warming.reasons()
         if self.ticked is None:
-            found.append("starting: the engine has not been told the time yet")
+            found.append("starting: the engine has had no tick yet")
         else:
             late = time.monotonic() - self.ticked
             if late > max(LATE, 10 * self.settings.tick):

@@ -341,7 +341,7 @@ class LiveBodies:
         raise Problem(
             503,
             "the service stops",
-            "the body was not read to its end",
+            "the service did not read the body to its end",
             hint="send the samples that were not accepted when the service is back",
         )
 
@@ -370,7 +370,7 @@ class LiveBodies:
             raise Problem(
                 408,
                 "nothing came",
-                f"nothing has come for {patience:g} seconds",
+                f"no data arrived for {patience:g} seconds",
                 hint="send an empty line now and then while there are no samples",
             ) from None
 

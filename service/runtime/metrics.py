@@ -74,7 +74,7 @@ class Metrics:
         registry.register(WorkerMetrics(isolation.pools))
         self._ready = Gauge("dyknow_ready", "Whether the service is ready", registry=registry)
         build = {"version": __version__, "python": sys.version.split()[0]}
-        Info("dyknow_build", "What runs", registry=registry).info(build)
+        Info("dyknow_build", "The running version", registry=registry).info(build)
         self._requests = Counter(
             "dyknow_http_requests",
             "Requests answered",
@@ -95,7 +95,7 @@ class Metrics:
         )
         self._reloads = Counter(
             "dyknow_tokens_reloads",
-            "How often the file of tokens was read again",
+            "Readings of the changed file of tokens",
             ["outcome"],
             registry=registry,
         )
@@ -104,13 +104,13 @@ class Metrics:
         self.tick_failures = Counter("dyknow_tick_failures", "Ticks that failed", registry=registry)
         self.tick_seconds = Histogram(
             "dyknow_tick_seconds",
-            "How long the engine took when it was told the time",
+            "Duration of ticks of the engine",
             registry=registry,
             buckets=_MOMENTS,
         )
         self.loop_lag = Histogram(
             "dyknow_event_loop_lag_seconds",
-            "How much later than it asked for a task got its turn",
+            "Delay of a timer of the event loop",
             registry=registry,
             buckets=_MOMENTS,
         )
@@ -171,14 +171,14 @@ class _Service(Collector):
     def collect(self) -> Iterable[Metric]:
         clients = self._clients
         engine = self._engine
-        yield _gauge("dyknow_streams", "Streams that there are", len(engine.generators()))
-        yield _gauge("dyknow_units", "Units that there are", len(engine.units()))
+        yield _gauge("dyknow_streams", "Streams", len(engine.generators()))
+        yield _gauge("dyknow_units", "Computational units", len(engine.units()))
         yield _gauge(
             "dyknow_units_behind",
-            "Units with windows that wait to be closed",
+            "Units with a backlog of windows",
             len(engine.behind.units),
         )
-        yield _gauge("dyknow_event_requests", "Event requests that run", len(engine.events()))
+        yield _gauge("dyknow_event_requests", "Running event requests", len(engine.events()))
         yield _gauge("dyknow_bodies", "Requests under way", self._bodies.bodies)
         yield _gauge("dyknow_bodies_bytes", "Bytes of bodies under way", self._bodies.bytes)
         answers = self._answers.all
@@ -186,13 +186,13 @@ class _Service(Collector):
         yield _gauge("dyknow_long_answers_bytes", "Bytes of long answers under way", answers.bytes)
         yield _refusals(
             "dyknow_long_answer_refusals",
-            "Long answers for which there was no place, by the limit",
+            "Long answers refused, by the limit",
             self._answers.refused,
         )
         memory = self._memory
         yield _gauge("dyknow_memory_limit_bytes", "Memory that the service may take", memory.limit)
         yield CounterMetricFamily(
-            "dyknow_memory_refusals", "Refused for want of memory", value=memory.refused
+            "dyknow_memory_refusals", "Requests refused for lack of memory", value=memory.refused
         )
         yield _gauge("dyknow_event_stream_clients", "Clients of event streams", len(clients))
         yield _gauge(
@@ -211,7 +211,7 @@ class _Service(Collector):
         yield ends
         yield _refusals(
             "dyknow_event_stream_refusals",
-            "Clients for whom there was no place, by the limit",
+            "Clients of event streams refused, by the limit",
             clients.refused,
         )
 

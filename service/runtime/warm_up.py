@@ -55,7 +55,7 @@ class Warming:
             work()
         except _Over:
             return
-        except Exception as error:  # noqa: BLE001 - told by log and /readyz
+        except Exception as error:  # noqa: BLE001 - the log and /readyz report it
             log().exception("warm-up failed", what=name)
             self._doing[name] = f"failed: {error}"
         else:
