@@ -23,7 +23,7 @@ from .config.settings import Settings
 from .config.version import __version__
 from .durability.command_queue import Keeper
 from .http import problems
-from .http.access_log import Observe
+from .http.access_log import AccessLog
 from .http.body_limit import BodyLimit, UnderWay
 from .http.response_limit import PART, LongAnswers, ResponseLimit
 from .routes import (
@@ -196,7 +196,7 @@ def create_app(
         under_way=bodies,
     )
     app.add_middleware(Access, gate=service.gate, refused=service.metrics.refused)
-    app.add_middleware(Observe, metrics=service.metrics, slow=settings.slow_request)
+    app.add_middleware(AccessLog, metrics=service.metrics, slow=settings.slow_request)
     app.openapi = lambda: openapi_schema(app)  # type: ignore[method-assign]
     return app
 

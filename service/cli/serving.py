@@ -26,7 +26,7 @@ from ..config.version import __version__
 from ..runtime.context import Service
 from ..runtime.gc_policy import CollectionSchedule
 from ..runtime.process_watchdog import Watchdog
-from ..runtime.warm_up import Warming
+from ..runtime.warm_up import WarmUp
 from ..server import bind, run, url_of
 from ..workers.services import Windows
 from .loading import Say, load, say_to_people
@@ -64,7 +64,7 @@ def start(given: Mapping[str, Any], *, flights: bool) -> None:
     watchdog = Watchdog()
     token = known.issue("flights", Scope.ADMIN) if flights and known.required else ""
     windows = Windows(settings)
-    warming = Warming()
+    warming = WarmUp()
     warming.loops()
     warming.workers("windows", windows.pool)
     try:

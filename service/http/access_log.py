@@ -31,7 +31,7 @@ class RequestCount(Protocol):
         """Count an answered request."""
 
 
-class Observe:
+class AccessLog:
     """Logs and counts every request; answers HEAD wherever GET is, and failures with a 500.
 
     The id of a request is its client's ``X-Request-Id``, or a new one; the answer has it too. A

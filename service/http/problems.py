@@ -270,7 +270,7 @@ def _allowed(request: Request) -> list[str]:
     for method in ("GET", "POST", "PUT", "PATCH", "DELETE"):
         scope = {**request.scope, "method": method}
         if any(route.matches(scope)[0] is Match.FULL for route in request.app.routes):
-            # `Observe` answers HEAD wherever GET is.
+            # `AccessLog` answers HEAD wherever GET is.
             found += ["GET", "HEAD"] if method == "GET" else [method]
     return found
 

@@ -33,7 +33,7 @@ from ..workers.services import Isolation
 from .gc_policy import CollectionSchedule
 from .live_ingest import LiveBodies
 from .metrics import Metrics
-from .warm_up import Warming
+from .warm_up import WarmUp
 
 LATE = 5.0
 """Seconds without a tick after which the service is not ready: its event loop is blocked."""
@@ -64,7 +64,7 @@ class Service:
     """The end of the last tick, by the monotonic clock (s); None before the first."""
     token_file: TokenFile | None = None
     """Reads the tokens again when they change."""
-    warming: Warming | None = None
+    warming: WarmUp | None = None
     """The warm-up after the start; the service is not ready before its end."""
     collector: CollectionSchedule | None = None
     """The schedule of the garbage collector; None: as Python does it."""

@@ -28,7 +28,7 @@ class _Over(Exception):
     """Ends the warm-up when the service stops."""
 
 
-class Warming:
+class WarmUp:
     """Tasks in threads, each with a name for /readyz. Any thread may call `reasons`."""
 
     def __init__(self) -> None:
