@@ -18,7 +18,7 @@ from ..config.settings import Settings
 from ..http.client_address import address_of
 from ..http.problems import REQUEST_ID, Problem
 from .memory_limit import Memory
-from .origins import FetchMetadata, Hosts, Origins, Place, is_same
+from .origins import Headers, Hosts, Origins, Place, is_own_page
 from .quotas import Quotas
 from .scopes import Rule, Rules
 from .sessions import Sessions
@@ -49,7 +49,6 @@ _READ = frozenset(
         b"sec-fetch-dest",
     )
 )
-_Headers = dict[bytes, list[bytes]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,21 +70,15 @@ class Gate:
         """The gate of a service with these settings."""
         return cls(tokens, sessions, quotas, memory, Rules(), Hosts(settings), Origins(settings))
 
-    def check_page(self, scope: Scope, headers: _Headers) -> Place:
+    def check_page(self, scope: Scope, headers: Headers) -> Place:
         """Check Host and Origin. Raises a `Problem` for another host or an untrusted origin."""
         server = scope.get("server") or ("",)
         place = self.hosts.check(headers.get(b"host", []), server[0])
         if len(headers) > 1:
-            self.origins.check(
-                headers.get(b"origin", []),
-                scope["scheme"],
-                place,
-                _fetch_metadata(headers),
-                scope["method"],
-            )
+            self.origins.check(headers, scope["scheme"], place, scope["method"])
         return place
 
-    def check_caller(self, scope: Scope, headers: _Headers, place: Place) -> None:
+    def check_caller(self, scope: Scope, headers: Headers, place: Place) -> None:
         """Check token, quotas and memory. Raises a `Problem`."""
         rule, parameters = self.rules.find(scope["method"], scope["path"])
         if self.tokens.required and rule.scope is not None:
@@ -111,7 +104,7 @@ class Gate:
             raise _unknown(401, "the service does not know the token", 'error="invalid_token"')
         return caller
 
-    def _caller(self, scope: Scope, headers: _Headers, place: Place) -> Caller | None:
+    def _caller(self, scope: Scope, headers: Headers, place: Place) -> Caller | None:
         given = headers.get(b"authorization", [])
         if len(given) > 1:
             raise _unknown(
@@ -120,17 +113,11 @@ class Gate:
         kind, _, token = given[0].partition(b" ") if given else (b"", b"", b"")
         if kind.lower() == b"bearer":
             return self.known(token.strip())
-        if not given and b"cookie" in headers and self._is_own_page(scope, headers, place):
+        if not given and b"cookie" in headers and is_own_page(headers, scope["scheme"], place):
             found = self.sessions.caller(b";".join(headers[b"cookie"]))
             # A session ends with its token, and has the scopes that this has now.
             return None if found is None else self.tokens.current(found)
         return None
-
-    def _is_own_page(self, scope: Scope, headers: _Headers, place: Place) -> bool:
-        """Whether a cookie counts: the browser confirms that no page of another origin asks."""
-        if origins := headers.get(b"origin"):
-            return is_same(origins[0], scope["scheme"], place)
-        return _fetch_metadata(headers).is_own
 
 
 def revoked() -> Problem:
@@ -178,21 +165,13 @@ class Access:
         await self._app(scope, receive, send)
 
 
-def _wanted(scope: Scope) -> _Headers:
+def _wanted(scope: Scope) -> Headers:
     """The values of the headers that the checks read; a header may have several."""
-    headers: _Headers = {}
+    headers: dict[bytes, list[bytes]] = {}
     for name, value in scope["headers"]:
         if name in _READ:
             headers.setdefault(name, []).append(value)
     return headers
-
-
-def _fetch_metadata(headers: _Headers) -> FetchMetadata:
-    site, mode, destination = (
-        headers.get(name, [b""])[0].lower()
-        for name in (b"sec-fetch-site", b"sec-fetch-mode", b"sec-fetch-dest")
-    )
-    return FetchMetadata(site, mode, destination)
 
 
 def _unknown(status: int, detail: str, error: str = "") -> Problem:

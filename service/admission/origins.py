@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import ipaddress
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from ..config.settings import Settings
@@ -24,6 +24,8 @@ _PORTS = {"http": 80, "https": 443}
 _WILDCARDS = ("", "0.0.0.0", "::")
 _FOREIGN = (b"cross-site", b"same-site")
 """``Sec-Fetch-Site`` of pages of another origin: another port is the same site."""
+Headers = Mapping[bytes, list[bytes]]
+"""The values of each header of a request."""
 LISTED = 1000
 """Values of Host headers that are cached, at most."""
 
@@ -125,46 +127,36 @@ class Origins:
         """Whether the settings list ``origin``: its pages may read answers (CORS)."""
         return origin.decode("latin-1").lower() in self._trusted
 
-    def check(
-        self,
-        origins: list[bytes],
-        scheme: str,
-        place: Place,
-        fetch: FetchMetadata,
-        method: str,
-    ) -> None:
+    def check(self, headers: Headers, scheme: str, place: Place, method: str) -> None:
         """Raises a 403 `Problem` for a request from a page of an origin that is not trusted."""
+        origins = headers.get(b"origin")
         if origins:
             if len(origins) > 1 or not (
                 self.is_trusted(origins[0]) or is_same(origins[0], scheme, place)
             ):
                 raise _foreign(origins[0].decode("latin-1")[:200])
-        elif fetch.is_foreign and not (fetch.opens_a_page and method in ("GET", "HEAD")):
+        elif _fetch(headers, b"site") in _FOREIGN and not (
+            method in ("GET", "HEAD") and _follows_link(headers)
+        ):
             raise _foreign("another page")
 
 
-@dataclass(slots=True)
-class FetchMetadata:
-    """The headers of a browser on the source and use of a request (``Sec-Fetch-…``)."""
+def is_own_page(headers: Headers, scheme: str, place: Place) -> bool:
+    """Whether a browser confirms that a page of this service sends a request, or the user: then
+    cookies count."""
+    if origins := headers.get(b"origin"):
+        return is_same(origins[0], scheme, place)
+    return _fetch(headers, b"site") in (b"same-origin", b"none")
 
-    site: bytes = b""
-    mode: bytes = b""
-    destination: bytes = b""
 
-    @property
-    def is_foreign(self) -> bool:
-        """Whether a page of another origin sends the request."""
-        return self.site in _FOREIGN
+def _follows_link(headers: Headers) -> bool:
+    """Whether the user follows a link: the page with the link cannot read the answer."""
+    destination = _fetch(headers, b"dest")
+    return _fetch(headers, b"mode") == b"navigate" and destination in (b"", b"document")
 
-    @property
-    def is_own(self) -> bool:
-        """Whether a page of this service sends the request, or the user (address bar, bookmark)."""
-        return self.site in (b"same-origin", b"none")
 
-    @property
-    def opens_a_page(self) -> bool:
-        """Whether the user follows a link: the page cannot read the answer."""
-        return self.mode == b"navigate" and self.destination in (b"", b"document")
+def _fetch(headers: Headers, name: bytes) -> bytes:
+    return headers.get(b"sec-fetch-" + name, [b""])[0].lower()
 
 
 def is_same(origin: bytes, scheme: str, place: Place) -> bool:
