@@ -101,10 +101,14 @@ class ConnectionLimits:
     def review(self, connections: Iterable[Any], now: float) -> None:
         """Close the connections on which neither side makes progress for too long: no request, or
         only a part of its head; a body after its answer; an answer that the client does not take.
+        Wake the requests that wait for their body.
 
         ``connections`` are `LimitedProtocol`s, ``now`` is in seconds. Cost: O(connections).
         """
         for connection in connections:
+            cycle = connection.cycle
+            if cycle is not None and cycle.more_body and not cycle.response_complete:
+                cycle.message_event.set()  # `BodyLimit` checks the deadline of the body
             if not connection.waits_for_client:
                 connection.idle = None
                 continue
