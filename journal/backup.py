@@ -152,7 +152,7 @@ def _copy(path: Path, part: Path) -> Manifest:
             first = max((each for each in begins if each <= newest + 1), default=newest + 1)
             needed = {each: file for each, file in log.items() if int(each.stem) >= first}
             in_use = holder is not None
-            found = judged(reading.since(first), scans_of(list(needed), needed), in_use=in_use)
+            found = judged(reading.since(first), scans_of(needed), in_use=in_use)
             fault = found.damage or found.doubt
             if fault is None:
                 return _write(part, newest, checkpoints.get(newest), found, needed)

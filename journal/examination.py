@@ -9,18 +9,16 @@ missing at the log's end: that is told, too.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import MappingProxyType
-from typing import BinaryIO, Final
+from typing import BinaryIO
 
 from .high_water import Mark, Reading, read_mark
 from .segment import NUMBER, Damage, Scan, scan
 
 HINT = "dyknow check shows it; dyknow repair keeps what is good, or restore a backup"
-_NONE: Final[Mapping[Path, BinaryIO]] = MappingProxyType({})
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,24 +68,23 @@ def open_log(folder: Path, stack: ExitStack) -> tuple[Reading, dict[Path, Binary
     return reading, {each: stack.enter_context(each.open("rb")) for each in files_of(folder)}
 
 
-def scans_of(files: Sequence[Path], contents: Mapping[Path, BinaryIO] = _NONE) -> tuple[Scan, ...]:
-    """What the ``files`` of a log hold, in their order; ``contents``: those that are open.
+def scans_of(files: Mapping[Path, BinaryIO]) -> tuple[Scan, ...]:
+    """What the open ``files`` of a log hold, in their order.
 
     The last one is read first. A log writes to a file when all is written that goes into those
     before it, so whoever writes meanwhile, none of them lacks what a later one goes on from.
     Raises `UnknownFormat` and ``OSError``. Cost: reads all.
     """
-    found = [
-        scan(path, contents[path].read() if path in contents else None) for path in reversed(files)
-    ]
+    found = [scan(path, files[path].read()) for path in reversed(tuple(files))]
     return tuple(reversed(found))
 
 
 def examine(folder: Path, *, in_use: bool = False) -> Examination:
     """Look at the log in ``folder``; ``in_use``: a process may write to it (`judged`). Raises
     `UnknownFormat` and ``OSError``. Cost: reads all."""
-    reading = read_mark(folder)  # first, as in `open_log`
-    return judged(reading, scans_of(files_of(folder)), in_use=in_use)
+    with ExitStack() as stack:
+        reading, files = open_log(folder, stack)
+        return judged(reading, scans_of(files), in_use=in_use)
 
 
 def judged(reading: Reading, scans: tuple[Scan, ...], *, in_use: bool = False) -> Examination:

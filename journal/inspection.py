@@ -138,7 +138,7 @@ def log_of(path: Path) -> Iterator[tuple[Examination, Mapping[Path, BinaryIO]]]:
                 if is_last:
                     raise
             else:
-                found = judged(reading, scans_of(list(files), files), in_use=holder is not None)
+                found = judged(reading, scans_of(files), in_use=holder is not None)
                 if is_last or not (found.damage or found.doubt):
                     yield found, files
                     return
