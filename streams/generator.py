@@ -8,6 +8,8 @@ exactly once, keeps history, and hands the stream on to its subscribers together
 
 Contract of a watermark ``w``: every sample that comes later has available time ≥ ``w``. So after a
 sample available at T more samples of that instant may come until the watermark is greater than T.
+
+The class is long, since each batch changes order, counters, history and promise at once.
 """
 
 from __future__ import annotations
@@ -18,19 +20,16 @@ from typing import Protocol
 
 import numpy as np
 
+from .duplicates import Duplicates
 from .history import FluentStream, Retention
-from .instants import repeated
 from .rules import Rules
 from .sample import (
-    Content,
     Field,
-    Mask,
     SampleBatch,
     SampleError,
     Schema,
     Times,
     concatenate,
-    contents,
     empty_batch,
     widened,
 )
@@ -142,8 +141,7 @@ class StreamGenerator:
         """Whether another stream takes its place and says all of it anew."""
         self._greatest: int | None = None
         self._pending: SampleBatch | None = None
-        self._taken: set[Content] | None = None
-        """The rows of the last instant, if that has gone on in another batch."""
+        self._duplicates = Duplicates(self.rules)
         self.on_followed: Callable[[bool], None] | None = None
         """Told before the first subscription (True), and when the last has ended (False)."""
         self._receivers: list[Receiver] = []
@@ -187,7 +185,7 @@ class StreamGenerator:
         for receiver in self._receivers:
             self._known_fields.setdefault(receiver, self.schema.names)
         self.stream.widen(schema)
-        self._taken = None
+        self._duplicates.forget()
         if self._pending is not None:
             self._pending = widened(self._pending, schema, self.stream.pools)
         if self.late_stream is not None:
@@ -443,38 +441,10 @@ class StreamGenerator:
             batch = batch.take(~late)
         if not distinct or not len(batch):
             return batch
-        again = self._has_taken_time(batch) if self.rules.gap else self._is_duplicate(batch)
+        again = self._duplicates.among(batch, self.stream, self.pending)
         count = int(np.count_nonzero(again))
         self.counters.duplicate += count
         return batch.take(~again) if count else batch
-
-    def _is_duplicate(self, batch: SampleBatch) -> Mask:
-        """Which rows equal one of the last instant, of what is pending, or before them."""
-        last = self.stream.last_available
-        if last is None or not bool((goes_on := batch.available == last).any()):
-            return repeated(self.pending, batch)
-        if self._taken is None:
-            self._taken = set(contents(self.stream.between(last, last)))
-        found = np.zeros(len(batch), np.bool_)
-        rows = np.flatnonzero(goes_on)
-        for row, content in zip(rows.tolist(), contents(batch.take(rows)), strict=True):
-            found[row] = content in self._taken
-            self._taken.add(content)
-        if len(rows) < len(batch):
-            found[~goes_on] = repeated(self.pending, batch.take(~goes_on))
-        return found
-
-    def _has_taken_time(self, batch: SampleBatch) -> Mask:
-        """Which rows have the available time of another, by `UNIQUE_TIMES`."""
-        taken = np.ones(len(batch), np.bool_)
-        _, earliest = np.unique(batch.available, return_index=True)
-        taken[earliest] = False
-        known = [] if self._pending is None else [self._pending.available]
-        if self.stream.last_available is not None:
-            known.append(np.array([self.stream.last_available], np.int64))
-        if known:
-            taken |= np.isin(batch.available, np.concatenate(known))
-        return taken
 
     def _pass_late(self, side: StreamGenerator, batch: SampleBatch, reached: Times) -> None:
         """Late samples go on with their valid times and values. Each is available when it came, in
@@ -502,7 +472,7 @@ class StreamGenerator:
 
     def _release(self, batch: SampleBatch) -> None:
         if batch.available[-1] != self.stream.last_available:
-            self._taken = None
+            self._duplicates.forget()
         self.stream.append(batch)
         self.counters.used += len(batch)
         self._greatest = (
