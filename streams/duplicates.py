@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .history import FluentStream
-from .rules import Rules
 from .sample import Column, Content, Mask, SampleBatch, Times, concatenate, contents
+from .stream_rules import Rules
 
 _MIX = np.uint64(0x9E3779B97F4A7C15)
 

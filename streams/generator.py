@@ -22,7 +22,6 @@ import numpy as np
 
 from .duplicates import Duplicates
 from .history import FluentStream, Retention
-from .rules import Rules
 from .sample import (
     Field,
     SampleBatch,
@@ -33,6 +32,7 @@ from .sample import (
     empty_batch,
     widened,
 )
+from .stream_rules import Rules
 from .string_pool import StringPool
 from .time import HOUR, TIME_MAX, TIME_MIN
 

@@ -30,9 +30,9 @@ from ...languages.ssl.annotation import CheckedAnnotation
 from ...ontology.errors import OntologyError, QueryRefused
 from ...ontology.ontology import PreparedOntology
 from ...ontology.reading import TextFormat
-from ...streams.recall import Forgotten
-from ...streams.rules import UNIQUE_TIMES
+from ...streams.past_queries import Forgotten
 from ...streams.sample import Schema
+from ...streams.stream_rules import UNIQUE_TIMES
 from ...streams.string_pool import StringPool
 from ...streams.time import SECOND, TIME_MAX, format_duration, format_time
 from ...streams.yield_points import STRAIGHT, Pauses

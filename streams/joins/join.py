@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..inputs import NOTHING_KNOWN, Input, known_of
+from ..input_queues import NOTHING_KNOWN, Input, known_of
 from ..sample import SampleBatch, Times, concatenate
 from ..time import TIME_MAX
 from ..tuples import Rows, TupleBatch

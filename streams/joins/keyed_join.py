@@ -13,12 +13,12 @@ from typing import Final
 
 import numpy as np
 
-from ..inputs import NOTHING_KNOWN
+from ..input_queues import NOTHING_KNOWN
 from ..key_numbering import Numbering, Numbers
 from ..latest_by_key import Latest
-from ..rules import Rules
 from ..sample import Column, SampleBatch, Times, concatenate
-from ..saturating_time import leaving
+from ..stream_rules import Rules
+from ..time_arithmetic import leaving
 from ..tuples import Rows, TupleBatch
 from .join import Joining
 

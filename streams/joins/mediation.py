@@ -13,9 +13,9 @@ from typing import Final
 
 import numpy as np
 
-from ..inputs import NOTHING_KNOWN, Input
-from ..rules import Rules
+from ..input_queues import NOTHING_KNOWN, Input
 from ..sample import Column, FieldType, SampleBatch, SampleError, Times
+from ..stream_rules import Rules
 from ..string_pool import StringPool
 from ..time import TIME_MAX, TIME_MIN
 

@@ -24,10 +24,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..rules import Rules
 from ..sample import FieldType, Mask, SampleBatch, Times, concatenate
-from ..saturating_time import earlier
+from ..stream_rules import Rules
 from ..time import TIME_MAX, TIME_MIN
+from ..time_arithmetic import earlier
 from .constraints import differs
 from .policy import AnyChange, ChangeBy, Constraint, Order, Policy, PolicyCounters
 

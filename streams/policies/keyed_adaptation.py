@@ -13,8 +13,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from ..key_numbering import Numbering, Numbers, TextNumbering, paired
-from ..rules import Rules
 from ..sample import Column, SampleBatch
+from ..stream_rules import Rules
 from ..tuples import Rows
 from .adaptation import Adaptation, Filtering, OnDrop, joined
 from .policy import Policy, PolicyCounters

@@ -14,10 +14,10 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ..recent import most_recent_rows
+from ..most_recent import most_recent_rows
 from ..sample import Content, SampleBatch, contents
-from ..saturating_time import earlier
 from ..time import TIME_MAX
+from ..time_arithmetic import earlier
 from .constraints import after, alone
 from .maximality import addable, unused
 from .policy import GRID_LIMIT, Approximation, Constraint, Policy, PolicyError

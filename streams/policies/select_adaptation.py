@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ..rules import Rules
+from ..stream_rules import Rules
 from .adaptation import Adaptation, Filtering, OnDrop
 from .approximation import Approximating
 from .policy import GRID_LIMIT, Approximation, ChangeBy, Order, Policy

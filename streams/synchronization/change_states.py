@@ -9,8 +9,8 @@ import numpy as np
 from ..joins.join import distinct
 from ..policies.policy import Constraint, SynchronizationPolicy
 from ..sample import Mask, Times
-from ..saturating_time import later
 from ..time import TIME_MAX, TIME_MIN
+from ..time_arithmetic import later
 from .states import NONE, InputSamples, LateRows, Made, News, OrderedStates, up_to, within
 
 

@@ -10,12 +10,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..inputs import NOTHING_KNOWN
+from ..input_queues import NOTHING_KNOWN
 from ..joins.join import distinct
 from ..policies.policy import Constraint, SynchronizationPolicy
 from ..sample import Mask, SampleBatch, Times
-from ..saturating_time import leaving
 from ..time import TIME_MAX
+from ..time_arithmetic import leaving
 from ..tuples import Rows
 from .states import (
     CHUNK,

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ..inputs import NOTHING_KNOWN
+from ..input_queues import NOTHING_KNOWN
 from ..policies.policy import Constraint, PolicyError, SynchronizationPolicy
-from ..saturating_time import later, since
 from ..time import TIME_MAX
+from ..time_arithmetic import later, since
 from .states import CHUNK, NONE, InputSamples, LateRows, Made, OrderedStates, up_to
 
 

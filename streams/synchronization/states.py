@@ -14,13 +14,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from ..inputs import NOTHING_KNOWN
+from ..input_queues import NOTHING_KNOWN
 from ..jit import JIT, Kernel
+from ..most_recent import most_recent_rows
 from ..policies.policy import Approximation, Constraint, Duration, SynchronizationPolicy
-from ..recent import most_recent_rows
 from ..sample import Mask, SampleBatch, Times
-from ..saturating_time import later, leaving
 from ..time import TIME_MAX, TIME_MIN
+from ..time_arithmetic import later, leaving
 from ..tuples import Rows
 
 NONE: Final[Times] = np.empty(0, np.int64)

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from ..inputs import NOTHING_KNOWN, Input, known_of
+from ..input_queues import NOTHING_KNOWN, Input, known_of
 from ..policies.policy import GRID_LIMIT, Constraint, Order, SynchronizationPolicy
 from ..sample import Mask, SampleBatch, Times, concatenate
 from ..tuples import TupleBatch

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from dyknow.streams.most_recent import most_recent_rows
 from dyknow.streams.policies.policy import (
     AnyChange,
     Approximation,
@@ -12,7 +13,6 @@ from dyknow.streams.policies.policy import (
     SampleEvery,
     SynchronizationPolicy,
 )
-from dyknow.streams.recent import most_recent_rows
 from dyknow.streams.sample import Column, FieldType, SampleBatch, concatenate
 from dyknow.streams.synchronization.synchronization import Synchronization
 from dyknow.streams.synchronization.tuple_definition import TupleInput, prove_states

@@ -3,7 +3,7 @@
 
 Each function gives what the definition gives over all samples that the stream ever had, or raises
 `Forgotten`: an answer that depends on forgotten samples is never guessed. Called by
-service/routes/samples; tests/laws/streams/test_recall.py compares with the definitions.
+service/routes/samples; tests/laws/streams/test_past_queries.py compares with the definitions.
 """
 
 from __future__ import annotations
