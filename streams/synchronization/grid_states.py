@@ -79,12 +79,14 @@ class GridStates(OrderedStates):
         return made, max(0, bound - self._next)
 
     def _hear(self, inputs: Sequence[InputSamples]) -> None:
-        """Note the most recent new samples, and begin the grid with the first to arrive."""
+        """Note the most recent new samples, and begin the grid with the first to arrive: of an
+        instant with the least valid time."""
         firsts = []
         for i, one in enumerate(inputs):
             available, valid = one.available, one.valid
             if len(valid):
-                firsts.append((int(available[0]), int(valid[0])))
+                instant = valid[: np.searchsorted(available, available[0], "right")]
+                firsts.append((int(available[0]), int(instant.min())))
                 row = -1 if one.is_monotone else np.flatnonzero(valid == valid.max())[-1]
                 news = int(valid[row]), int(available[row])
                 self._news[i] = max(news, self._news.get(i, news))

@@ -114,6 +114,12 @@ def test_a_grid_does_not_begin_before_what_is_known():
     assert shown([*sync.push(0, make((20, 3))), *sync.advance(0, 23)]) == [(21, 16, (None,))]
 
 
+def test_a_grid_begins_with_the_earliest_sample_of_the_first_instant():
+    sync = Synchronization(SynchronizationPolicy(SampleEvery(1), None), [False])
+    states = [*sync.push(0, make((0, 0), (0, -1))), *sync.end(0)]
+    assert shown(states) == [(0, -1, (-1,)), (1, 0, (0,))]
+
+
 def test_a_very_old_first_sample_makes_no_flood_of_states():
     policy = SynchronizationPolicy(SampleEvery(1), 5, approximation=RECENT)
     now = 10**18
