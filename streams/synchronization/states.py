@@ -255,26 +255,26 @@ def timely_states(begins: Times, due: Times, left: int) -> Mask | None:
     with some that may not be timely O(m log m) in a compiled loop.
     """
     earliest = np.minimum.accumulate(due[::-1])[::-1]
-    if bool((begins[:-1] <= earliest[1:]).all()):
+    if left >= TIME_MAX or bool((begins[:-1] <= earliest[1:]).all()):
         return None
     order = np.argsort(begins, kind="stable")
     timely = np.ones(len(begins), np.bool_)
     loop = mark_late if JIT and len(begins) >= COMPILED else mark_late.py_func
-    loop(order, begins[order], due, max(left, TIME_MIN), timely)
+    loop(order, begins[order], due, left + 1, timely)
     return timely
 
 
-def _mark_late(order: Any, begins: Any, due: Any, left: int, timely: Any) -> None:
+def _mark_late(order: Any, begins: Any, due: Any, soonest: int, timely: Any) -> None:
     """Clear ``timely`` of each state, an index into ``due``, that begins after a later one has
-    left. ``order`` are the states in order of ``begins``."""
+    left. ``order`` are the states in order of ``begins``; none leaves before ``soonest``."""
     waiting = [order[0] for _ in range(0)]
     last = -1
     for event in range(len(order)):
         while len(waiting) > 0:
-            leaves = max(due[waiting[0]], left + 1) if left < TIME_MAX else TIME_MAX
+            leaves = max(due[waiting[0]], soonest)
             if leaves >= begins[event]:
                 break
-            left, last = leaves, heappop(waiting)
+            soonest, last = leaves + 1, heappop(waiting)
         state = order[event]
         if state > last:
             heappush(waiting, state)

@@ -16,6 +16,7 @@ from dyknow.streams.policies.policy import (
 from dyknow.streams.sample import Column, FieldType, SampleBatch, concatenate
 from dyknow.streams.synchronization.synchronization import Synchronization
 from dyknow.streams.synchronization.tuple_definition import TupleInput, prove_states
+from dyknow.streams.time import TIME_MIN
 
 RECENT = Approximation.MOST_RECENT
 
@@ -101,6 +102,15 @@ def test_an_input_may_bring_its_first_sample_after_others_have_gone_on(approxima
     sync.advance(1, 9)
     late = SampleBatch(np.array([9]), np.array([3]), number)
     assert shown([*sync.push(0, late), *sync.end(0), *sync.end(1)]) == [(9, 3, (3, 3))]
+
+
+def test_a_state_may_leave_at_the_least_time_there_is():
+    """What comes the moment after it is late."""
+    sync = Synchronization(SynchronizationPolicy(AnyChange(), 3), [False, False])
+    sync.push(0, make((TIME_MIN, TIME_MIN + 9), (TIME_MIN + 1, TIME_MIN + 8)))
+    states = [*sync.end(0), *sync.end(1)]  # both samples in one run
+    assert shown(states) == [(TIME_MIN, TIME_MIN + 9, (TIME_MIN + 9, None))]
+    assert sync.counters.late == 1
 
 
 def test_a_grid_does_not_begin_before_what_is_known():
