@@ -1,8 +1,9 @@
-"""Copies of a data directory, also of one that a service writes to, and directories out of them.
+"""Back up a data directory, also while a service writes to it, and restore one from a backup.
 
 A copy is a folder, or a tar file with the same in it: ``format.json``, the newest sound checkpoint,
-the log from it on, and ``backup.json``, that has the checksum of each. What a service appends while
-it is copied is in it or not; what it forgets meanwhile is held open, so it is in it.
+the log from it on, and ``backup.json``, that has the checksum of each. A record
+that a service appends meanwhile may be in it; a file that it removes meanwhile is held open and
+therefore copied.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ _TRIES: Final = 10
 
 
 class Manifest(msgspec.Struct, frozen=True):
-    """What a backup says of itself. ``files``: size and crc32 of each, by its name in it."""
+    """The description of a backup in it. ``files``: size and crc32 of each, by its name in it."""
 
     format: int
     first: int
@@ -89,7 +90,7 @@ def back_up(path: Path, target: Path, program: str) -> Manifest:
         DISK.sync_folder(folder)
     except BaseException:
         shutil.rmtree(part, ignore_errors=True)
-        with suppress(OSError):  # somebody else has put something there
+        with suppress(OSError):  # another process has put something there
             for each in missing:
                 each.rmdir()
         raise

@@ -87,7 +87,7 @@ def repair(found: Inspection, disk: Disk = DISK) -> Repair:
         write_whole(disk, named, msgspec.json.encode(reached) + b"\n")
     disk.make_folder(journal)
     disk.make_folder(checkpoints)
-    # A process that was killed, or who copied them, may have left them to the operating system.
+    # A killed process or a copy may have left them in the cache of the operating system.
     for each in (*whole, *(checkpoint_path(checkpoints, position) for position in sound)):
         _sync(disk, each)
     # Step 2.
@@ -141,7 +141,7 @@ class _Reached(msgspec.Struct, frozen=True):
     format: None = None
 
     def lost(self, last: int) -> str | None:
-        """What came after record ``last``, for people."""
+        """What came after record ``last``, in words."""
         if self.reached > last:
             many = self.reached > last + 1
             return f"records {last + 1} to {self.reached}" if many else f"record {self.reached}"
@@ -289,7 +289,7 @@ def _sync(disk: Disk, path: Path) -> None:
 
 
 def _rename(disk: Disk, path: Path, name: str) -> Path:
-    """Let the file be called ``name``, with a number where there is such a file."""
+    """Rename the file to ``name``, with a number if there is such a file."""
     target, number = path.with_name(name), 1
     while target.exists():
         number += 1
@@ -299,7 +299,7 @@ def _rename(disk: Disk, path: Path, name: str) -> Path:
 
 
 def _note(disk: Disk, path: Path, told: str) -> None:
-    """Let ``path`` say so, too: what an earlier repair has told may not have been heard yet."""
+    """Add ``told`` to ``path``: a start may not have read yet what an earlier repair wrote."""
     known = path.read_text(errors="replace").strip() if path.exists() else ""
     if told not in known.split("; "):
         write_whole(disk, path, f"{'; '.join(filter(None, (known, told)))}\n".encode())

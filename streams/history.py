@@ -21,14 +21,14 @@ from .time import TIME_MAX, TIME_MIN
 from .yield_points import Pauses
 
 _TEXTS: Final = 4096
-"""So many texts of a field are not worth looking for those that are gone."""
+"""Texts of a field up to which a search for forgotten ones does not pay."""
 _SHARE: Final = 2
-"""Nor are so many a kept sample."""
+"""Texts per kept sample up to which it does not pay, either."""
 _CHARACTERS: Final = 4 << 20
-"""But so many characters of them are, if these are more than `_SHARE` times as many as there were
-when texts that are gone were looked for."""
+"""Characters of texts above which a search pays, if they are more than `_SHARE` times those of the
+last search."""
 _TRIES: Final = 4
-"""So often texts are looked for that others have changed meanwhile; then at once."""
+"""How often `find_places` searches again when pools changed meanwhile."""
 
 
 class FluentStream(Runs):
@@ -51,12 +51,12 @@ class FluentStream(Runs):
     ) -> None:
         super().__init__(schema, retention or Retention(), pools, first)
         self._looked_for: dict[str, int | None] = {}
-        """Characters of the texts of a field when those that are gone were looked for; None: they
-        have just been."""
+        """Characters of the texts of a field at the last search for forgotten ones; None: it has
+        just forgotten some, so the next one begins anew."""
 
     @property
     def retention(self) -> Retention:
-        """How much is kept; less from the moment on when it is told so."""
+        """How much is kept. A smaller retention forgets samples at once."""
         return self._retention
 
     @retention.setter
@@ -65,8 +65,8 @@ class FluentStream(Runs):
         self._keep(retention)
 
     def go_on(self, batch: SampleBatch, first: int) -> None:
-        """Be as one that kept ``batch``, whose first sample has number ``first``; what is known of
-        earlier ones is nothing. Contract: nothing was appended yet."""
+        """Take over the history of another stream that kept ``batch``, whose first sample has
+        number ``first``. Contract: this one is unused."""
         if first > self._first:
             self._gone_valid = TIME_MIN, TIME_MAX
         self._first = self._next = first
@@ -87,9 +87,9 @@ class FluentStream(Runs):
             self._runs[i] = run._replace(batch=batch, weight=None)
 
     def forget_texts(self, held: int = 0) -> bool:
-        """Give text fields new pools, without the texts that no kept sample has, where most are of
-        that kind; whether there was one. ``held``: so many samples elsewhere have texts of it, too.
-        Contract: nobody has codes of this stream but in batches.
+        """Give text fields new pools without the texts that no kept sample has, if most are of that
+        kind; returns whether a field got one. ``held`` counts samples elsewhere with such texts.
+        Contract: codes of this stream exist in batches only.
 
         Cost: O(1), and O(kept samples) once for as many new texts.
         """
@@ -127,7 +127,7 @@ class FluentStream(Runs):
         return SampleBatch(batch.available, batch.valid, found)
 
     def find_places(self, batch: SampleBatch, pauses: Pauses) -> None:
-        """Look, with moments for others, for what the texts of ``batch`` are here, so that
+        """Find the codes that the texts of ``batch`` have here, with yield points, so that
         `encoded` is quick right after it. Contract: its pools are its own, without other texts.
 
         Law (tests/laws): it changes nothing else.
@@ -229,8 +229,8 @@ class FluentStream(Runs):
         self, start: int | None, end: int | None, *, most: int | None = None, newest: bool = False
     ) -> SampleBatch:
         """The kept samples with available time in the closed interval; None is unbounded. At
-        ``most`` the ``newest`` so many of them; or the oldest so many, and the rest of the last
-        instant of these, so that the next piece begins after it."""
+        ``most`` the ``newest`` of them; or the oldest and the rest of their last instant, so that
+        the next piece begins after it."""
         first = self._first if start is None else self._number(start, "left")
         after = self._next if end is None else self._number(end, "right")
         if most is not None and newest:

@@ -1,4 +1,4 @@
-"""The kept samples of a stream as a list of batches that stay few: what `FluentStream` searches."""
+"""The kept samples of a stream in few batches, which `FluentStream` searches."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from .sample import TIMES_SIZE, SampleBatch, Schema, concatenate, empty_batch
 from .string_pool import StringPool
 
 _FAN: Final = 32
-"""So many neighbouring runs of one size class are put together to one of the next."""
+"""How many neighbouring runs of one size class become one of the next class."""
 
 
 @dataclass(frozen=True, slots=True)
 class Retention:
     """How much history a stream keeps: at most ``samples``, at most ``age`` ns of available time,
-    at most so many ``bytes`` (`SampleBatch.sizes`).
+    at most ``bytes`` (`SampleBatch.sizes`).
 
     None for ``age`` or ``bytes`` keeps any. Law: with *asked* the number of newest samples that no
     limit forbids, ``max(asked, rows of the newest batch)`` samples are kept: never less than asked
@@ -61,7 +61,7 @@ class _Run(NamedTuple):
     place: int = 1
     """How many runs of this class stand here in a row, up to this one."""
     weight: int | None = None
-    """Bytes of all its samples; None: nobody has asked yet."""
+    """Bytes of all its samples; None: not computed yet."""
 
 
 FIRST = attrgetter("first")
@@ -158,8 +158,7 @@ class Runs:
     def since(self, number: int, limit: int | None = None) -> list[Segment]:
         """The kept samples from ``number`` on, in order, as segments.
 
-        With ``limit`` the segments end with the one that brings it: at least so many samples, if
-        there are.
+        With ``limit`` the segments end with the one that reaches this number of samples.
         """
         found: list[Segment] = []
         number = max(number, self._first)
@@ -202,9 +201,9 @@ class Runs:
         """Add a run, put together with neighbours so that the runs stay few.
 
         Sizes fall from the oldest run to the newest, and fewer than ``_FAN`` runs in a row are of
-        one class: what is smaller than what follows goes into it, and a full row becomes one run
-        of the next class. Where that would be too much for one run (`_joining`) as many go into it
-        as may, and a row begins anew with it: so many together hold so much that they are few, too.
+        one class: a run that is smaller than the next one joins it, and a full row becomes one run
+        of the next class. Where that would be too large for one run (`_joining`), as many join as
+        may, and a new row begins with it. Such runs are large, so that there are few of them.
         """
         runs = self._runs
         runs.append(run)
@@ -251,7 +250,7 @@ class Runs:
 
     @property
     def _heaviest(self) -> int | None:
-        """Nor one of more bytes."""
+        """No run of more bytes is made here; None: of any."""
         most = self._retention.bytes
         return None if most is None else most // 8
 
@@ -264,8 +263,8 @@ class Runs:
         return run.weight
 
     def _fits(self, count: int, limit: int) -> bool:
-        """Whether so many samples surely have no more than so many bytes: as many as if each of
-        their texts were the longest there is. Cost: O(fields)."""
+        """Whether ``count`` samples have at most ``limit`` bytes even if each of their texts is the
+        longest there is. Cost: O(fields)."""
         most = TIMES_SIZE
         for field in self.schema.fields:
             pool = self.pools.get(field.name)
@@ -273,8 +272,8 @@ class Runs:
         return count * most <= limit
 
     def _within(self, limit: int) -> int:
-        """The least number from which on the samples have no more than so many bytes. Cost:
-        O(runs), and O(rows) once for each run."""
+        """The least number from which on the samples have at most ``limit`` bytes. Cost: O(runs),
+        and O(rows) once for each run."""
         for i in reversed(range(len(self._runs))):
             weight = self._weigh(i)
             if weight > limit:
@@ -285,19 +284,18 @@ class Runs:
         return self._first
 
     def _sums(self, run: _Run) -> NDArray[np.int64]:
-        """Bytes of the last samples of a run: of one, of two … Found once while it is asked for
-        the same run."""
+        """Bytes of the last samples of a run: of one, of two … Cached for the last run."""
         known, rows = self._last_sums, len(run.batch)
         if known is None or known[:2] != (run.first, rows):
             known = self._last_sums = run.first, rows, np.cumsum(run.batch.sizes()[::-1])
         return known[2]
 
     def _keep(self, retention: Retention) -> None:
-        """Keep so much from now on."""
+        """Apply ``retention`` from now on."""
         self._retention = retention
         if self._runs:
             self._drop(self._next - 1)
-            # Nobody knows when the rest of this run will go.
+            # The rest of this run may stay for long.
             self._cut()
 
     def _drop(self, newest: int) -> None:

@@ -1,8 +1,8 @@
-"""Where work that may take long can be interrupted, so that others go on meanwhile.
+"""Yield points: where long work can be interrupted, so that other work goes on meanwhile.
 
-The work says so itself: an evaluation between operators, a decoder between parts of a batch, both
-around what touches nothing that others have. Whoever runs it decides whether it pauses there
-(service/turns/fibers); `STRAIGHT` never does.
+An evaluation has them between operators, a decoder between parts of a batch, both around work on
+data that no other thread uses. `service/turns/fibers` decides whether a thread yields there;
+`STRAIGHT` never yields.
 """
 
 from __future__ import annotations
@@ -15,20 +15,20 @@ Items = TypeVar("Items", bound=Any)
 
 
 class Pauses(Protocol):
-    """The moments of one thread's work."""
+    """The yield points of one thread's work."""
 
     def breathe(self) -> None:
-        """Others may go on here, and this later. Raises where it is not wanted any more: of a
-        window that has taken too long `continuous.columns.budget.Stopped`."""
+        """Yield here. Raises if the work was cancelled: for a window that has taken too long
+        `continuous.columns.budget.Stopped`."""
 
     def apart(self, *, waits: bool = False) -> AbstractContextManager[None]:
-        """What is done within touches nothing but what is its own: others may go on meanwhile, and
-        what comes after it waits for its turn. ``waits``: it is another process that does it.
-        Raises at its end as `breathe` does."""
+        """Let other work run during the block, which uses no shared data; the code after the block
+        waits for its turn. ``waits``: another process does the work. Raises at the end of the block
+        as `breathe` does."""
 
 
 class Straight:
-    """No pauses."""
+    """Never yields."""
 
     def breathe(self) -> None:
         return
@@ -42,7 +42,7 @@ STRAIGHT = Straight()
 
 
 def slices(items: Items, size: int, pauses: Pauses) -> Iterator[Items]:
-    """``items``, a sequence, so many at once, with a moment for others between them."""
+    """Parts of the sequence ``items`` of ``size`` each, with a yield point after each."""
     if len(items) <= size:
         yield items
         return

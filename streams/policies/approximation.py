@@ -17,7 +17,7 @@ from .adaptation import CODES, KEPT, Adaptation, OnDrop, joined
 from .policy import GRID_LIMIT, Constraint, Policy, PolicyError
 
 CHUNK: Final = 65_536
-"""So many samples of the grid are made at a time."""
+"""The greatest number of grid samples made at a time."""
 
 
 class Approximating(Adaptation):

@@ -1,4 +1,4 @@
-"""What the definitions say of streams and policies ([DyKnow10 Def. 5.35-5.37], SPEC §1).
+"""The definitions of streams and policies ([DyKnow10 Def. 5.35-5.37], SPEC §1).
 
 `prove` decides whether one stream is in eval_fsterm of another under a policy, and gives the first
 counterexample where it is not. It shares nothing with `adaptation`, which makes such streams.

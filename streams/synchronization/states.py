@@ -25,9 +25,9 @@ from ..tuples import Rows
 
 NONE: Final[Times] = np.empty(0, np.int64)
 CHUNK: Final = 65_536
-"""At most so many states are in one batch."""
+"""The greatest number of states in one batch."""
 COMPILED: Final = 512
-"""From so many states on the compiled loop is worth its call."""
+"""The number of states from which on the compiled loop pays."""
 Made = tuple[Times, Times, tuple[Rows, ...], Mask]
 """Available times, valid times, a row of each input's table, and whether every input was in."""
 LateRows = tuple[int, Rows, Constraint]

@@ -18,12 +18,12 @@ from .grid_states import GridStates
 from .states import InputSamples, LateRows, Made, States
 
 PRUNED: Final = 8
-"""From so many new samples of an input on it is worth looking for those that no state can use."""
+"""New samples of an input after which a search for those that no state can use pays."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Late:
-    """Samples of one input that came too late for a state, or in no order; ``at`` says when."""
+    """Samples of one input that came too late for a state or broke the order, at times ``at``."""
 
     input: int
     batch: SampleBatch
@@ -33,7 +33,7 @@ class Late:
 
 @dataclass(slots=True)
 class StateCounters:
-    """What became of the samples and states.
+    """Counts of samples and states.
 
     ``complete`` of the ``states`` had every input that had not ended. ``approximated`` values are
     of another valid time than the state's, ``unknown`` ones are no_value. ``late`` samples came
@@ -109,47 +109,48 @@ class Synchronization:
 
     @property
     def policy(self) -> SynchronizationPolicy:
-        """What the states are like."""
+        """The policy that the states follow."""
         return self._policy
 
     @property
     def monotone(self) -> Sequence[bool]:
-        """Of which inputs the valid times do not decrease."""
+        """Which inputs have valid times that do not decrease."""
         return self._monotone
 
     @property
     def ends(self) -> Sequence[int | None]:
-        """The moment from which on each input is not waited for; None of one that goes on."""
+        """The moment from which on states do not wait for each input; None: it goes on."""
         return [input.ended_at for input in self._inputs]
 
     @property
     def retained(self) -> int:
-        """How many samples are kept."""
+        """Number of kept samples."""
         kept = sum(len(batch) for batch in self._kept if batch is not None)
         return kept + sum(input.waiting for input in self._inputs)
 
     def push(self, input: int, batch: SampleBatch) -> list[TupleBatch]:
-        """Samples of ``input`` in order; the states that leave, at most 65,536 a batch."""
+        """Take samples of ``input`` in order; returns the states that leave, in batches of at
+        most 65,536."""
         self._inputs[input].push(batch, self._done)
         self.counters.received += len(batch)
         return self._proceed()
 
     def advance(self, input: int, watermark: int) -> list[TupleBatch]:
-        """Every later sample of ``input`` is available at ``watermark`` or later."""
+        """Promise that later samples of ``input`` are available at ``watermark`` or later."""
         self._inputs[input].advance(watermark)
         return self._proceed()
 
     def decided(self, input: int) -> int:
-        """A sample of ``input`` that is available by then comes too late: states were given
-        without it, or it was promised not to come."""
+        """The time up to which samples of ``input`` come too late: states left without them, or a
+        watermark excluded them."""
         return max(self._inputs[input].known, self._done)
 
     def resume(self, input: int) -> None:
-        """``input`` had ended and goes on: it is waited for again."""
+        """Continue ``input`` after its end: states wait for it again."""
         self._inputs[input].resume()
 
     def end(self, input: int) -> list[TupleBatch]:
-        """``input`` has no more samples."""
+        """End ``input``."""
         self._inputs[input].end()
         return self._proceed()
 
@@ -175,7 +176,7 @@ class Synchronization:
         tables = [one.table for one in inputs]
         self._tell(tables, late, dropped)
         for i, one in enumerate(inputs):
-            # What a state to come cannot use goes when some samples have come in the meantime.
+            # At each push the search would cost more than the push itself.
             table = one.table
             if len(table) >= self._pruned[i] + PRUNED:
                 table = self._states.of_use(one)
