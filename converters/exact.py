@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from ..languages.attached import attached
+from ..languages.object_cache import attached
 from ..streams.sample import (
     Column,
     Field,

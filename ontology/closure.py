@@ -153,7 +153,7 @@ def _is_noise(triple: Triple) -> bool:
 
 def main() -> None:
     """Prints what the closure of the shipped ontologies is and costs."""
-    from .shipped import shipped_ontologies  # shipped reads files: only this command needs it
+    from .shipped_files import shipped_ontologies  # shipped reads files: only this command needs it
 
     asserted = [triple for ontology in shipped_ontologies() for triple in ontology.triples()]
     start = time.perf_counter()

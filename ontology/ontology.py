@@ -46,7 +46,7 @@ from .query_guard import check_user_query
 from .reading import TextFormat
 from .reasoning import DIRECT, Reasoning
 from .registrations import Registrations
-from .shipped import shipped_ontologies, text_hash
+from .shipped_files import shipped_ontologies, text_hash
 from .static_side import StaticSide
 from .successor import CONCEPTS, Successor, succeed
 from .units import UnitError

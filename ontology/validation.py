@@ -9,7 +9,7 @@ import rdflib
 from pyoxigraph import Triple
 
 from .closure import to_rdflib
-from .shipped import shapes_text
+from .shipped_files import shapes_text
 
 _SH = rdflib.Namespace("http://www.w3.org/ns/shacl#")
 

@@ -12,7 +12,7 @@ from typing import TypeAlias
 
 from pyoxigraph import NamedNode, Variable
 
-from ..languages.attached import attached
+from ..languages.object_cache import attached
 from ..rdf.namespaces import RDF_TYPE
 from ..sparql import ast
 from ..sparql.algebra import split

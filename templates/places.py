@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from pyoxigraph import Literal, NamedNode, Variable
 
-from ..languages.attached import attached
+from ..languages.object_cache import attached
 from ..ontology.vocabulary import Vocabulary
 from ..rdf.datatypes import NUMBERS
 from ..rdf.namespaces import RDF_TYPE

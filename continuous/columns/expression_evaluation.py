@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pyoxigraph import NamedNode
 
-from ...languages.attached import attached
+from ...languages.object_cache import attached
 from ...rdf.dictionary import Term
 from ...rdf.timed import Kind, ObjectColumn, split_term
 from ...streams.sample import Mask

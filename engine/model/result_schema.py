@@ -19,10 +19,10 @@ from ...converters.to_samples import (
     field_names,
     result_schema,
 )
-from ...languages.attached import attached
 from ...languages.csparql import body_tree
 from ...languages.csparql.ast import ContinuousQuery, Form
 from ...languages.errors import LanguageError, Span
+from ...languages.object_cache import attached
 from ...languages.ssl.annotation import Content, Role, StreamAnnotation
 from ...matching.want import THING
 from ...ontology.units import Unit

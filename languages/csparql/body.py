@@ -44,8 +44,8 @@ from ...sparql.ast import (
 )
 from ...sparql.printer import print_query
 from ...sparql.scope import head_variables
-from ..attached import attached
 from ..errors import Span
+from ..object_cache import attached
 from .ast import Aggregation, ContinuousQuery, StreamClause
 
 _LARGEST: Final = 4096

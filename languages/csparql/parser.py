@@ -17,7 +17,7 @@ from ...sparql.ast import Query
 from ...sparql.scope import visible
 from ...sparql.tokens import Kind
 from ...streams.sample import LONGEST_NAME
-from ..remembered import remembered
+from ..text_cache import remembered
 from .ast import ContinuousQuery, Dialect, StreamOperator, Template
 from .body import body_tree
 from .check import Check

@@ -25,8 +25,8 @@ from .declarations import (
     SourceDeclaration,
     StreamDeclaration,
 )
+from .dependencies import generator_needs
 from .generators import Generators
-from .needs import generator_needs
 from .parser import parse_constraints, parse_label_term
 from .printer import format_kpl
 from .scope import Scope, check_unit, label_of

@@ -19,7 +19,6 @@ from ...streams.policies.policy import Approximation, Order
 from ...streams.sample import LONGEST_NAME
 from ..errors import LanguageError, Span
 from ..hints import did_you_mean
-from ..remembered import remembered
 from ..syntax import (
     check_names,
     expected_hint,
@@ -28,6 +27,7 @@ from ..syntax import (
     tokens,
     trees,
 )
+from ..text_cache import remembered
 from . import ast
 
 _LONGEST_LABEL: Final = 5 * LONGEST_NAME

@@ -22,7 +22,7 @@ from .declarations import (
     StreamDeclaration,
     ValueSort,
 )
-from .needs import founded, made_by, needed_by
+from .dependencies import founded, made_by, needed_by
 
 _D = TypeVar("_D", bound=CheckedDeclaration)
 

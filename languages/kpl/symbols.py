@@ -17,7 +17,7 @@ from .declarations import (
     StreamDeclaration,
     ValueSort,
 )
-from .needs import feature_token, generator_needs, needed_by, reaches
+from .dependencies import feature_token, generator_needs, needed_by, reaches
 
 SOURCE: Final = "a source"
 COMPUNIT: Final = "a computational unit"
@@ -47,7 +47,7 @@ class Symbols:
         self._made: dict[str, list[ValueSort]] = {}
         """For each feature the sorts of its generators, each once."""
         self._edges: dict[str, set[str]] = {}
-        """What the tokens of `needs` need."""
+        """What the tokens of `dependencies` need."""
         self._mediated: dict[str, str] = {}
         """Tokens of features that are read for every object -> the first label that does."""
         self._configured: dict[tuple[str, Label], str] = {}

@@ -10,8 +10,8 @@ from typing import Any, Final
 
 from lxml import etree
 
-from .malformed import malformed
 from .markup import BLANKS, XSI, Attribute, Markup, Tag
+from .xml_errors import malformed
 
 _LOCATIONS: Final = (f"{{{XSI}}}schemaLocation", f"{{{XSI}}}noNamespaceSchemaLocation")
 

@@ -25,7 +25,7 @@ from .ast import (
 from .decoding import decoded
 from .document import Document, Element, read
 from .markup import BLANKS, scan
-from .refusals import refusal
+from .schema_rules import refusal
 
 
 def parse_specification(text: str | bytes) -> Specification:

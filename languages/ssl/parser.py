@@ -15,7 +15,6 @@ from lark.exceptions import UnexpectedInput
 
 from ...ontology.units import PERCENT, POWERS
 from ..errors import LanguageError, Span
-from ..remembered import remembered
 from ..syntax import (
     check_names,
     expected_hint,
@@ -24,6 +23,7 @@ from ..syntax import (
     tokens,
     trees,
 )
+from ..text_cache import remembered
 from .ast import (
     Argument,
     CompunitDeclaration,

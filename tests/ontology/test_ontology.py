@@ -10,7 +10,7 @@ from pyoxigraph import Literal, NamedNode, RdfFormat, Triple, parse
 from dyknow.continuous.operators.background import Background
 from dyknow.ontology.errors import OntologyError, QueryRefused
 from dyknow.ontology.ontology import Ontology
-from dyknow.ontology.shipped import shipped_ontologies
+from dyknow.ontology.shipped_files import shipped_ontologies
 from dyknow.rdf.namespaces import DYKNOW, RDF_TYPE, RDFS, STREAM_SPACE
 
 LISTING_2 = """:dyknow_cul a :ComputationalUnit ;

@@ -22,7 +22,7 @@ from dyknow.languages.specification import (
 )
 from dyknow.languages.specification.document import read
 from dyknow.languages.specification.markup import BLANKS, NAMESPACE, scan
-from dyknow.languages.specification.refusals import refusal
+from dyknow.languages.specification.schema_rules import refusal
 from dyknow.service.workers.messages import BadAnswer, ElementRow
 from dyknow.service.workers.xml_elements import rows_of, specification_of
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from dyknow.languages.remembered import CHARACTERS, LEAST, Remembered, remembered
+from dyknow.languages.text_cache import CHARACTERS, LEAST, Remembered, remembered
 
 
 def counted() -> tuple[Remembered[list[str]], list[str]]:

@@ -14,7 +14,7 @@ from dyknow.continuous.columns.expression_evaluation import (
 )
 from dyknow.converters.exact import _decoder
 from dyknow.engine.model.result_schema import _form
-from dyknow.languages.attached import attached
+from dyknow.languages.object_cache import attached
 from dyknow.ontology.ontology import Ontology
 from dyknow.sparql import parse_sparql
 from dyknow.streams.sample import Field, FieldType, Schema
