@@ -283,7 +283,7 @@ class Engine:
         self._parts.rematching.tick(self._now)
         self._parts.settle()
         self._parts.collect()
-        self.ontology.advance()
+        self.ontology.apply_pending_piece()
         if now - SECOND >= self._counted:
             self._counted = now
             self._parts.count_subscribers()
@@ -543,7 +543,7 @@ class Engine:
 
     def take_ontology(self, prepared: PreparedOntology) -> None:
         """The same with what `Ontology.prepare` made of a text, maybe in another thread."""
-        self.ontology.take(prepared)
+        self.ontology.install(prepared)
         self._parts.rdf.forget_all()
         self._parts.templates.tell()
         self._parts.rematching.ontology_changed()

@@ -6,15 +6,15 @@ import difflib
 from collections.abc import Iterable
 
 
-def did_you_mean(name: str, known: Iterable[str]) -> str:
+def did_you_mean(name: str, candidates: Iterable[str]) -> str:
     """``did you mean a or b?`` from the names near ``name``; empty if none is."""
-    near = difflib.get_close_matches(name, sorted(set(known)), n=3)
-    return f"did you mean {' or '.join(near)}?" if near else ""
+    suggest_name = difflib.get_close_matches(name, sorted(set(candidates)), n=3)
+    return f"did you mean {' or '.join(suggest_name)}?" if suggest_name else ""
 
 
-def near(name: str, known: Iterable[str]) -> str:
+def suggest_name(name: str, candidates: Iterable[str]) -> str:
     """The same; where nothing is near, some of what there is."""
-    names = sorted(set(known))
+    names = sorted(set(candidates))
     if not names:
         return "none is declared yet: declare it first"
     listed = ", ".join(names[:8]) + (" …" if len(names) > 8 else "")

@@ -13,7 +13,7 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 
-class Attached(Generic[S, P, T]):
+class ObjectCache(Generic[S, P, T]):
     """A function of an object, by its identity, and of more that can be compared; it remembers for
     each object what it gave last.
 
@@ -40,8 +40,3 @@ class Attached(Generic[S, P, T]):
     def __len__(self) -> int:
         """Of how many objects something is remembered."""
         return len(self._known)
-
-
-def attached(work: Callable[Concatenate[S, P], T]) -> Attached[S, P, T]:
-    """``work`` as an `Attached`."""
-    return Attached(work)

@@ -60,11 +60,11 @@ def check_names(tree: Tree[Token], source: str) -> None:
 
 def expected_hint(expected: AbstractSet[str], names: Mapping[str, str]) -> str:
     """``expected `=`, `(` or a name``; a terminal that ``names`` lacks is a keyword."""
-    known = sorted({names.get(name, f"`{name.lower()}`") for name in expected})
-    if not known:
+    words = sorted({names.get(name, f"`{name.lower()}`") for name in expected})
+    if not words:
         return ""
     return "expected " + (
-        known[0] if len(known) == 1 else f"{', '.join(known[:-1])} or {known[-1]}"
+        words[0] if len(words) == 1 else f"{', '.join(words[:-1])} or {words[-1]}"
     )
 
 

@@ -17,7 +17,7 @@ LEAST: Final = 512
 """As so many a text counts that has fewer: so there are at most 512 of them."""
 
 
-class Remembered(Generic[T]):
+class TextCache(Generic[T]):
     """A function of a text that remembers what it gave for the last ones; not what it raised. Any
     thread may call. Cost of a text that is known: a look-up."""
 
@@ -46,8 +46,3 @@ class Remembered(Generic[T]):
 
 def _size(text: str) -> int:
     return max(LEAST, len(text))
-
-
-def remembered(work: Callable[[str], T]) -> Remembered[T]:
-    """``work`` as a `Remembered`."""
-    return Remembered(work)

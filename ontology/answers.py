@@ -45,20 +45,20 @@ def serialized(results: QueryResults, accept_format: str) -> bytes:
     """The answer as bytes. Formats: json, xml, csv, tsv for SELECT and ASK; turtle, ntriples,
     jsonld, rdfxml for CONSTRUCT and DESCRIBE. `QueryRefused` if the two do not go together.
     """
-    known: Iterable[str]
+    formats: Iterable[str]
     if isinstance(results, QueryTriples):
-        known = _GRAPHS
+        formats = _GRAPHS
         if accept_format in _GRAPHS:
             return _bytes(serialize(results, format=_GRAPHS[accept_format]))
     else:
-        known = _TABLES
+        formats = _TABLES
         if accept_format in _TABLES:
             return _bytes(results.serialize(format=_TABLES[accept_format]))
     raise QueryRefused(
         f"the answer to this query cannot be given as {accept_format}",
         1,
         1,
-        f"ask for {', '.join(known)}",
+        f"ask for {', '.join(formats)}",
     )
 
 

@@ -41,7 +41,7 @@ class Churn:
         """These have come or gone."""
         self._changed += sum(map(weight, quads))
 
-    def over(self, store: Store) -> Store:
+    def replace_if_due(self, store: Store) -> Store:
         """``store`` itself, or what takes its place from now on: another one with its quads."""
         if self._changed <= self._look_at:
             return store

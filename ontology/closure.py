@@ -40,7 +40,7 @@ RdflibTerm: TypeAlias = rdflib.URIRef | rdflib.BNode | rdflib.Literal
 
 
 @lru_cache(maxsize=4)
-def entailed(asserted: frozenset[Triple]) -> frozenset[Triple]:
+def cached_closure(asserted: frozenset[Triple]) -> frozenset[Triple]:
     """`closure_of`; the last few closures are remembered: many engines in one process, as in tests,
     start from the same ontologies."""
     return closure_of(asserted)
@@ -56,15 +56,15 @@ def closure_of(asserted: frozenset[Triple]) -> frozenset[Triple]:
     strangers runs it where it can be stopped.
     """
     separation = Separation(asserted)
-    closed = separation.closed(by_owlrl(separation.rest))
+    closed = separation.merge_closure(owlrl_closure(separation.rest))
     if closed is None:
-        closed = by_owlrl(asserted)
+        closed = owlrl_closure(asserted)
     return frozenset(
         triple for triple in closed if triple not in asserted and not _is_noise(triple)
     )
 
 
-def by_owlrl(asserted: Iterable[Triple]) -> set[Triple]:
+def owlrl_closure(asserted: Iterable[Triple]) -> set[Triple]:
     """``asserted`` and what owlrl adds, without the noise."""
     graph = rdflib.Graph()
     for triple in asserted:
@@ -157,7 +157,7 @@ def main() -> None:
 
     asserted = [triple for ontology in shipped_ontologies() for triple in ontology.triples()]
     start = time.perf_counter()
-    added = entailed(frozenset(asserted))
+    added = cached_closure(frozenset(asserted))
     seconds = time.perf_counter() - start
     print(f"{len(asserted)} triples asserted, {len(added)} entailed, {seconds:.3f} s")
 

@@ -31,7 +31,7 @@ from pyoxigraph import (
 
 from ..sparql import ast
 from ..sparql.printer import print_query
-from ..sparql.scope import shown, visible
+from ..sparql.scope import projected_variables, visible_variables
 from .deep_hierarchies import MARKERS, Marks, deep_kinds, missing_pairs
 from .query_guard import read_query
 from .turtle import ALL_PREFIXES
@@ -66,14 +66,14 @@ def _described(store: Store, found: QueryTriples) -> QueryResults:
     """What was found, with the pairs of the nodes instead of their marks."""
     triples = list(found)
     described = {triple.subject for triple in triples if triple.predicate in MARKERS}
-    shown = Store()
-    shown.extend(
+    described_store = Store()
+    described_store.extend(
         Quad(t.subject, t.predicate, t.object) for t in triples if t.predicate not in MARKERS
     )
     for node in described:
         assert isinstance(node, NamedNode | BlankNode)
-        shown.extend(Quad(*pair) for pair in missing_pairs(store, node, None, None, None))
-    return shown.query("CONSTRUCT { ?s ?p ?o } WHERE { ?s ?p ?o }")
+        described_store.extend(Quad(*pair) for pair in missing_pairs(store, node, None, None, None))
+    return described_store.query("CONSTRUCT { ?s ?p ?o } WHERE { ?s ?p ?o }")
 
 
 def with_pairs(query: ast.Query, kinds: Iterable[Marks]) -> ast.Query:
@@ -95,10 +95,10 @@ class _Rewriter:
 
     def query(self, query: ast.Query) -> ast.Query:
         """``*`` and the short form would show the variables that are added."""
-        query = ast.rewritten(query, _named)
+        query = ast.rewrite(query, _named)
         if query.is_short:
             query = replace(query, is_short=False)
-        return ast.rewritten(query, self._change)
+        return ast.rewrite(query, self._change)
 
     def _change(self, node: object) -> ast.Group | None:
         if not isinstance(node, ast.Group):
@@ -108,7 +108,7 @@ class _Rewriter:
             if isinstance(element, ast.Triples):
                 elements += chain.from_iterable(map(self._triple, element.triples))
             else:
-                elements.append(ast.rewritten(element, self._change))
+                elements.append(ast.rewrite(element, self._change))
         return ast.Group(tuple(elements), node.span)
 
     def _triple(self, triple: ast.Triple) -> Iterator[ast.Element]:
@@ -130,7 +130,7 @@ class _Rewriter:
         return self._nodes[term]
 
     def _touches(self, path: ast.Path) -> bool:
-        return any(isinstance(p, ast.Negated) or p in self._marks for p in ast.walk(path))
+        return any(isinstance(p, ast.NegatedSet) or p in self._marks for p in ast.walk(path))
 
     # -- patterns ------------------------------------------------------------------------------
 
@@ -139,19 +139,19 @@ class _Rewriter:
         groups = [ast.Group((_triples(subject, verb, object), no_marks))]
         for predicate in self._marks:
             missing = self._missing(subject, predicate, object)
-            said = ast.Values((verb,), ((predicate,),))
-            groups.append(ast.Group((said, missing)))
+            binding = ast.Values((verb,), ((predicate,),))
+            groups.append(ast.Group((binding, missing)))
         return ast.Union(tuple(groups))
 
     def _missing(self, subject: ast.Place, predicate: NamedNode, object: ast.Place) -> ast.Group:
         """The pairs of ``predicate`` that the store does not have, each once."""
         marks = self._marks[predicate]
-        known = marks.inclusion if predicate == marks.kind[0] else marks.equivalence
+        stored_as = marks.inclusion if predicate == marks.kind[0] else marks.equivalence
         assert not isinstance(subject, BlankNode)
         assert not isinstance(object, BlankNode)
         conditions: tuple[ast.Expression, ...] = (
             ast.Unary("!", ast.Call("SAMETERM", (subject, object))),
-            ast.Exists(ast.Group((_triples(subject, known, object),)), negated=True),
+            ast.Exists(ast.Group((_triples(subject, stored_as, object),)), negated=True),
         )
         lower = _triples(subject, marks.lower, subject)
         pair = _triples(subject, _edges(marks, predicate), object)
@@ -171,8 +171,8 @@ class _Rewriter:
         """Elements that give the ends of ``path`` as often as the path does."""
         match path:
             case NamedNode() if path in self._marks:
-                known = ast.Group((_triples(subject, path, object),))
-                yield ast.Union((known, self._missing(subject, path, object)))
+                stored = ast.Group((_triples(subject, path, object),))
+                yield ast.Union((stored, self._missing(subject, path, object)))
             case ast.Inverse(inner):
                 yield from self._path(object, inner, subject)
             case ast.Sequence(parts):
@@ -182,10 +182,10 @@ class _Rewriter:
             case ast.Alternative(parts):
                 groups = [ast.Group(tuple(self._path(subject, p, object))) for p in parts]
                 yield self._distinct(subject, groups, object)
-            case ast.Negated():
+            case ast.NegatedSet():
                 yield self._negated(subject, path, object)
-            case ast.Repeated(inner, sign):
-                yield _triples(subject, ast.Repeated(self._steps(inner), sign), object)
+            case ast.Repetition(inner, sign):
+                yield _triples(subject, ast.Repetition(self._steps(inner), sign), object)
             case _:
                 yield _triples(subject, path, object)
 
@@ -197,7 +197,7 @@ class _Rewriter:
         found = ast.Group((ast.Union(tuple(groups)),))
         return _selected(found, dict.fromkeys(ends or [next(self._free)]), "DISTINCT")
 
-    def _negated(self, subject: ast.Place, path: ast.Negated, object: ast.Place) -> ast.Element:
+    def _negated(self, subject: ast.Place, path: ast.NegatedSet, object: ast.Place) -> ast.Element:
         groups: list[ast.Group] = []
         for no_marks, but, is_inverse in _directions(path):
             start, stop = (object, subject) if is_inverse else (subject, object)
@@ -211,7 +211,7 @@ class _Rewriter:
         """The path where only the set of pairs matters that its repetition gives."""
 
         def change(path: object) -> ast.Path | None:
-            if isinstance(path, ast.Negated):
+            if isinstance(path, ast.NegatedSet):
                 parts: list[ast.Path] = []
                 for no_marks, but, is_inverse in _directions(path):
                     found = [
@@ -224,15 +224,15 @@ class _Rewriter:
                 return ast.Alternative((path, _step(self._marks[path], path)))
             return None
 
-        return ast.rewritten(path, change)
+        return ast.rewrite(path, change)
 
 
 def _triples(subject: ast.Place, verb: ast.Path | Variable, object: ast.Place) -> ast.Triples:
     return ast.Triples((ast.Triple(subject, verb, object),))
 
 
-def _selected(where: ast.Group, shown: Iterable[Variable], modifier: str = "") -> ast.Group:
-    projection = tuple(map(ast.Projected, shown))
+def _selected(where: ast.Group, variables: Iterable[Variable], modifier: str = "") -> ast.Group:
+    projection = tuple(map(ast.SelectItem, variables))
     query = ast.Query(ast.Form.SELECT, where, modifier=modifier, projection=projection)
     return ast.Group((ast.SubSelect(query),))
 
@@ -243,7 +243,7 @@ def _edges(marks: Marks, predicate: NamedNode) -> ast.Path:
     if predicate == marks.kind[1]:
         return ast.Sequence((marks.component, ast.Inverse(marks.component)))
     edges = (marks.inclusion, marks.equivalence, ast.Inverse(marks.equivalence))
-    return ast.Repeated(ast.Alternative(edges), "+")
+    return ast.Repetition(ast.Alternative(edges), "+")
 
 
 def _step(marks: Marks, predicate: NamedNode) -> ast.Path:
@@ -252,14 +252,16 @@ def _step(marks: Marks, predicate: NamedNode) -> ast.Path:
     return ast.Sequence((marks.lower, _edges(marks, predicate)))
 
 
-def _directions(path: ast.Negated) -> Iterator[tuple[ast.Negated, tuple[NamedNode, ...], bool]]:
+def _directions(
+    path: ast.NegatedSet,
+) -> Iterator[tuple[ast.NegatedSet, tuple[NamedNode, ...], bool]]:
     """The two directions of a negated path that it has: each without marks, what it excludes, and
     whether it goes against the triples."""
     markers = tuple(sorted(MARKERS, key=str))
     if path.forward or not path.backward:
-        yield ast.Negated((*path.forward, *markers), ()), path.forward, False
+        yield ast.NegatedSet((*path.forward, *markers), ()), path.forward, False
     if path.backward:
-        yield ast.Negated((*path.backward, *markers), ()), path.backward, True
+        yield ast.NegatedSet((*path.backward, *markers), ()), path.backward, True
 
 
 def _named(query: object) -> ast.Query | None:
@@ -267,8 +269,13 @@ def _named(query: object) -> ast.Query | None:
     if not (isinstance(query, ast.Query) and query.selects_all and query.where is not None):
         return None
     if query.form is ast.Form.DESCRIBE:
-        names = {**visible(query.where), **(visible(query.values) if query.values else {})}
+        names = {
+            **visible_variables(query.where),
+            **(visible_variables(query.values) if query.values else {}),
+        }
         described = tuple(map(Variable, sorted(names)))
-        return ast.rewritten(replace(query, described=described), _named) if names else None
-    projection = tuple(ast.Projected(Variable(name)) for name in sorted(shown(query)))
-    return ast.rewritten(replace(query, projection=projection), _named) if projection else None
+        return ast.rewrite(replace(query, described=described), _named) if names else None
+    projection = tuple(
+        ast.SelectItem(Variable(name)) for name in sorted(projected_variables(query))
+    )
+    return ast.rewrite(replace(query, projection=projection), _named) if projection else None

@@ -61,11 +61,13 @@ def is_standard(term: object) -> bool:
     return isinstance(term, NamedNode) and term.value.startswith(STANDARD)
 
 
-def mark(hierarchy: Hierarchy[Node], known: Iterable[Triple], kind: Inclusion) -> Iterator[Triple]:
+def marks_of(
+    hierarchy: Hierarchy[Node], stored: Iterable[Triple], kind: Inclusion
+) -> Iterator[Triple]:
     """The marks of ``hierarchy``, where ``known`` is all that the store has without its pairs."""
     (marks,) = (one for one in MARKS if one.kind == kind)
     own = dict(zip(kind, (marks.inclusion, marks.equivalence), strict=True))
-    for triple in known:
+    for triple in stored:
         predicate = own.get(triple.predicate)
         has_ends = not isinstance(triple.object, Literal | Triple)
         if predicate is not None and has_ends and triple.subject != triple.object:
@@ -119,20 +121,20 @@ def _missing_of(
 
     if isinstance(object, Literal):
         return
-    known = pairs(marks.inclusion), pairs(marks.equivalence)
-    hierarchy = Hierarchy([*known[0], *known[1], *((upper, lower) for lower, upper in known[1])])
+    stored = pairs(marks.inclusion), pairs(marks.equivalence)
+    hierarchy = Hierarchy([*stored[0], *stored[1], *((upper, lower) for lower, upper in stored[1])])
     starts = {lower for lower, _ in pairs(marks.lower)}
     if subject is not None:
         starts &= {subject}
     elif object is not None:
         starts &= hierarchy.inverted().above(object)
-    asked = [number for number, one in enumerate(marks.kind) if predicate in (None, one)]
+    kinds = [number for number, one in enumerate(marks.kind) if predicate in (None, one)]
     for start in starts:
         above = hierarchy.above(start) - {start}
         for end in above if object is None else above & {object}:
-            for number in asked:
+            for number in kinds:
                 is_pair = number == 0 or start in hierarchy.above(end)
-                if is_pair and (start, end) not in known[number]:
+                if is_pair and (start, end) not in stored[number]:
                     yield start, marks.kind[number], end
 
 

@@ -50,18 +50,18 @@ class Rules:
     """
 
     def __init__(self, schema: Iterable[Triple]) -> None:
-        told = [triple for triple in schema if triple.predicate in SCHEMA]
-        self._classes = Hierarchy(edges(told, OF_CLASSES))
-        self._properties = Hierarchy(edges(told, OF_PROPERTIES))
+        schema_triples = [triple for triple in schema if triple.predicate in SCHEMA]
+        self._classes = Hierarchy(edges(schema_triples, OF_CLASSES))
+        self._properties = Hierarchy(edges(schema_triples, OF_PROPERTIES))
         self._inverses: dict[Node, set[Node]] = defaultdict(set)
         self._domains: dict[Node, set[Node]] = defaultdict(set)
         self._ranges: dict[Node, set[Node]] = defaultdict(set)
         self._known: dict[NamedNode, Consequences] = {}
         self._proper: dict[Node, frozenset[Node]] = {}
-        for triple in told:
-            self._learn(triple)
+        for triple in schema_triples:
+            self._add_axiom(triple)
 
-    def _learn(self, triple: Triple) -> None:
+    def _add_axiom(self, triple: Triple) -> None:
         subject, object = triple.subject, triple.object
         if isinstance(subject, Triple) or isinstance(object, Literal | Triple):
             return
@@ -77,15 +77,15 @@ class Rules:
             self._inverses[subject].add(subject)
 
     @property
-    def says_nothing(self) -> bool:
+    def is_empty(self) -> bool:
         """Whether nothing follows from any triple."""
         return not (self._classes or self.properties)
 
     @cached_property
     def properties(self) -> frozenset[NamedNode]:
         """The properties from whose triples something may follow."""
-        told = (self._properties, self._inverses, self._domains, self._ranges)
-        return frozenset(p for p in chain(*told) if isinstance(p, NamedNode))
+        premises = (self._properties, self._inverses, self._domains, self._ranges)
+        return frozenset(p for p in chain(*premises) if isinstance(p, NamedNode))
 
     def entail(self, triple: Triple) -> set[Triple]:
         """All triples that the rules derive from this one, without itself."""
@@ -181,12 +181,12 @@ class Entailments:
         """What the triples entail is by these."""
         return self._rules
 
-    def holds(self, triple: Triple) -> bool:
-        """Whether it is one of `held`. Cost: a look-up."""
+    def is_asserted(self, triple: Triple) -> bool:
+        """Whether it is one of `asserted`. Cost: a look-up."""
         return triple in self._held
 
     @property
-    def held(self) -> frozenset[Triple]:
+    def asserted(self) -> frozenset[Triple]:
         """The triples whose entailments these are."""
         return frozenset(self._held)
 

@@ -28,15 +28,15 @@ from ..rdf.dictionary import Term
 from ..rdf.namespaces import OWL
 from . import graphs
 from .answers import rows_of, serialized
-from .closure import closure_key, entailed
+from .closure import cached_closure, closure_key
 from .closure_queries import QueryResults, answer
 from .entailment import Change, Entailments, Rules
 from .errors import OntologyError
 from .quad_store import (
     QuadStore,
     StoreChanges,
-    change_of,
-    opened,
+    difference,
+    open_store,
     quads_of,
     store_of,
     subject_of,
@@ -48,7 +48,7 @@ from .reasoning import DIRECT, Reasoning
 from .registrations import Registrations
 from .shipped_files import shipped_ontologies, text_hash
 from .static_side import StaticSide
-from .successor import CONCEPTS, Successor, succeed
+from .successor import CONCEPTS, Successor, build_successor
 from .units import UnitError
 from .validation import ShaclReport, validate
 from .vocabulary import Vocabulary
@@ -57,7 +57,7 @@ _IMPORTS = NamedNode(OWL + "imports")
 
 _PIECE = 250
 """Triples of the live stream space that are brought into the store in one go: some 10 ms."""
-_MOST_AWAITED = 10_000
+_MOST_PENDING = 10_000
 """So many may wait to be brought in; whoever changes more brings some of them in."""
 
 
@@ -86,12 +86,12 @@ class Ontology:
     def __init__(self, store: Store, path: Path | None) -> None:
         """Use `open`."""
         self._quads = QuadStore(store, path)
-        self._awaited: OrderedDict[Triple, bool] = OrderedDict()
+        self._pending: OrderedDict[Triple, bool] = OrderedDict()
         """Triples of the live stream space that are not in the store yet: whether they come or go.
         Added to by those who tell of changes, who take back what is as it was."""
-        self._arriving: dict[Triple, bool] = {}
+        self._applying: dict[Triple, bool] = {}
         """Those of them that are being brought in."""
-        self._telling = threading.Lock()
+        self._pending_lock = threading.Lock()
         """Of these two: had for a look-up a triple. Who takes some has `lock`, too, so that in a
         copy of the process it is free."""
         self.path = path
@@ -110,26 +110,26 @@ class Ontology:
         """
         if path is None:
             return cls(Store(), None)
-        return cls(opened(path), path)
+        return cls(open_store(path), path)
 
     @classmethod
-    def copied(cls, path: Path) -> Ontology:
+    def open_copy(cls, path: Path) -> Ontology:
         """One in memory with what the folder ``path`` keeps, which stays as it is. Raises
         `OntologyError`."""
-        kept = opened(path)
+        on_disk = open_store(path)
         store = Store()
-        store.extend(kept)
+        store.extend(on_disk)
         return cls(store, None)
 
     @classmethod
-    def of_quads(cls, quads: bytes) -> Ontology:
+    def from_quads(cls, quads: bytes) -> Ontology:
         """One in memory with these N-Quads, of `quads`."""
         return cls(store_of(quads), None)
 
     @property
     def store(self) -> Store:
         """All there is. Treat it as read-only. Cost: what `mirror` was told of and is not there."""
-        self._bring_in()
+        self._apply_pending()
         return self._quads.store
 
     @property
@@ -153,13 +153,13 @@ class Ontology:
         """As it is copied, if it is in memory: the lock is each one's own. The store is for who
         copies (engine/durability/checkpoint)."""
         assert self.path is None
-        self._bring_in()
-        kept = dict(self.__dict__)
-        del kept["_lock"], kept["_telling"]
-        return kept
+        self._apply_pending()
+        state = dict(self.__dict__)
+        del state["_lock"], state["_pending_lock"]
+        return state
 
-    def __setstate__(self, kept: dict[str, Any]) -> None:
-        self.__dict__.update(kept, _lock=threading.RLock(), _telling=threading.Lock())
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state, _lock=threading.RLock(), _pending_lock=threading.Lock())
 
     # -- ontologies -------------------------------------------------------------------------
 
@@ -171,7 +171,7 @@ class Ontology:
         text that cannot be read, contradicts the others, or gives a feature an unknown unit.
         Cost: a closure of all loaded ontologies.
         """
-        self.take(self.prepare(text, name=name, format=format))
+        self.install(self.prepare(text, name=name, format=format))
 
     def prepare(
         self, text: str, *, name: str, format: TextFormat = "turtle", reasoning: Reasoning = DIRECT
@@ -180,11 +180,11 @@ class Ontology:
         raises as `load`, and what ``reasoning`` raises."""
         graph = _ontology_graph(name)
         triples = reasoning.read(text, format, graph)
-        # Nobody waits for what is read here: where ontologies change meanwhile, `take` refuses.
+        # Nobody waits for what is read here: where ontologies change meanwhile, `install` refuses.
         hashes = {**self._hashes(), graph.value: text_hash(f"{format}\n{text}")}
         asserted = self._asserted({graph: triples}, hashes)
-        known = self._kept_closure(closure_key(hashes))
-        implied = reasoning.entailed(asserted) if known is None else known
+        kept_closure = self._kept_closure(closure_key(hashes))
+        implied = reasoning.entailed(asserted) if kept_closure is None else kept_closure
         successor = None
         if self.path is None:
             try:
@@ -198,20 +198,20 @@ class Ontology:
         graph: NamedNode,
         triples: frozenset[Triple],
         hashes: dict[str, str],
-        entailed: tuple[frozenset[Triple], frozenset[Triple]],
+        stated_and_implied: tuple[frozenset[Triple], frozenset[Triple]],
     ) -> Successor:
         # First, as it may raise: an iterator of a store must not be in a frame that an error keeps,
         # since it may be dropped only where it was made.
-        vocabulary = Vocabulary.from_triples(chain(*entailed))
+        vocabulary = Vocabulary.from_triples(chain(*stated_and_implied))
         with self._lock:
             # A store's iterator goes on with what there was when it was made.
             now = self._quads.store.quads_for_pattern(None, None, None, None)
-            held = (self._concepts.held, self._live.held)
+            held = (self._concepts.asserted, self._live.asserted)
             position = self._quads.position
         replaced = {graph: triples, graphs.CATALOG: _catalog(hashes)}
-        return succeed(position, now, replaced, entailed, held, vocabulary)
+        return build_successor(position, now, replaced, stated_and_implied, held, vocabulary)
 
-    def take(self, prepared: PreparedOntology) -> None:
+    def install(self, prepared: PreparedOntology) -> None:
         """Load what was prepared. Raises `OntologyError` if it contradicts the vocabulary, or other
         ontologies were loaded since."""
         with self._lock:
@@ -220,24 +220,24 @@ class Ontology:
                 raise OntologyError(
                     "another ontology was loaded meanwhile", hint="load this one again"
                 )
-            if not self._taken_over(prepared.successor):
+            if not self._adopt(prepared.successor):
                 self._reload({prepared.graph: prepared.triples}, prepared.hashes, prepared.implied)
 
-    def _taken_over(self, successor: Successor | None) -> bool:
+    def _adopt(self, successor: Successor | None) -> bool:
         """Go on with ``successor``; False where too much has changed since it was made. Cost: as
         much as has changed."""
-        missed = None if successor is None else self._quads.missed(successor.position)
+        missed = None if successor is None else self._quads.changes_since(successor.position)
         if successor is None or missed is None:
             return False
         changes = successor.follow(*missed)
-        self._quads.go_on_with(successor.store, changes)
+        self._quads.replace_store(successor.store, changes)
         self._concepts, self._live, self._base = (
             successor.concepts,
             successor.live,
             successor.vocabulary,
         )
-        self._changed()
-        self._static.go_on_with(successor.static)
+        self._bump_version()
+        self._static.replace_store(successor.static)
         self._static.follow(
             *(changes[g] for g in (*CONCEPTS, graphs.CONCEPT_ENTAILMENTS) if g in changes)
         )
@@ -263,7 +263,7 @@ class Ontology:
         quads = self._quads.store.quads_for_pattern(None, _IMPORTS, None, DefaultGraph())
         return tuple(sorted({q.object.value for q in quads if isinstance(q.object, NamedNode)}))
 
-    def static_graph(self, iri: str) -> bool:
+    def has_ontology(self, iri: str) -> bool:
         """True if a loaded ontology has this name: then ``FROM <iri>`` means it."""
         return iri in self._hashes()
 
@@ -277,7 +277,7 @@ class Ontology:
             return self._static.store(self._static_triples)
 
     def _static_triples(self) -> frozenset[Triple]:
-        return self._ontology_triples() | self._concepts.held | self._concepts.current
+        return self._ontology_triples() | self._concepts.asserted | self._concepts.current
 
     # -- what people registered ---------------------------------------------------------------
 
@@ -292,23 +292,25 @@ class Ontology:
         """What a graph says by ``predicate``, of ``subject`` or of all."""
         return self._quads.about(subject, predicate, graph)
 
-    def keep(self, graph: NamedNode, subject: NamedNode, triples: set[Triple]) -> None:
+    def replace_triples(self, graph: NamedNode, subject: NamedNode, triples: set[Triple]) -> None:
         """Makes ``triples`` all that ``graph`` says of ``subject``."""
         with self._lock:
             before = {quad.triple for quad in self._quads.about(subject, None, graph)}
-            change = change_of(frozenset(before), frozenset(triples))
+            change = difference(frozenset(before), frozenset(triples))
             _, implied = self._concepts.update(change.added, change.removed)
             self._quads.apply({graph: change, graphs.CONCEPT_ENTAILMENTS: implied})
             self._quads.flush()
             self._static.follow(change, implied)
-            self._changed()
+            self._bump_version()
 
-    def keep_aside(self, graph: NamedNode, subject: NamedNode, triples: set[Triple]) -> None:
+    def replace_unread_triples(
+        self, graph: NamedNode, subject: NamedNode, triples: set[Triple]
+    ) -> None:
         """The same of what nothing follows from and no continuous query reads: to them the
         ontology is as it was, and they need not look at it anew."""
         with self._lock:
             before = {quad.triple for quad in self._quads.about(subject, None, graph)}
-            self._quads.apply({graph: change_of(frozenset(before), frozenset(triples))})
+            self._quads.apply({graph: difference(frozenset(before), frozenset(triples))})
             self._quads.flush()
 
     # -- the live stream space ---------------------------------------------------------------
@@ -317,47 +319,47 @@ class Ontology:
         """Changes the live stream space; what it entails follows (`entailment`).
 
         A triple in both is there afterwards. Whoever asks sees it; it is brought into the store
-        when somebody does, or by `advance`: what comes and goes in between leaves nothing, and a
+        when somebody does, or by `apply_pending_piece`: what comes and goes in between leaves nothing, and a
         large change is made in pieces. Not flushed: the graph is emptied when the store is opened.
         Cost: O(changed triples).
         """
-        with self._telling:
+        with self._pending_lock:
             for triples, there in ((removed, False), (added, True)):
                 for triple in triples:
-                    self._awaited.pop(triple, None)
-                    will_be = self._arriving.get(triple)
-                    if (self._live.holds(triple) if will_be is None else will_be) != there:
-                        self._awaited[triple] = there
-        if len(self._awaited) > _MOST_AWAITED:
-            self.advance()
+                    self._pending.pop(triple, None)
+                    will_be = self._applying.get(triple)
+                    if (self._live.is_asserted(triple) if will_be is None else will_be) != there:
+                        self._pending[triple] = there
+        if len(self._pending) > _MOST_PENDING:
+            self.apply_pending_piece()
 
-    def advance(self) -> None:
+    def apply_pending_piece(self) -> None:
         """Bring some of what `mirror` was told of into the store, if nobody else is at it."""
-        if self._awaited and self._lock.acquire(blocking=False):
+        if self._pending and self._lock.acquire(blocking=False):
             try:
-                self._bring_in_some()
+                self._apply_pending_piece()
             finally:
                 self._lock.release()
 
-    def _bring_in(self) -> None:
-        while self._awaited:
+    def _apply_pending(self) -> None:
+        while self._pending:
             # Others may have the lock in between.
             with self._lock:
-                self._bring_in_some()
+                self._apply_pending_piece()
 
-    def _bring_in_some(self) -> None:
+    def _apply_pending_piece(self) -> None:
         changed: tuple[list[Triple], list[Triple]] = ([], [])
-        with self._telling:
+        with self._pending_lock:
             # Those first that came first: of the last ones some are about to go again.
-            for _ in range(min(_PIECE, len(self._awaited))):
-                triple, there = self._awaited.popitem(last=False)
-                self._arriving[triple] = there
+            for _ in range(min(_PIECE, len(self._pending))):
+                triple, there = self._pending.popitem(last=False)
+                self._applying[triple] = there
                 changed[there].append(triple)
         try:
             held, implied = self._live.update(changed[True], changed[False])
         finally:
-            with self._telling:
-                self._arriving.clear()
+            with self._pending_lock:
+                self._applying.clear()
         self._quads.apply({graphs.STREAM_SPACE: held, graphs.STREAM_SPACE_ENTAILMENTS: implied})
 
     # -- questions ----------------------------------------------------------------------------
@@ -374,10 +376,10 @@ class Ontology:
     def changes_since(self, position: int | None) -> StoreChanges:
         """What a copy of the store lacks that was made or brought up to date at ``position``; None:
         one that has nothing. Cost: O(changes), or a dump of the store, for which nobody waits."""
-        self._bring_in()
+        self._apply_pending()
         with self._lock:
-            known = self._quads.since(position)
-        return known()
+            dump = self._quads.replica_changes(position)
+        return dump()
 
     def query_rows(self, sparql: str) -> tuple[tuple[str, ...], list[tuple[Term | None, ...]]]:
         """Variables and rows of a SELECT; None is unbound. `QueryRefused` for another form."""
@@ -439,14 +441,14 @@ class Ontology:
         if implied is None:
             implied = self._kept_closure(key)
         if implied is None:
-            implied = entailed(asserted)
+            implied = cached_closure(asserted)
         try:
             vocabulary = Vocabulary.from_triples(asserted | implied)
         except UnitError as error:
             raise OntologyError(str(error)) from error
         rules = Rules(asserted | implied)
         concepts = Entailments(rules, self._concept_triples())
-        live = Entailments(rules, self._live.held)
+        live = Entailments(rules, self._live.asserted)
         wanted = {
             **new,
             graphs.ENTAILMENTS: implied,
@@ -455,13 +457,13 @@ class Ontology:
             graphs.CATALOG: _catalog(hashes),
         }
         now = {graph: self._quads.graph(graph) for graph in wanted}
-        self._quads.apply({graph: change_of(now[graph], then) for graph, then in wanted.items()})
+        self._quads.apply({graph: difference(now[graph], then) for graph, then in wanted.items()})
         self._quads.flush()
         self._concepts, self._live, self._base = concepts, live, vocabulary
-        self._static.go_on_with(None)
-        self._changed()
+        self._static.replace_store(None)
+        self._bump_version()
 
-    def _changed(self) -> None:
+    def _bump_version(self) -> None:
         self.version += 1
         self.vocabulary = self._base.with_events(self.registered.templates(), self.version)
 

@@ -105,7 +105,7 @@ class QuadStore:
             )
         # A store in memory does not grow by what came and went.
         if self.path is None:
-            self.store = self._churn.over(self.store)
+            self.store = self._churn.replace_if_due(self.store)
 
     def _elsewhere(self, triple: Triple, removed: set[Quad]) -> bool:
         holders = self.store.quads_for_pattern(
@@ -121,33 +121,33 @@ class QuadStore:
         if self.path is not None:
             self.store.flush()
 
-    def go_on_with(self, store: Store, changes: Changes) -> None:
+    def replace_store(self, store: Store, changes: Changes) -> None:
         """``store`` takes the place of this one, and then ``changes`` are made. Copies start
         anew."""
         self.store, self._churn = store, Churn()
         self.apply(changes)
-        self._log.forget()
+        self._log.reset()
 
-    def missed(self, position: int) -> tuple[Set[Quad], Set[Quad]] | None:
+    def changes_since(self, position: int) -> tuple[Set[Quad], Set[Quad]] | None:
         """What came and went since; None where that is not known any more."""
         return self._log.since(position)
 
-    def since(self, position: int | None) -> Callable[[], StoreChanges]:
+    def replica_changes(self, position: int | None) -> Callable[[], StoreChanges]:
         """What a copy lacks, see `StoreChanges`: what is returned tells it, and takes as long as
         that takes, in which the store may change."""
-        store, now = self.store, self._log.position
-        found = None if position is None else self._log.since(position)
-        if found is not None:
-            came, went = found
-            return lambda: StoreChanges(now, None, as_nquads(came), as_nquads(went))
+        store, position_now = self.store, self._log.position
+        changes = None if position is None else self._log.since(position)
+        if changes is not None:
+            added, removed = changes
+            return lambda: StoreChanges(position_now, None, as_nquads(added), as_nquads(removed))
 
-        def whole() -> StoreChanges:
+        def full_dump() -> StoreChanges:
             # It may have some of what comes next, which the copy is told once more: no harm.
             dumped = store.dump(format=RdfFormat.N_QUADS)
             assert dumped is not None  # None only if an output file is given
-            return StoreChanges(now, dumped, b"", b"")
+            return StoreChanges(position_now, dumped, b"", b"")
 
-        return whole
+        return full_dump
 
 
 def quads_of(store: Store) -> bytes:
@@ -162,7 +162,7 @@ def store_of(quads: bytes) -> Store:
     return store
 
 
-def opened(path: Path) -> Store:
+def open_store(path: Path) -> Store:
     """The store in a folder. Raises `OntologyError` if another process has it, or it is broken."""
     try:
         path.mkdir(parents=True, exist_ok=True)
@@ -175,7 +175,7 @@ def opened(path: Path) -> Store:
         ) from error
 
 
-def change_of(before: frozenset[Triple], then: frozenset[Triple]) -> Change:
+def difference(before: frozenset[Triple], then: frozenset[Triple]) -> Change:
     """What makes the one of the other."""
     return Change(then - before, before - then)
 

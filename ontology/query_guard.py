@@ -37,14 +37,14 @@ class _Reader(QueryReader):
     dataset: Dataset | None = None
 
     def clauses(self) -> None:
-        while self.takes_word("FROM"):
-            default, named = self.dataset or ((), ())
-            is_named = self.takes_word("NAMED")
+        while self.accept_word("FROM"):
+            default, named_graphs = self.dataset or ((), ())
+            is_named = self.accept_word("NAMED")
             graph = NamedNode(self.iri_of(self.iri("FROM")))
             if is_named:
-                self.dataset = default, (*named, graph)
+                self.dataset = default, (*named_graphs, graph)
             else:
-                self.dataset = (*default, graph), named
+                self.dataset = (*default, graph), named_graphs
 
     def service(self) -> LanguageError:
         return self.error(
@@ -53,7 +53,7 @@ class _Reader(QueryReader):
             "load the data as an ontology, then ask for it here",
         )
 
-    def misplaced(self, hint: str = "") -> LanguageError:
+    def unexpected(self, hint: str = "") -> LanguageError:
         here = self.here
         if here is not None and here.is_word(*_UPDATES):
             return self.error(
@@ -61,13 +61,13 @@ class _Reader(QueryReader):
                 here,
                 "ontologies, templates and annotations have routes of their own",
             )
-        return super().misplaced(hint)
+        return super().unexpected(hint)
 
     def read(self) -> Query:
         """The tree of the text, of which all is read."""
         self.prologue()
         if self.is_word(*_UPDATES):
-            raise self.misplaced()
+            raise self.unexpected()
         if not self.is_word(*FORMS):
             raise self.error(
                 "the text asks nothing: SELECT, ASK, CONSTRUCT or DESCRIBE is missing",

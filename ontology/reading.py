@@ -10,7 +10,7 @@ from pyoxigraph import BlankNode, Literal, NamedNode, RdfFormat, Triple, parse
 
 from .document_guard import check_document
 from .errors import OntologyError
-from .turtle import HEADER_LINES, as_turtle
+from .turtle import HEADER_LINES, to_standard_turtle
 
 TextFormat: TypeAlias = OneOf["turtle", "rdfxml", "jsonld", "ntriples"]
 
@@ -31,7 +31,7 @@ _PLACE: Final = re.compile(
 def read_triples(text: str, format: TextFormat, base: NamedNode) -> frozenset[Triple]:
     """The triples of an ontology text; relative IRIs are resolved against ``base``.
 
-    Turtle may be as the papers print it (`turtle.as_turtle`). Blank nodes get fresh names.
+    Turtle may be as the papers print it (`turtle.to_standard_turtle`). Blank nodes get fresh names.
     Raises `OntologyError`, with line and column where the parser knows them, for a text that is
     ill-formed, too large, or in need of something that would have to be fetched.
     """
@@ -41,7 +41,7 @@ def read_triples(text: str, format: TextFormat, base: NamedNode) -> frozenset[Tr
         raise OntologyError(f"the text has more than {LARGEST_TEXT} characters")
     check_document(text, format)
     header = HEADER_LINES if format == "turtle" else 0
-    source = as_turtle(text) if format == "turtle" else text
+    source = to_standard_turtle(text) if format == "turtle" else text
     try:
         quads = parse(source, _FORMATS[format], base_iri=base.value, rename_blank_nodes=True)
         triples = frozenset(quad.triple for quad in quads)

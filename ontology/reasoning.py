@@ -10,7 +10,7 @@ from typing import Final, Protocol
 
 from pyoxigraph import NamedNode, Triple
 
-from .closure import entailed
+from .closure import cached_closure
 from .reading import TextFormat, read_triples
 
 
@@ -31,7 +31,7 @@ class DirectReasoning:
         return read_triples(text, format, base)
 
     def entailed(self, asserted: frozenset[Triple]) -> frozenset[Triple]:
-        return entailed(asserted)
+        return cached_closure(asserted)
 
 
 DIRECT: Final = DirectReasoning()

@@ -22,7 +22,7 @@ _ANNOTATION = NamedNode(STREAM_SPACE + "Annotation")
 _SPECIFICATION = NamedNode(STREAM_SPACE + "Specification")
 
 
-class Keeping(Protocol):
+class RegistrationStore(Protocol):
     """The store that keeps them."""
 
     def about(
@@ -30,35 +30,37 @@ class Keeping(Protocol):
     ) -> Iterator[Quad]:
         """What a graph says by ``predicate``, of ``subject`` or of all."""
 
-    def keep(self, graph: NamedNode, subject: NamedNode, triples: set[Triple]) -> None:
+    def replace_triples(self, graph: NamedNode, subject: NamedNode, triples: set[Triple]) -> None:
         """Makes ``triples`` all that ``graph`` says of ``subject``; what follows from them
         follows."""
 
-    def keep_aside(self, graph: NamedNode, subject: NamedNode, triples: set[Triple]) -> None:
+    def replace_unread_triples(
+        self, graph: NamedNode, subject: NamedNode, triples: set[Triple]
+    ) -> None:
         """The same of what nothing follows from and no continuous query reads."""
 
 
 class Registrations:
     """The texts by name. Every change is kept when the call returns."""
 
-    def __init__(self, store: Keeping) -> None:
+    def __init__(self, store: RegistrationStore) -> None:
         self._store = store
 
     def set_template(self, event: str, source: str) -> None:
         """Makes ``event`` (an IRI) an event concept with this template text, or replaces it."""
         concept = _iri(event)
-        kept = {
+        triples = {
             Triple(concept, RDF_TYPE, _EVENT),
             Triple(concept, RDF_TYPE, _EVENT_TEMPLATE),
             Triple(concept, _HAS_TEMPLATE, Literal(source)),
         }
-        self._store.keep(graphs.TEMPLATES, concept, kept)
+        self._store.replace_triples(graphs.TEMPLATES, concept, triples)
 
     def remove_template(self, event: str) -> None:
         """Removes the event concept's template, and the concept. KeyError if there is none."""
         if event not in self.templates():
             raise KeyError(event)
-        self._store.keep(graphs.TEMPLATES, _iri(event), set())
+        self._store.replace_triples(graphs.TEMPLATES, _iri(event), set())
 
     def templates(self) -> dict[str, str]:
         """Event concept IRI -> template text."""
@@ -68,7 +70,7 @@ class Registrations:
     def set_annotation(self, subject_name: str, source: str) -> None:
         """Keeps the SSL text of the stream, source or unit of this name."""
         node = graphs.annotation_node(subject_name)
-        self._store.keep(
+        self._store.replace_triples(
             graphs.ANNOTATIONS, node, _named_text(node, _ANNOTATION, subject_name, source)
         )
 
@@ -76,7 +78,7 @@ class Registrations:
         """Forgets the SSL text. KeyError if there is none."""
         if subject_name not in self.annotations():
             raise KeyError(subject_name)
-        self._store.keep(graphs.ANNOTATIONS, graphs.annotation_node(subject_name), set())
+        self._store.replace_triples(graphs.ANNOTATIONS, graphs.annotation_node(subject_name), set())
 
     def annotations(self) -> dict[str, str]:
         """Name of the stream, source or unit -> SSL text."""
@@ -85,14 +87,14 @@ class Registrations:
     def set_stream(self, name: str, declaration_json: str) -> None:
         """Keeps the declaration of a stream."""
         node = graphs.declaration_node(name)
-        kept = _named_text(node, _SPECIFICATION, name, declaration_json)
-        self._store.keep(graphs.DECLARATIONS, node, kept)
+        triples = _named_text(node, _SPECIFICATION, name, declaration_json)
+        self._store.replace_triples(graphs.DECLARATIONS, node, triples)
 
     def remove_stream(self, name: str) -> None:
         """Forgets the declaration. KeyError if there is none."""
         if name not in self.streams():
             raise KeyError(name)
-        self._store.keep(graphs.DECLARATIONS, graphs.declaration_node(name), set())
+        self._store.replace_triples(graphs.DECLARATIONS, graphs.declaration_node(name), set())
 
     def streams(self) -> dict[str, str]:
         """Name of a declared stream -> its declaration as JSON text."""
@@ -101,14 +103,14 @@ class Registrations:
     def set_transformation(self, name: str, description_json: str) -> None:
         """Keeps the description of a transformation."""
         node = graphs.transformation_node(name)
-        kept = _named_text(node, _SPECIFICATION, name, description_json)
-        self._store.keep(graphs.TRANSFORMATIONS, node, kept)
+        triples = _named_text(node, _SPECIFICATION, name, description_json)
+        self._store.replace_triples(graphs.TRANSFORMATIONS, node, triples)
 
     def remove_transformation(self, name: str) -> None:
         """Forgets the description. KeyError if there is none."""
         if name not in self.transformations():
             raise KeyError(name)
-        self._store.keep(graphs.TRANSFORMATIONS, graphs.transformation_node(name), set())
+        self._store.replace_triples(graphs.TRANSFORMATIONS, graphs.transformation_node(name), set())
 
     def transformations(self) -> dict[str, str]:
         """Name of a registered transformation -> its description as JSON text."""
@@ -117,13 +119,13 @@ class Registrations:
     def set_query(self, name: str, registration_json: str) -> None:
         """Keeps the registration of a continuous query."""
         node = graphs.query_node(name)
-        self._store.keep_aside(
+        self._store.replace_unread_triples(
             graphs.QUERIES, node, _named_text(node, _SPECIFICATION, name, registration_json)
         )
 
     def remove_query(self, name: str) -> None:
         """Forgets the registration, if there is one."""
-        self._store.keep_aside(graphs.QUERIES, graphs.query_node(name), set())
+        self._store.replace_unread_triples(graphs.QUERIES, graphs.query_node(name), set())
 
     def queries(self) -> dict[str, str]:
         """Name of a registered continuous query -> its registration as JSON text."""
@@ -132,8 +134,8 @@ class Registrations:
     def set_kpl(self, text: str) -> None:
         """Keeps all KPL declarations; empty text forgets them."""
         node = graphs.KPL
-        kept = _named_text(node, _SPECIFICATION, "KPL", text) if text else set()
-        self._store.keep(graphs.KPL, node, kept)
+        triples = _named_text(node, _SPECIFICATION, "KPL", text) if text else set()
+        self._store.replace_triples(graphs.KPL, node, triples)
 
     def kpl(self) -> str:
         """The KPL declarations; empty if there are none."""
@@ -142,8 +144,8 @@ class Registrations:
     def set_specifications(self, text: str) -> None:
         """Keeps what specifications inserted, as one text; empty text forgets it."""
         node = graphs.SPECIFICATIONS
-        kept = _named_text(node, _SPECIFICATION, "specifications", text) if text else set()
-        self._store.keep(graphs.SPECIFICATIONS, node, kept)
+        triples = _named_text(node, _SPECIFICATION, "specifications", text) if text else set()
+        self._store.replace_triples(graphs.SPECIFICATIONS, node, triples)
 
     def specifications(self) -> str:
         """What specifications inserted; empty if nothing."""

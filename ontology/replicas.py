@@ -38,7 +38,7 @@ class ChangeLog:
         while self._size > MOST:
             self._size -= self._changes.popleft()[2]
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """More has changed than is kept: copies are made anew."""
         self.position += 1
         self._changes.clear()
@@ -50,13 +50,13 @@ class ChangeLog:
         missing = self.position - position
         if missing > len(self._changes):
             return None
-        came: set[Quad] = set()
-        went: set[Quad] = set()
+        added_since: set[Quad] = set()
+        removed_since: set[Quad] = set()
         for number in range(len(self._changes) - missing, len(self._changes)):
             added, removed, _ = self._changes[number]
-            came = (came - removed) | added
-            went = (went - added) | removed
-        return came, went
+            added_since = (added_since - removed) | added
+            removed_since = (removed_since - added) | removed
+        return added_since, removed_since
 
 
 def as_nquads(quads: Iterable[Quad]) -> bytes:

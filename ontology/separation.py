@@ -12,7 +12,7 @@ few rules, and their conclusions follow from the hierarchies' closure (`hierarch
 | scm-dom1, scm-dom2, scm-rng1, scm-rng2, prp-dom, prp-rng | domains, ranges, and types of them |
 
 So `Separation` keeps such *plain* nodes from owlrl, with one deputy for those that say the same of
-themselves, and `Separation.closed` adds what follows. `closure` calls it.
+themselves, and `Separation.merge_closure` adds what follows. `closure` calls it.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
 from ..rdf.namespaces import OWL, RDF, RDF_TYPE, RDFS
 from . import deep_hierarchies
-from .deep_hierarchies import is_standard, mark
+from .deep_hierarchies import is_standard, marks_of
 from .entailment import DOMAIN, RANGE, Rules
 from .hierarchy import (
     OF_CLASSES,
@@ -36,7 +36,7 @@ from .hierarchy import (
     edges,
 )
 
-Saying: TypeAlias = tuple[NamedNode, NamedNode | BlankNode | Literal | Triple]
+PredicateObject: TypeAlias = tuple[NamedNode, NamedNode | BlankNode | Literal | Triple]
 """A predicate and an object."""
 
 _HIERARCHICAL: Final = (*OF_CLASSES, *OF_PROPERTIES)
@@ -58,8 +58,8 @@ _PLAIN_KINDS: Final = frozenset(
 class Separation:
     """``asserted`` in two parts: `rest` is for owlrl, `plain` are the nodes that it lacks.
 
-    Law (tests/laws/ontology/test_ontology.py): owlrl's closure of ``asserted`` is `closed` of its
-    closure of `rest`, but for noise, where `closed` gives an answer.
+    Law (tests/laws/ontology/test_ontology.py): owlrl's closure of ``asserted`` is `merge_closure` of its
+    closure of `rest`, but for noise, where `merge_closure` gives an answer.
     """
 
     def __init__(self, asserted: Set[Triple]) -> None:
@@ -78,11 +78,11 @@ class Separation:
         """The nodes of hierarchies of which nothing is said that other rules ask for."""
         classes = {node for node in self._classes if isinstance(node, NamedNode)}
         properties = {node for node in self._properties if isinstance(node, NamedNode)}
-        told: set[object] = {node for node in classes | properties if is_standard(node)}
-        told |= classes & properties
+        premises: set[object] = {node for node in classes | properties if is_standard(node)}
+        premises |= classes & properties
         for triple in self._asserted:
-            told.update(self._premises(triple, classes, properties))
-        return frozenset((classes | properties) - told)
+            premises.update(self._premises(triple, classes, properties))
+        return frozenset((classes | properties) - premises)
 
     def _premises(
         self, triple: Triple, classes: set[NamedNode], properties: set[NamedNode]
@@ -106,7 +106,7 @@ class Separation:
 
     def _rest(self) -> frozenset[Triple]:
         rest: set[Triple] = set()
-        sayings: dict[Node, set[Saying]] = defaultdict(set)
+        sayings: dict[Node, set[PredicateObject]] = defaultdict(set)
         for triple in self._asserted:
             subject, predicate, object = triple.subject, triple.predicate, triple.object
             assert not isinstance(subject, Triple)
@@ -114,18 +114,18 @@ class Separation:
                 continue
             if predicate in _HIERARCHICAL and {subject, object} & self.plain:
                 continue
-            seen = self._seen(object) if predicate in (RDF_TYPE, *_ENDS) else [object]
+            visible = self._seen(object) if predicate in (RDF_TYPE, *_ENDS) else [object]
             if subject not in self.plain:
-                rest.update(Triple(subject, predicate, each) for each in seen)
+                rest.update(Triple(subject, predicate, each) for each in visible)
             elif predicate not in _ENDS:
-                sayings[subject].update((predicate, each) for each in seen)
+                sayings[subject].update((predicate, each) for each in visible)
         rest.update(self._shortcuts())
-        alike: dict[frozenset[Saying], list[Node]] = defaultdict(list)
+        by_statements: dict[frozenset[PredicateObject], list[Node]] = defaultdict(list)
         for node in sorted(self.plain, key=str):
-            alike[frozenset(sayings.get(node, ()))].append(node)
-        for said, nodes in alike.items():
+            by_statements[frozenset(sayings.get(node, ()))].append(node)
+        for statements, nodes in by_statements.items():
             self._deputies[nodes[0]] = nodes
-            rest.update(Triple(nodes[0], predicate, object) for predicate, object in said)
+            rest.update(Triple(nodes[0], predicate, object) for predicate, object in statements)
         return frozenset(rest)
 
     def _seen(
@@ -147,22 +147,22 @@ class Separation:
                 above = hierarchy[node]
                 if above & self.plain:
                     yield from (Triple(node, inclusion, a) for a in above if a not in self.plain)
-        seen = [property for property in self._properties if property not in self.plain]
+        visible = [property for property in self._properties if property not in self.plain]
         for triple in self._asserted:
             if triple.predicate in _ENDS and triple.subject in self.plain:
-                for lower in seen:
+                for lower in visible:
                     if triple.subject in self._properties[lower]:
                         for kind in self._seen(triple.object):
                             yield Triple(lower, triple.predicate, kind)
 
     # -- what follows --------------------------------------------------------------------------
 
-    def closed(self, entailed: Iterable[Triple]) -> set[Triple] | None:
+    def merge_closure(self, entailed: Iterable[Triple]) -> set[Triple] | None:
         """All that follows, where ``entailed`` is what owlrl says of `rest`, noise left out.
 
         None: plain nodes are premises of other rules after all, so that owlrl has to see them.
         """
-        known = set(self._asserted)
+        triples = set(self._asserted)
         for triple in entailed:
             if triple.predicate.value == OWL + "sameAs" and self.plain:
                 return None
@@ -170,12 +170,12 @@ class Separation:
                 return None
             nodes = self._deputies.get(triple.subject)  # type: ignore[arg-type]
             if nodes is None:
-                known.add(triple)
+                triples.add(triple)
             elif self._is_harmless(triple, nodes):
-                known.update(Triple(n, triple.predicate, triple.object) for n in nodes)
+                triples.update(Triple(n, triple.predicate, triple.object) for n in nodes)
             else:
                 return None
-        return known | self._following(known)
+        return triples | self._following(triples)
 
     def _is_harmless(self, triple: Triple, nodes: Iterable[Node]) -> bool:
         """Whether it makes no plain node a premise of other rules, where it holds of ``nodes``."""
@@ -187,16 +187,16 @@ class Separation:
             return all(kind in self._classes.above(node) for node in nodes)
         return triple in self._asserted
 
-    def _following(self, known: set[Triple]) -> set[Triple]:
+    def _following(self, triples: set[Triple]) -> set[Triple]:
         """What the closure of the hierarchies adds."""
-        classes = Hierarchy(edges(known, OF_CLASSES))
-        properties = Hierarchy(edges(known, OF_PROPERTIES))
-        found = _hierarchical(classes, known, OF_CLASSES)
-        found |= _hierarchical(properties, known, OF_PROPERTIES)
+        classes = Hierarchy(edges(triples, OF_CLASSES))
+        properties = Hierarchy(edges(triples, OF_PROPERTIES))
+        found = _hierarchical(classes, triples, OF_CLASSES)
+        found |= _hierarchical(properties, triples, OF_PROPERTIES)
         for end in _ENDS:
-            found |= _ends(known, end, classes, properties)
-        rules = Rules(known)
-        for triple in known:
+            found |= _ends(triples, end, classes, properties)
+        rules = Rules(triples)
+        for triple in triples:
             found |= rules.entail(triple)
         return found
 
@@ -213,17 +213,17 @@ def _under_thing(asserted: Set[Triple]) -> list[tuple[Node, Node]]:
 def _remarks(asserted: Set[Triple]) -> frozenset[NamedNode]:
     """The predicates from which nothing follows: nothing is said of them."""
     used = {t.predicate for t in asserted}
-    told = {t.subject for t in asserted} | {t.object for t in asserted}
+    described = {t.subject for t in asserted} | {t.object for t in asserted}
     return frozenset(
-        p for p in used if p not in told and (p.value in _REMARKS or not is_standard(p))
+        p for p in used if p not in described and (p.value in _REMARKS or not is_standard(p))
     )
 
 
-def _hierarchical(hierarchy: Hierarchy[Node], known: Set[Triple], kind: Inclusion) -> set[Triple]:
+def _hierarchical(hierarchy: Hierarchy[Node], stated: Set[Triple], kind: Inclusion) -> set[Triple]:
     """The pairs of a hierarchy, or marks where they are too many."""
     inclusion, equivalence = kind
     if hierarchy.pairs > deep_hierarchies.MOST_PAIRS:
-        return set(mark(hierarchy, known, kind))
+        return set(marks_of(hierarchy, stated, kind))
     found: set[Triple] = set()
     for node in hierarchy:
         above = hierarchy[node]
@@ -236,14 +236,14 @@ def _hierarchical(hierarchy: Hierarchy[Node], known: Set[Triple], kind: Inclusio
 
 
 def _ends(
-    known: Set[Triple], end: NamedNode, classes: Hierarchy[Node], properties: Hierarchy[Node]
+    triples: Set[Triple], end: NamedNode, classes: Hierarchy[Node], properties: Hierarchy[Node]
 ) -> set[Triple]:
     """Domains or ranges of each property: those of all that is above it, and what is above those.
 
     Rules scm-dom1, scm-dom2, scm-rng1 and scm-rng2.
     """
     direct: dict[Node, set[Node]] = defaultdict(set)
-    for triple in known:
+    for triple in triples:
         kind = triple.object
         if triple.predicate == end and not isinstance(kind, Literal | Triple):
             assert not isinstance(triple.subject, Triple)

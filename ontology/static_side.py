@@ -36,11 +36,11 @@ class StaticSide:
         if self._store is None:
             store = Store()
             store.extend(map(_merged, triples()))
-            self.go_on_with(store)
+            self.replace_store(store)
             return store
         return self._store
 
-    def go_on_with(self, store: Store | None) -> None:
+    def replace_store(self, store: Store | None) -> None:
         """``store`` takes the place of this one; None: another is made when it is asked for."""
         self._store, self._churn = store, Churn()
 
@@ -54,11 +54,11 @@ class StaticSide:
                 if not self._is_static(triple):
                     self._store.remove(_merged(triple))
             self._churn.note(change.added, change.removed)
-        self._store = self._churn.over(self._store)
+        self._store = self._churn.replace_if_due(self._store)
 
     def _is_static(self, triple: Triple) -> bool:
-        said = (triple.subject, triple.predicate, triple.object)
-        quads = self._quads.store.quads_for_pattern(*said, None)
+        pattern = (triple.subject, triple.predicate, triple.object)
+        quads = self._quads.store.quads_for_pattern(*pattern, None)
         return any(quad.graph_name not in _NOT_STATIC for quad in quads)
 
     def __getstate__(self) -> dict[str, object]:

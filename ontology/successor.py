@@ -50,19 +50,19 @@ class Successor:
     store: Store
     static: Store
 
-    def follow(self, came: Set[Quad], went: Set[Quad]) -> dict[NamedNode, Change]:
+    def follow(self, added: Set[Quad], removed: Set[Quad]) -> dict[NamedNode, Change]:
         """The changes of graphs to be made to ``store``, as these quads came and went since.
 
         ``static`` is brought up to date. Cost: O(changes).
         """
         changes: dict[NamedNode, Change] = {}
-        for graph, (new, old) in _by_graph(came, went).items():
+        for graph, (new, old) in _by_graph(added, removed).items():
             if graph not in _DERIVED:
                 changes[graph] = Change(frozenset(new), frozenset(old))
-        kept = [changes[graph] for graph in CONCEPTS if graph in changes]
+        concept_changes = [changes[graph] for graph in CONCEPTS if graph in changes]
         _, changes[graphs.CONCEPT_ENTAILMENTS] = self.concepts.update(
-            chain.from_iterable(change.added for change in kept),
-            chain.from_iterable(change.removed for change in kept),
+            chain.from_iterable(change.added for change in concept_changes),
+            chain.from_iterable(change.removed for change in concept_changes),
         )
         space = changes.get(graphs.STREAM_SPACE)
         if space is not None:
@@ -72,7 +72,7 @@ class Successor:
         return changes
 
 
-def succeed(
+def build_successor(
     position: int,
     now: Iterator[Quad],
     replaced: Mapping[NamedNode, Set[Triple]],
@@ -112,7 +112,7 @@ def succeed(
             if quad.graph_name != graphs.CATALOG
         )
     static = Store()
-    for some in _pieces(chain(asserted, implied, concepts.held, concepts.current)):
+    for some in _pieces(chain(asserted, implied, concepts.asserted, concepts.current)):
         static.extend(Quad(t.subject, t.predicate, t.object) for t in some)
     return Successor(position, vocabulary, concepts, live, store, static)
 
@@ -124,11 +124,11 @@ def _pieces(items: Iterable[T]) -> Iterator[list[T]]:
 
 
 def _by_graph(
-    came: Set[Quad], went: Set[Quad]
+    added: Set[Quad], removed: Set[Quad]
 ) -> dict[NamedNode, tuple[list[Triple], list[Triple]]]:
     """What came and what went, of each named graph."""
     found: dict[NamedNode, tuple[list[Triple], list[Triple]]] = {}
-    for quads, place in ((came, 0), (went, 1)):
+    for quads, place in ((added, 0), (removed, 1)):
         for quad in quads:
             if isinstance(quad.graph_name, NamedNode):
                 found.setdefault(quad.graph_name, ([], []))[place].append(quad.triple)

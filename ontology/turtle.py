@@ -1,7 +1,7 @@
 """Turtle as the papers print it ([Introspection15 Listings 2 and 3]).
 
 Two liberties are taken there: no prefix is declared, ``:`` meaning the stream-space ontology, and
-a datatype may be a bare name, ``"fusionRGBIR"^^string``. `as_turtle` makes standard Turtle of it;
+a datatype may be a bare name, ``"fusionRGBIR"^^string``. `to_standard_turtle` makes standard Turtle of it;
 standard Turtle stays what it is.
 """
 
@@ -17,7 +17,7 @@ ALL_PREFIXES: Final[dict[str, str]] = {**PREFIXES, "": STREAM_SPACE}
 
 _HEADER: Final = " ".join(f"@prefix {p}: <{iri}> ." for p, iri in ALL_PREFIXES.items()) + "\n"
 HEADER_LINES: Final = 1
-"""How many lines `as_turtle` puts before the text: parsers count them too."""
+"""How many lines `to_standard_turtle` puts before the text: parsers count them too."""
 
 # Strings, IRIs and comments are matched first so that nothing inside them is rewritten. What is not
 # closed goes on to its end: tried again at each quote in it, it would cost the square.
@@ -33,7 +33,7 @@ _TOKEN: Final = re.compile(
 )
 
 
-def as_turtle(text: str) -> str:
+def to_standard_turtle(text: str) -> str:
     """Standard Turtle for ``text``: `HEADER_LINES` lines of prefixes, then the text.
 
     A text that declares a prefix itself overrides the one in the header.

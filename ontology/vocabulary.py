@@ -158,14 +158,14 @@ class Vocabulary:
 
     def suggest(self, name: str, kind: NameKind = "any") -> tuple[str, ...]:
         """Up to three known local names near ``name`` (an IRI or a local name), best first."""
-        known: set[str] = set()
+        names: set[str] = set()
         if kind in ("sort", "any"):
-            known.update(self._sorts)
+            names.update(self._sorts)
         if kind in ("feature", "any"):
-            known.update(self._features)
+            names.update(self._features)
         if kind in ("event", "any"):
-            known.update(self._events)
-        locals_by_key = {local_name(iri).lower(): local_name(iri) for iri in sorted(known)}
+            names.update(self._events)
+        locals_by_key = {local_name(iri).lower(): local_name(iri) for iri in sorted(names)}
         near = difflib.get_close_matches(local_name(name).lower(), locals_by_key, n=3)
         return tuple(locals_by_key[key] for key in near)
 

@@ -30,7 +30,7 @@ INTEGERS: Final = frozenset(
 FRACTIONS: Final = frozenset(XSD + name for name in ("decimal", "float", "double"))
 NUMBERS: Final = INTEGERS | FRACTIONS
 
-KNOWN: Final = NUMBERS | frozenset(
+VALUE_DATATYPES: Final = NUMBERS | frozenset(
     XSD + name
     for name in (
         "anyURI",

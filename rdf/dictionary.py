@@ -6,7 +6,7 @@ fit no column.
 
 Streams say new terms without end, and so do those who ask, so terms are of two kinds. *Pinned* ones
 stay: features, sorts and the static side. *Transient* ones, of streams, computed, and constants of
-queries and annotations (`Named`), are forgotten by mark and sweep when no *holder* has their ids
+queries and annotations (`HeldTerms`), are forgotten by mark and sweep when no *holder* has their ids
 any more (docs/design/0006-terms-that-pass.md).
 """
 
@@ -27,7 +27,7 @@ Ids: TypeAlias = NDArray[np.int32]
 NO_TERM = -1
 """The id of no term: an unbound variable, a value that is absent."""
 
-FLOOR = 32_768
+SWEEP_FLOOR = 32_768
 """So many transient terms are not worth a sweep."""
 _SHARE = 16
 _NONE: Ids = np.empty(0, np.int32)
@@ -41,7 +41,7 @@ class ForgottenTerm(LookupError):
 class Holder(Protocol):
     """Keeps ids of transient terms beyond one call, and says so (`TermDictionary.hold`)."""
 
-    def held(self) -> Iterable[NDArray[Any] | Sequence[int]]:
+    def held_ids(self) -> Iterable[NDArray[Any] | Sequence[int]]:
         """The ids that it has, in arrays of integers, in any order, again and again; negative ones
         are none. What stands where there is no value is not given: it may be anything."""
 
@@ -59,7 +59,7 @@ class TermTable(ABC):
         there are ids: the last one stands for `NO_TERM`, and is never freed."""
 
 
-class Named:
+class HeldTerms:
     """What somebody names: its terms stay as long as this does."""
 
     __slots__ = ("__weakref__", "ids")
@@ -69,12 +69,12 @@ class Named:
         """Theirs, in their order, shape ``(n,)``."""
         dictionary.hold(self)
 
-    def held(self) -> Sequence[Ids]:
+    def held_ids(self) -> Sequence[Ids]:
         """See `Holder`."""
         return (self.ids,)
 
 
-class Kept:
+class TermArena:
     """Who keeps ids in places that nobody asks (keys inside kernels) has them from here: the terms
     stay as long as this does. Memory: a byte an id of the dictionary."""
 
@@ -94,7 +94,7 @@ class Kept:
         self._has[found] = 1
         return found
 
-    def held(self) -> Sequence[NDArray[Any]]:
+    def held_ids(self) -> Sequence[NDArray[Any]]:
         """See `Holder`."""
         return (np.flatnonzero(np.frombuffer(bytes(self._has), np.uint8)),)
 
@@ -113,7 +113,7 @@ class TermDictionary:
     Ids are dense and used again. Cost: a dict look-up per term encoded; a sweep a pass over what is
     held and Python a forgotten term, which is O(1) for each term that came since the last. Memory:
     the pinned terms, and at most the greatest of twice those in use, a sixteenth of the ids that
-    are held, and `FLOOR`.
+    are held, and `SWEEP_FLOOR`.
     """
 
     __slots__ = (
@@ -137,7 +137,7 @@ class TermDictionary:
         self._next = 0
         """The id that the next new term gets: no term has it."""
         self._transient = 0
-        self._due = FLOOR
+        self._due = SWEEP_FLOOR
         self._holders: set[ref[Holder]] = set()
         self._tables: set[ref[TermTable]] = set()
         self.reused: list[int] = []
@@ -197,16 +197,16 @@ class TermDictionary:
 
     def __getstate__(self) -> dict[str, object]:
         """As it is copied: with those who hold and follow it, as far as they live."""
-        kept = {name: getattr(self, name) for name in self.__slots__}
+        state = {name: getattr(self, name) for name in self.__slots__}
         for name in ("_holders", "_tables"):
-            kept[name] = [value for known in kept[name] if (value := known()) is not None]
-        return kept
+            state[name] = [value for reference in state[name] if (value := reference()) is not None]
+        return state
 
-    def __setstate__(self, kept: dict[str, Any]) -> None:
-        for name, value in kept.items():
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        for name, value in state.items():
             setattr(self, name, value)
-        self._holders = {ref(holder) for holder in kept["_holders"]}
-        self._tables = {ref(table) for table in kept["_tables"]}
+        self._holders = {ref(holder) for holder in state["_holders"]}
+        self._tables = {ref(table) for table in state["_tables"]}
 
     def hold(self, holder: Holder) -> None:
         """Ask ``holder`` at each sweep what it has, as long as it lives."""
@@ -238,15 +238,15 @@ class TermDictionary:
         size, rows = len(self._terms), 0
         marked = np.zeros(size + 1, np.bool_)
         # Copies: another thread that reads results may make holders meanwhile.
-        for known in self._holders.copy():
-            holder = known()
+        for reference in self._holders.copy():
+            holder = reference()
             if holder is not None:
-                for ids in holder.held():
+                for ids in holder.held_ids():
                     marked[np.asarray(ids, None if len(ids) else np.int32)] = True
                     rows += len(ids)
         state = np.frombuffer(bytes(self._state), np.uint8)
         marked[:size] |= state == _PINNED
-        tables = [table for known in self._tables.copy() if (table := known()) is not None]
+        tables = [table for reference in self._tables.copy() if (table := reference()) is not None]
         for table in tables:
             marked[table.implied(marked)] = True
         gone = np.flatnonzero((state == _TRANSIENT) & ~marked[:size])
@@ -257,7 +257,7 @@ class TermDictionary:
         self.reused = []
         self._remove(gone.tolist())
         survivors = self._transient
-        self._due = max(FLOOR, 2 * survivors, survivors + (rows + size) // _SHARE)
+        self._due = max(SWEEP_FLOOR, 2 * survivors, survivors + (rows + size) // _SHARE)
         return len(gone)
 
     def _remove(self, gone: Sequence[int]) -> None:

@@ -90,7 +90,7 @@ class ObjectColumn:
         return ObjectColumn(self.kind, self.values[rows], null)
 
     @property
-    def held(self) -> NDArray[Any]:
+    def held_ids(self) -> NDArray[Any]:
         """The ids of terms that are there, in any order."""
         if self.kind is not Kind.TERM:
             return self.values[:0]
@@ -123,12 +123,12 @@ class TripleRows:
         """How many triples the rows stand for."""
         return sum(int(np.count_nonzero(column.present)) for column in self.objects.values())
 
-    def held(self) -> Iterator[NDArray[Any] | Sequence[int]]:
+    def held_ids(self) -> Iterator[NDArray[Any] | Sequence[int]]:
         """The ids of terms that are there (`dictionary.Holder`)."""
         yield self.subject
         yield list(self.objects) if self.sort is None else [*self.objects, self.sort]
         for column in self.objects.values():
-            yield column.held
+            yield column.held_ids
 
     def take(self, rows: NDArray[Any] | slice) -> TripleRows:
         """The rows at ``rows`` (a mask, indices or a slice), in that order."""
@@ -150,10 +150,10 @@ class TimedTriples:
     def __post_init__(self) -> None:
         self.dictionary.hold(self)
 
-    def held(self) -> Iterator[NDArray[Any] | Sequence[int]]:
+    def held_ids(self) -> Iterator[NDArray[Any] | Sequence[int]]:
         """See `dictionary.Holder`."""
         for table in self.tables:
-            yield from table.held()
+            yield from table.held_ids()
 
     def __len__(self) -> int:
         """How many triples."""

@@ -10,7 +10,7 @@ from pyoxigraph import BlankNode, Literal, NamedNode, Variable
 from .ast import Element, Expression, Filter, Group, Triple, Triples
 
 
-def split(group: Group) -> tuple[list[Element], list[Expression]]:
+def split_group(group: Group) -> tuple[list[Element], list[Expression]]:
     """The parts of a group without its filters, and the conditions of these: they hold for all of
     the group. Triples are those of a whole basic graph pattern, which no filter ends."""
     parts: list[Element] = []
@@ -39,24 +39,24 @@ def most_bound_first(triples: Iterable[Triple]) -> list[Triple]:
     The names of streams that are made for a request, and what GROUP_CONCAT and SAMPLE give, follow
     from this order. It stays what it was, for data directories that are replayed.
     """
-    left = list(triples)
-    counts = Counter(term for triple in left for term in _open_places(triple))
-    known: set[Variable | BlankNode] = set()
+    remaining = list(triples)
+    counts = Counter(term for triple in remaining for term in _open_places(triple))
+    bound: set[Variable | BlankNode] = set()
     found: list[Triple] = []
 
     def rank(triple: Triple) -> tuple[int, int, bool, tuple[tuple[int, str], ...]]:
         open = _open_places(triple)
-        free = sum(1 for term in open if term not in known)
+        free = sum(1 for term in open if term not in bound)
         shared = -sum(counts[term] for term in open)
         places = (triple.subject, triple.predicate, triple.object)
         return free, shared, not isinstance(triple.object, Literal), tuple(map(_order, places))
 
-    while left:
-        left = [one for _, _, one in sorted((rank(t), n, t) for n, t in enumerate(left))]
-        least = rank(left[0])[0]
-        block = [triple for triple in left if rank(triple)[0] == least]
-        known.update(term for triple in block for term in _open_places(triple))
-        found.append(left.pop(0))
+    while remaining:
+        remaining = [one for _, _, one in sorted((rank(t), n, t) for n, t in enumerate(remaining))]
+        least = rank(remaining[0])[0]
+        block = [triple for triple in remaining if rank(triple)[0] == least]
+        bound.update(term for triple in block for term in _open_places(triple))
+        found.append(remaining.pop(0))
     return found
 
 

@@ -18,7 +18,7 @@ from pyoxigraph import BlankNode, Literal, NamedNode, Variable
 from .errors import Span
 
 T = TypeVar("T")
-HERE: Final = Span(0, 0)
+NO_SPAN: Final = Span(0, 0)
 """The span of what stands in no source."""
 
 
@@ -56,7 +56,7 @@ class Alternative:
 
 
 @dataclass(frozen=True, slots=True)
-class Repeated:
+class Repetition:
     """``path*``, ``path+``, ``path?``; ``sign`` says which."""
 
     path: Path
@@ -64,15 +64,15 @@ class Repeated:
 
 
 @dataclass(frozen=True, slots=True)
-class Negated:
+class NegatedSet:
     """``!(iri|^iri)``: any step but these, along and against."""
 
     forward: tuple[NamedNode, ...]
     backward: tuple[NamedNode, ...]
 
 
-Path: TypeAlias = NamedNode | Inverse | Sequence | Alternative | Repeated | Negated
-PATHS: Final = (Inverse, Sequence, Alternative, Repeated, Negated)
+Path: TypeAlias = NamedNode | Inverse | Sequence | Alternative | Repetition | NegatedSet
+PATHS: Final = (Inverse, Sequence, Alternative, Repetition, NegatedSet)
 Place: TypeAlias = NamedNode | Literal | BlankNode | Variable
 
 
@@ -144,7 +144,7 @@ class FunctionCall:
 
     iri: NamedNode
     arguments: tuple[Expression, ...]
-    span: Span = field(default=HERE, compare=False)
+    span: Span = field(default=NO_SPAN, compare=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,7 +189,7 @@ class Group:
     """``{…}``; the only element of a group with a sub-query is that."""
 
     elements: tuple[Element, ...]
-    span: Span = field(default=HERE, compare=False)
+    span: Span = field(default=NO_SPAN, compare=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -256,12 +256,12 @@ Element: TypeAlias = (
 
 
 @dataclass(frozen=True, slots=True)
-class Projected:
+class SelectItem:
     """``?v`` or ``(expression AS ?v)`` in a head."""
 
     variable: Variable
     expression: Expression | None = None
-    span: Span = field(default=HERE, compare=False)
+    span: Span = field(default=NO_SPAN, compare=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -290,7 +290,7 @@ class Query:
     form: Form
     where: Group | None
     modifier: str = ""
-    projection: tuple[Projected, ...] | None = None
+    projection: tuple[SelectItem, ...] | None = None
     template: tuple[Triple, ...] | None = None
     is_short: bool = False
     described: tuple[NamedNode | Variable, ...] = ()
@@ -302,7 +302,7 @@ class Query:
     values: Values | None = None
     base: str = ""
     """What IRI() resolves against; "" in sub-queries."""
-    span: Span = field(default=HERE, compare=False)
+    span: Span = field(default=NO_SPAN, compare=False)
     grouped: Span | None = field(default=None, compare=False)
     """Where GROUP BY stands with its keys."""
 
@@ -326,7 +326,7 @@ class Query:
 NODES: Final = (
     *(*PATHS, Triple, Logical, Comparison, In, Arithmetic, Unary, Call, FunctionCall, Exists),
     *(Aggregate, Group, Triples, Filter, Optional, Union, Minus, Graph, Bind, Values, SubSelect),
-    *(Projected, Key, Order, Query),
+    *(SelectItem, Key, Order, Query),
 )
 
 
@@ -377,14 +377,14 @@ def has_aggregate(expression: Expression) -> bool:
     return False
 
 
-def rewritten(node: T, change: Callable[[Any], Any]) -> T:
+def rewrite(node: T, change: Callable[[Any], Any]) -> T:
     """``node`` with each node and term for which ``change`` gives another one replaced by that;
     where it gives None, the parts of the node are looked at."""
     made = change(node)
     if made is not None:
         return made  # type: ignore[no-any-return]
     if isinstance(node, tuple):
-        parts = tuple(rewritten(part, change) for part in node)
+        parts = tuple(rewrite(part, change) for part in node)
         same = all(new is old for new, old in zip(parts, node, strict=True))
         return node if same else parts  # type: ignore[return-value]
     if not isinstance(node, NODES):
@@ -392,7 +392,7 @@ def rewritten(node: T, change: Callable[[Any], Any]) -> T:
     changed = {}
     for name in _FIELDS[type(node)]:
         old = getattr(node, name)
-        new = rewritten(old, change)
+        new = rewrite(old, change)
         if new is not old:
             changed[name] = new
     return replace(node, **changed) if changed else node

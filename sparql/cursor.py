@@ -55,20 +55,20 @@ class Cursor:
         span = Span(end, end) if at is None else at.span
         return LanguageError(message, self.source, span, hint)
 
-    def due(self, what: str, hint: str = "") -> LanguageError:
+    def expected(self, what: str, hint: str = "") -> LanguageError:
         """The error that ``what`` is not here."""
         here = self.here
         if here is None:
             return self.error(f"{what} is due, but the text ends", None, hint)
-        return self.error(f"{what} is due, not `{self.written(here)}`", here, hint)
+        return self.error(f"{what} is due, not `{self.text_of(here)}`", here, hint)
 
-    def misplaced(self, hint: str = "") -> LanguageError:
+    def unexpected(self, hint: str = "") -> LanguageError:
         """The error that no rule of SPARQL goes on here; brackets that do not match come first."""
         here = self.here
         while self.lexer.next() is not None:
             pass
         if here is None:
-            end = self.before.end if self.index else 0
+            end = self.last_token.end if self.index else 0
             advice = hint or "complete its last part, or remove that"
             return LanguageError("the query ends too early", self.source, Span(end, end), advice)
         before = self.tokens[self.index - 1] if self.index else None
@@ -78,9 +78,9 @@ class Cursor:
                 hint = "is a `.` missing before it, to end the triple?"
             elif here.is_mark("}"):
                 hint = "something is missing before the `}`: is a triple incomplete?"
-        return self.error(f"`{_shown(self.written(here))}` cannot stand here", here, hint)
+        return self.error(f"`{_shown(self.text_of(here))}` cannot stand here", here, hint)
 
-    def written(self, token: Token) -> str:
+    def text_of(self, token: Token) -> str:
         """A token as the text has it."""
         return self.source[token.start : token.end]
 
@@ -91,7 +91,7 @@ class Cursor:
         return self.here is None
 
     @property
-    def before(self) -> Token:
+    def last_token(self) -> Token:
         """The token that was taken last."""
         return self.tokens[self.index - 1]
 
@@ -118,14 +118,14 @@ class Cursor:
             here = self.here = self.tokens[self.index] = self.lexer.operator_at(here)
         return here
 
-    def takes_word(self, *words: str) -> bool:
+    def accept_word(self, *words: str) -> bool:
         """Takes one of these words if it is here."""
         found = self.is_word(*words)
         if found:
             self.take()
         return found
 
-    def takes_mark(self, *marks: str) -> bool:
+    def accept_mark(self, *marks: str) -> bool:
         found = self.is_mark(*marks)
         if found:
             self.take()
@@ -133,7 +133,7 @@ class Cursor:
 
     def expect_mark(self, mark: str, hint: str) -> Token:
         if not self.is_mark(mark):
-            raise self.due(f"`{mark}`", hint)
+            raise self.expected(f"`{mark}`", hint)
         return self.take()
 
     # -- names and terms -------------------------------------------------------------------
@@ -142,13 +142,13 @@ class Cursor:
         here = self.here
         if here is None or here.kind not in (Kind.IRI, Kind.PREFIXED):
             hint = "no space may follow `<`" if self.is_mark("<") else "write `<http://…>`"
-            raise self.due(f"an IRI after {after}", hint)
+            raise self.expected(f"an IRI after {after}", hint)
         return self.take()
 
     def variable(self, what: str, hint: str) -> Token:
         here = self.here
         if here is None or here.kind is not Kind.VARIABLE:
-            raise self.due(what, hint)
+            raise self.expected(what, hint)
         return self.take()
 
     def iri_of(self, token: Token) -> str:
@@ -162,7 +162,7 @@ class Cursor:
         """
         token = self.here
         if token is None:
-            raise self.due("a term", "write an IRI, a number, a text in quotes, or a variable")
+            raise self.expected("a term", "write an IRI, a number, a text in quotes, or a variable")
         match token.kind:
             case Kind.VARIABLE:
                 return Variable(self.take().text[1:])
@@ -236,11 +236,13 @@ class Cursor:
                 or name.kind is not Kind.PREFIXED
                 or name.text.find(":") < len(name.text) - 1
             ):
-                raise self.due("a prefix like `dyknow:`", "write `PREFIX dyknow: <http://…>`")
+                raise self.expected("a prefix like `dyknow:`", "write `PREFIX dyknow: <http://…>`")
             self.take()
             iri = self.here
             if iri is None or iri.kind is not Kind.IRI:
-                raise self.due("the IRI of the prefix", f"write `PREFIX {name.text} <http://…>`")
+                raise self.expected(
+                    "the IRI of the prefix", f"write `PREFIX {name.text} <http://…>`"
+                )
             self.take()
             self.prefixes[name.text[:-1]] = iri_text(iri, self.source, {}, self.base)
 

@@ -110,8 +110,8 @@ class ExpressionReader(Cursor):
         if not negated and not operator.is_word("IN"):
             return left
         self.take()
-        if negated and not self.takes_word("IN"):
-            raise self.misplaced("write `?x NOT IN (…)`")
+        if negated and not self.accept_word("IN"):
+            raise self.unexpected("write `?x NOT IN (…)`")
         options = self._listed()
         self.height = max(height, self.height)
         return In(left, options, negated)
@@ -150,7 +150,7 @@ class ExpressionReader(Cursor):
         if height > self.limits.operators:
             raise self.error(
                 f"more than {self.limits.operators} operators stand in each other",
-                self.before,
+                self.last_token,
                 "ask with several queries, one after the other",
             )
 
@@ -184,7 +184,7 @@ class ExpressionReader(Cursor):
         here = self.here
         self.height = 0
         if here is None:
-            raise self.misplaced()
+            raise self.unexpected()
         if here.is_mark("("):
             self.take()
             found = self._logical("||")
@@ -198,7 +198,7 @@ class ExpressionReader(Cursor):
             case Kind.VARIABLE | Kind.STRING | Kind.NUMBER | Kind.WORD:
                 return _constant(self.term())
             case _:
-                raise self.misplaced()
+                raise self.unexpected()
 
     def bracketted(self) -> Expression:
         """[120] BrackettedExpression."""
@@ -210,7 +210,7 @@ class ExpressionReader(Cursor):
     def expect(self, mark: str) -> Token:
         """A mark that alone can stand here."""
         if not self.is_mark(mark):
-            raise self.misplaced()
+            raise self.unexpected()
         return self.take()
 
     def _iri_or_function(self) -> Expression:
@@ -227,7 +227,7 @@ class ExpressionReader(Cursor):
         """[70] FunctionCall."""
         found = self._iri_or_function()
         if not isinstance(found, FunctionCall):
-            raise self.misplaced("a function is called with its arguments in brackets")
+            raise self.unexpected("a function is called with its arguments in brackets")
         return found
 
     def _listed(self) -> tuple[Expression, ...]:
@@ -242,7 +242,7 @@ class ExpressionReader(Cursor):
                 break
             self.expect(",")
             if self.is_mark(")"):
-                raise self.misplaced()
+                raise self.unexpected()
         self.take()
         self.height = height
         return tuple(found)
@@ -254,11 +254,11 @@ class ExpressionReader(Cursor):
         if here is None or not (
             name in FUNCTIONS or name in AGGREGATES or name in ("EXISTS", "NOT")
         ):
-            raise self.misplaced()
+            raise self.unexpected()
         if name in ("EXISTS", "NOT"):
             self.take()
-            if name == "NOT" and not self.takes_word("EXISTS"):
-                raise self.misplaced("write `NOT EXISTS {…}`, or `!` before a condition")
+            if name == "NOT" and not self.accept_word("EXISTS"):
+                raise self.unexpected("write `NOT EXISTS {…}`, or `!` before a condition")
             before, self.aggregates = self.aggregates, False
             found = Exists(self.group(), name == "NOT")
             self.aggregates = before
@@ -266,7 +266,7 @@ class ExpressionReader(Cursor):
             return found
         if name in AGGREGATES:
             if not self.aggregates:
-                raise self.misplaced(
+                raise self.unexpected(
                     "an aggregate stands in the head, in HAVING or in ORDER BY, in no other one"
                 )
             return self._aggregate(self.take())
@@ -287,7 +287,7 @@ class ExpressionReader(Cursor):
         """[127] Aggregate."""
         name = word.text.upper()
         self.expect("(")
-        distinct = self.takes_word("DISTINCT")
+        distinct = self.accept_word("DISTINCT")
         self.aggregates = False
         argument: Expression | None = None
         if name == "COUNT" and self.is_mark("*"):
@@ -297,12 +297,12 @@ class ExpressionReader(Cursor):
             argument = self.expression()
         self.aggregates = True
         separator = None
-        if name == "GROUP_CONCAT" and self.takes_mark(";"):
-            if not self.takes_word("SEPARATOR"):
-                raise self.misplaced("write `; SEPARATOR = ', '`")
+        if name == "GROUP_CONCAT" and self.accept_mark(";"):
+            if not self.accept_word("SEPARATOR"):
+                raise self.unexpected("write `; SEPARATOR = ', '`")
             self.expect("=")
             if self.here is None or self.here.kind is not Kind.STRING:
-                raise self.misplaced("write `; SEPARATOR = ', '`")
+                raise self.unexpected("write `; SEPARATOR = ', '`")
             separator = string_text(self.take(), self.source)
         self.expect(")")
         return Aggregate(name, argument, distinct, separator)
@@ -321,8 +321,8 @@ class ExpressionReader(Cursor):
         """``(expression AS ?v)``, and where it stands."""
         opened = self.expect("(")
         found = self.expression()
-        if not self.takes_word("AS"):
-            raise self.misplaced("write `(expression AS ?name)`")
+        if not self.accept_word("AS"):
+            raise self.unexpected("write `(expression AS ?name)`")
         name = self.named_variable()
         closed = self.expect(")")
         return found, name, Span(opened.start, closed.end)
@@ -330,7 +330,7 @@ class ExpressionReader(Cursor):
     def named_variable(self) -> Variable:
         """[108] Var."""
         if self.here is None or self.here.kind is not Kind.VARIABLE:
-            raise self.misplaced()
+            raise self.unexpected()
         return Variable(self.take().text[1:])
 
 

@@ -27,7 +27,7 @@ from .ast import (
 )
 from .errors import LanguageError, Span
 from .paths import PathReader
-from .scope import visible
+from .scope import visible_variables
 from .tokens import UNLIMITED, Kind, Limits, Token
 
 _FIRST: Final = NamedNode(RDF + "first")
@@ -64,7 +64,7 @@ class PatternReader(PathReader):
         """The error that a SERVICE is here."""
         return self.error("SERVICE is refused", self.here)
 
-    def part(self) -> Element | None:
+    def extension_part(self) -> Element | None:
         """A part of a group that is none of SPARQL 1.1; None where none is here."""
         return None
 
@@ -84,23 +84,23 @@ class PatternReader(PathReader):
 
     def _elements(self, elements: list[Element]) -> None:
         """[54] GroupGraphPatternSub."""
-        seen: dict[str, None] = {}
+        bound: dict[str, None] = {}
         while not self.is_mark("}"):
-            element = self.part() or self._part(seen)
+            element = self.extension_part() or self._part(bound)
             if element is None:
                 element = Triples(self._triples_block())
             elif not isinstance(element, Filter):
                 self._next_block()
             elements.append(element)
-            seen.update(visible(element))
+            bound.update(visible_variables(element))
             if not isinstance(element, Triples):
-                self.takes_mark(".")
+                self.accept_mark(".")
 
-    def _part(self, seen: dict[str, None]) -> Element | None:
+    def _part(self, bound: dict[str, None]) -> Element | None:
         """[56] GraphPatternNotTriples; ``seen``: the variables that the group binds so far."""
         here = self.here
         if here is None:
-            raise self.misplaced()
+            raise self.unexpected()
         if here.is_mark("{"):
             return self._union()
         if not here.is_word(*_PARTS):
@@ -119,7 +119,7 @@ class PatternReader(PathReader):
                 self.take()
                 return Filter(self.constraint())
             case "BIND":
-                return self._bind(seen)
+                return self._bind(bound)
             case "VALUES":
                 self.take()
                 return self.data_block()
@@ -128,7 +128,7 @@ class PatternReader(PathReader):
     def _union(self) -> Element:
         """[67] GroupOrUnionGraphPattern."""
         groups = [self.group()]
-        while self.takes_word("UNION"):
+        while self.accept_word("UNION"):
             groups.append(self.group())
         return Union(tuple(groups)) if len(groups) > 1 else groups[0]
 
@@ -136,21 +136,21 @@ class PatternReader(PathReader):
         """[107] VarOrIri."""
         here = self.here
         if here is None or here.kind not in (Kind.VARIABLE, Kind.IRI, Kind.PREFIXED):
-            raise self.misplaced()
+            raise self.unexpected()
         found = self.term()
         assert isinstance(found, NamedNode | Variable)
         return found
 
-    def _bind(self, seen: dict[str, None]) -> Bind:
+    def _bind(self, bound: dict[str, None]) -> Bind:
         """[60] Bind. The variable is a new one in its group (SPARQL 1.1 §18.2.1)."""
         self.take()
         self.expect("(")
         expression = self.expression()
-        if not self.takes_word("AS"):
-            raise self.misplaced("write `BIND (expression AS ?name)`")
+        if not self.accept_word("AS"):
+            raise self.unexpected("write `BIND (expression AS ?name)`")
         token = self.here
         variable = self.named_variable()
-        if variable.value in seen:
+        if variable.value in bound:
             assert token is not None
             raise self.error(
                 f"`{token.text}` is bound before it in its group",
@@ -191,11 +191,11 @@ class PatternReader(PathReader):
 
     def _data_value(self) -> NamedNode | Literal | None:
         """[65] DataBlockValue."""
-        if self.takes_word("UNDEF"):
+        if self.accept_word("UNDEF"):
             return None
         here = self.here
         if here is None or here.kind in (Kind.VARIABLE, Kind.BLANK) or not self._is_term(here):
-            raise self.misplaced()
+            raise self.unexpected()
         found = self.term()
         assert isinstance(found, NamedNode | Literal)
         return found
@@ -211,10 +211,10 @@ class PatternReader(PathReader):
         before, self.triples = self.triples, []
         while True:
             self._same_subject()
-            if not self.takes_mark("."):
+            if not self.accept_mark("."):
                 here = self.here
                 if here is not None and not here.is_mark("}", "{") and not self.begins_part(here):
-                    raise self.misplaced()
+                    raise self.unexpected()
                 break
             here = self.here
             if here is None or here.is_mark("}", "{") or self.begins_part(here):
@@ -242,7 +242,7 @@ class PatternReader(PathReader):
         if self._begins_verb():
             self._properties(subject)
         elif not has_triples:
-            raise self.misplaced()
+            raise self.unexpected()
 
     def _begins_verb(self) -> bool:
         here = self.here
@@ -259,11 +259,11 @@ class PatternReader(PathReader):
         while True:
             verb = self._verb()
             self._object(subject, verb)
-            while self.takes_mark(","):
+            while self.accept_mark(","):
                 self._object(subject, verb)
-            if not self.takes_mark(";"):
+            if not self.accept_mark(";"):
                 return
-            while self.takes_mark(";"):
+            while self.accept_mark(";"):
                 pass
             if not self._begins_verb():
                 return
@@ -272,7 +272,7 @@ class PatternReader(PathReader):
         """[78] Verb, [84] VerbPath, [85] VerbSimple."""
         here = self.here
         if here is None or not self._begins_verb():
-            raise self.misplaced()
+            raise self.unexpected()
         if here.kind is Kind.VARIABLE:
             return Variable(self.take().text[1:])
         if self.in_template:
@@ -294,13 +294,13 @@ class PatternReader(PathReader):
         """[104] GraphNode, [105] GraphNodePath; and whether triples came with it."""
         here = self.here
         if here is None:
-            raise self.misplaced()
+            raise self.unexpected()
         if here.is_mark("["):
             return self._bracketed()
         if here.is_mark("("):
             return self._collection()
         if not self._is_term(here):
-            raise self.misplaced()
+            raise self.unexpected()
         if here.kind is Kind.BLANK:
             return self._labelled(), False
         return self.term(), False
@@ -309,7 +309,7 @@ class PatternReader(PathReader):
         """[99] BlankNodePropertyList, [163] ANON."""
         self.take()
         node = self._fresh()
-        if self.takes_mark("]"):
+        if self.accept_mark("]"):
             return node, False
         self._properties(node)
         self.expect("]")
@@ -318,7 +318,7 @@ class PatternReader(PathReader):
     def _collection(self) -> tuple[Place, bool]:
         """[102] Collection, [161] NIL."""
         self.take()
-        if self.takes_mark(")"):
+        if self.accept_mark(")"):
             return _NIL, False
         head = node = self._fresh()
         while True:

@@ -32,14 +32,14 @@ from .ast import (
     Key,
     Logical,
     Minus,
-    Negated,
+    NegatedSet,
     Optional,
     Order,
     Path,
     Place,
-    Projected,
     Query,
-    Repeated,
+    Repetition,
+    SelectItem,
     Sequence,
     SubSelect,
     Triple,
@@ -145,7 +145,7 @@ class _Printer:
         )
         return f"VALUES ({head}) {{ {rows} }}"
 
-    def projected(self, one: Projected) -> str:
+    def projected(self, one: SelectItem) -> str:
         if one.expression is None:
             return str(one.variable)
         return f"({self.expression(one.expression)} AS {one.variable})"
@@ -200,9 +200,9 @@ class _Printer:
                 return "(" + " / ".join(map(self.path, parts)) + ")"
             case Alternative(parts):
                 return "(" + " | ".join(map(self.path, parts)) + ")"
-            case Repeated(inner, sign):
+            case Repetition(inner, sign):
                 return f"({self.path(inner)}{sign} )"
-            case Negated(forward, backward):
+            case NegatedSet(forward, backward):
                 found = [self.place(iri) for iri in forward]
                 found += [f"^{self.place(iri)}" for iri in backward]
                 return "!(" + " | ".join(found) + ")"

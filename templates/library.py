@@ -16,7 +16,7 @@ from ..languages.csparql.ast import ContinuousQuery, Template
 from ..languages.errors import LanguageError
 from ..ontology.ontology import Ontology
 from ..rdf.namespaces import DYKNOW, PREFIXES, local_name, shorten
-from .needs import Needs, NeedsError, in_ontology, needs, open_predicates
+from .needs import Needs, NeedsError, is_static_in, needs, open_predicates
 
 
 class TemplateExists(Exception):
@@ -101,7 +101,7 @@ class TemplateLibrary:
 
     def needs(self, query: ContinuousQuery) -> Needs:
         """`needs` of a query with what this library's ontology knows. Raises `NeedsError`."""
-        return needs(query, self._ontology.vocabulary, in_ontology(self._ontology.static_store))
+        return needs(query, self._ontology.vocabulary, is_static_in(self._ontology.static_store))
 
     def _check(self, template: Template) -> None:
         vocabulary = self._ontology.vocabulary
@@ -170,7 +170,7 @@ class TemplateLibrary:
         raise NoSuchTemplate(name, tuple(locals_[local] for local in near))
 
 
-def shipped() -> tuple[str, ...]:
+def shipped_templates() -> tuple[str, ...]:
     """The texts of the templates that come with the system, by file name."""
     folder = files(__package__) / "library"
     found = sorted(

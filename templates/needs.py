@@ -85,7 +85,7 @@ def open_predicates(query: ContinuousQuery) -> tuple[str, ...]:
     return tuple(names)
 
 
-def in_ontology(store: Store) -> Callable[[str], bool]:
+def is_static_in(store: Store) -> Callable[[str], bool]:
     """For `needs`: a property is static if the store declares it or uses it in any graph."""
 
     def is_static(predicate: str) -> bool:
@@ -136,26 +136,26 @@ class _Reader:
         if predicate == RDF_TYPE.value:
             self._check_class(pattern.object)
             return False
-        known = self._vocabulary
-        if known.is_feature(predicate) or known.is_event(predicate):
+        vocabulary = self._vocabulary
+        if vocabulary.is_feature(predicate) or vocabulary.is_event(predicate):
             return True
         if predicate.startswith(DYKNOW) and not (
             self._named_streams or (self._is_static is not None and self._is_static(predicate))
         ):
             raise NeedsError(
                 f"{shorten(predicate)} is neither a feature nor anything else that is known",
-                suggestion(predicate, known.suggest(predicate)),
+                suggestion(predicate, vocabulary.suggest(predicate)),
             )
         return False
 
     def _check_class(self, term: Any) -> None:
         iri = self.iri(term)
-        known = self._vocabulary
+        vocabulary = self._vocabulary
         if iri is None or self._named_streams or not iri.startswith(DYKNOW):
             return
-        if not (known.is_sort(iri) or known.is_event(iri) or known.is_feature(iri)):
+        if not (vocabulary.is_sort(iri) or vocabulary.is_event(iri) or vocabulary.is_feature(iri)):
             raise NeedsError(
-                f"{shorten(iri)} is no known sort", suggestion(iri, known.suggest(iri, "sort"))
+                f"{shorten(iri)} is no known sort", suggestion(iri, vocabulary.suggest(iri, "sort"))
             )
 
     def want(self, pattern: Pattern) -> Want:
@@ -165,11 +165,11 @@ class _Reader:
 
     def sort(self, classes: Iterable[Any]) -> str:
         """The narrowest sort among the classes, the first by name where none is within others."""
-        known = self._vocabulary
+        vocabulary = self._vocabulary
         iris = {iri for term in classes if (iri := self.iri(term)) is not None}
-        sorts = sorted(iri for iri in iris if known.is_sort(iri))
+        sorts = sorted(iri for iri in iris if vocabulary.is_sort(iri))
         # The narrower a sort, the more sorts contain it.
-        return min(sorts, key=lambda sort: -len(known.supersorts(sort)), default=THING)
+        return min(sorts, key=lambda sort: -len(vocabulary.supersorts(sort)), default=THING)
 
 
 def _product(

@@ -12,11 +12,11 @@ from typing import TypeAlias
 
 from pyoxigraph import NamedNode, Variable
 
-from ..languages.object_cache import attached
+from ..languages.object_cache import ObjectCache
 from ..rdf.namespaces import RDF_TYPE
 from ..sparql import ast
-from ..sparql.algebra import split
-from ..sparql.scope import shown
+from ..sparql.algebra import split_group
+from ..sparql.scope import projected_variables
 
 Typing: TypeAlias = Mapping[ast.Place, frozenset[ast.Place]]
 """Subject -> the classes that every solution says it has."""
@@ -33,7 +33,7 @@ class Pattern:
     classes: frozenset[ast.Place]
 
 
-@attached
+@ObjectCache
 def patterns(query: ast.Query) -> tuple[Pattern, ...]:
     """The triple patterns over the default graph, in the order in which they are joined.
 
@@ -56,7 +56,7 @@ def _of_group(
     group: ast.Group, inherited: Typing, *, is_optional: bool = False
 ) -> Iterator[Pattern]:
     classes = _joined(inherited, _required(group))
-    parts, conditions = split(group)
+    parts, conditions = split_group(group)
     existing = [inner for condition in conditions for inner in _existing(condition)]
     tested = (found for inner in existing for found in _of_group(inner, classes))
     if not is_optional:
@@ -110,15 +110,15 @@ def _required_by(element: ast.Element) -> Typing:
             found: dict[ast.Place, frozenset[ast.Place]] = {}
             for triple in triples:
                 if triple.predicate == RDF_TYPE:
-                    known = found.get(triple.subject, frozenset())
-                    found[triple.subject] = known | {triple.object}
+                    classes = found.get(triple.subject, frozenset())
+                    found[triple.subject] = classes | {triple.object}
             return found
         case ast.Group():
             return _required(element)
         case ast.Union(groups):
             return reduce(_common, map(_required, groups))
         case ast.SubSelect(query) if query.where is not None:
-            names = shown(query)
+            names = projected_variables(query)
             return {
                 subject: classes
                 for subject, classes in _required(query.where).items()
@@ -147,10 +147,10 @@ def _steps(triple: ast.Triple, classes: Typing) -> Iterator[Pattern]:
         yield Pattern(triple.subject, verb, triple.object, classes.get(triple.subject, none))
         return
     subject = triple.object if isinstance(verb, ast.Inverse) else None
-    known = frozenset() if subject is None else classes.get(subject, frozenset())
+    classes_of_end = frozenset() if subject is None else classes.get(subject, frozenset())
     for step in ast.walk(verb):
         if isinstance(step, NamedNode):
-            yield Pattern(subject, step, None, known)
+            yield Pattern(subject, step, None, classes_of_end)
 
 
 def head_subjects(query: ast.Query) -> tuple[ast.Place, ...]:

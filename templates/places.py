@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from pyoxigraph import Literal, NamedNode, Variable
 
-from ..languages.object_cache import attached
+from ..languages.object_cache import ObjectCache
 from ..ontology.vocabulary import Vocabulary
 from ..rdf.datatypes import NUMBERS
 from ..rdf.namespaces import RDF_TYPE
@@ -34,7 +34,7 @@ def is_numeric(datatype: str | None) -> bool:
     return datatype in NUMBERS
 
 
-@attached
+@ObjectCache
 def places(query: ast.Query, vocabulary: Vocabulary) -> dict[str, frozenset[Place]]:
     """Variable name -> the restricting positions that it stands in, over the whole body.
 
@@ -77,7 +77,7 @@ class _Numbers:
         named = [
             (node.variable, node.expression)
             for node in self._nodes
-            if isinstance(node, ast.Bind | ast.Projected) and node.expression is not None
+            if isinstance(node, ast.Bind | ast.SelectItem) and node.expression is not None
         ]
         named += [
             (node.alias, node.expression)

@@ -135,7 +135,7 @@ def engine_from(
     engine = Engine(
         now=max(now, portable.now),
         first_reserved=max(first_reserved, after_reserved((*portable.ids, *portable.waiting_ids))),
-        ontology=Ontology.of_quads(portable.quads),
+        ontology=Ontology.from_quads(portable.quads),
         rules=portable.rules,
         **outside.given(),
     )

@@ -33,7 +33,7 @@ def read_aggregate(
         elif at.is_mark(".", ",", ";"):
             at.take()
         else:
-            raise at.due("`(` or FILTER", _EXAMPLE)
+            raise at.expected("`(` or FILTER", _EXAMPLE)
     close = at.take()
     if not aggregations:
         raise at.error("the AGGREGATE clause aggregates nothing", close, _EXAMPLE)
@@ -43,9 +43,9 @@ def _filter(at: ExpressionReader) -> tuple[Expression, Span]:
     at.take()
     start = at.here
     if start is None or at.is_mark("}", ")", "]"):
-        raise at.due("a condition", "write `FILTER (?avg > 100)`")
+        raise at.expected("a condition", "write `FILTER (?avg > 100)`")
     condition = at.constraint()
-    return condition, Span(start.start, at.before.end)
+    return condition, Span(start.start, at.last_token.end)
 
 
 def _aggregation(at: Cursor) -> Aggregation:
@@ -65,14 +65,14 @@ def _aggregation(at: Cursor) -> Aggregation:
 
 
 def _function(at: Cursor) -> str:
-    known = f"known are {', '.join(FUNCTIONS)}"
+    hint = f"known are {', '.join(FUNCTIONS)}"
     word = at.here
     if word is None or word.kind is not Kind.WORD:
-        raise at.due("a function", known)
+        raise at.expected("a function", hint)
     name = word.text.upper()
     if name not in FUNCTIONS:
         near = difflib.get_close_matches(name, FUNCTIONS, n=1)
-        hint = f"did you mean {near[0]}?" if near else known
+        hint = f"did you mean {near[0]}?" if near else hint
         raise at.error(f"`{word.text}` is no aggregate function", word, hint)
     at.take()
     return name

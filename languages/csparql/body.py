@@ -32,20 +32,20 @@ from ...sparql.ast import (
     Key,
     Minus,
     Optional,
-    Projected,
     Query,
+    SelectItem,
     SubSelect,
     Union,
     Values,
     children,
-    rewritten,
+    rewrite,
     variables_of,
     walk,
 )
 from ...sparql.printer import print_query
 from ...sparql.scope import head_variables
 from ..errors import Span
-from ..object_cache import attached
+from ..object_cache import ObjectCache
 from .ast import Aggregation, ContinuousQuery, StreamClause
 
 _LARGEST: Final = 4096
@@ -61,9 +61,9 @@ def bind(query: ContinuousQuery, arguments: Mapping[Variable, Term]) -> Continuo
     Meaning: a join with the row of parameters. Raises `ValueError` for a variable that the query
     does not use or assigns, and for a blank node, which names nothing outside its own text.
     """
-    known, assigned = _used_variables(query.body), _assigned_variables(query.body)
+    used, assigned = _used_variables(query.body), _assigned_variables(query.body)
     for variable, term in arguments.items():
-        if variable.value not in known and not _is_filtered(query, variable.value):
+        if variable.value not in used and not _is_filtered(query, variable.value):
             raise ValueError(f"the query does not use {variable}")
         if variable.value in assigned:
             raise ValueError(f"the query assigns {variable} itself")
@@ -72,17 +72,17 @@ def bind(query: ContinuousQuery, arguments: Mapping[Variable, Term]) -> Continuo
     return replace(query, bindings={**query.bindings, **arguments})
 
 
-@attached
+@ObjectCache
 def _used_variables(body: Query) -> frozenset[str]:
     return frozenset(variables_of(body))
 
 
-@attached
+@ObjectCache
 def _assigned_variables(body: Query) -> frozenset[str]:
     """The names of the variables of ``AS`` in WHERE."""
     found: set[str] = set()
     for node in walk(body.where):
-        if isinstance(node, Bind | Projected) and node.expression is not None:
+        if isinstance(node, Bind | SelectItem) and node.expression is not None:
             found.add(node.variable.value)
         elif isinstance(node, Key) and node.alias is not None:
             found.add(node.alias.value)
@@ -161,18 +161,18 @@ def body_tree(query: ContinuousQuery) -> Query:
     for too much.
     """
     names = tuple(variable.value for variable in query.bindings)
-    known = _trees(query.body)
+    trees = _trees(query.body)
     key = (names, query.aggregations, query.aggregate_filters)
-    found = known.get(key)
+    found = trees.get(key)
     if found is None:
         found = _rewritten(query, {}, names)
-        while len(known) >= _KNOWN:
-            known.pop(next(iter(known), key), None)
-        found = known.setdefault(key, found)
+        while len(trees) >= _KNOWN:
+            trees.pop(next(iter(trees), key), None)
+        found = trees.setdefault(key, found)
     return found
 
 
-@attached
+@ObjectCache
 def _trees(_body: Query) -> dict[Any, Query]:
     return {}
 
@@ -267,14 +267,14 @@ def _rewritten(
             return _resolved(_grouped(rewritten_parts(node), _used(node, parameters)))
         if isinstance(node, Group) and id(node) in own:
             names = list(rows) if node is top else own[id(node)].parameters(list(rows))
-            elements = rewritten(node.elements, change)
+            elements = rewrite(node.elements, change)
             if names:
                 return Group((_row(names, rows), *elements), node.span)
             return replace(node, elements=elements)
         return None
 
     def rewritten_parts(node: Query) -> Query:
-        return replace(node, where=rewritten(node.where, change))
+        return replace(node, where=rewrite(node.where, change))
 
     made = rewritten_parts(body)
     if query.aggregations:
@@ -319,7 +319,7 @@ def _resolved(query: Query) -> Query:
         size, height = _measured(expression, sizes)
         if size > _LARGEST or height > _HIGHEST:
             raise ValueError("names in the head stand for each other too often")
-        return rewritten(expression, _by_name(aliases)) if aliases else expression
+        return rewrite(expression, _by_name(aliases)) if aliases else expression
 
     projection = []
     for one in query.projection or ():
@@ -360,9 +360,9 @@ def _aggregated(query: ContinuousQuery, where: Group, parameters: Sequence[str])
     """{P} becomes {{SELECT keys (F(?x) AS ?a) WHERE {P} GROUP BY … HAVING …}}."""
     names = _keys(query, parameters)
     calls: dict[str, Expression] = {a.alias.value: _call(a) for a in query.aggregations}
-    projection = [Projected(Variable(name)) for name in names]
-    projection += [Projected(Variable(alias), call) for alias, call in calls.items()]
-    having = tuple(rewritten(c, _by_name(calls)) for c, _ in query.aggregate_filters)
+    projection = [SelectItem(Variable(name)) for name in names]
+    projection += [SelectItem(Variable(alias), call) for alias, call in calls.items()]
+    having = tuple(rewrite(c, _by_name(calls)) for c, _ in query.aggregate_filters)
     select = Query(
         Form.SELECT,
         where,

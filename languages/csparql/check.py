@@ -6,7 +6,7 @@ import difflib
 from itertools import pairwise
 
 from ...sparql.ast import Aggregate, Form, Query, variables_of, walk
-from ...sparql.scope import head_variables, visible
+from ...sparql.scope import head_variables, visible_variables
 from ...sparql.tokens import Kind, Token
 from ..errors import LanguageError, Span
 from ..hints import did_you_mean
@@ -22,7 +22,7 @@ class Check:
         self.found = found
         self.body = body
         self.where = body.where
-        self.bound = set(visible(self.where))
+        self.bound = set(visible_variables(self.where))
         self.head = head_variables(body)
         self.parameters = {token.text[1:] for token in found.parameters}
         self.aliases = {aggregation.alias.value for aggregation in found.aggregations}
@@ -35,18 +35,18 @@ class Check:
         self.check_parameters()
 
     def check_head(self) -> None:
-        known = self.bound | self.aliases | self.parameters
-        known |= {one.variable.value for one in self.body.projection or () if one.expression}
-        known |= set(variables_of(self.body.values))
-        known |= {key.alias.value for key in self.body.keys if key.alias is not None}
+        bound = self.bound | self.aliases | self.parameters
+        bound |= {one.variable.value for one in self.body.projection or () if one.expression}
+        bound |= set(variables_of(self.body.values))
+        bound |= {key.alias.value for key in self.body.keys if key.alias is not None}
         for name in self.head:
             # SPARQL shows a variable that nothing binds as unbound; where the name is nearly that
             # of another one, or a graph is to be made of it, it is a mistake.
-            shown = self.body.form is Form.SELECT and not self.found.aggregations
-            if name not in known and not (shown and not did_you_mean(name, known)):
+            is_shown = self.body.form is Form.SELECT and not self.found.aggregations
+            if name not in bound and not (is_shown and not did_you_mean(name, bound)):
                 token = self._token(name, self.body.span)
                 raise self.reader.error(
-                    f"`{token.text}` is not bound in the query", token, _near(name, known)
+                    f"`{token.text}` is not bound in the query", token, _near(name, bound)
                 )
 
     def check_aliases(self) -> None:
@@ -70,14 +70,14 @@ class Check:
         """The AGGREGATE clause against head and WHERE."""
         source = self.reader.source
         body = self.body
-        for word, there, hint in (
+        for word, is_present, hint in (
             ("GROUP BY", body.keys, "say it one way or the other"),
             ("HAVING", body.having, "say it one way or the other"),
             ("VALUES", body.values, "put VALUES inside WHERE"),
         ):
-            if there:
-                behind = (t for t in self.reader.tokens if t.start >= self.where.span.end)
-                first = next(t for t in behind if t.is_word(word.split()[0]))
+            if is_present:
+                after_where = (t for t in self.reader.tokens if t.start >= self.where.span.end)
+                first = next(t for t in after_where if t.is_word(word.split()[0]))
                 raise self.reader.error(f"{word} and AGGREGATE in one query", first, hint)
         if body.selects_all or body.is_short:
             raise self.reader.error(
@@ -86,12 +86,12 @@ class Check:
                 "write `SELECT ?uav ?avg` or `CONSTRUCT {?uav dyknow:speed ?avg}`",
             )
         filtered = {name for condition, _ in self.found.filters for name in variables_of(condition)}
-        seen: set[str] = set()
+        aliases: set[str] = set()
         for aggregation in self.found.aggregations:
             alias, argument = aggregation.alias.value, aggregation.argument.value
-            if alias in seen:
+            if alias in aliases:
                 raise LanguageError(f"`?{alias}` is aggregated twice", source, aggregation.span)
-            seen.add(alias)
+            aliases.add(alias)
             if alias in self.bound:
                 raise LanguageError(
                     f"`?{alias}` is bound in WHERE already",
@@ -116,10 +116,10 @@ class Check:
         self.check_filters()
 
     def check_filters(self) -> None:
-        known = self.aliases | set(self.head) | self.parameters
+        allowed = self.aliases | set(self.head) | self.parameters
         for condition, span in self.found.filters:
             for name in variables_of(condition):
-                if name not in known:
+                if name not in allowed:
                     token = self._token(name, span)
                     raise self.reader.error(
                         f"`{token.text}` is no aggregate and no variable of the head",

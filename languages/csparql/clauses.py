@@ -34,7 +34,7 @@ _BEGINNING: Final = "a query begins with `REGISTER STREAM name AS` or with `SELE
 class Clauses:
     """What the clauses say, gathered while reading. Windows are completed at the end.
 
-    ``kind`` is STREAM, QUERY or TEMPLATE, or "" without REGISTER. ``registered`` and ``written``
+    ``kind`` is STREAM, QUERY or TEMPLATE, or "" without REGISTER. ``register_operator`` and ``head_operator``
     are the stream operators of REGISTER and of the head.
     """
 
@@ -49,8 +49,8 @@ class Clauses:
     groups: list[NamedGroup] = field(default_factory=list)
     ours: list[Span] = field(default_factory=list)
     form: Token | None = None
-    registered: StreamOperator | None = None
-    written: StreamOperator | None = None
+    register_operator: StreamOperator | None = None
+    head_operator: StreamOperator | None = None
 
 
 class ClauseReader(QueryReader):
@@ -63,7 +63,7 @@ class ClauseReader(QueryReader):
 
     def mark_ours(self, first: Token) -> None:
         """What was read since ``first`` is no SPARQL."""
-        self.found.ours.append(Span(first.start, self.before.end))
+        self.found.ours.append(Span(first.start, self.last_token.end))
 
     # -- in the order of a text ------------------------------------------------------------
 
@@ -76,7 +76,7 @@ class ClauseReader(QueryReader):
             self.register()
             self.prologue()
         elif not self.is_word(*FORMS):
-            raise self.due("REGISTER, SELECT, CONSTRUCT, ASK or DESCRIBE", _BEGINNING)
+            raise self.expected("REGISTER, SELECT, CONSTRUCT, ASK or DESCRIBE", _BEGINNING)
         self.found.form = self.here
         return self.found, self.query()
 
@@ -84,11 +84,11 @@ class ClauseReader(QueryReader):
         first = self.take()
         kind = self.here
         if kind is None or not kind.is_word("STREAM", "QUERY", "TEMPLATE", *_OPERATORS):
-            raise self.due("STREAM, QUERY, TEMPLATE, RSTREAM, ISTREAM or DSTREAM")
+            raise self.expected("STREAM, QUERY, TEMPLATE, RSTREAM, ISTREAM or DSTREAM")
         self.take()
         if kind.is_word(*_OPERATORS):
             self.found.kind = "STREAM"
-            self.found.registered = StreamOperator(kind.text.upper())
+            self.found.register_operator = StreamOperator(kind.text.upper())
         else:
             self.found.kind = kind.text.upper()
         self.found.name = self.registered_name()
@@ -96,14 +96,14 @@ class ClauseReader(QueryReader):
             self.parameters()
         self.period()
         if not self.is_word("AS"):
-            raise self.due("AS", "write `… COMPUTE EVERY 1s AS` before the query")
+            raise self.expected("AS", "write `… COMPUTE EVERY 1s AS` before the query")
         self.take()
         self.mark_ours(first)
 
     def registered_name(self) -> Token:
         name = self.here
         if name is None or name.kind not in (Kind.WORD, Kind.PREFIXED, Kind.IRI):
-            raise self.due("a name")
+            raise self.expected("a name")
         return self.take()
 
     def period(self) -> None:
@@ -111,7 +111,7 @@ class ClauseReader(QueryReader):
         if self.is_word("COMPUTE", "COMPUTED"):
             self.take()
             if not self.is_word("EVERY"):
-                raise self.due("EVERY", "write `COMPUTE EVERY 1s`")
+                raise self.expected("EVERY", "write `COMPUTE EVERY 1s`")
         if self.is_word("EVERY"):
             self.take()
             self.found.every = read_duration(self, "the period")
@@ -127,30 +127,30 @@ class ClauseReader(QueryReader):
         while not self.is_mark(")"):
             token = self.here
             if token is None or token.kind is not Kind.VARIABLE:
-                raise self.due("a parameter like `?o`")
+                raise self.expected("a parameter like `?o`")
             if any(token.text[1:] == other.text[1:] for other in self.found.parameters):
                 raise self.error(f"the parameter `{token.text}` is there twice", token)
             self.found.parameters.append(self.take())
             if not self.is_mark(")"):
                 self.expect_mark(",", "parameters are parted by commas")
         self.take()
-        self.given = frozenset(token.text[1:] for token in self.found.parameters)
+        self.group_parameters = frozenset(token.text[1:] for token in self.found.parameters)
 
     def after_form(self) -> None:
         """The stream operator of the head: ``SELECT ISTREAM``, ``SELECT DISTINCT ISTREAM``."""
         if self.is_word(*_OPERATORS):
-            self.head_operator(self.take())
+            self.check_operator(self.take())
 
-    def head_operator(self, word: Token) -> None:
+    def check_operator(self, word: Token) -> None:
         written = StreamOperator(word.text.upper())
-        registered = self.found.registered
+        registered = self.found.register_operator
         if registered not in (None, written):
             raise self.error(
                 f"`{word.text}`, but the query is registered as {registered}",
                 word,
                 "say it in one place",
             )
-        self.found.written = written
+        self.found.head_operator = written
         self.mark_ours(word)
 
     def clauses(self) -> None:
@@ -192,10 +192,10 @@ class ClauseReader(QueryReader):
         if not self.is_word("WHERE") and not self.is_mark("{"):
             if self.here is None:
                 raise self.error("the query has no WHERE", self.found.form, "write `WHERE { … }`")
-            raise self.misplaced()
+            raise self.unexpected()
         return super().where()
 
-    def part(self) -> Graph | None:
+    def extension_part(self) -> Graph | None:
         """``WINDOW name {…}``: a graph whose triples are those of a named window."""
         if not self.is_word("WINDOW"):
             return None
@@ -212,7 +212,7 @@ class ClauseReader(QueryReader):
         return Graph(self.graph_name(), self.group(), is_window=True)
 
     def graph_name(self) -> NamedNode | Variable:
-        word, name = self.before, self.here
+        word, name = self.last_token, self.here
         found = super().graph_name()
         if name is not None and word.is_word("GRAPH", "WINDOW"):
             self.found.groups.append(NamedGroup(word, name))
@@ -231,7 +231,7 @@ class ClauseReader(QueryReader):
             "load the data into the ontology and name it with FROM",
         )
 
-    def misplaced(self, hint: str = "") -> LanguageError:
+    def unexpected(self, hint: str = "") -> LanguageError:
         if self.in_template and self.is_word("WINDOW"):
             word = self.take()
             name = "" if self.here is None else f" {self.here.text}"
@@ -244,7 +244,7 @@ class ClauseReader(QueryReader):
             hint = (
                 "name streams with `FROM STREAM <iri> […]` or `FROM NAMED WINDOW :w ON <iri> […]`"
             )
-        return super().misplaced(hint)
+        return super().unexpected(hint)
 
     # -- when all is read ------------------------------------------------------------------
 

@@ -58,7 +58,7 @@ class Dataset:
 
 def read_from(at: Cursor, dataset: Dataset, every: Every) -> None:
     """What follows FROM, which was taken, in any of its forms."""
-    first = at.before
+    first = at.last_token
     if at.is_word("STREAM"):
         at.take()
         dataset.streams.append(_stream(at, first, Source.STREAM, None, every))
@@ -93,7 +93,7 @@ def _on_stream(
     at: Cursor, first: Token, source: Source, name: Token | None, every: Every
 ) -> StreamSource:
     if not at.is_word("ON"):
-        raise at.due("ON", _NAMED_EXAMPLE)
+        raise at.expected("ON", _NAMED_EXAMPLE)
     at.take()
     if at.is_word("STREAM"):
         at.take()
@@ -105,7 +105,7 @@ def _stream(
 ) -> StreamSource:
     iri = at.iri("FROM STREAM" if source is Source.STREAM else "ON")
     window = read_window(at, "a stream's window", every) if at.is_mark("[") else None
-    return StreamSource(source, iri, name, window, Span(first.start, at.before.end))
+    return StreamSource(source, iri, name, window, Span(first.start, at.last_token.end))
 
 
 def stream_clauses(at: Cursor, dataset: Dataset, default: Window | None) -> list[StreamClause]:

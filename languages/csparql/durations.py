@@ -48,7 +48,7 @@ def read_duration(at: Cursor, what: str) -> int:
     if here is not None and here.kind is Kind.WORD and here.text[0] in "Pp":
         return _xsd(at, what)
     if here is None or here.kind is not Kind.NUMBER or not here.text.isdigit():
-        raise at.due(what, _EXAMPLE)
+        raise at.expected(what, _EXAMPLE)
     at.take()
     factor = _unit(at, what, here)
     # A longer text than any length of time is not handed to int().
@@ -69,22 +69,22 @@ def _unit(at: Cursor, what: str, number: Token) -> int:
         hint = f"write `{number.text}{meant}`"
     elif word in ("", "step", "slide", "tumbling"):
         hint = f"a bare number has no unit: write `{number.text}ms` or `{number.text}s`"
-    raise at.due(f"the unit of {what}", hint)
+    raise at.expected(f"the unit of {what}", hint)
 
 
 def _xsd(at: Cursor, what: str) -> int:
     """``PT0.5S`` is several tokens that touch each other."""
     start = at.take().start
-    while at.here is not None and at.here.start == at.before.end and not at.is_mark("]"):
+    while at.here is not None and at.here.start == at.last_token.end and not at.is_mark("]"):
         at.take()
-    span = Span(start, at.before.end)
+    span = Span(start, at.last_token.end)
     return _parsed(at, what, at.source[span.start : span.end], span)
 
 
 def _literal(at: Cursor, what: str) -> int:
     start = 0 if at.here is None else at.here.start
     term = at.term()
-    span = Span(start, at.before.end)
+    span = Span(start, at.last_token.end)
     if not isinstance(term, Literal) or term.datatype.value not in _DURATIONS:
         raise LanguageError(
             f"{what} is no xsd:duration", at.source, span, 'write `"PT5S"^^xsd:duration` or `PT5S`'

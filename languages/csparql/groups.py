@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from ...sparql.cursor import Cursor
 from ...sparql.tokens import Kind, Token
-from ..hints import near
+from ..hints import suggest_name
 from .dataset import Dataset, Source
 
 
@@ -49,7 +49,7 @@ def check_groups(at: Cursor, groups: list[NamedGroup], dataset: Dataset) -> None
                 f"write `FROM NAMED WINDOW {name.text} ON …`, or leave `WINDOW {name.text}` out",
             )
         if group.is_window and iri not in named:
-            hint = near(name.text, named.values()) if named else _declare(name.text)
+            hint = suggest_name(name.text, named.values()) if named else _declare(name.text)
             raise at.error(f"the window `{name.text}` is not declared", name, hint)
 
 

@@ -14,10 +14,10 @@ from pyoxigraph import Variable
 
 from ...rdf.namespaces import DYKNOW
 from ...sparql.ast import Query
-from ...sparql.scope import visible
+from ...sparql.scope import visible_variables
 from ...sparql.tokens import Kind
 from ...streams.sample import LONGEST_NAME
-from ..text_cache import remembered
+from ..text_cache import TextCache
 from .ast import ContinuousQuery, Dialect, StreamOperator, Template
 from .body import body_tree
 from .check import Check
@@ -77,18 +77,18 @@ def required_parameters(template: Template) -> tuple[Variable, ...]:
     Left a variable they would be unbound, and a condition over them would never hold.
     """
     where = template.query.body.where
-    bound = {} if where is None else visible(where)
+    bound = {} if where is None else visible_variables(where)
     return tuple(p for p in template.parameters if p.value not in bound)
 
 
-@remembered
+@TextCache
 def read(source: str) -> tuple[ClauseReader, Clauses, Query]:
     """What was read of a text: its tokens, its clauses, its SPARQL. Names are not checked."""
     reader = ClauseReader(source)
     return reader, *reader.read()
 
 
-@remembered
+@TextCache
 def _query(source: str) -> ContinuousQuery:
     reader, found, body = read(source)
     assert found.form is not None
@@ -111,7 +111,7 @@ def _query(source: str) -> ContinuousQuery:
         body=body,
         source=source,
         dialect=_dialect(found, found.groups),
-        operator=found.registered or found.written or StreamOperator.RSTREAM,
+        operator=found.register_operator or found.head_operator or StreamOperator.RSTREAM,
         static_named=tuple(reader.iri_of(t) for t in found.dataset.static_named),
         window_variables=frozenset(
             group.variable
@@ -148,7 +148,7 @@ def _name(found: Clauses, reader: ClauseReader) -> str:
 def _dialect(found: Clauses, groups: Sequence[NamedGroup]) -> Dialect:
     """RSP-QL where anything is said that only RSP-QL has."""
     windows = found.dataset.has_windows or any(group.is_window for group in groups)
-    return Dialect.RSP_QL if found.registered or windows else Dialect.C_SPARQL
+    return Dialect.RSP_QL if found.register_operator or windows else Dialect.C_SPARQL
 
 
 def _used_prefixes(reader: ClauseReader) -> dict[str, str]:

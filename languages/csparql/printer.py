@@ -115,8 +115,8 @@ def _fits(query: ContinuousQuery, edits: Sequence[Edit], terms: Mapping[str, str
     """Whether the terms can stand where the edits put them. Terms that are written alike fit
     alike: of the many instances of a template few have to be read."""
     kinds = tuple((name, _DIGITS.sub("0", _kind(text))) for name, text in sorted(terms.items()))
-    told = repr((query.source, sorted(query.prefixes.items()), kinds))
-    key = blake2b(told.encode(), digest_size=16).digest()
+    description = repr((query.source, sorted(query.prefixes.items()), kinds))
+    key = blake2b(description.encode(), digest_size=16).digest()
     if key not in _FITTING:
         if len(_FITTING) >= _REMEMBERED:
             _FITTING.clear()

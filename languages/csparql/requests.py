@@ -26,23 +26,23 @@ def parse_event_request(source: str, prefixes: Mapping[str, str] = PREFIXES) -> 
     at = Cursor(source, prefixes)
     name = at.here
     if name is None or name.kind not in (Kind.IRI, Kind.PREFIXED, Kind.WORD):
-        found = "" if name is None else f", not `{at.written(name)}`"
+        found = "" if name is None else f", not `{at.text_of(name)}`"
         raise at.error(f"the name of an event is due{found}", name, _EXAMPLE)
     at.take()
     event = DYKNOW + name.text if name.kind is Kind.WORD else at.iri_of(name)
-    if not at.takes_mark("("):
+    if not at.accept_mark("("):
         raise at.error("`(` is due after the event's name", at.here, _EXAMPLE)
     arguments: list[Term | Variable] = []
     while not at.is_mark(")"):
         arguments.append(at.term())
-        if at.takes_mark(","):
+        if at.accept_mark(","):
             if at.is_mark(")"):
                 raise at.error("an argument is due after `,`", at.here, _EXAMPLE)
         elif not at.is_mark(")"):
-            raise at.due("`,` or `)`", _EXAMPLE)
+            raise at.expected("`,` or `)`", _EXAMPLE)
     at.take()
     if at.here is not None:
-        raise at.error(f"`{at.written(at.here)}` stands behind the request", at.here)
+        raise at.error(f"`{at.text_of(at.here)}` stands behind the request", at.here)
     return EventRequest(event, tuple(arguments), source)
 
 
@@ -58,7 +58,7 @@ def parse_argument(text: str, prefixes: Mapping[str, str] = PREFIXES) -> Term | 
     argument = at.term()
     if at.here is not None:
         raise at.error(
-            f"`{at.written(at.here)}` stands behind the argument",
+            f"`{at.text_of(at.here)}` stands behind the argument",
             at.here,
             'a text stands in quotes: `"two words"`',
         )

@@ -53,7 +53,7 @@ def read_window(at: Cursor, what: str, every: Every) -> Window:
     else:
         here = at.here
         word = "" if here is None or here.kind is not Kind.WORD else here.text.upper()
-        raise at.due("RANGE, TRIPLES or LANDMARK", _ELSEWHERE.get(word, EXAMPLE))
+        raise at.expected("RANGE, TRIPLES or LANDMARK", _ELSEWHERE.get(word, EXAMPLE))
     at.expect_mark("]", _COUNT_EXAMPLE if isinstance(window, CountWindow) else EXAMPLE)
     return window
 
@@ -82,7 +82,7 @@ def _step(at: Cursor, what: str, every: Every, opened: Token, example: str) -> i
         at.take()
         return read_duration(at, f"the STEP of {what}")
     if not at.is_mark("]"):
-        raise at.due("STEP or `]`", example)
+        raise at.expected("STEP or `]`", example)
     if every is None:
         raise at.error(
             "the window has no STEP, and the query no COMPUTE EVERY to take it from",
@@ -96,7 +96,7 @@ def _instant(at: Cursor) -> int:
     """``"2021-10-07T19:12:53Z"^^xsd:dateTime`` in ns; UTC where it says no zone."""
     start = 0 if at.here is None else at.here.start
     term = at.term()
-    span = Span(start, at.before.end)
+    span = Span(start, at.last_token.end)
     if not isinstance(term, Literal) or term.datatype.value != _DATE_TIME:
         raise LanguageError("a landmark is an xsd:dateTime", at.source, span, _LANDMARK_EXAMPLE)
     try:
@@ -121,7 +121,7 @@ def _count(at: Cursor, what: str) -> CountWindow:
 def _number(at: Cursor, what: str) -> int:
     number = at.here
     if number is None or number.kind is not Kind.NUMBER or not number.text.isdigit():
-        raise at.due(what, f"{_COUNT_EXAMPLE}: triples are counted in whole numbers")
+        raise at.expected(what, f"{_COUNT_EXAMPLE}: triples are counted in whole numbers")
     at.take()
     unit = at.here
     if unit is not None and unit.kind is Kind.WORD and unit.start == number.end:

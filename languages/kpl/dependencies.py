@@ -34,7 +34,7 @@ def feature_token(feature: str) -> str:
     return f"feature {feature}"
 
 
-def made_by(declaration: CheckedDeclaration) -> tuple[str, ...]:
+def tokens_made(declaration: CheckedDeclaration) -> tuple[str, ...]:
     """The tokens that a declaration makes, each once."""
     match declaration:
         case GeneratorDeclaration():
@@ -54,9 +54,9 @@ def made_by(declaration: CheckedDeclaration) -> tuple[str, ...]:
             assert_never(declaration)
 
 
-def needed_by(declaration: CheckedDeclaration) -> tuple[str, ...]:
+def tokens_needed(declaration: CheckedDeclaration) -> tuple[str, ...]:
     """The tokens that a declaration needs, each once. A sort may be one that is not declared."""
-    own = made_by(declaration)
+    own = tokens_made(declaration)
     return tuple(token for token in dict.fromkeys(_needs(declaration)) if token not in own)
 
 
@@ -103,18 +103,20 @@ def generator_needs(generator: GeneratorDeclaration, *variables: str) -> Iterato
             yield feature_token(term.label.feature)
 
 
-def founded(
+def in_dependency_order(
     declarations: Iterable[CheckedDeclaration], known: AbstractSet[str]
 ) -> list[CheckedDeclaration]:
     """Those that have what they need of the tokens ``known``, each behind what it uses, otherwise
     in the order given. Cost: linear, once more for each declaration that is moved at worst."""
     waiting, done = list(declarations), list[CheckedDeclaration]()
-    made: set[str] = set()
+    available: set[str] = set()
     while waiting:
         left = []
         for declaration in waiting:
-            if all(token in made or token not in known for token in needed_by(declaration)):
-                made.update(made_by(declaration))
+            if all(
+                token in available or token not in known for token in tokens_needed(declaration)
+            ):
+                available.update(tokens_made(declaration))
                 done.append(declaration)
             else:
                 left.append(declaration)
@@ -126,12 +128,12 @@ def founded(
 
 def reaches(start: Iterable[str], wanted: str, edges: Mapping[str, AbstractSet[str]]) -> bool:
     """Whether ``wanted`` is needed for ``start``, directly or not. Cost: linear in what is."""
-    seen, todo = set[str](), list(start)
+    visited, todo = set[str](), list(start)
     while todo:
         token = todo.pop()
         if token == wanted:
             return True
-        if token not in seen:
-            seen.add(token)
+        if token not in visited:
+            visited.add(token)
             todo.extend(edges.get(token, ()))
     return False

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from ..errors import LanguageError, Span
-from ..hints import count, did_you_mean, near
+from ..hints import count, did_you_mean, suggest_name
 from . import ast
 from .constraints import to_policy, to_synchronization
 from .declarations import (
@@ -277,13 +277,13 @@ class Generators:
                 else f"declare a generator of it, `strmgen LABEL = {name}`, and name the label",
             )
         scope.check_arity(label, span)
-        for later in scope.written:
+        for later in scope.text_declarations:
             if isinstance(later, ast.Strmgen) and scope.label(later.label) == label:
                 return self._used_before("generator", name, span, later)
         known = scope.keys_of(GeneratorDeclaration)
         pattern = scope.symbols.pattern(label.feature)
         if pattern is None:
-            hint = near(name, known)
+            hint = suggest_name(name, known)
         else:
             hint = did_you_mean(name, known) or (
                 f"`{pattern}` is made for objects as they come: follow one with "
@@ -294,7 +294,7 @@ class Generators:
     def _unknown_pattern(self, label: Label, span: Span) -> LanguageError:
         """No generator of the feature is there, for no object."""
         scope, feature = self.scope, label.feature
-        for declaration in scope.written:
+        for declaration in scope.text_declarations:
             inside = declaration.generators if isinstance(declaration, ast.Foreach) else ()
             for later in (declaration, *inside):
                 if isinstance(later, ast.Strmgen) and scope.label(later.label).feature == feature:
@@ -311,7 +311,7 @@ class Generators:
         is_source = kind is SourceDeclaration
         what = "source" if is_source else "computational unit"
         form = f"source SORT {text}" if is_source else f"compunit SORT {text}(SORT)"
-        for later in scope.written:
+        for later in scope.text_declarations:
             kinds = ast.Source if is_source else ast.Compunit
             if isinstance(later, kinds) and later.name.text == text:
                 return self._used_before(what, text, name.span, later)

@@ -27,7 +27,7 @@ from ..syntax import (
     tokens,
     trees,
 )
-from ..text_cache import remembered
+from ..text_cache import TextCache
 from . import ast
 
 _LONGEST_LABEL: Final = 5 * LONGEST_NAME
@@ -77,7 +77,7 @@ def _grammar() -> Lark:
     return Lark(text, start=starts, parser="lalr", lexer="contextual", propagate_positions=True)
 
 
-@remembered
+@TextCache
 def parse_kpl(source: str) -> ast.Specification:
     """The declarations of a KPL text, in order; ``#`` and ``//`` start comments.
 
@@ -280,8 +280,8 @@ class _Reader:
     def split(self, tree: Tree[Token]) -> tuple[list[Tree[Token]], Tree[Token] | None]:
         """The terms and constraints among arguments, and what stands behind them."""
         nodes = trees(tree)
-        behind = nodes.pop() if nodes[-1].data in ("synchronized", "mediated", "timed") else None
-        return nodes, behind
+        last = nodes.pop() if nodes[-1].data in ("synchronized", "mediated", "timed") else None
+        return nodes, last
 
     def term(self, label: Tree[Token], policy: Iterable[Tree[Token]]) -> ast.StreamTerm:
         constraints = self.constraints(policy)

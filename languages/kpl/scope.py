@@ -29,7 +29,7 @@ class Scope:
     source: str
     unit: str
     vocabulary: Vocabulary | None
-    written: tuple[ast.Declaration, ...]
+    text_declarations: tuple[ast.Declaration, ...]
     by_key: dict[str, CheckedDeclaration]
     symbols: Symbols
 

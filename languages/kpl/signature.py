@@ -22,7 +22,7 @@ from .declarations import (
     StreamDeclaration,
     ValueSort,
 )
-from .dependencies import founded, made_by, needed_by
+from .dependencies import in_dependency_order, tokens_made, tokens_needed
 
 _D = TypeVar("_D", bound=CheckedDeclaration)
 
@@ -86,14 +86,16 @@ class Signature:
         found = self.find(name_or_label)
         if found is None:
             return ()
-        left = [declaration for declaration in self.declarations if declaration.key != found.key]
-        standing = {declaration.key for declaration in founded(left, self._makers.keys())}
-        return tuple(d.key for d in reversed(left) if d.key not in standing)
+        others = [declaration for declaration in self.declarations if declaration.key != found.key]
+        founded = {
+            declaration.key for declaration in in_dependency_order(others, self._makers.keys())
+        }
+        return tuple(d.key for d in reversed(others) if d.key not in founded)
 
     def uses(self, declaration: CheckedDeclaration) -> tuple[str, ...]:
         """Keys of what the declaration names directly; of a feature's streams all generators and
         all that make them."""
-        found = (key for token in needed_by(declaration) for key in self._makers.get(token, ()))
+        found = (key for token in tokens_needed(declaration) for key in self._makers.get(token, ()))
         return tuple(dict.fromkeys(found))
 
     def without(self, names: Iterable[str]) -> Signature:
@@ -106,21 +108,23 @@ class Signature:
             if found is None:
                 raise ValueError(f"{name!r} is not declared")
             keys.add(found.key)
-        left = [declaration for declaration in self.declarations if declaration.key not in keys]
-        standing = founded(left, self._makers.keys())
-        if len(standing) < len(left):
+        others = [declaration for declaration in self.declarations if declaration.key not in keys]
+        founded = in_dependency_order(others, self._makers.keys())
+        if len(founded) < len(others):
             # The first in order lacks something that was named, as what it uses stands before it.
-            there = {declaration.key for declaration in standing}
-            first = next(declaration for declaration in left if declaration.key not in there)
+            founded_keys = {declaration.key for declaration in founded}
+            first = next(
+                declaration for declaration in others if declaration.key not in founded_keys
+            )
             used = keys.intersection(self.uses(first))
             raise ValueError(f"{first.key!r} needs {min(used)!r}: remove it as well")
-        return Signature(tuple(standing))
+        return Signature(tuple(founded))
 
     @cached_property
     def _makers(self) -> dict[str, tuple[str, ...]]:
         """Keys of the declarations that make a token."""
         makers: dict[str, list[str]] = {}
         for declaration in self.declarations:
-            for token in made_by(declaration):
+            for token in tokens_made(declaration):
                 makers.setdefault(token, []).append(declaration.key)
         return {token: tuple(keys) for token, keys in makers.items()}

@@ -10,11 +10,11 @@ from collections.abc import Iterable
 from typing import Final
 
 from ...ontology.vocabulary import Vocabulary
-from ...rdf.datatypes import KNOWN, range_type
+from ...rdf.datatypes import VALUE_DATATYPES, range_type
 from ...rdf.namespaces import DYKNOW, PREFIXES, XSD
 from ...streams.sample import Field, FieldType, Schema
 from ...streams.tuples import flat_names, flat_schema
-from ..hints import did_you_mean, near
+from ..hints import did_you_mean, suggest_name
 from . import ast
 from .declarations import OBJECT_FIELD, VALUE, SortDeclaration, ValueSort
 from .scope import Scope, check_prefix, without_prefix
@@ -59,9 +59,9 @@ def _resolve(name: ast.Name, scope: Scope) -> ValueSort:
         return _of_ontology(text, DYKNOW + text, scope.vocabulary)
     check_prefix(name, scope.source)
     if prefix == "xsd":
-        if XSD + local not in KNOWN:
-            known = [iri.removeprefix(XSD) for iri in KNOWN]
-            raise scope.error(f"XSD has no `{local}`", name.span, near(local, known))
+        if XSD + local not in VALUE_DATATYPES:
+            known = [iri.removeprefix(XSD) for iri in VALUE_DATATYPES]
+            raise scope.error(f"XSD has no `{local}`", name.span, suggest_name(local, known))
         return _simple(text, range_type(XSD + local))
     iri = PREFIXES[prefix] + local
     if scope.vocabulary is not None:
@@ -139,7 +139,7 @@ def _fields_of(name: ast.Name, scope: Scope) -> tuple[Field, ...]:
         raise scope.error(
             f"what values of `{name.text}` are is not known",
             name.span,
-            near(name.text, known_sorts(scope)),
+            suggest_name(name.text, known_sorts(scope)),
         )
     return sort.fields
 

@@ -17,7 +17,7 @@ from .declarations import (
     StreamDeclaration,
     ValueSort,
 )
-from .dependencies import feature_token, generator_needs, needed_by, reaches
+from .dependencies import feature_token, generator_needs, reaches, tokens_needed
 
 SOURCE: Final = "a source"
 COMPUNIT: Final = "a computational unit"
@@ -119,7 +119,7 @@ class Symbols:
                 self._sorts.update(each.name for each in (sort, *inputs))
             case GeneratorDeclaration():
                 self._generator(declaration, declaration.label.objects)
-                needs = needed_by(declaration)
+                needs = tokens_needed(declaration)
                 self._edges[declaration.key] = set(needs)
                 token = feature_token(declaration.label.feature)
                 self._edges.setdefault(token, set()).add(declaration.key)

@@ -66,13 +66,13 @@ def parts_of(specification: Specification, bounds: Bounds) -> tuple[str, ...] | 
     """
     if specification.removals:
         return None
-    named = {one.name: one for one in elements_of(specification.insertions) if one.name}
+    by_name = {one.name: one for one in elements_of(specification.insertions) if one.name}
     parts = [_Part()]
     earlier: set[str] = set()
-    for top in _in_order(specification.insertions, named):
+    for top in _in_order(specification.insertions, by_name):
         for _ in range(2):
             part = parts[-1]
-            written = _Copying(named, earlier, bounds.units).element(top)
+            written = _Copying(by_name, earlier, bounds.units).element(top)
             size = None if written is None else part.size + _size_of(written)
             if written is not None and size is not None and size.fits(bounds):
                 part.units.append(written)
@@ -95,9 +95,9 @@ class _Copying:
     many units."""
 
     def __init__(
-        self, named: Mapping[str, UnitSpecification], earlier: set[str], most: int
+        self, by_name: Mapping[str, UnitSpecification], earlier: set[str], most: int
     ) -> None:
-        self._named = named
+        self._named = by_name
         self._earlier = earlier
         self._left = most
 
@@ -107,25 +107,25 @@ class _Copying:
         if self._left < 0:
             return None
         inputs: list[Input] = []
-        for given in one.inputs:
-            read = self._input(given)
+        for source in one.inputs:
+            read = self._input(source)
             if read is None:
                 return None
             inputs.append(read)
         return replace(one, inputs=tuple(inputs))
 
-    def _input(self, given: Input) -> Input | None:
-        if isinstance(given, StreamReference):
-            if given.name not in self._earlier or not is_reserved(given.name):
-                return given
-            given = self._named[given.name]
-        if given.name in self._earlier:
-            assert given.name is not None
+    def _input(self, source: Input) -> Input | None:
+        if isinstance(source, StreamReference):
+            if source.name not in self._earlier or not is_reserved(source.name):
+                return source
+            source = self._named[source.name]
+        if source.name in self._earlier:
+            assert source.name is not None
             # A name that people gave is there; an invented one was, in another text.
-            if not is_reserved(given.name):
-                return StreamReference(given.name, given.span)
-            given = replace(given, name=None)
-        return self.element(given)
+            if not is_reserved(source.name):
+                return StreamReference(source.name, source.span)
+            source = replace(source, name=None)
+        return self.element(source)
 
 
 def _size_of(one: UnitSpecification) -> _Size:
@@ -136,13 +136,15 @@ def _size_of(one: UnitSpecification) -> _Size:
 def _counted(one: UnitSpecification) -> _Size:
     """Without its bytes."""
     units = list(elements_of([one]))
-    references = sum(isinstance(given, StreamReference) for each in units for given in each.inputs)
+    references = sum(
+        isinstance(source, StreamReference) for each in units for source in each.inputs
+    )
     elements = len(units) + references + sum(len(each.parameters) for each in units)
     return _Size(len(units), elements)
 
 
 def _in_order(
-    tops: Sequence[UnitSpecification], named: Mapping[str, UnitSpecification]
+    tops: Sequence[UnitSpecification], by_name: Mapping[str, UnitSpecification]
 ) -> Iterator[UnitSpecification]:
     """The insertions, each behind those in which a name is given that it reads; what reads itself
     in a circle, in the order of the text: whoever applies it says so."""
@@ -168,9 +170,9 @@ def _read(
     top: UnitSpecification, place: Mapping[str, UnitSpecification]
 ) -> list[UnitSpecification]:
     found = [
-        place[given.name]
+        place[source.name]
         for one in elements_of([top])
-        for given in one.inputs
-        if isinstance(given, StreamReference) and given.name in place
+        for source in one.inputs
+        if isinstance(source, StreamReference) and source.name in place
     ]
     return [one for one in found if one is not top]

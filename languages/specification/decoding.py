@@ -11,7 +11,7 @@ import re
 from typing import Final
 
 from ..errors import LanguageError, Span
-from .markup import shown
+from .markup import abbreviate
 
 MAX_BYTES: Final = 2 * 1024 * 1024
 """The longest text that is read, in bytes; a str counts as UTF-8."""
@@ -42,7 +42,7 @@ _NAMES: Final = {
 _AS_UTF_8: Final = 'write the text as UTF-8, with encoding="UTF-8" or no encoding in its first line'
 
 
-def decoded(text: str | bytes) -> str:
+def decode(text: str | bytes) -> str:
     """The characters of the text, without byte order mark.
 
     Raises `LanguageError` for a text that is too large, an encoding other than UTF-8 and UTF-16 or
@@ -81,7 +81,9 @@ def _check_size(text: str | bytes) -> None:
 
 
 def _decoded_bytes(text: bytes) -> str:
-    mark, name, codec = next(known for known in (*_MARKS, *_UNMARKED) if text.startswith(known[0]))
+    mark, name, codec = next(
+        encoding for encoding in (*_MARKS, *_UNMARKED) if text.startswith(encoding[0])
+    )
     if not codec:
         raise _unread(name, "", Span(0, 0))
     body = text if (mark, name, codec) in _UNMARKED else text.removeprefix(mark)
@@ -104,7 +106,7 @@ def _check_declared(source: str, name: str) -> None:
         return
     if any(declared[1].lower() in names for names in _NAMES.values()):
         raise LanguageError(
-            f"the text is {name}, but declares the encoding `{shown(declared[1])}`",
+            f"the text is {name}, but declares the encoding `{abbreviate(declared[1])}`",
             source,
             Span(*declared.span(1)),
             f'declare encoding="{name}", or leave the encoding out',
@@ -113,4 +115,4 @@ def _check_declared(source: str, name: str) -> None:
 
 
 def _unread(name: str, source: str, span: Span) -> LanguageError:
-    return LanguageError(f"the encoding `{shown(name)}` is not read", source, span, _AS_UTF_8)
+    return LanguageError(f"the encoding `{abbreviate(name)}` is not read", source, span, _AS_UTF_8)

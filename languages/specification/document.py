@@ -11,7 +11,7 @@ from typing import Any, Final
 from lxml import etree
 
 from .markup import BLANKS, XSI, Attribute, Markup, Tag
-from .xml_errors import malformed
+from .xml_errors import malformed_error
 
 _LOCATIONS: Final = (f"{{{XSI}}}schemaLocation", f"{{{XSI}}}noNamespaceSchemaLocation")
 
@@ -48,7 +48,7 @@ class Document:
     tree: Any
 
 
-def read(markup: Markup) -> Document:
+def read_document(markup: Markup) -> Document:
     """The elements of a text that was scanned. Raises `LanguageError` if it is not well-formed."""
     root = _root(markup)
     nodes = list(root.iter())
@@ -97,4 +97,4 @@ def _root(markup: Markup) -> Any:
     except etree.XMLSyntaxError:
         # The exception tells the last error. What is wrong first is in the parser's log.
         first = parser.error_log.filter_from_errors()[0]
-        raise malformed(markup, first.type, first.message, first.line, first.column) from None
+        raise malformed_error(markup, first.type, first.message, first.line, first.column) from None

@@ -141,7 +141,7 @@ class _Scanner:
                 "`&` begins a reference, and none follows", *wrong.span(), "write `&amp;` for `&`"
             )
         raise self.error(
-            f"there is no entity `{shown(wrong[0])}`",
+            f"there is no entity `{abbreviate(wrong[0])}`",
             *wrong.span(),
             "there are `&amp;` `&lt;` `&gt;` `&quot;` `&apos;` and numbers such as `&#233;`",
         )
@@ -199,7 +199,7 @@ class _Scanner:
             )
         if not self.open:
             raise self.error(
-                f"`</{shown(match[1])}>` closes nothing",
+                f"`</{abbreviate(match[1])}>` closes nothing",
                 *match.span(),
                 "leave it out, or open its element",
             )
@@ -207,9 +207,9 @@ class _Scanner:
         if tag.name != match[1]:
             line = self.source.count("\n", 0, tag.span.start) + 1
             raise self.error(
-                f"`</{shown(match[1])}>` stands where `</{shown(tag.name)}>` must",
+                f"`</{abbreviate(match[1])}>` stands where `</{abbreviate(tag.name)}>` must",
                 *match.span(),
-                f"`<{shown(tag.name)}>` of line {line} is still open",
+                f"`<{abbreviate(tag.name)}>` of line {line} is still open",
             )
         return match.end()
 
@@ -221,7 +221,7 @@ class _Scanner:
         name = match[1]
         if self.tags and not self.open:
             raise self.error(
-                f"`{shown(name)}` stands after the end of the specification",
+                f"`{abbreviate(name)}` stands after the end of the specification",
                 start + 1,
                 start + 1 + len(name),
                 "one text holds one specification; several are several texts",
@@ -255,7 +255,7 @@ class _Scanner:
             )
         if self.open:
             tag = self.tags[self.open[-1]]
-            name = shown(tag.name)
+            name = abbreviate(tag.name)
             raise self.error(
                 f"`{name}` is not closed",
                 tag.name_span.start,
@@ -280,7 +280,9 @@ class _Scanner:
             self.broken_attribute(position, word)
         if position == len(self.source) or self.source[position] == "<":
             raise self.error(
-                f"the tag `{shown(name[0])}` has no end", *name.span(), "end it with `>` or `/>`"
+                f"the tag `{abbreviate(name[0])}` has no end",
+                *name.span(),
+                "end it with `>` or `/>`",
             )
         raise self.error(
             f"`{self.source[position]}` cannot stand in a tag",
@@ -290,7 +292,7 @@ class _Scanner:
         )
 
     def broken_attribute(self, position: int, word: re.Match[str]) -> NoReturn:
-        name = shown(word[0])
+        name = abbreviate(word[0])
         equals = re.compile(rf"[{BLANKS}]*=[{BLANKS}]*").match(self.source, word.end())
         if equals is None:
             message, hint = f"the attribute `{name}` has no value", f'write `{name}="…"`'
@@ -304,6 +306,6 @@ class _Scanner:
         raise self.error(message, *word.span(), hint)
 
 
-def shown(text: str) -> str:
+def abbreviate(text: str) -> str:
     """A name or value as messages show it: not longer than it helps."""
     return text if len(text) <= 60 else f"{text[:60]}…"

@@ -22,10 +22,10 @@ from .ast import (
     StreamReference,
     UnitSpecification,
 )
-from .decoding import decoded
-from .document import Document, Element, read
+from .decoding import decode
+from .document import Document, Element, read_document
 from .markup import BLANKS, scan
-from .schema_rules import refusal
+from .schema_rules import first_violation
 
 
 def parse_specification(text: str | bytes) -> Specification:
@@ -34,7 +34,7 @@ def parse_specification(text: str | bytes) -> Specification:
     Bytes are UTF-8 or UTF-16. Raises `LanguageError` for what is larger than 2 MiB or deeper than
     100 elements, for a DOCTYPE, for what is no XML, and for what the schema refuses.
     """
-    document = read(scan(decoded(text)))
+    document = read_document(scan(decode(text)))
     _check(document)
     return _specification(document)
 
@@ -47,16 +47,16 @@ def _schema() -> Any:
 
 def _check(document: Document) -> None:
     """Raises `LanguageError` unless the schema accepts the document."""
-    if error := refusal(document):
+    if error := first_violation(document):
         raise error
     schema = _schema()
     if not schema.validate(document.tree):
-        told = schema.error_log.last_error
+        violation = schema.error_log.last_error
         raise LanguageError(
-            f"the schema refuses the text: {told.message}",
+            f"the schema refuses the text: {violation.message}",
             document.source,
             document.elements[0].tag.name_span,
-            f"it is about line {told.line}; the schema is specification.xsd",
+            f"it is about line {violation.line}; the schema is specification.xsd",
         )
 
 
@@ -66,12 +66,12 @@ _Part: TypeAlias = Input | Parameter | Removal
 def _specification(document: Document) -> Specification:
     """The values of a document that the schema accepts: children first, so nothing recurs."""
     elements = document.elements
-    held: list[list[_Part]] = [[] for _ in elements]
+    children: list[list[_Part]] = [[] for _ in elements]
     insertions: tuple[UnitSpecification, ...] = ()
     removals: tuple[Removal, ...] = ()
     for place, element in reversed([*enumerate(elements)]):
         # Children came last first.
-        parts = held[place][::-1]
+        parts = children[place][::-1]
         match element.name:
             case "specification":
                 pass
@@ -83,7 +83,7 @@ def _specification(document: Document) -> Specification:
                 assert element.parent is not None
                 removed = elements[element.parent].name == "removals"
                 part = _removal(element) if removed else _part(element, parts)
-                held[element.parent].append(part)
+                children[element.parent].append(part)
     return Specification(insertions, removals, document.source)
 
 

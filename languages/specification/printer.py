@@ -70,15 +70,15 @@ def _lines(parts: tuple[_Part, ...]) -> list[str]:
         if isinstance(part, str):
             lines.append(f"{indent}{part}")
             continue
-        held: tuple[_Part, ...] = ()
+        children: tuple[_Part, ...] = ()
         if isinstance(part, UnitSpecification):
-            held = (*part.parameters, *part.inputs)
-        if not held:
+            children = (*part.parameters, *part.inputs)
+        if not children:
             lines.append(f"{indent}<{_tag(part)} />")
             continue
         lines.append(f"{indent}<{_tag(part)}>")
         rest.append((depth, "</spec:cu>"))
-        rest += [(depth + 1, inner) for inner in reversed(held)]
+        rest += [(depth + 1, inner) for inner in reversed(children)]
     return lines
 
 

@@ -17,7 +17,7 @@ from ...streams.sample import LONGEST_NAME
 from ..errors import LanguageError, Span
 from ..hints import did_you_mean
 from .document import Document, Element, Value
-from .markup import BLANKS, NAMESPACE, Attribute, shown
+from .markup import BLANKS, NAMESPACE, Attribute, abbreviate
 
 _NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_.\-]*")
 
@@ -60,7 +60,7 @@ _NAME_OR_TYPE: Final = (
 )
 
 
-def refusal(document: Document) -> LanguageError | None:
+def first_violation(document: Document) -> LanguageError | None:
     """The first thing that the schema does not allow; None if there is nothing."""
     try:
         _Walk(document).walk()
@@ -102,7 +102,7 @@ class _Walk:
         parent = _KINDS[self.kinds[element.parent]]
         if element.name in parent.holds:
             return parent.holds[element.name]
-        name, span = shown(element.name), element.tag.name_span
+        name, span = abbreviate(element.name), element.tag.name_span
         holds = f"{parent.title} holds {_listed(parent.holds)}"
         if element.name in _ELEMENTS:
             raise self.error(f"`{name}` cannot stand in {parent.title}", span, holds)
@@ -112,7 +112,7 @@ class _Walk:
     def root(self, element: Element) -> str:
         if element.name != "specification":
             raise self.error(
-                f"`{shown(element.name)}` is no specification",
+                f"`{abbreviate(element.name)}` is no specification",
                 element.tag.name_span,
                 f"the first element is `specification`, of the namespace `{NAMESPACE}`",
             )
@@ -122,7 +122,7 @@ class _Walk:
     def namespace(self, element: Element) -> None:
         if element.namespace == NAMESPACE:
             return
-        name, namespace = shown(element.tag.name), shown(element.namespace)
+        name, namespace = abbreviate(element.tag.name), abbreviate(element.namespace)
         where = f"in the namespace `{namespace}`" if namespace else "in no namespace"
         prefix = self.document.elements[0].tag.name.rpartition(":")[0]
         if element.parent is None:
@@ -130,18 +130,18 @@ class _Walk:
         elif element.namespace or not prefix:
             hint = f"elements of a specification are in `{NAMESPACE}`"
         else:
-            hint = f"write `{shown(f'{prefix}:{element.name}')}`"
+            hint = f"write `{abbreviate(f'{prefix}:{element.name}')}`"
         raise self.error(f"`{name}` is {where}", element.tag.name_span, hint)
 
     # -- attributes --------------------------------------------------------------------------
 
     def attributes(self, element: Element, kind: str) -> None:
         rules = _KINDS[kind]
-        known = (*rules.required, *rules.optional)
+        allowed = (*rules.required, *rules.optional)
         for attribute in element.foreign:
             raise self.unknown(attribute, attribute.name.rpartition(":")[2], element, kind)
         for name, value in element.attributes.items():
-            if name not in known:
+            if name not in allowed:
                 raise self.unknown(value.place, name, element, kind)
         for name in rules.required:
             if name not in element.attributes:
@@ -159,13 +159,13 @@ class _Walk:
     ) -> LanguageError:
         """An attribute that is not the kind's; ``name`` is it without prefix."""
         rules = _KINDS[kind]
-        known = (*rules.required, *rules.optional)
-        if name in known and name not in element.attributes:
+        allowed = (*rules.required, *rules.optional)
+        if name in allowed and name not in element.attributes:
             hint = f"write `{name}`, without a prefix"
         else:
-            near = "" if name in known else did_you_mean(name, known)
-            hint = near or f"it has {_listed(known) if known else 'none'}"
-        message = f"{rules.title} has no attribute `{shown(attribute.name)}`"
+            near = "" if name in allowed else did_you_mean(name, allowed)
+            hint = near or f"it has {_listed(allowed) if allowed else 'none'}"
+        message = f"{rules.title} has no attribute `{abbreviate(attribute.name)}`"
         return self.error(message, attribute.span, hint)
 
     def value(self, name: str, value: Value, kind: str) -> None:
@@ -180,13 +180,13 @@ class _Walk:
             )
         if name not in _KINDS[kind].references and _NAME.fullmatch(text) is None:
             raise self.error(
-                f"`{shown(text)}` is no name",
+                f"`{abbreviate(text)}` is no name",
                 place,
                 "a name is letters a-z, digits, `_`, `.` and `-`, and begins with a letter or `_`",
             )
         if name not in _KINDS[kind].references and len(text) > LONGEST_NAME:
             raise self.error(
-                f"`{shown(text)}` has {len(text)} characters",
+                f"`{abbreviate(text)}` has {len(text)} characters",
                 place,
                 f"a name has at most {LONGEST_NAME}",
             )
@@ -212,27 +212,27 @@ class _Walk:
         span = element.tag.name_span
         match kind:
             case "insertions" | "removals":
-                if line := self.seen((kind, None, ""), element):
+                if line := self.first_line((kind, None, ""), element):
                     hint = f"put all into the one of line {line}"
                     raise self.error(f"`{kind}` stands twice", span, hint)
             case "unit" if "name" in element.attributes:
                 value = element.attributes["name"]
                 name = value.text.strip(BLANKS)
-                if line := self.seen((kind, None, name), element):
-                    message = f"two units have the name `{shown(name)}`"
+                if line := self.first_line((kind, None, name), element):
+                    message = f"two units have the name `{abbreviate(name)}`"
                     hint = f"the first is on line {line}; `stream` reads the same unit once more"
                     raise self.error(message, value.place.value, hint)
             case "parameter":
                 value = element.attributes["name"]
                 name = value.text.strip(BLANKS)
-                if line := self.seen((kind, element.parent, name), element):
-                    message = f"`{shown(name)}` is set twice"
+                if line := self.first_line((kind, element.parent, name), element):
+                    message = f"`{abbreviate(name)}` is set twice"
                     hint = f"line {line} sets it already; a unit has a parameter once"
                     raise self.error(message, value.place.value, hint)
             case _:
                 pass
 
-    def seen(self, key: tuple[str, int | None, str], element: Element) -> int:
+    def first_line(self, key: tuple[str, int | None, str], element: Element) -> int:
         """The line of the first of this key; 0 if it is this one."""
         first = self.first.setdefault(key, element)
         if first is element:

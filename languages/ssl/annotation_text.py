@@ -53,7 +53,7 @@ def format_annotation(annotation: CheckedAnnotation, vocabulary: Vocabulary | No
     return format_declaration(declaration_of(annotation, vocabulary))
 
 
-def in_ssl(annotation: Annotation, vocabulary: Vocabulary | None = None) -> Annotation:
+def with_ssl_source(annotation: Annotation, vocabulary: Vocabulary | None = None) -> Annotation:
     """The annotation with that text as its source."""
     return replace(annotation, source=format_annotation(annotation, vocabulary))
 

@@ -59,16 +59,16 @@ def check_ssl(
     for-part that makes no sense; nothing is then declared.
     """
     checker = _Checker(source, vocabulary, namespace)
-    seen: set[tuple[type[Declaration], str]] = set()
+    declared: set[tuple[type[Declaration], str]] = set()
     for declaration in declarations:
         key = (type(declaration), declaration.name)
-        if key in seen:
+        if key in declared:
             raise checker.error(
                 f"`{declaration.name}` is declared twice in this text",
                 declaration.span,
                 "one declaration says all that a stream contains",
             )
-        seen.add(key)
+        declared.add(key)
     return tuple(checker.declaration(declaration) for declaration in declarations)
 
 
@@ -101,7 +101,7 @@ class _Checker:
     def contents(self, stream: StreamDeclaration) -> tuple[Content, ...]:
         self.check_entities(stream)
         contents: list[Content] = []
-        said: set[tuple[str, tuple[Role, ...]]] = set()
+        declared: set[tuple[str, tuple[Role, ...]]] = set()
         for term in stream.features:
             span = Span(term.span.start, term.span.start + len(term.feature))
             feature = self.feature(term.feature, span)
@@ -109,13 +109,13 @@ class _Checker:
             unit = self.unit(feature, term.feature, term.unit, term.unit_span)
             self.check_arity(feature, term.feature, len(term.arguments), term.span)
             self.check_field(term.field, term.field_span)
-            if (feature, roles) in said:
+            if (feature, roles) in declared:
                 raise self.error(
                     f"`{term.feature}` of the same object is declared twice",
                     term.span,
                     "name each feature of an object once; another object needs another argument",
                 )
-            said.add((feature, roles))
+            declared.add((feature, roles))
             contents.append(Content(feature, term.field, unit, roles))
         return tuple(contents)
 
@@ -140,19 +140,19 @@ class _Checker:
     def check_entities(self, stream: StreamDeclaration) -> None:
         """Each entity names something in the features, once, and fits with or without `every`."""
         arguments = [argument for term in stream.features for argument in term.arguments]
-        seen: dict[str, Entity] = {}
+        by_term: dict[str, Entity] = {}
         for entity in stream.entities:
             self.check_field(entity.field, entity.span)
             named = [argument for argument in arguments if self.is_named(argument, entity)]
             key = entity.name if any(a.alias for a in named) else self.term(entity)
-            if key in seen:
+            if key in by_term:
                 raise self.error(
                     f"`{entity.name}` is named by two fields, "
-                    f"`{seen[key].field}` and `{entity.field}`",
+                    f"`{by_term[key].field}` and `{entity.field}`",
                     entity.span,
                     "one field names it; tell two of a sort apart: `(UAV as a, UAV as b)`",
                 )
-            seen[key] = entity
+            by_term[key] = entity
             if not named:
                 known = sorted({argument.alias or argument.name for argument in arguments})
                 raise self.error(
@@ -320,13 +320,13 @@ class _Checker:
         )
 
     def inputs(self, unit: CompunitDeclaration) -> tuple[PortAnnotation, ...]:
-        seen: set[str] = set()
+        names: set[str] = set()
         for port in unit.inputs:
-            if port.field in seen:
+            if port.field in names:
                 raise self.error(
                     f"two inputs are called `{port.field}`", port.span, "each needs its own name"
                 )
-            seen.add(port.field)
+            names.add(port.field)
         return tuple(self.port(port) for port in unit.inputs)
 
     def port(self, port: FieldFeature) -> PortAnnotation:
@@ -362,17 +362,17 @@ class _Checker:
         """The output; what no input speaks of gets its names in a field of the output."""
         made = self.port(port)
         self.check_field(port.field, port.span)
-        given = {argument.variable for input in inputs for argument in input.arguments}
+        in_inputs = {argument.variable for input in inputs for argument in input.arguments}
         if any(not input.arguments for input in inputs):
             # Such an input speaks of what the output speaks of.
-            given |= {argument.variable for argument in made.arguments}
+            in_inputs |= {argument.variable for argument in made.arguments}
         for named in entities:
             self.check_field(named.field, named.span)
         fields = {variable_name(entity.name): entity for entity in entities}
         arguments: list[annotation.Argument] = []
         for argument in made.arguments:
             entity = fields.pop(argument.variable, None)
-            if argument.sort is None or argument.variable in given:
+            if argument.sort is None or argument.variable in in_inputs:
                 if entity is not None:
                     raise self.error(
                         f"`{entity.name}` comes with the inputs: no field of the output names it",

@@ -23,7 +23,7 @@ from ..syntax import (
     tokens,
     trees,
 )
-from ..text_cache import remembered
+from ..text_cache import TextCache
 from .ast import (
     Argument,
     CompunitDeclaration,
@@ -63,7 +63,7 @@ def _grammar() -> Lark:
     return Lark(text, parser="lalr", lexer="contextual", propagate_positions=True)
 
 
-@remembered
+@TextCache
 def parse_ssl(source: str) -> tuple[Declaration, ...]:
     """The declarations of an SSL text, in order; `#` starts a comment.
 

@@ -314,7 +314,7 @@ def test_lines_beyond_those_that_libxml2_counts() -> None:
 
 
 def test_the_schema_has_the_last_word(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(parser, "refusal", lambda document: None)
+    monkeypatch.setattr(parser, "first_violation", lambda document: None)
     error = refused(whole("<spec:insertions>\n<spec:cu/></spec:insertions>"))
     assert error.message.startswith("the schema refuses the text: ")
     assert "line 2" in error.hint

@@ -152,9 +152,9 @@ def test_a_domain_ontology_adds_sorts_features_and_objects() -> None:
     air_speed = vocabulary.feature(DYKNOW + "airSpeed")
     assert air_speed is not None
     assert air_speed.unit == vocabulary.feature(DYKNOW + "speed").unit  # type: ignore[union-attr]
-    assert ontology.static_graph(DYKNOW + "ontology/quads")
-    assert ontology.static_graph(DYKNOW + "ontology.rdf")
-    assert not ontology.static_graph("http://e.org/other")
+    assert ontology.has_ontology(DYKNOW + "ontology/quads")
+    assert ontology.has_ontology(DYKNOW + "ontology.rdf")
+    assert not ontology.has_ontology("http://e.org/other")
     # Replaced: what only the old text said or entailed is gone.
     ontology.load("dyknow:q2 a dyknow:UAV .", name="quads")
     assert not ontology.vocabulary.is_sort(DYKNOW + "Quadrotor")
@@ -204,7 +204,7 @@ def test_a_bad_ontology_is_refused_and_changes_nothing(
         plain.load(text, name="bad", format=format)  # type: ignore[arg-type]
     assert refusal.value.line == line
     assert (len(plain.store), plain.version) == (size, version)
-    assert not plain.static_graph(DYKNOW + "ontology/bad")
+    assert not plain.has_ontology(DYKNOW + "ontology/bad")
 
 
 def test_a_system_name_is_refused(plain: Ontology) -> None:
@@ -337,9 +337,9 @@ def test_a_store_in_memory_is_made_anew_now_and_then() -> None:
     name = Triple(own("s1"), own("hasName"), Literal("s1"))
     for _ in range(4 * size):
         ontology.mirror([name], [])
-        ontology.advance()
+        ontology.apply_pending_piece()
         ontology.mirror([], [name])
-        ontology.advance()
+        ontology.apply_pending_piece()
     assert ontology.store is not first
     ontology.mirror([name], [])
     assert len(ontology.store) == size + 2  # in its graph and in the default graph

@@ -10,9 +10,9 @@ from dyknow.languages.csparql import (
 )
 from dyknow.rdf.namespaces import DYKNOW, XSD
 from dyknow.templates.instantiate import ArgumentError, instantiate
-from dyknow.templates.library import shipped
+from dyknow.templates.library import shipped_templates
 
-HIGH_SPEED = parse_template(next(text for text in shipped() if "HighSpeedEvent" in text))
+HIGH_SPEED = parse_template(next(text for text in shipped_templates() if "HighSpeedEvent" in text))
 RANGED = parse_template(
     """REGISTER TEMPLATE dyknow:Ranged(?o, ?feature, ?low, ?high, ?label) COMPUTE EVERY 1s AS
     PREFIX dyknow: <http://www.ida.liu.se/dyknow/>

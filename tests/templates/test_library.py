@@ -13,11 +13,11 @@ from dyknow.templates.library import (
     TemplateExists,
     TemplateLibrary,
     TemplateRefused,
-    shipped,
+    shipped_templates,
 )
 
 HIGH_SPEED = DYKNOW + "HighSpeedEvent"
-LISTING_4 = next(text for text in shipped() if "HighSpeedEvent" in text)
+LISTING_4 = next(text for text in shipped_templates() if "HighSpeedEvent" in text)
 
 
 def template(name, where):
@@ -122,10 +122,10 @@ def test_properties_of_loaded_ontologies_are_static(library, ontology):
 
 
 def test_shipped_templates_register_and_run_with_the_ontology(library):
-    for text in shipped():
+    for text in shipped_templates():
         made = library.register(text)
         assert library.needs(made.query).wants
-    assert len(library.names()) == len(shipped())
+    assert len(library.names()) == len(shipped_templates())
 
 
 def test_arguments_are_bound_not_pasted(library):

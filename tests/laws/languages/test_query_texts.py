@@ -18,7 +18,7 @@ from dyknow.languages.csparql import (
 from dyknow.languages.csparql.parser import read
 from dyknow.languages.csparql.printer import compact
 from dyknow.languages.errors import LanguageError
-from dyknow.sparql.ast import HERE, Graph, variables_of, walk
+from dyknow.sparql.ast import NO_SPAN, Graph, variables_of, walk
 from dyknow.sparql.tokens import tokenize
 
 WORDS = """register stream query as compute every select from named window on range step slide
@@ -93,8 +93,8 @@ def queries(draw: st.DrawFn) -> str:
 
 def meaning(query: ContinuousQuery) -> tuple[object, ...]:
     """All of a query but its spelling."""
-    clauses = tuple(replace(clause, span=HERE) for clause in query.streams)
-    conditions = tuple((condition, HERE) for condition, _ in query.aggregate_filters)
+    clauses = tuple(replace(clause, span=NO_SPAN) for clause in query.streams)
+    conditions = tuple((condition, NO_SPAN) for condition, _ in query.aggregate_filters)
     said = replace(query, streams=clauses, source="", prefixes={}, aggregate_filters=conditions)
     return said, _unlabelled(body_sparql(query))
 
