@@ -1,13 +1,13 @@
-"""Users' SPARQL over a store with deep hierarchies, as if it had all their pairs.
+"""Answers users' SPARQL over a store with deep hierarchies, as if it contained all their pairs.
 
-Each triple pattern that may match a pair becomes a UNION of itself and of a path over the marks
-(`deep_hierarchies`) that gives each missing pair once. What a pattern gives depends on the marks in
-the graph that it is asked of, so that GRAPH and FROM need no rule of their own. A variable as
-predicate, a negated path and DESCRIBE see the pairs and not the marks.
+It rewrites each triple pattern that may match a pair: a UNION of the pattern and of a path over the
+marks (`deep_hierarchies`) that yields each missing pair once. The result depends only on the marks
+in the graph that the pattern reads, so GRAPH and FROM need no rule of their own. A variable
+predicate, a negated path and DESCRIBE see the pairs but not the marks.
 
-Law (tests/laws/ontology/test_deep_hierarchies.py): the answers are those over the pairs, with two
-exceptions. In `(rdfs:subClassOf/path)+`, a sequence that is repeated, a class of a cycle is a
-sub-class of itself; and what stands above owl:Thing may be a standard term.
+Law (tests/laws/ontology/test_deep_hierarchies.py): the answers equal those over the pairs, with two
+exceptions. In `(rdfs:subClassOf/path)+`, a repeated sequence, a class of a cycle is its own
+sub-class; and the terms above owl:Thing may be standard terms.
 """
 
 from __future__ import annotations
@@ -40,10 +40,10 @@ QueryResults: TypeAlias = QuerySolutions | QueryBoolean | QueryTriples
 
 
 def answer(store: Store, text: str) -> QueryResults:
-    """The answer to a query that may be evaluated (`query_guard`).
+    """Evaluate a query that `query_guard` accepted.
 
-    Raises `QueryRefused`, and what Oxigraph raises. Cost: the query's; a text over deep
-    hierarchies is read and printed once more.
+    Raises `QueryRefused`, and the errors of Oxigraph. Cost: the query's; over deep hierarchies the
+    text is parsed and printed once more.
     """
     kinds = deep_kinds(store)
     if not kinds:
@@ -63,7 +63,7 @@ def answer(store: Store, text: str) -> QueryResults:
 
 
 def _described(store: Store, found: QueryTriples) -> QueryResults:
-    """What was found, with the pairs of the nodes instead of their marks."""
+    """Replace the marks in the result of a DESCRIBE by the pairs of the described nodes."""
     triples = list(found)
     described = {triple.subject for triple in triples if triple.predicate in MARKERS}
     described_store = Store()
@@ -77,7 +77,7 @@ def _described(store: Store, found: QueryTriples) -> QueryResults:
 
 
 def with_pairs(query: ast.Query, kinds: Iterable[Marks]) -> ast.Query:
-    """The query over marks that gives what ``query`` gives over pairs."""
+    """Rewrite ``query`` so that it yields over the marks what it yields over the pairs."""
     return _Rewriter(query, tuple(kinds)).query(query)
 
 
@@ -91,10 +91,11 @@ class _Rewriter:
         self._nodes: dict[BlankNode, Variable] = {}
         parts = (one for one in ast.walk(query) if isinstance(one, ast.Triple | ast.Values))
         self._uses = Counter(name for part in parts for name in ast.variables_of(part))
-        """How many patterns and tables of the query have a variable."""
+        """For each variable, the number of patterns and tables that contain it."""
 
     def query(self, query: ast.Query) -> ast.Query:
-        """``*`` and the short form would show the variables that are added."""
+        """Rewrite a query. ``*`` and the short form are written out first: they would expose the
+        added variables."""
         query = ast.rewrite(query, _named)
         if query.is_short:
             query = replace(query, is_short=False)
@@ -122,7 +123,7 @@ class _Rewriter:
             yield _triples(subject, verb, object)
 
     def _place(self, term: ast.Place) -> ast.Place:
-        """A blank node becomes a variable: it may stand in several groups now."""
+        """Replace a blank node by a variable, since it may now stand in several groups."""
         if not isinstance(term, BlankNode):
             return term
         if term not in self._nodes:
@@ -144,7 +145,7 @@ class _Rewriter:
         return ast.Union(tuple(groups))
 
     def _missing(self, subject: ast.Place, predicate: NamedNode, object: ast.Place) -> ast.Group:
-        """The pairs of ``predicate`` that the store does not have, each once."""
+        """Return a group that yields the pairs of ``predicate`` missing in the store, each once."""
         marks = self._marks[predicate]
         stored_as = marks.inclusion if predicate == marks.kind[0] else marks.equivalence
         assert not isinstance(subject, BlankNode)
@@ -157,18 +158,18 @@ class _Rewriter:
         pair = _triples(subject, _edges(marks, predicate), object)
         ends = [place for place in (subject, object) if isinstance(place, Variable)]
         if len(ends) == 2 and self._uses[ends[1].value] == 1:
-            # Oxigraph finds all pairs of a path at once, but those from each node one by one.
+            # Oxigraph finds all pairs of a path at once, but the pairs of given nodes one by one.
             return ast.Group((lower, pair, *map(ast.Filter, conditions)))
         is_lower = ast.Exists(ast.Group((lower,)), negated=False)
         found = ast.Group((pair, *map(ast.Filter, (*conditions, is_lower))))
-        # From a constant the pairs are found at once. Oxigraph would ask of each end that the rest
-        # of the query gives whether it is one: of a sub-query it does not.
+        # From a constant the path yields its pairs at once. A sub-query keeps Oxigraph from testing
+        # each end that the rest of the query yields.
         return _selected(found, ends) if len(ends) == 1 else found
 
     # -- paths ---------------------------------------------------------------------------------
 
     def _path(self, subject: ast.Place, path: ast.Path, object: ast.Place) -> Iterator[ast.Element]:
-        """Elements that give the ends of ``path`` as often as the path does."""
+        """Yield elements that bind the ends of ``path`` with the multiplicity of the path."""
         match path:
             case NamedNode() if path in self._marks:
                 stored = ast.Group((_triples(subject, path, object),))
@@ -192,7 +193,7 @@ class _Rewriter:
     def _distinct(
         self, subject: ast.Place, groups: Iterable[ast.Group], object: ast.Place
     ) -> ast.Group:
-        """Each solution of ``groups`` once: Oxigraph's alternatives are sets of pairs."""
+        """Return each solution of ``groups`` once: Oxigraph's alternatives are sets of pairs."""
         ends = [place for place in (subject, object) if isinstance(place, Variable)]
         found = ast.Group((ast.Union(tuple(groups)),))
         return _selected(found, dict.fromkeys(ends or [next(self._free)]), "DISTINCT")
@@ -208,7 +209,7 @@ class _Rewriter:
         return ast.Union(tuple(groups))
 
     def _steps(self, path: ast.Path) -> ast.Path:
-        """The path where only the set of pairs matters that its repetition gives."""
+        """Rewrite a repeated path, of which only the set of pairs matters."""
 
         def change(path: object) -> ast.Path | None:
             if isinstance(path, ast.NegatedSet):
@@ -238,8 +239,8 @@ def _selected(where: ast.Group, variables: Iterable[Variable], modifier: str = "
 
 
 def _edges(marks: Marks, predicate: NamedNode) -> ast.Path:
-    """The path over marks that gives the pairs of ``predicate``, of a cycle each node with itself
-    as well, and what stands above standard terms."""
+    """Return the path over marks that yields the pairs of ``predicate``. It also yields each node
+    of a cycle with itself, and the nodes above standard terms."""
     if predicate == marks.kind[1]:
         return ast.Sequence((marks.component, ast.Inverse(marks.component)))
     edges = (marks.inclusion, marks.equivalence, ast.Inverse(marks.equivalence))
@@ -247,16 +248,16 @@ def _edges(marks: Marks, predicate: NamedNode) -> ast.Path:
 
 
 def _step(marks: Marks, predicate: NamedNode) -> ast.Path:
-    """The same without what stands above standard terms. Oxigraph follows such a sequence from
-    each of its beginnings, also where its end is known: it is for repetitions only."""
+    """Return `_edges` without the nodes above standard terms. Oxigraph evaluates such a sequence
+    from each start even if the end is known, so it serves repetitions only."""
     return ast.Sequence((marks.lower, _edges(marks, predicate)))
 
 
 def _directions(
     path: ast.NegatedSet,
 ) -> Iterator[tuple[ast.NegatedSet, tuple[NamedNode, ...], bool]]:
-    """The two directions of a negated path that it has: each without marks, what it excludes, and
-    whether it goes against the triples."""
+    """Yield the directions of a negated path: the path without marks, the predicates that it
+    excludes, and whether it is inverse."""
     markers = tuple(sorted(MARKERS, key=str))
     if path.forward or not path.backward:
         yield ast.NegatedSet((*path.forward, *markers), ()), path.forward, False
@@ -265,7 +266,7 @@ def _directions(
 
 
 def _named(query: object) -> ast.Query | None:
-    """A query that shows all its variables, with their names as Oxigraph orders them."""
+    """Write ``*`` out as all variables, ordered as Oxigraph orders them."""
     if not (isinstance(query, ast.Query) and query.selects_all and query.where is not None):
         return None
     if query.form is ast.Form.DESCRIBE:

@@ -1,8 +1,8 @@
-"""Turtle as the papers print it ([Introspection15 Listings 2 and 3]).
+"""Accepts Turtle as the papers print it ([Introspection15 Listings 2 and 3]).
 
-Two liberties are taken there: no prefix is declared, ``:`` meaning the stream-space ontology, and
-a datatype may be a bare name, ``"fusionRGBIR"^^string``. `to_standard_turtle` makes standard Turtle of it;
-standard Turtle stays what it is.
+The papers deviate from the standard in two ways. They declare no prefix, and ``:`` means the
+stream-space ontology. A datatype may be a bare name: ``"fusionRGBIR"^^string``.
+`to_standard_turtle` converts both; standard Turtle stays unchanged.
 """
 
 from __future__ import annotations
@@ -13,14 +13,15 @@ from typing import Final
 from ..rdf.namespaces import PREFIXES, STREAM_SPACE, XSD
 
 ALL_PREFIXES: Final[dict[str, str]] = {**PREFIXES, "": STREAM_SPACE}
-"""What needs no declaration: the shared prefixes, and ``:`` for the stream space."""
+"""Prefixes that need no declaration: the shared ones, and ``:`` for the stream space."""
 
 _HEADER: Final = " ".join(f"@prefix {p}: <{iri}> ." for p, iri in ALL_PREFIXES.items()) + "\n"
 HEADER_LINES: Final = 1
-"""How many lines `to_standard_turtle` puts before the text: parsers count them too."""
+"""Lines that `to_standard_turtle` adds before the text; the line numbers of parsers
+include them."""
 
-# Strings, IRIs and comments are matched first so that nothing inside them is rewritten. What is not
-# closed goes on to its end: tried again at each quote in it, it would cost the square.
+# Strings, IRIs and comments match first, so that their contents stay unchanged. An open string
+# extends to the end: trying again at each quote within it would cost quadratic time.
 _TOKEN: Final = re.compile(
     r'"""(?:[^"\\]|\\.|"(?!""))*+(?:"""|\Z)'
     r"|'''(?:[^'\\]|\\.|'(?!''))*+(?:'''|\Z)"
@@ -34,9 +35,9 @@ _TOKEN: Final = re.compile(
 
 
 def to_standard_turtle(text: str) -> str:
-    """Standard Turtle for ``text``: `HEADER_LINES` lines of prefixes, then the text.
+    """Return ``text`` as standard Turtle: `HEADER_LINES` lines of prefixes, then the text.
 
-    A text that declares a prefix itself overrides the one in the header.
+    A prefix that the text declares itself overrides the one in the header.
     """
     return _HEADER + _TOKEN.sub(_standard, text)
 

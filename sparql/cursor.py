@@ -1,6 +1,7 @@
-"""Steps over the tokens of a text: what is there, what is due, and what a name means.
+"""A cursor over the tokens of a text, with the prefixes and errors that all readers share.
 
-All readers of query texts and requests share it, so that each says alike what it misses and where.
+The readers of queries, clauses and requests extend or use it, so that they report errors in the
+same words.
 """
 
 from __future__ import annotations
@@ -20,9 +21,9 @@ _DATATYPE: Final = 'write `"100"^^xsd:integer`'
 
 
 class Cursor:
-    """A place in the tokens of ``source``, and the prefixes and base declared before it.
+    """A position in the tokens of ``source``, with the prefixes and base declared before it.
 
-    ``tokens`` are those that were read so far, ``prefixes`` at first those that need no
+    ``tokens`` are the tokens read so far. ``prefixes`` initially contains those that need no
     declaration.
     """
 
@@ -37,7 +38,7 @@ class Cursor:
         self.prefixes: dict[str, str] = dict(prefixes)
         self.base = ""
         self.here = self._read()
-        """The token that is next; None at the end."""
+        """The next token; None at the end."""
 
     def _read(self) -> Token | None:
         if self.index == len(self.tokens):
@@ -50,20 +51,21 @@ class Cursor:
     # -- errors ----------------------------------------------------------------------------
 
     def error(self, message: str, at: Token | None, hint: str = "") -> LanguageError:
-        """An error at a token, or at the end of the text."""
+        """Return an error at a token, or at the end of the text."""
         end = len(self.source.rstrip())
         span = Span(end, end) if at is None else at.span
         return LanguageError(message, self.source, span, hint)
 
     def expected(self, what: str, hint: str = "") -> LanguageError:
-        """The error that ``what`` is not here."""
+        """Return the error for a missing ``what``."""
         here = self.here
         if here is None:
             return self.error(f"{what} is due, but the text ends", None, hint)
         return self.error(f"{what} is due, not `{self.text_of(here)}`", here, hint)
 
     def unexpected(self, hint: str = "") -> LanguageError:
-        """The error that no rule of SPARQL goes on here; brackets that do not match come first."""
+        """Return the error for a token that fits no rule. It reads the rest of the text first,
+        since an error of the tokenizer, such as an unmatched bracket, explains more."""
         here = self.here
         while self.lexer.next() is not None:
             pass
@@ -81,7 +83,7 @@ class Cursor:
         return self.error(f"`{_shown(self.text_of(here))}` cannot stand here", here, hint)
 
     def text_of(self, token: Token) -> str:
-        """A token as the text has it."""
+        """Return a token as written, with its escapes."""
         return self.source[token.start : token.end]
 
     # -- steps -----------------------------------------------------------------------------
@@ -92,7 +94,7 @@ class Cursor:
 
     @property
     def last_token(self) -> Token:
-        """The token that was taken last."""
+        """The token taken last."""
         return self.tokens[self.index - 1]
 
     def is_word(self, *words: str) -> bool:
@@ -112,14 +114,15 @@ class Cursor:
         return here
 
     def operator(self) -> Token | None:
-        """The next token where an operator is due: ``<`` is less-than there, and begins no IRI."""
+        """Return the next token where an operator may follow: ``<`` is less-than there and begins
+        no IRI."""
         here = self.here
         if here is not None and here.kind is Kind.IRI:
             here = self.here = self.tokens[self.index] = self.lexer.operator_at(here)
         return here
 
     def accept_word(self, *words: str) -> bool:
-        """Takes one of these words if it is here."""
+        """Take the next token if it is one of these words."""
         found = self.is_word(*words)
         if found:
             self.take()
@@ -152,13 +155,13 @@ class Cursor:
         return self.take()
 
     def iri_of(self, token: Token) -> str:
-        """What an IRI or prefixed name means by the declarations read so far."""
+        """Resolve an IRI or prefixed name by the declarations read so far."""
         return iri_text(token, self.source, self.prefixes, self.base)
 
     def term(self) -> Term | Variable:
-        """The term or variable that is here; a blank node is refused.
+        """Read a term or variable; a blank node raises `LanguageError`.
 
-        A sign belongs to the number that it touches.
+        A sign belongs to the number directly after it.
         """
         token = self.here
         if token is None:
@@ -190,7 +193,7 @@ class Cursor:
         raise self.error(f"`{token.text}` is no term", token, hint)
 
     def is_signed_number(self) -> bool:
-        """Whether a sign is here that belongs to a number ([150]-[155])."""
+        """Return whether the next token is the sign of a number ([150]-[155])."""
         here = self.here
         if here is None or not here.is_mark("+", "-"):
             return False
@@ -224,7 +227,7 @@ class Cursor:
             raise self.error(f"no literal: {error}", name) from None
 
     def prologue(self) -> None:
-        """PREFIX and BASE ([4]-[6]); they may stand on both sides of REGISTER."""
+        """Read PREFIX and BASE ([4]-[6]), which may stand before and after REGISTER."""
         while self.is_word("PREFIX", "BASE"):
             word = self.take()
             if word.is_word("BASE"):

@@ -1,7 +1,8 @@
-"""Expressions of SPARQL 1.1 ([107]-[128]), read by precedence.
+"""The parser of SPARQL 1.1 expressions ([107]-[128]), by precedence.
 
-Contract: what nests is bounded. Brackets are (`tokens.Lexer`), ``!`` in a row are, and the height
-of the tree is: each operator in a row is one higher, since readers make binary operators of them.
+Contract: nesting is bounded. The tokenizer bounds brackets (`tokens.Lexer`); this module bounds
+runs of ``!`` and the height of the tree. Each operator of a chain adds one to the height, since
+later passes turn chains into binary operators.
 """
 
 from __future__ import annotations
@@ -31,9 +32,10 @@ from .tokens import Kind, Token
 COMPARISONS: Final = ("=", "!=", "<", ">", "<=", ">=")
 AGGREGATES: Final = ("COUNT", "SUM", "MIN", "MAX", "AVG", "SAMPLE", "GROUP_CONCAT")
 MOST_IN_A_ROW: Final = 64
-"""Of so many ``||`` or ``&&`` each is one higher; more of them are halved."""
+"""Up to this length each ``||`` or ``&&`` of a chain adds one to the height; longer chains are
+halved."""
 _MANY: Final = 1 << 20
-# [121] BuiltInCall: name -> least and most arguments.
+# [121] BuiltInCall: name -> least and greatest number of arguments.
 FUNCTIONS: Final = {
     **dict.fromkeys(("RAND", "NOW", "UUID", "STRUUID"), (0, 0)),
     "BNODE": (0, 1),
@@ -63,18 +65,18 @@ FUNCTIONS: Final = {
 
 
 class ExpressionReader(Cursor):
-    """Reads expressions; `height` is that of the one that was read last."""
+    """Reads expressions. `height` is the height of the expression read last."""
 
     height = 0
     aggregates = False
-    """Whether an aggregate may stand here."""
+    """Whether an aggregate is allowed at this point."""
 
     def group(self) -> Group:
         """[53] GroupGraphPattern."""
         raise NotImplementedError
 
     def check_call(self, call: FunctionCall) -> None:
-        """Raise `LanguageError` for a function by its IRI that is not known."""
+        """Raise `LanguageError` for an unknown function IRI. The base class accepts all."""
 
     def expression(self) -> Expression:
         """[110] Expression."""
@@ -145,7 +147,7 @@ class ExpressionReader(Cursor):
         return here is not None and here.kind is Kind.MARK and here.text in marks
 
     def _rise(self, height: int) -> None:
-        """The tree is so high now. Raises `LanguageError` where that is too much."""
+        """Set the height of the tree. Raises `LanguageError` above the limit."""
         self.height = height
         if height > self.limits.operators:
             raise self.error(
@@ -155,9 +157,9 @@ class ExpressionReader(Cursor):
             )
 
     def _unary(self) -> Expression:
-        """[118] UnaryExpression; of ``!`` any number, as SPARQL 1.2 has it."""
+        """[118] UnaryExpression, with any number of ``!`` as in SPARQL 1.2."""
         if self.is_signed_number():
-            # The sign is the number's own ([131], [132]).
+            # The sign is part of the number ([131], [132]).
             self.height = 0
             return _constant(self.term())
         if self.is_mark("+", "-"):
@@ -208,7 +210,7 @@ class ExpressionReader(Cursor):
         return found
 
     def expect(self, mark: str) -> Token:
-        """A mark that alone can stand here."""
+        """Take ``mark``, the only token allowed here."""
         if not self.is_mark(mark):
             raise self.unexpected()
         return self.take()
@@ -318,7 +320,7 @@ class ExpressionReader(Cursor):
         return self.built_in()
 
     def aliased(self) -> tuple[Expression, Variable, Span]:
-        """``(expression AS ?v)``, and where it stands."""
+        """Read ``(expression AS ?v)`` and return its span too."""
         opened = self.expect("(")
         found = self.expression()
         if not self.accept_word("AS"):

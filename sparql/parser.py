@@ -1,8 +1,8 @@
-"""SPARQL 1.1 queries ([1]-[28]): the parser of users' texts.
+"""The parser of SPARQL 1.1 queries ([1]-[28]).
 
-Contract: a text is read in one pass, its cost is linear in its length, and how deep the readers of
-its tree recurse is bounded by `tokens.Limits`. Rules that are no matter of the grammar are checked
-here, too, where the place is known: the scopes of variables and of blank node labels.
+Contract: it reads a text in one pass in linear time. `tokens.Limits` bounds the depth to which
+later passes over the tree recurse. It also checks the scope rules outside of the grammar, since it
+knows the places: scopes of variables and of blank node labels.
 """
 
 from __future__ import annotations
@@ -24,24 +24,25 @@ FORMS: Final = tuple(form.value for form in Form)
 
 
 class QueryReader(PatternReader):
-    """Reads a query. The hooks are for what a language adds to SPARQL (`languages.csparql`)."""
+    """Reads a query. A language that extends SPARQL overrides the hooks (`languages.csparql`)."""
 
     group_parameters: frozenset[str] = frozenset()
-    """Variables that are keys of every group: parameters, which stand for a term."""
+    """Variables that are implicit keys of every group: the parameters of a template, each bound to
+    one term."""
 
     # -- hooks -----------------------------------------------------------------------------
 
     def after_form(self) -> None:
-        """What may follow SELECT, DISTINCT, CONSTRUCT, ASK or DESCRIBE."""
+        """Read an extension after SELECT, DISTINCT, CONSTRUCT, ASK or DESCRIBE."""
 
     def clauses(self) -> None:
-        """[13] DatasetClause, where FROM may stand, and behind WHERE."""
+        """Read [13] DatasetClause, at the place of FROM and after WHERE."""
         while self.accept_word("FROM"):
             self.accept_word("NAMED")
             self.iri_of(self.iri("FROM"))
 
     def more_clauses(self) -> None:
-        """What may stand behind WHERE, between the modifiers and behind them."""
+        """Read extensions after WHERE and after each modifier."""
 
     # -- queries ---------------------------------------------------------------------------
 
@@ -147,7 +148,7 @@ class QueryReader(PatternReader):
     # -- what follows WHERE ----------------------------------------------------------------
 
     def _modified(self, query: Query, start: int, *, is_top: bool) -> Query:
-        """[18] SolutionModifier and [28] ValuesClause around the body of a query."""
+        """Read [18] SolutionModifier and [28] ValuesClause, and add them to the query."""
 
         def between() -> None:
             if is_top:
@@ -257,7 +258,7 @@ class QueryReader(PatternReader):
             raise self.error("the number is too large", here, "it has 18 digits at most")
         return int(self.take().text)
 
-    # -- what is no matter of the grammar ---------------------------------------------------
+    # -- scope rules ---------------------------------------------------------------------------
 
     def _check_projection(self, query: Query) -> None:
         """SPARQL 1.1 §18.2.1, §18.2.4.1, §19.8 notes 12 to 14."""
@@ -306,9 +307,9 @@ class QueryReader(PatternReader):
 
 
 def parse_sparql(text: str, prefixes: Mapping[str, str], limits: Limits = UNLIMITED) -> Query:
-    """The tree of a SPARQL 1.1 query. ``prefixes`` need no declaration.
+    """Parse a SPARQL 1.1 query. ``prefixes`` need no declaration.
 
-    Raises `LanguageError` with the place. Cost: linear, some 5 µs a token.
+    Raises `LanguageError` with the place. Cost: linear, some 5 µs for each token.
     """
     reader = QueryReader(text, prefixes, limits)
     reader.prologue()

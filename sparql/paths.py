@@ -11,12 +11,12 @@ from .tokens import Kind, Token
 
 
 class PathReader(ExpressionReader):
-    """Reads paths; `patterns` counts triple patterns, and steps and alternatives of paths."""
+    """Reads paths. `patterns` counts triple patterns, and steps and alternatives of paths."""
 
     patterns = 0
 
     def count_pattern(self, token: Token | None) -> None:
-        """One more triple pattern, or step of a path."""
+        """Count a triple pattern or a step of a path. Raises `LanguageError` above the limit."""
         self.patterns += 1
         if self.patterns > self.limits.patterns:
             message = f"the query has more than {self.limits.patterns} triple patterns"

@@ -40,7 +40,8 @@ _TERMS: Final = frozenset(
 
 
 class PatternReader(PathReader):
-    """Reads groups. `block` tells basic graph patterns apart: a blank node label is of one."""
+    """Reads groups. `block` numbers basic graph patterns: a blank node label belongs to one of
+    them."""
 
     def __init__(
         self, source: str, prefixes: Mapping[str, str], limits: Limits = UNLIMITED
@@ -61,11 +62,11 @@ class PatternReader(PathReader):
         raise NotImplementedError
 
     def service(self) -> LanguageError:
-        """The error that a SERVICE is here."""
+        """Return the error for SERVICE, which would contact another server."""
         return self.error("SERVICE is refused", self.here)
 
     def extension_part(self) -> Element | None:
-        """A part of a group that is none of SPARQL 1.1; None where none is here."""
+        """Read a part of a group that an extension adds to SPARQL; None if there is none here."""
         return None
 
     def group(self) -> Group:
@@ -97,7 +98,7 @@ class PatternReader(PathReader):
                 self.accept_mark(".")
 
     def _part(self, bound: dict[str, None]) -> Element | None:
-        """[56] GraphPatternNotTriples; ``seen``: the variables that the group binds so far."""
+        """[56] GraphPatternNotTriples; ``bound``: the variables that the group binds before it."""
         here = self.here
         if here is None:
             raise self.unexpected()
@@ -142,7 +143,7 @@ class PatternReader(PathReader):
         return found
 
     def _bind(self, bound: dict[str, None]) -> Bind:
-        """[60] Bind. The variable is a new one in its group (SPARQL 1.1 §18.2.1)."""
+        """[60] Bind. The variable must be new in its group (SPARQL 1.1 §18.2.1)."""
         self.take()
         self.expect("(")
         expression = self.expression()
@@ -223,7 +224,7 @@ class PatternReader(PathReader):
         return found
 
     def begins_part(self, token: Token) -> bool:
-        """Whether a part of a group begins with this word."""
+        """Return whether a part of a group begins with this token."""
         return token.is_word(*_PARTS)
 
     def template(self) -> tuple[Triple, ...]:
@@ -283,7 +284,7 @@ class PatternReader(PathReader):
         here = self.here
         place = len(self.triples)
         object, _ = self._node()
-        # In the order of the text: what stands in an object's brackets comes after it.
+        # Keep the order of the text: triples in the brackets of an object follow the object.
         self.triples.insert(place, Triple(subject, verb, object))
         self.count_pattern(here)
 
@@ -291,7 +292,7 @@ class PatternReader(PathReader):
         return token.kind in _TERMS or token.is_word("TRUE", "FALSE") or self.is_signed_number()
 
     def _node(self) -> tuple[Place, bool]:
-        """[104] GraphNode, [105] GraphNodePath; and whether triples came with it."""
+        """[104] GraphNode, [105] GraphNodePath; True if it brought triples of its own."""
         here = self.here
         if here is None:
             raise self.unexpected()
@@ -349,7 +350,7 @@ class PatternReader(PathReader):
         return BlankNode(token.text[2:])
 
     def _fresh(self) -> BlankNode:
-        """A blank node with a label that the text does not have."""
+        """Return a blank node with a label that the text does not contain."""
         if not self._anonymous:
             self._anonymous = "anon"
             while self._anonymous in self.source:

@@ -1,4 +1,4 @@
-"""Which variables a pattern binds, and may so be seen around it (SPARQL 1.1 §18.2.1)."""
+"""The variables that a pattern binds and that are visible around it (SPARQL 1.1 §18.2.1)."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from .ast import (
 
 
 def visible_variables(element: Element) -> dict[str, None]:
-    """The names of the variables that an element of a group binds, in reading order."""
+    """Return the names of the variables that an element of a group binds, in reading order."""
     found: dict[str, None] = {}
     match element:
         case Triples(triples):
@@ -64,7 +64,7 @@ def _of_triples(triples: Iterable[Triple]) -> dict[str, None]:
 
 
 def projected_variables(query: Query) -> tuple[str, ...]:
-    """The names of the variables that a SELECT shows, each once; none of the other forms."""
+    """Return the names of the variables that a SELECT returns, each once; () for other forms."""
     if query.form is not Form.SELECT:
         return ()
     if query.projection is None:
@@ -76,7 +76,7 @@ def projected_variables(query: Query) -> tuple[str, ...]:
 
 
 def ungrouped_variables(expression: Expression) -> dict[str, None]:
-    """The names of the variables of an expression that stand in no aggregate and no EXISTS."""
+    """Return the names of the variables of an expression outside of aggregates and EXISTS."""
     found: dict[str, None] = {}
     waiting: list[object] = [expression]
     while waiting:
@@ -89,7 +89,7 @@ def ungrouped_variables(expression: Expression) -> dict[str, None]:
 
 
 def head_variables(query: Query) -> dict[str, None]:
-    """The names of the variables that a head uses and does not define, in reading order."""
+    """Return the names of the variables that a head uses but does not define, in reading order."""
     projection = query.projection or ()
     defined = {one.variable.value for one in projection if one.expression is not None}
     used: dict[str, None] = {}
