@@ -1,4 +1,4 @@
-"""Hints: the known name that was probably meant. What the languages share of them."""
+"""Hints that suggest similar names, shared by the languages."""
 
 from __future__ import annotations
 
@@ -7,13 +7,14 @@ from collections.abc import Iterable
 
 
 def did_you_mean(name: str, candidates: Iterable[str]) -> str:
-    """``did you mean a or b?`` from the names near ``name``; empty if none is."""
+    """Return ``did you mean a or b?`` with the names similar to ``name``; empty if there
+    is none."""
     suggest_name = difflib.get_close_matches(name, sorted(set(candidates)), n=3)
     return f"did you mean {' or '.join(suggest_name)}?" if suggest_name else ""
 
 
 def suggest_name(name: str, candidates: Iterable[str]) -> str:
-    """The same; where nothing is near, some of what there is."""
+    """Return `did_you_mean`; without a similar name list some of the candidates."""
     names = sorted(set(candidates))
     if not names:
         return "none is declared yet: declare it first"
@@ -22,5 +23,5 @@ def suggest_name(name: str, candidates: Iterable[str]) -> str:
 
 
 def count(number: int, what: str) -> str:
-    """``1 input``, ``2 inputs``."""
+    """Return ``1 input`` or ``2 inputs``."""
     return f"{number} {what}" if number == 1 else f"{number} {what}s"

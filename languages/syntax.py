@@ -1,4 +1,4 @@
-"""What languages with a Lark grammar share: placed errors for syntax, and the reading of trees."""
+"""Shared by the languages with a Lark grammar: syntax errors with a place, and access to trees."""
 
 from __future__ import annotations
 
@@ -14,11 +14,13 @@ from .errors import LanguageError, Span
 
 _NAMES: Final = ("NAME", "UNIT_NAME", "PREFIXED", "IRI", "TEXT", "OBJECT_ID", "STRING")
 SyntaxHint: TypeAlias = Callable[[str, AbstractSet[str]], str]
-"""From what was found (empty at the end of the text) and the terminals that could stand there."""
+"""Makes a hint from the text found (empty at the end of the source) and the terminals that are
+possible there."""
 
 
 def syntax_error(error: UnexpectedInput, source: str, hint: SyntaxHint) -> LanguageError:
-    """The same error for a bad character and a bad token: what is there, what could be."""
+    """Convert an error of Lark's lexer or parser: the text found, and a hint at what is
+    possible."""
     start = len(source) if error.pos_in_stream is None else error.pos_in_stream
     expected: set[str] = set()
     found = ""
@@ -27,7 +29,7 @@ def syntax_error(error: UnexpectedInput, source: str, hint: SyntaxHint) -> Langu
             token = error.token
             expected = set(error.accepts or error.expected)
             if token.type == "$END":
-                # The end is reported at the last token; the caret belongs behind it.
+                # Lark reports the end at the last token; the caret belongs after it.
                 start = len(source.rstrip())
             else:
                 found = str(token)
@@ -44,8 +46,8 @@ def syntax_error(error: UnexpectedInput, source: str, hint: SyntaxHint) -> Langu
 
 
 def check_names(tree: Tree[Token], source: str) -> None:
-    """Raise `LanguageError` for a name that is too long: names are kept, in many places, for a time
-    after what they name is gone."""
+    """Raise `LanguageError` for a name that is too long. Names stay in memory in many places, even
+    after their owners are removed."""
     named = (token for part in tree.iter_subtrees() for token in tokens(part, *_NAMES))
     long = [token for token in named if len(token) > LONGEST_NAME]
     if long:
@@ -59,7 +61,7 @@ def check_names(tree: Tree[Token], source: str) -> None:
 
 
 def expected_hint(expected: AbstractSet[str], names: Mapping[str, str]) -> str:
-    """``expected `=`, `(` or a name``; a terminal that ``names`` lacks is a keyword."""
+    """Return ``expected `=`, `(` or a name``. A terminal that ``names`` lacks is a keyword."""
     words = sorted({names.get(name, f"`{name.lower()}`") for name in expected})
     if not words:
         return ""
@@ -69,18 +71,19 @@ def expected_hint(expected: AbstractSet[str], names: Mapping[str, str]) -> str:
 
 
 def trees(tree: Tree[Token]) -> list[Tree[Token]]:
-    """The nodes directly under a node, in order."""
+    """Return the nodes directly under a node, in order."""
     return [child for child in tree.children if isinstance(child, Tree)]
 
 
 def tokens(tree: Tree[Token], *types: str) -> list[Token]:
-    """The tokens of these types (of any, if none is given) directly under a node, in order."""
+    """Return the tokens of these types (of any if none is given) directly under a node,
+    in order."""
     found = [child for child in tree.children if isinstance(child, Token)]
     return [token for token in found if token.type in types] if types else found
 
 
 def span_of(thing: Tree[Token] | Token) -> Span:
-    """Where a node or token stands in the source."""
+    """Return the place of a node or token in the source."""
     if isinstance(thing, Token):
         start, end = thing.start_pos, thing.end_pos
     else:

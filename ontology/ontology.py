@@ -321,10 +321,10 @@ class Ontology:
     def mirror(self, added: Iterable[Triple], removed: Iterable[Triple]) -> None:
         """Change the live stream space; `entailment` maintains its entailments.
 
-        A triple in both arguments stays. `store` and every query include the change. It is written at the
-        next read or by `apply_pending_piece`: a triple that comes and goes in between is
-        never written, and a large change is applied in pieces. Nothing is flushed, since opening a store
-        empties the graph. Cost: O(changed triples).
+        A triple in both arguments stays. `store` and every query include the change. It is written
+        at the next read or by `apply_pending_piece`: a triple that comes and goes in between is
+        never written, and a large change is written in pieces. Nothing is flushed, since opening a
+        store empties the graph. Cost: O(changed triples).
         """
         with self._pending_lock:
             for triples, there in ((removed, False), (added, True)):

@@ -23,7 +23,7 @@ def read_aggregate(
     aggregations: list[Aggregation],
     filters: list[tuple[Expression, Span]],
 ) -> None:
-    """``{(?a, AVG, {?x}) FILTER (…)}`` behind AGGREGATE, in any order, into both lists."""
+    """Read ``{(?a, AVG, {?x}) FILTER (…)}`` after AGGREGATE, in any order, into both lists."""
     at.expect_mark("{", _EXAMPLE)
     while not at.is_mark("}"):
         if at.is_word("FILTER"):

@@ -1,4 +1,5 @@
-"""Names and variables of a query: what the head and AGGREGATE use is bound, parameters are used."""
+"""Checks the variables of a query: the head and AGGREGATE use bound ones, the body uses each
+parameter."""
 
 from __future__ import annotations
 
@@ -14,7 +15,8 @@ from .clauses import ClauseReader, Clauses
 
 
 class Check:
-    """Variables: the head's are bound, AGGREGATE's fit in, a template's parameters are used."""
+    """Checks variables: those of the head are bound, those of AGGREGATE are consistent, parameters
+    are used."""
 
     def __init__(self, reader: ClauseReader, found: Clauses, body: Query) -> None:
         assert body.where is not None
@@ -40,8 +42,8 @@ class Check:
         bound |= set(variables_of(self.body.values))
         bound |= {key.alias.value for key in self.body.keys if key.alias is not None}
         for name in self.head:
-            # SPARQL shows a variable that nothing binds as unbound; where the name is nearly that
-            # of another one, or a graph is to be made of it, it is a mistake.
+            # In SPARQL an unbound variable of the head stays unbound. It is an error here if its
+            # name resembles a bound one, or if the head constructs a graph.
             is_shown = self.body.form is Form.SELECT and not self.found.aggregations
             if name not in bound and not (is_shown and not did_you_mean(name, bound)):
                 token = self._token(name, self.body.span)
@@ -50,7 +52,8 @@ class Check:
                 )
 
     def check_aliases(self) -> None:
-        """An aggregate is over what WHERE binds: nothing else has a value in each row."""
+        """Check that aggregates of the head read variables of WHERE: nothing else has a value in
+        each row."""
         aliases: set[str] = set()
         for one in self.body.projection or ():
             if one.expression is None:
@@ -67,7 +70,7 @@ class Check:
             aliases.add(one.variable.value)
 
     def check_aggregate(self) -> None:
-        """The AGGREGATE clause against head and WHERE."""
+        """Check the AGGREGATE clause against head and WHERE."""
         source = self.reader.source
         body = self.body
         for word, is_present, hint in (
@@ -154,7 +157,7 @@ class Check:
                 )
 
     def _token(self, name: str, span: Span) -> Token:
-        """The first token of a variable in ``span``."""
+        """Return the first token of a variable in ``span``."""
         inside = (t for t in self.reader.tokens if span.start <= t.start < span.end)
         return next(t for t in inside if t.kind is Kind.VARIABLE and t.text[1:] == name)
 

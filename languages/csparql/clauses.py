@@ -1,9 +1,9 @@
-"""The grammar of continuous queries: SPARQL's, with our clauses in it ([Events14 §III.A, §IV.B],
-SPEC §5).
+"""The grammar of continuous queries: SPARQL with additional clauses ([Events14 §III.A, §IV.B], SPEC
+§5).
 
-REGISTER, COMPUTE EVERY, FROM in all its forms, WINDOW, AGGREGATE and RSP-QL's stream operators
-stand outside all brackets, but for ``WINDOW name {…}``; `Clauses.ours` lists the spans that are not
-SPARQL.
+REGISTER, COMPUTE EVERY, all forms of FROM, WINDOW, AGGREGATE and RSP-QL's stream operators stand
+outside all brackets; only ``WINDOW name {…}`` is a part of a group. `Clauses.ours` lists the spans
+that are not SPARQL.
 """
 
 from __future__ import annotations
@@ -32,10 +32,11 @@ _BEGINNING: Final = "a query begins with `REGISTER STREAM name AS` or with `SELE
 
 @dataclass(slots=True)
 class Clauses:
-    """What the clauses say, gathered while reading. Windows are completed at the end.
+    """The contents of the clauses, collected while reading.
 
-    ``kind`` is STREAM, QUERY or TEMPLATE, or "" without REGISTER. ``register_operator`` and ``head_operator``
-    are the stream operators of REGISTER and of the head.
+    ``kind`` is STREAM, QUERY or TEMPLATE, or "" without REGISTER. ``register_operator`` and
+    ``head_operator`` are the stream operators of REGISTER and of the head. A stream without a
+    window gets that of the WINDOW clause at the end (`ClauseReader.stream_clauses`).
     """
 
     kind: str = ""
@@ -54,7 +55,7 @@ class Clauses:
 
 
 class ClauseReader(QueryReader):
-    """One pass over a text; raises `LanguageError` where it stops."""
+    """Reads a text in one pass. Raises `LanguageError` at the first error."""
 
     def __init__(self, source: str) -> None:
         check_length(source)
@@ -62,13 +63,13 @@ class ClauseReader(QueryReader):
         self.found = Clauses()
 
     def mark_ours(self, first: Token) -> None:
-        """What was read since ``first`` is no SPARQL."""
+        """Mark the tokens since ``first`` as not SPARQL."""
         self.found.ours.append(Span(first.start, self.last_token.end))
 
-    # -- in the order of a text ------------------------------------------------------------
+    # -- in the order of the text ----------------------------------------------------------
 
     def read(self) -> tuple[Clauses, Query]:
-        """All clauses, and the SPARQL among them."""
+        """Read the whole text: the clauses, and the SPARQL query among them."""
         if self.here is None:
             raise self.error("the text is empty", None, _BEGINNING)
         self.prologue()
@@ -107,7 +108,7 @@ class ClauseReader(QueryReader):
         return self.take()
 
     def period(self) -> None:
-        """``COMPUTE EVERY 1s``, ``COMPUTED EVERY 1s``, ``EVERY 1s``, or nothing."""
+        """Read ``COMPUTE EVERY 1s``, ``COMPUTED EVERY 1s``, ``EVERY 1s``, or nothing."""
         if self.is_word("COMPUTE", "COMPUTED"):
             self.take()
             if not self.is_word("EVERY"):
@@ -137,7 +138,7 @@ class ClauseReader(QueryReader):
         self.group_parameters = frozenset(token.text[1:] for token in self.found.parameters)
 
     def after_form(self) -> None:
-        """The stream operator of the head: ``SELECT ISTREAM``, ``SELECT DISTINCT ISTREAM``."""
+        """Read the stream operator of the head: ``SELECT ISTREAM``, ``SELECT DISTINCT ISTREAM``."""
         if self.is_word(*_OPERATORS):
             self.check_operator(self.take())
 
@@ -154,7 +155,7 @@ class ClauseReader(QueryReader):
         self.mark_ours(word)
 
     def clauses(self) -> None:
-        """Our clauses, where FROM may stand, and behind WHERE."""
+        """Read the additional clauses, at the place of FROM and after WHERE."""
         while self.is_word("FROM", "AGGREGATE", "WINDOW", "REGISTER"):
             first = self.take()
             if first.is_word("FROM"):
@@ -196,7 +197,7 @@ class ClauseReader(QueryReader):
         return super().where()
 
     def extension_part(self) -> Graph | None:
-        """``WINDOW name {…}``: a graph whose triples are those of a named window."""
+        """Read ``WINDOW name {…}``: a graph with the triples of a named window."""
         if not self.is_word("WINDOW"):
             return None
         word = self.take()
@@ -246,10 +247,11 @@ class ClauseReader(QueryReader):
             )
         return super().unexpected(hint)
 
-    # -- when all is read ------------------------------------------------------------------
+    # -- at the end ------------------------------------------------------------------------
 
     def stream_clauses(self) -> tuple[StreamClause, ...]:
-        """The streams with their windows; none only where a WINDOW clause says what they have."""
+        """Return the streams with their windows. Without streams a WINDOW clause must give the
+        window of those that matching finds."""
         clauses = stream_clauses(self, self.found.dataset, self.found.window)
         if not clauses and self.found.window is None:
             raise self.error(

@@ -1,4 +1,4 @@
-"""Lengths of time in clauses: C-SPARQL's ``5s``, RSP-QL's ``PT5S`` and ``"PT5S"^^xsd:duration``."""
+"""Durations in clauses: C-SPARQL's ``5s``, RSP-QL's ``PT5S`` and ``"PT5S"^^xsd:duration``."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _DURATIONS: Final = (XSD + "duration", XSD + "dayTimeDuration")
 
 
 def read_duration(at: Cursor, what: str) -> int:
-    """The length of time that is due here, in ns; more than nothing, less than 146 years."""
+    """Read a duration, in ns; more than 0 and less than 146 years."""
     here = at.here
     if here is not None and here.kind is Kind.STRING:
         return _literal(at, what)
@@ -51,13 +51,13 @@ def read_duration(at: Cursor, what: str) -> int:
         raise at.expected(what, _EXAMPLE)
     at.take()
     factor = _unit(at, what, here)
-    # A longer text than any length of time is not handed to int().
+    # Rejects longer texts before int(), whose cost is quadratic in the digits.
     value = int(here.text) * factor if len(here.text) <= 20 else _LONGEST
     return _in_range(at, what, value, here.span)
 
 
 def _unit(at: Cursor, what: str, number: Token) -> int:
-    # Units are lower case; the engines of C-SPARQL accept both.
+    # Units are lower case; the engines of C-SPARQL accept upper case too.
     unit = at.here
     word = unit.text.lower() if unit is not None and unit.kind is Kind.WORD else ""
     if word in _UNITS:
@@ -73,7 +73,7 @@ def _unit(at: Cursor, what: str, number: Token) -> int:
 
 
 def _xsd(at: Cursor, what: str) -> int:
-    """``PT0.5S`` is several tokens that touch each other."""
+    """Read ``PT0.5S``, which is several adjacent tokens."""
     start = at.take().start
     while at.here is not None and at.here.start == at.last_token.end and not at.is_mark("]"):
         at.take()
@@ -94,7 +94,7 @@ def _literal(at: Cursor, what: str) -> int:
 
 def _parsed(at: Cursor, what: str, text: str, span: Span) -> int:
     try:
-        # ISO forms only: parse_duration reads 5s as well, which is no xsd:duration.
+        # ISO forms only: parse_duration also accepts 5s, which is no xsd:duration.
         if not text.upper().startswith("P"):
             raise ValueError
         value = parse_duration(text.upper())

@@ -1,4 +1,4 @@
-"""RSP-QL's ``WINDOW <name> {…}``: a GRAPH whose triples are those of a named window (SPEC §5)."""
+"""RSP-QL's ``WINDOW <name> {…}``: a GRAPH with the triples of a named window (SPEC §5)."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class NamedGroup:
 
 
 def check_groups(at: Cursor, groups: list[NamedGroup], dataset: Dataset) -> None:
-    """Each WINDOW names a window, each GRAPH none, and no variable stands for both."""
+    """Check that each WINDOW names a window, no GRAPH does, and no variable names both."""
     named = {at.iri_of(s.name): s.name.text for s in dataset.of(Source.NAMED_WINDOW) if s.name}
     unnamed = {at.iri_of(s.name) for s in dataset.of(Source.WINDOW) if s.name}
     graph_variables = {group.variable for group in groups if not group.is_window}

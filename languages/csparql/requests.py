@@ -17,10 +17,10 @@ _EXAMPLE = "write `dyknow:HighSpeedEvent(?o, dyknow:UAV, 100)`"
 
 
 def parse_event_request(source: str, prefixes: Mapping[str, str] = PREFIXES) -> EventRequest:
-    """The event and its arguments, each a term or a variable that stays open. An event without a
-    prefix is ``dyknow:``'s, as [Events14 §V.C] writes them.
+    """Parse an event and its arguments, each a term or a free variable. An event without a prefix
+    belongs to ``dyknow:``, as in [Events14 §V.C].
 
-    Raises `LanguageError` with the place of what is no event name, no argument or no prefix.
+    Raises `LanguageError` with the place of a malformed name or argument, or an unknown prefix.
     """
     check_length(source)
     at = Cursor(source, prefixes)
@@ -47,9 +47,10 @@ def parse_event_request(source: str, prefixes: Mapping[str, str] = PREFIXES) -> 
 
 
 def parse_argument(text: str, prefixes: Mapping[str, str] = PREFIXES) -> Term | Variable:
-    """One argument: ``?o``, ``dyknow:UAV``, ``100``, ``"x"@en``, ``<iri>``, ``true``, ``1.5e3``.
+    """Parse one argument: ``?o``, ``dyknow:UAV``, ``100``, ``"x"@en``, ``<iri>``, ``true``,
+    ``1.5e3``.
 
-    Raises `LanguageError` if the text is not exactly one.
+    Raises `LanguageError` if the text is anything else.
     """
     check_length(text)
     at = Cursor(text, prefixes)

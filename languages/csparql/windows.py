@@ -1,6 +1,6 @@
-"""The windows of clauses: ``[RANGE 5s STEP 1s]``, ``[TRIPLES 10 STEP 2]``, ``[LANDMARK STEP 1s]``.
+"""Reads windows: ``[RANGE 5s STEP 1s]``, ``[TRIPLES 10 STEP 2]``, ``[LANDMARK STEP 1s]``.
 
-Read as the engines write them: C-SPARQL's SLIDE and TUMBLING, RSP-QL's ELEMENTS for TRIPLES.
+It accepts the words of both engines: C-SPARQL's SLIDE and TUMBLING, RSP-QL's ELEMENTS for TRIPLES.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ _ELSEWHERE: Final = {
     "NOW": "write `[RANGE 1s STEP 1s]` for the newest second",
     "FROM": "write the length of what `FROM NOW - 5s TO NOW` holds: `[RANGE 5s STEP 1s]`",
 }
-"""Words of CQELS, CQL and SPARQLStream, with what says the same here."""
+"""Words of CQELS, CQL and SPARQLStream, with the equivalent here."""
 
 Every: TypeAlias = int | None
-"""The COMPUTE EVERY period of the query, in ns: the STEP of a window of time that has none."""
+"""The COMPUTE EVERY period of the query in ns: the STEP of a time window without one."""
 
 
 def read_window(at: Cursor, what: str, every: Every) -> Window:
-    """A window in its brackets; ``what`` names it in errors."""
+    """Read a window in brackets; ``what`` names it in errors."""
     opened = at.expect_mark("[", EXAMPLE)
     window: Window
     if at.is_word("RANGE"):
@@ -93,7 +93,7 @@ def _step(at: Cursor, what: str, every: Every, opened: Token, example: str) -> i
 
 
 def _instant(at: Cursor) -> int:
-    """``"2021-10-07T19:12:53Z"^^xsd:dateTime`` in ns; UTC where it says no zone."""
+    """Read ``"2021-10-07T19:12:53Z"^^xsd:dateTime`` in ns; UTC if it has no zone."""
     start = 0 if at.here is None else at.here.start
     term = at.term()
     span = Span(start, at.last_token.end)
@@ -106,7 +106,7 @@ def _instant(at: Cursor) -> int:
 
 
 def _count(at: Cursor, what: str) -> CountWindow:
-    """Without STEP it moves with each triple, like CQL's windows of rows."""
+    """Read a count window. Without STEP it moves with each triple, like CQL's windows of rows."""
     at.take()
     size = _number(at, f"the size of {what}")
     if at.is_word("TUMBLING"):

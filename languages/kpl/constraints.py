@@ -1,7 +1,8 @@
-"""Constraints as written to policies in ns ([DyKnow10 Def. 5.21-5.26, 5.37]).
+"""Converts constraints to policies in ns ([DyKnow10 Def. 5.21-5.26, 5.37]).
 
-Several constraints of a kind hold together, as Def. 5.37's conjunction says: the least delay, the
-common part of durations, the strictest order, the change constraint that implies the other.
+Several constraints of a kind apply together, as the conjunction of Def. 5.37 states: the least
+delay, the intersection of the durations, the strictest order, the change constraint that implies
+the other.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ from ..errors import LanguageError, Span
 from . import ast
 
 UNITS: Final = {"ns": NANOSECOND, "us": MICROSECOND, "ms": MILLISECOND, "s": SECOND}
-"""What a specification's abstract integers may be (SPEC §1), in ns."""
+"""The units of abstract integers (SPEC §1), in ns."""
 
 _MOST_DIGITS: Final = 40
 _ORDERS: Final = (Order.ANY, Order.MONOTONE, Order.STRICT)
@@ -46,7 +47,7 @@ _ORDERS: Final = (Order.ANY, Order.MONOTONE, Order.STRICT)
 
 @dataclass(frozen=True, slots=True)
 class _Constraints:
-    """One constraint of each kind, and where the approximation was written. ``change`` None: none
+    """The merged constraint of each kind, and the place of the approximation. ``change`` None: none
     was written."""
 
     change: Change | None
@@ -58,7 +59,7 @@ class _Constraints:
 
 
 def to_policy(constraints: Sequence[ast.Constraint], source: str, unit: str) -> Policy:
-    """The policy that these constraints are (Def. 5.21). Raises `LanguageError`."""
+    """Return the policy of these constraints (Def. 5.21). Raises `LanguageError`."""
     merged = _merge(constraints, source, unit)
     try:
         return Policy(
@@ -76,8 +77,8 @@ def to_policy(constraints: Sequence[ast.Constraint], source: str, unit: str) -> 
 def to_synchronization(
     constraints: Sequence[ast.Constraint], source: str, unit: str, span: Span
 ) -> SynchronizationPolicy:
-    """The policy of a synchronization, which says when states are. Raises `LanguageError`; at
-    ``span`` if it does not say."""
+    """Return the policy of a synchronization, which must state the times of the states. Raises
+    `LanguageError`; at ``span`` if it does not."""
     merged = _merge(constraints, source, unit)
     if merged.change is None:
         raise LanguageError(
@@ -162,7 +163,7 @@ def _stronger(change: Change | None, constraint: ast.Change, source: str, unit: 
 
 
 def _larger(change: Change | None, constraint: ast.Change, source: str) -> ChangeBy:
-    """``change by``, together with what was written before: it implies ``any change``."""
+    """Merge ``change by`` with the earlier change constraint; it implies ``any change``."""
     if isinstance(change, SampleEvery):
         raise _two_changes(constraint, source)
     try:
@@ -216,7 +217,7 @@ _TIME_POINT = re.compile(r"\d{4}-")
 
 
 def duration(time: ast.Time, source: str, unit: str) -> int:
-    """A stretch of time in ns: an integer in ``unit``, or a number with a unit of its own."""
+    """Return a duration in ns: an integer in ``unit``, or a number with its own unit."""
     if _TIME_POINT.match(time.text):
         raise LanguageError(
             "a point in time stands where a stretch of time is meant",
@@ -228,7 +229,8 @@ def duration(time: ast.Time, source: str, unit: str) -> int:
 
 
 def time_point(time: ast.Time, source: str, unit: str) -> int:
-    """A time in ns since 1970: an integer in ``unit``, a number with a unit, or ISO-8601."""
+    """Return a time in ns since 1970: an integer in ``unit``, a number with its own unit, or
+    ISO-8601."""
     if not _TIME_POINT.match(time.text):
         return _nanoseconds(time, source, unit)
     try:

@@ -1,7 +1,7 @@
-"""Generators, their processes and the terms that these read ([DyKnow10 Def. 4.7, 5.17-5.19]).
+"""Checks generators, their processes and their terms ([DyKnow10 Def. 4.7, 5.17-5.19]).
 
-`check` calls this with what is declared so far. In terms, a variable of ``foreach`` stands for
-objects that are known when the system runs: such a term reads some generators of its feature.
+`check` calls this with the declarations so far. A variable of ``foreach`` stands for objects that
+are known at run time: a term with one reads some generators of its feature.
 """
 
 from __future__ import annotations
@@ -54,13 +54,13 @@ _FORMS: Final = {
 
 @dataclass(frozen=True, slots=True)
 class Generators:
-    """Reads generators in a scope; ``variables`` are bound around them."""
+    """Checks generators in a scope; ``variables`` are bound around them."""
 
     scope: Scope
     variables: tuple[str, ...] = ()
 
     def bind(self, variable: ast.Name) -> Generators:
-        """With one more variable. Raises `LanguageError` if it is bound already."""
+        """Add a variable. Raises `LanguageError` if it is bound already."""
         if variable.text in self.variables:
             raise self.scope.error(
                 f"`{variable.text}` is the variable of the `foreach` around this",
@@ -70,8 +70,8 @@ class Generators:
         return replace(self, variables=(*self.variables, variable.text))
 
     def generator(self, written: ast.Strmgen) -> GeneratorDeclaration:
-        """What ``strmgen LABEL = …`` declares, its label's symbols unchecked. Raises
-        `LanguageError`."""
+        """Return the generator of ``strmgen LABEL = …``, without checking the symbols of its label.
+        Raises `LanguageError`."""
         label = self.scope.label(written.label)
         name, span = written.process.text, written.process.span
         found = self.scope.by_key.get(name)
@@ -113,7 +113,7 @@ class Generators:
         )
 
     def _check_form(self, written: ast.Strmgen) -> None:
-        """Each process has its own form of inputs."""
+        """Check that the inputs have the form that the process needs."""
         name = written.process.text
         if written.synchronization and name != "sync":
             raise self.scope.error(
@@ -196,7 +196,7 @@ class Generators:
         return GeneratorDeclaration(label, of_many_objects(sort), process)
 
     def members(self, written: ast.StreamTerm) -> Term:
-        """A term whose samples name objects."""
+        """Check a term whose samples name objects."""
         term, sort = self.term(written)
         self._check_names_objects(term, sort, written)
         return term
@@ -213,7 +213,7 @@ class Generators:
         return GeneratorDeclaration(label, sort, SelectObject(term))
 
     def _check_names_objects(self, term: Term, sort: ValueSort, written: ast.StreamTerm) -> None:
-        """Objects are named by texts; an open sort may have some."""
+        """Check that the sort has a text field, which names objects; an open sort may get one."""
         if sort.fields is not None and sort.object_field is None:
             raise self.scope.error(
                 f"`{term.label}` is of sort `{sort.name}`, which has no field that names an object",
@@ -224,7 +224,7 @@ class Generators:
     # -- terms -----------------------------------------------------------------------------
 
     def term(self, written: ast.StreamTerm) -> tuple[Term, ValueSort]:
-        """A term that reads what is declared, and the sort of its values."""
+        """Return a term that reads a declared generator, and the sort of its values."""
         label, span = self.scope.label(written.label), written.label.span
         term = Term(label, to_policy(written.policy, self.scope.source, self.scope.unit))
         if not set(self.variables).isdisjoint(label.objects):
@@ -241,7 +241,7 @@ class Generators:
         raise self._unknown_label(label, span)
 
     def _pattern_sort(self, label: Label, span: Span) -> ValueSort:
-        """The sort of a label with a variable: that of all its feature's generators."""
+        """Return the sort of a label with a variable: that of all generators of its feature."""
         self.scope.check_arity(label, span)
         sorts = self.scope.symbols.sorts(label.feature)
         if not sorts:
@@ -263,7 +263,7 @@ class Generators:
             )
         return open_sort or sorts[0]
 
-    # -- what is not there -----------------------------------------------------------------
+    # -- unknown names ---------------------------------------------------------------------
 
     def _unknown_label(self, label: Label, span: Span) -> LanguageError:
         scope, name = self.scope, str(label)
@@ -292,7 +292,7 @@ class Generators:
         return scope.error(f"there is no generator `{name}`", span, hint)
 
     def _unknown_pattern(self, label: Label, span: Span) -> LanguageError:
-        """No generator of the feature is there, for no object."""
+        """Return the error for a feature without generators."""
         scope, feature = self.scope, label.feature
         for declaration in scope.text_declarations:
             inside = declaration.generators if isinstance(declaration, ast.Foreach) else ()

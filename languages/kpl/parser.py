@@ -1,4 +1,4 @@
-"""Text to KPL declarations ([DyKnow10 §5.2], SPEC §1). The grammar is `kpl.lark`.
+"""Parses text to KPL declarations ([DyKnow10 §5.2], SPEC §1). The grammar is `kpl.lark`.
 
 Names are not resolved here; `check` does that.
 """
@@ -79,11 +79,11 @@ def _grammar() -> Lark:
 
 @TextCache
 def parse_kpl(source: str) -> ast.Specification:
-    """The declarations of a KPL text, in order; ``#`` and ``//`` start comments.
+    """Parse the declarations of a KPL text, in order; ``#`` and ``//`` start comments.
 
-    Raises `LanguageError` for a text that the grammar refuses; the caret stands under the first
-    thing that cannot be there. The last texts are remembered: who has had one read in another
-    thread need not wait for it.
+    Raises `LanguageError` for a text that the grammar refuses; the caret marks the first wrong
+    token. The last texts are cached: the service parses a text in another thread first, then the
+    engine finds it.
     """
     nodes = trees(_parse(source, "start"))
     reader = _Reader(source)
@@ -94,12 +94,12 @@ def parse_kpl(source: str) -> ast.Specification:
 
 
 def parse_constraints(source: str) -> tuple[ast.Constraint, ...]:
-    """The constraints of a policy by itself: ``sample every 200, max delay 50``; may be none."""
+    """Parse the constraints of a single policy: ``sample every 200, max delay 50``; may be none."""
     return _Reader(source).constraints(trees(_parse(source, "policy_text")))
 
 
 def parse_label_term(source: str) -> ast.LabelTerm:
-    """A label by itself: ``pos[car1]``."""
+    """Parse a single label: ``pos[car1]``."""
     return _Reader(source).label(trees(_parse(source, "label_text"))[0])
 
 
@@ -110,7 +110,7 @@ def _parse(source: str, start: str) -> Tree[Token]:
         history = getattr(error, "token_history", None)
         before = history[-1] if history else None
         if before is not None and before.type == "NAME" and before in ast.KEYWORDS:
-            # It was taken for a name, and what stumbles is the next word.
+            # The parser took the keyword for a name and failed at the next word.
             raise _keyword_error(before, source) from None
 
         def hint(found: str, expected: AbstractSet[str]) -> str:
@@ -159,7 +159,7 @@ def _keyword_error(token: Token, source: str, quoted: bool = False) -> LanguageE
 
 
 class _Reader:
-    """Trees of the grammar to the AST."""
+    """Converts trees of the grammar to the AST."""
 
     def __init__(self, source: str) -> None:
         self._source = source
@@ -177,7 +177,7 @@ class _Reader:
             return ast.Name(str(token), span)
         try:
             text = json.loads(token, strict=False)
-            # Half a surrogate pair is no text, though JSON can write it.
+            # JSON allows half a surrogate pair, which is no text.
             text.encode()
         except ValueError:
             raise LanguageError(
@@ -278,7 +278,7 @@ class _Reader:
         return found
 
     def split(self, tree: Tree[Token]) -> tuple[list[Tree[Token]], Tree[Token] | None]:
-        """The terms and constraints among arguments, and what stands behind them."""
+        """Split arguments into terms with constraints, and the clause after them."""
         nodes = trees(tree)
         last = nodes.pop() if nodes[-1].data in ("synchronized", "mediated", "timed") else None
         return nodes, last
@@ -290,7 +290,8 @@ class _Reader:
         return ast.StreamTerm(self.label(label), constraints, Span(span.start, end))
 
     def terms(self, nodes: Iterable[Tree[Token]]) -> tuple[ast.StreamTerm, ...]:
-        """Each with all its constraints: one belongs to the term before it, if that has some."""
+        """Give each term all its constraints: a constraint belongs to the term before it, if that
+        has one already."""
         groups: list[list[Tree[Token]]] = []
         for node in nodes:
             if node.data == "term":

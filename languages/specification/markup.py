@@ -1,9 +1,9 @@
-"""Where the tags of an XML text stand, and plain words for what breaks them.
+"""Finds the tags of an XML text, with their places, and explains broken ones.
 
-libxml2 knows lines of elements at best, so the text is read for places here, before libxml2 sees
-it: a tag here and an element there are the same, by their order. What is refused on the way never
-reaches it: a DOCTYPE, and with it every entity, and elements nested too deep. The scan is one pass;
-whatever it lets through that is not well-formed after all, libxml2 refuses (`document`).
+libxml2 reports lines of elements at best, so this scan provides the places: the n-th tag here is
+libxml2's n-th element. Texts that the scan refuses never reach libxml2: those with a DOCTYPE, and
+thereby all entities, and those that nest too deeply. The scan is one pass; libxml2 refuses the
+other malformed texts (`document`).
 """
 
 from __future__ import annotations
@@ -20,23 +20,23 @@ NAMESPACE: Final = "http://www.dyknow.eu/ontology#Specification"
 XSI: Final = "http://www.w3.org/2001/XMLSchema-instance"
 
 MAX_DEPTH: Final = 100
-"""Elements in each other, `specification` and `insertions` among them. Values of this depth can
-still be compared, printed and copied by Python's own means, which recur."""
+"""The greatest depth of nested elements, `specification` and `insertions` included. Python
+compares, prints and copies values of this depth by recursion."""
 
 MOST_ATTRIBUTES: Final = 64
-"""Of one element: libxml2 compares each with all others."""
+"""The greatest number of attributes of an element: libxml2 compares each with all others."""
 
 BLANKS: Final = " \t\r\n"
 _NAME: Final = r"""[^ \t\r\n<>/='"&]+"""
 _ATTRIBUTE: Final = re.compile(rf"""[ \t\r\n]+({_NAME})[ \t\r\n]*=[ \t\r\n]*("[^"<]*"|'[^'<]*')""")
-# Possessive, so that a broken tag costs no more than its length.
+# Possessive quantifiers keep a broken tag at linear cost.
 _START_TAG: Final = re.compile(rf"<({_NAME})(?:{_ATTRIBUTE.pattern})*+[ \t\r\n]*+(/?)>")
 _END_TAG: Final = re.compile(rf"</({_NAME})[ \t\r\n]*>")
 _WORD: Final = re.compile(_NAME)
 _BARE_REFERENCE: Final = re.compile(
     r"&(?!(?:amp|lt|gt|quot|apos|#[0-9]+|#x[0-9A-Fa-f]+);)(?:#?[A-Za-z_][\w.-]*;)?"
 )
-# What may hold any characters: where it begins, where it ends, what it is called.
+# Markup with arbitrary contents: its beginning, its end, its name.
 _OPAQUE: Final = (
     ("<!--", "-->", "comment"),
     ("<![CDATA[", "]]>", "CDATA section"),
@@ -46,7 +46,8 @@ _OPAQUE: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Tag:
-    """A start tag. ``name`` is as written, with its prefix; ``span`` is from ``<`` to ``>``."""
+    """A start tag. ``name`` is as written, with its prefix; ``span`` reaches from ``<``
+    to ``>``."""
 
     name: str
     span: Span
@@ -58,7 +59,7 @@ class Tag:
 
 @dataclass(frozen=True, slots=True)
 class Attribute:
-    """An attribute as written. ``value`` is the place between the quotes."""
+    """An attribute as written. ``value`` is the span between the quotes."""
 
     name: str
     span: Span
@@ -71,14 +72,15 @@ class Attribute:
 
 @dataclass(frozen=True, slots=True)
 class Markup:
-    """The start tags in order; ``texts`` is where the first text directly in a tag begins."""
+    """The start tags in order; ``texts`` maps a tag to the offset of the first text
+    directly in it."""
 
     source: str
     tags: tuple[Tag, ...]
     texts: dict[int, int]
 
     def attributes(self, tag: Tag) -> list[Attribute]:
-        """What the tag has, in order, declarations of namespaces among it."""
+        """Return the attributes of the tag in order, namespace declarations included."""
         found = _ATTRIBUTE.finditer(self.source, tag.name_span.end, tag.span.end)
         return [
             Attribute(match[1], Span(*match.span(1)), Span(match.start(2) + 1, match.end(2) - 1))
@@ -87,10 +89,10 @@ class Markup:
 
 
 def scan(source: str) -> Markup:
-    """The tags of the text. Cost: one pass.
+    """Find the tags of the text. Cost: one pass.
 
-    Raises `LanguageError` for a DOCTYPE, too deep a tree, and tags, comments or references that
-    are broken, left open or closed in the wrong order.
+    Raises `LanguageError` for a DOCTYPE, for too deep nesting, and for tags, comments or references
+    that are broken, open, or closed in the wrong order.
     """
     scanner = _Scanner(source)
     position = 0
@@ -107,14 +109,14 @@ class _Scanner:
     source: str
     tags: list[Tag] = attribute(default_factory=list)
     texts: dict[int, int] = attribute(default_factory=dict)
-    # The tags that are open, as places in `tags`.
+    # Open tags, as indices into `tags`.
     open: list[int] = attribute(default_factory=list)
 
     def error(self, message: str, start: int, end: int, hint: str) -> LanguageError:
         return LanguageError(message, self.source, Span(start, end), hint)
 
     def text(self, start: int, end: int) -> None:
-        """What stands between two pieces of markup."""
+        """Check the text between two pieces of markup."""
         self.references(start, end)
         piece = self.source[start:end]
         blank = len(piece) - len(piece.lstrip(BLANKS))
@@ -147,7 +149,7 @@ class _Scanner:
         )
 
     def markup(self, start: int) -> int:
-        """Reads what begins with the ``<`` at ``start``; where it ends."""
+        """Read the markup at ``start``; return its end."""
         for begin, end, what in _OPAQUE:
             if self.source.startswith(begin, start):
                 return self.opaque(start, begin, end, what)
@@ -264,7 +266,7 @@ class _Scanner:
             )
 
     def broken_tag(self, start: int) -> NoReturn:
-        """What is wrong first in a start tag that is none."""
+        """Raise the error for the first mistake in a broken start tag."""
         name = _WORD.match(self.source, start + 1)
         if name is None:
             raise self.error(
@@ -307,5 +309,5 @@ class _Scanner:
 
 
 def abbreviate(text: str) -> str:
-    """A name or value as messages show it: not longer than it helps."""
+    """Return a name or value for a message, shortened if it is long."""
     return text if len(text) <= 60 else f"{text[:60]}…"

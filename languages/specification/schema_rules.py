@@ -1,9 +1,9 @@
-"""What the schema refuses, in plain words ([Introspection15 §3.2]).
+"""The rules of the schema, with plain messages ([Introspection15 §3.2]).
 
-The rules are those of the schema (`specification.xsd`), which says of a breach neither the column
-nor what to do, and whose list of breaches costs the square of their number. So they are walked here
-first, and the schema has the last word (`parser`). Law: what the schema refuses, this names, and
-nothing else (`tests/languages/test_specification.py`).
+The schema (`specification.xsd`) reports neither the column of an error nor a remedy, and its list
+of errors costs quadratic time. This module therefore checks the rules first, and the schema has the
+last word (`parser`). Law: this module refuses exactly the texts that the schema refuses
+(`tests/languages/test_specification.py`).
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ _NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_.\-]*")
 
 @dataclass(frozen=True, slots=True)
 class _Kind:
-    """What an element may be and hold; ``title`` is how messages call it.
+    """The rules for one kind of element; ``title`` is its name in messages.
 
-    ``references`` are attributes that name something there is, so any text but blanks;
-    ``verbatim`` ones are any text. The others are names.
+    ``references`` are attributes that name existing things, so any text that is not blank is
+    allowed; ``verbatim`` ones are any text. The others are names.
     """
 
     title: str
@@ -61,7 +61,7 @@ _NAME_OR_TYPE: Final = (
 
 
 def first_violation(document: Document) -> LanguageError | None:
-    """The first thing that the schema does not allow; None if there is nothing."""
+    """Return the first violation of the schema; None if there is none."""
     try:
         _Walk(document).walk()
     except LanguageError as error:
@@ -72,7 +72,7 @@ def first_violation(document: Document) -> LanguageError | None:
 @dataclass(slots=True)
 class _Walk:
     document: Document
-    # The kind of each element so far, and what may be there once only.
+    # The kind of each element so far, and the first element of each unique key.
     kinds: list[str] = field(default_factory=list)
     first: dict[tuple[str, int | None, str], Element] = field(default_factory=dict)
 
@@ -95,7 +95,7 @@ class _Walk:
     # -- elements ----------------------------------------------------------------------------
 
     def kind(self, element: Element) -> str:
-        """What the element is, by its name and what it stands in."""
+        """Return the kind of the element, by its name and parent."""
         if element.parent is None:
             return self.root(element)
         self.namespace(element)
@@ -157,7 +157,7 @@ class _Walk:
     def unknown(
         self, attribute: Attribute, name: str, element: Element, kind: str
     ) -> LanguageError:
-        """An attribute that is not the kind's; ``name`` is it without prefix."""
+        """Return the error for an attribute that the kind lacks; ``name`` has no prefix."""
         rules = _KINDS[kind]
         allowed = (*rules.required, *rules.optional)
         if name in allowed and name not in element.attributes:
@@ -205,10 +205,10 @@ class _Walk:
                 "what is removed is said one way; two ways are two `cu`",
             )
 
-    # -- what may be there once --------------------------------------------------------------
+    # -- uniqueness -------------------------------------------------------------------------
 
     def once(self, element: Element, kind: str) -> None:
-        """A part is there once, a name is one unit's, and a unit has a parameter once."""
+        """Check uniqueness: of each section, of unit names, and of a unit's parameters."""
         span = element.tag.name_span
         match kind:
             case "insertions" | "removals":
@@ -233,7 +233,7 @@ class _Walk:
                 pass
 
     def first_line(self, key: tuple[str, int | None, str], element: Element) -> int:
-        """The line of the first of this key; 0 if it is this one."""
+        """Return the line of the first element with this key; 0 if it is this one."""
         first = self.first.setdefault(key, element)
         if first is element:
             return 0
@@ -241,6 +241,6 @@ class _Walk:
 
 
 def _listed(names: Iterable[str]) -> str:
-    """`` `a`, `b` and `c` ``; ``nothing`` for none."""
+    """Return `` `a`, `b` and `c` ``; ``nothing`` if empty."""
     *others, last = [f"`{name}`" for name in names] or ["nothing"]
     return f"{', '.join(others)} and {last}" if others else last

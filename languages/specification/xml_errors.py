@@ -1,8 +1,8 @@
-"""libxml2's errors in plain words, under the thing that they speak of.
+"""Converts libxml2's errors to plain messages at the right place.
 
-What `markup` let through, since a scan for tags does not need it: references to no character,
-attributes given twice, prefixes, the XML declaration. libxml2 tells where it stopped reading, which
-is the end of what is wrong; the column counts characters.
+These are the errors that the scan in `markup` does not detect: references to invalid characters,
+repeated attributes, prefixes, the XML declaration. libxml2 reports where it stopped, which is the
+end of the mistake; its column counts characters.
 """
 
 from __future__ import annotations
@@ -29,7 +29,8 @@ _NO_NAME: Final = (ErrorTypes.ERR_NAME_REQUIRED, ErrorTypes.NS_ERR_QNAME)
 def malformed_error(
     markup: Markup, code: int, message: str, line: int, column: int
 ) -> LanguageError:
-    """The error for libxml2's; ``code`` is of its ErrorTypes, line and column count from 1."""
+    """Convert an error of libxml2; ``code`` is one of its ErrorTypes, line and column
+    count from 1."""
     source = markup.source
     end = _offset(source, line, column)
     declaration = source.find("?>") + 2 if source.startswith("<?xml") else 0
@@ -68,7 +69,7 @@ def malformed_error(
 
 
 def _given_twice(markup: Markup, end: int) -> LanguageError:
-    """The attribute that ends here has another's name."""
+    """Return the error for an attribute, ending here, whose name occurs before."""
     tag = _tag_before(markup, end)
     again = [one for one in markup.attributes(tag) if one.span.start < end][-1]
     text = f"`{abbreviate(again.name)}` is given twice"
@@ -97,7 +98,7 @@ def _tag_before(markup: Markup, end: int) -> Tag:
 
 
 def _offset(source: str, line: int, column: int) -> int:
-    """The place of a line and column, within the text whatever they are."""
+    """Return the offset of a line and column, clamped to the text."""
     start = 0
     for _ in range(line - 1):
         start = source.find("\n", start) + 1 or start

@@ -1,9 +1,10 @@
-"""SSL declarations against the ontology: names become IRIs, units are compared ([Events14 §IV.A]).
+"""Checks SSL declarations against the ontology: it resolves names and compares units ([Events14
+§IV.A]).
 
-What the papers leave open is settled here. A name that the ontology knows as a sort is a sort;
-any other name is an object, known or new, unless `every` asks for a sort. A plain name is looked
-up in the stream's object namespace first and then among the domain terms (`dyknow:`); a prefixed
-name or an IRI means itself.
+The papers leave these rules open. A name that the ontology defines as a sort is a sort. Any other
+name is an object, known or new, unless `every` requires a sort. A plain name is looked up in the
+stream's object namespace, then among the domain terms (`dyknow:`). A prefixed name or an IRI
+denotes itself.
 """
 
 from __future__ import annotations
@@ -53,10 +54,10 @@ def check_ssl(
     vocabulary: Vocabulary,
     namespace: str = DYKNOW,
 ) -> tuple[CheckedAnnotation, ...]:
-    """What the declarations of `parse_ssl(source)` mean, one annotation each, in order.
+    """Return the meaning of the declarations of `parse_ssl(source)`, one annotation each, in order.
 
-    ``namespace`` is where new objects live. Raises `LanguageError` at the first name, unit or
-    for-part that makes no sense; nothing is then declared.
+    ``namespace`` is that of new objects. Raises `LanguageError` at the first invalid name, unit or
+    for-part; then nothing is declared.
     """
     checker = _Checker(source, vocabulary, namespace)
     declared: set[tuple[type[Declaration], str]] = set()
@@ -138,7 +139,7 @@ class _Checker:
             )
 
     def check_entities(self, stream: StreamDeclaration) -> None:
-        """Each entity names something in the features, once, and fits with or without `every`."""
+        """Check that each entity names something in the features, once, and fits its `every`."""
         arguments = [argument for term in stream.features for argument in term.arguments]
         by_term: dict[str, Entity] = {}
         for entity in stream.entities:
@@ -166,13 +167,13 @@ class _Checker:
                 self.check_entity(entity, argument)
 
     def is_named(self, argument: Argument, entity: Entity) -> bool:
-        """An alias hides the name it stands for."""
+        """Return whether the entity names the argument. An alias hides the name of its argument."""
         if argument.alias is not None:
             return argument.alias == entity.name
         return argument.name == entity.name or self.term(argument) == self.term(entity)
 
     def term(self, named: Argument | Entity) -> str:
-        """What a name stands for: a term that the ontology knows, else a new one."""
+        """Resolve a name: a term of the ontology, else a new one."""
         iris = self.iris(named.name, named.span)
         known = self.vocabulary
         return next((iri for iri in iris if known.is_sort(iri) or known.is_object(iri)), iris[0])
@@ -241,7 +242,8 @@ class _Checker:
         return (self.namespace,) if self.namespace == DYKNOW else (self.namespace, DYKNOW)
 
     def iris(self, name: str, span: Span) -> tuple[str, ...]:
-        """What a written name may mean, best first: ``speed``, ``dyknow:speed``, ``<IRI>``."""
+        """Return the possible IRIs of a name, best first: ``speed``, ``dyknow:speed``,
+        ``<IRI>``."""
         if name.startswith("<"):
             try:
                 return (NamedNode(name[1:-1]).value,)
@@ -263,7 +265,7 @@ class _Checker:
         return next((iri for iri in iris if self.vocabulary.is_sort(iri)), None)
 
     def object(self, argument: Argument) -> str:
-        """The IRI of an object: one that the ontology knows, else a new one."""
+        """Return the IRI of an object: one of the ontology, else a new one."""
         if argument.name == "self":
             return self.vocabulary.self_object
         candidates = self.iris(argument.name, argument.span)
@@ -279,7 +281,7 @@ class _Checker:
         return next(known, candidates[0])
 
     def feature(self, name: str, span: Span) -> str:
-        """The IRI of a feature, or of an event, whose stream carries the event's value."""
+        """Return the IRI of a feature, or of an event, whose stream carries the event's value."""
         for iri in self.iris(name, span):
             if self.vocabulary.is_feature(iri) or self.vocabulary.is_event(iri):
                 return iri
@@ -294,7 +296,8 @@ class _Checker:
     # -- units and ports -------------------------------------------------------------------
 
     def unit(self, feature: str, name: str, unit: Unit | None, span: Span | None) -> Unit:
-        """The unit written if it measures what the feature is; the feature's own if none is."""
+        """Return the written unit if its dimension is that of the feature; without one the
+        feature's own."""
         info = self.vocabulary.feature(feature)
         own = None if info is None else info.unit
         if unit is None or span is None:
@@ -359,12 +362,13 @@ class _Checker:
         inputs: Sequence[PortAnnotation],
         entities: Sequence[Entity],
     ) -> PortAnnotation:
-        """The output; what no input speaks of gets its names in a field of the output."""
+        """Return the output. Objects that no input contains get a field of the output for their
+        names."""
         made = self.port(port)
         self.check_field(port.field, port.span)
         in_inputs = {argument.variable for input in inputs for argument in input.arguments}
         if any(not input.arguments for input in inputs):
-            # Such an input speaks of what the output speaks of.
+            # Such an input concerns the objects of the output.
             in_inputs |= {argument.variable for argument in made.arguments}
         for named in entities:
             self.check_field(named.field, named.span)
@@ -408,6 +412,6 @@ class _Checker:
 
 
 def variable_name(name: str) -> str:
-    """The last part of a written name or an IRI, with letters, digits and `_` only."""
+    """Return the last part of a name or an IRI, with letters, digits and `_` only."""
     text = local_name(name.rstrip(">"))
     return "".join(c if c.isalnum() or c == "_" else "_" for c in text)

@@ -1,4 +1,4 @@
-"""Text to SSL declarations ([Events14 Listing 1], SPEC §3). The grammar is `ssl.lark`.
+"""Parses text to SSL declarations ([Events14 Listing 1], SPEC §3). The grammar is `ssl.lark`.
 
 Names are not resolved here; `check` does that.
 """
@@ -65,11 +65,11 @@ def _grammar() -> Lark:
 
 @TextCache
 def parse_ssl(source: str) -> tuple[Declaration, ...]:
-    """The declarations of an SSL text, in order; `#` starts a comment.
+    """Parse the declarations of an SSL text, in order; `#` starts a comment.
 
-    Raises `LanguageError` for a text that Listing 1's grammar refuses; the caret stands under
-    the first thing that cannot be there. The last texts are remembered: who has had one read in
-    another thread need not wait for it.
+    Raises `LanguageError` for a text that the grammar of Listing 1 refuses; the caret marks the
+    first wrong token. The last texts are cached: the service parses a text in another thread first,
+    then the engine finds it.
     """
     try:
         tree = _grammar().parse(source)
@@ -112,7 +112,7 @@ def _declaration(tree: Tree[Token], source: str) -> Declaration:
 
 
 def _found(for_part: list[Tree[Token]], source: str) -> tuple[Entity, ...]:
-    """The objects that a source or unit names itself, if there is a for-part."""
+    """Return the objects that a source or unit names itself, if it has a for-part."""
     if not for_part:
         return ()
     entities = _for_part(for_part[0])
@@ -128,12 +128,13 @@ def _found(for_part: list[Tree[Token]], source: str) -> tuple[Entity, ...]:
 
 
 def _for_part(tree: Tree[Token]) -> tuple[Entity, ...]:
-    """`every` governs all that follows it; what stands before it is a condition."""
+    """Read the for-part. `every` applies to all entities after it; an entity before it is a
+    condition."""
     every = False
     entities = []
     for node in trees(tree):
         every = every or len(node.children) == 3
-        # The word `every` may be the name itself, so tokens are taken by place.
+        # The word `every` may be the name itself, so the order decides.
         *_, name, field = tokens(node)
         span = Span(span_of(name).start, span_of(field).end)
         entities.append(Entity(str(name), _field(field), span, every))
@@ -182,7 +183,7 @@ def _unit(tree: Tree[Token], source: str) -> UnitPower:
     name, *power = (child for child in tree.children if isinstance(child, Token))
     if not power:
         return UnitPower(str(name))
-    # More digits than a power can have are refused before int() meets them.
+    # Rejects long digit strings before int(), whose cost is quadratic in the digits.
     if len(power[0]) > 3 or int(power[0]) == 0:
         raise LanguageError(
             f"`{power[0]}` is no power of a unit",
