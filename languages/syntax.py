@@ -41,7 +41,7 @@ def syntax_error(error: UnexpectedInput, source: str, hint: SyntaxHint) -> Langu
             pass
     start = min(max(start, 0), len(source))
     expected -= {"COMMENT", "WS"}
-    message = f"`{found}` cannot stand here" if found else "the text ends too early"
+    message = f"`{found}` is not allowed here" if found else "the text ends too early"
     return LanguageError(message, source, Span(start, start + len(found)), hint(found, expected))
 
 
@@ -53,7 +53,7 @@ def check_names(tree: Tree[Token], source: str) -> None:
     if long:
         first = min(long, key=lambda token: span_of(token).start)
         raise LanguageError(
-            f"a name has at most {LONGEST_NAME} characters, and this one {len(first)}",
+            f"a name has at most {LONGEST_NAME} characters, and this one has {len(first)}",
             source,
             span_of(first),
             "shorten it",

@@ -37,7 +37,7 @@ def rows_of(results: QueryResults) -> tuple[tuple[str, ...], list[tuple[Term | N
     """Return the variables and rows of a SELECT; None is unbound. Raises `QueryRefused` for other
     forms."""
     if not isinstance(results, QuerySolutions):
-        raise QueryRefused("a table is wanted, so the query must be a SELECT", 1, 1)
+        raise QueryRefused("a table needs a SELECT query", 1, 1)
     variables = tuple(variable.value for variable in results.variables)
     return variables, [tuple(_rdf11(term) for term in solution) for solution in results]
 
@@ -59,7 +59,7 @@ def serialized(results: QueryResults, accept_format: str) -> bytes:
         f"the answer to this query cannot be given as {accept_format}",
         1,
         1,
-        f"ask for {', '.join(formats)}",
+        f"request {', '.join(formats)}",
     )
 
 

@@ -120,7 +120,7 @@ def _term(term: object) -> RdflibTerm:
                 term.value, datatype=rdflib.URIRef(term.datatype.value), normalize=False
             )
         case _:
-            raise OntologyError(f"no RDF 1.1 term: {term}")
+            raise OntologyError(f"not an RDF 1.1 term: {term}")
 
 
 def _node(term: object) -> NamedNode | BlankNode | Literal:
@@ -136,7 +136,7 @@ def _node(term: object) -> NamedNode | BlankNode | Literal:
                 return Literal(str(term))
             return Literal(str(term), datatype=NamedNode(str(term.datatype)))
         case _:
-            raise OntologyError(f"no RDF 1.1 term: {term!r}")
+            raise OntologyError(f"not an RDF 1.1 term: {term!r}")
 
 
 def _is_noise(triple: Triple) -> bool:

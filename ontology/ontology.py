@@ -492,7 +492,7 @@ def _ontology_graph(name: str) -> NamedNode:
     try:
         graph = graphs.ontology_graph(name)
     except ValueError as error:
-        raise OntologyError(f"{name!r} is no name for an ontology: {error}") from error
+        raise OntologyError(f"{name!r} is not a name for an ontology: {error}") from error
     if graph in graphs.SYSTEM:
-        raise OntologyError(f"the name {name} is the system's own")
+        raise OntologyError(f"the name {name} is reserved")
     return graph

@@ -51,7 +51,7 @@ class _Reader(QueryReader):
         return self.error(
             "SERVICE is refused: this service contacts no other",
             self.here,
-            "load the data as an ontology, then ask for it here",
+            "load the data as an ontology, then query it here",
         )
 
     def unexpected(self, hint: str = "") -> LanguageError:

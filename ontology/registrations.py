@@ -165,7 +165,7 @@ def _iri(text: str) -> NamedNode:
     try:
         return NamedNode(text)
     except ValueError as error:
-        raise OntologyError(f"{text!r} is no IRI: {error}") from error
+        raise OntologyError(f"{text!r} is not an IRI: {error}") from error
 
 
 def _named_text(node: NamedNode, kind: NamedNode, name: str, text: str) -> set[Triple]:

@@ -60,8 +60,8 @@ class Cursor:
         """Return the error for a missing ``what``."""
         here = self.here
         if here is None:
-            return self.error(f"{what} is due, but the text ends", None, hint)
-        return self.error(f"{what} is due, not `{self.text_of(here)}`", here, hint)
+            return self.error(f"expected {what}, but the text ends", None, hint)
+        return self.error(f"expected {what}, found `{self.text_of(here)}`", here, hint)
 
     def unexpected(self, hint: str = "") -> LanguageError:
         """Return the error for a token that fits no rule. It reads the rest of the text first,
@@ -80,7 +80,7 @@ class Cursor:
                 hint = "is a `.` missing before it, to end the triple?"
             elif here.is_mark("}"):
                 hint = "something is missing before the `}`: is a triple incomplete?"
-        return self.error(f"`{_shown(self.text_of(here))}` cannot stand here", here, hint)
+        return self.error(f"`{_shown(self.text_of(here))}` is not allowed here", here, hint)
 
     def text_of(self, token: Token) -> str:
         """Return a token as written, with its escapes."""
@@ -190,7 +190,7 @@ class Cursor:
         hint = "write an IRI, a prefixed name, a number, a string, true, false, or a variable"
         if token.kind is Kind.WORD:
             hint = f'write `dyknow:{token.text}` for a name, `"{token.text}"` for a text'
-        raise self.error(f"`{token.text}` is no term", token, hint)
+        raise self.error(f"`{token.text}` is not a term", token, hint)
 
     def is_signed_number(self) -> bool:
         """Return whether the next token is the sign of a number ([150]-[155])."""
@@ -211,7 +211,7 @@ class Cursor:
             try:
                 return Literal(text, language=after.text[1:])
             except ValueError as error:
-                raise self.error(f"no language tag: {error}", after) from None
+                raise self.error(f"not a language tag: {error}", after) from None
         if after.is_mark("^"):
             raise self.error("a datatype is joined with `^^`", after, _DATATYPE)
         if not after.is_mark("^^"):
@@ -219,12 +219,12 @@ class Cursor:
         self.take()
         name = self.here
         if name is None or name.kind not in (Kind.IRI, Kind.PREFIXED):
-            raise self.error("a datatype is due after `^^`", after, _DATATYPE)
+            raise self.error("expected a datatype after `^^`", after, _DATATYPE)
         datatype = NamedNode(self.iri_of(self.take()))
         try:
             return Literal(text, datatype=datatype)
         except ValueError as error:
-            raise self.error(f"no literal: {error}", name) from None
+            raise self.error(f"not a literal: {error}", name) from None
 
     def prologue(self) -> None:
         """Read PREFIX and BASE ([4]-[6]), which may stand before and after REGISTER."""

@@ -151,7 +151,7 @@ class ExpressionReader(Cursor):
         self.height = height
         if height > self.limits.operators:
             raise self.error(
-                f"more than {self.limits.operators} operators stand in each other",
+                f"more than {self.limits.operators} operators are nested",
                 self.last_token,
                 "ask with several queries, one after the other",
             )
@@ -172,7 +172,7 @@ class ExpressionReader(Cursor):
             token = self.take()
             signs += 1
             if signs > self.limits.negations:
-                message = f"more than {self.limits.negations} negations after each other"
+                message = f"more than {self.limits.negations} negations in a row"
                 raise self.error(message, token)
         found = self._primary()
         for _ in range(signs):
@@ -269,7 +269,7 @@ class ExpressionReader(Cursor):
         if name in AGGREGATES:
             if not self.aggregates:
                 raise self.unexpected(
-                    "an aggregate stands in the head, in HAVING or in ORDER BY, in no other one"
+                    "an aggregate is allowed in the head, HAVING and ORDER BY, but not in another one"
                 )
             return self._aggregate(self.take())
         token = self.take()

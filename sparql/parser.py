@@ -267,7 +267,7 @@ class QueryReader(PatternReader):
         if query.projection is None:
             if query.keys:
                 raise LanguageError(
-                    "`SELECT *` of what is grouped",
+                    "`SELECT *` is not allowed with GROUP BY",
                     self.source,
                     Span(query.span.start, query.span.start + len("SELECT")),
                     "name the keys and the aggregates",
@@ -291,7 +291,7 @@ class QueryReader(PatternReader):
                         f"`?{name}` is bound already",
                         self.source,
                         one.span,
-                        "give what is computed a name of its own",
+                        "give the computed value another name",
                     )
             for free in used if is_grouped else ():
                 if free not in allowed:
@@ -299,7 +299,7 @@ class QueryReader(PatternReader):
                         f"`?{free}` is neither grouped nor aggregated",
                         self.source,
                         one.span,
-                        f"write `?{free}` behind GROUP BY, or an aggregate of it",
+                        f"write `?{free}` after GROUP BY, or aggregate it",
                     )
             if one.expression is not None:
                 aliases.add(name)

@@ -154,9 +154,9 @@ class PatternReader(PathReader):
         if variable.value in bound:
             assert token is not None
             raise self.error(
-                f"`{token.text}` is bound before it in its group",
+                f"`{token.text}` is bound earlier in its group",
                 token,
-                "give what is computed a name of its own",
+                "give the computed value another name",
             )
         self.expect(")")
         return Bind(expression, variable)
@@ -184,7 +184,7 @@ class PatternReader(PathReader):
                 row.append(self._data_value())
             self.take()
             if len(row) != len(names):
-                message = f"a row of {len(row)} for {len(names)} variables"
+                message = f"expected a row of {len(names)}, found a row of {len(row)}"
                 raise self.error(message, opened, "write UNDEF where there is no value")
             rows.append(tuple(row))
         self.take()
@@ -343,9 +343,9 @@ class PatternReader(PathReader):
         key = (self.in_template, token.text)
         if self.labels.setdefault(key, self.block) != self.block:
             raise self.error(
-                f"`{token.text}` stands in two graph patterns",
+                f"`{token.text}` occurs in two graph patterns",
                 token,
-                "a label of a blank node is of one graph pattern: use a variable",
+                "a blank node label is local to one graph pattern: use a variable",
             )
         return BlankNode(token.text[2:])
 

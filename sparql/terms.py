@@ -41,7 +41,7 @@ def suggest_prefix(source: str, token: Token, prefix: str) -> LanguageError:
         f"the prefix `{prefix}:` is not declared",
         source,
         Span(token.start, token.start + len(prefix) + 1),
-        f"write `PREFIX {prefix}: <…>` before it is used; known without that are "
+        f"write `PREFIX {prefix}: <…>` before it is used; no declaration is needed for "
         + ", ".join(f"{name}:" for name in PREFIXES),
     )
 
@@ -61,7 +61,7 @@ def iri_text(token: Token, source: str, prefixes: Mapping[str, str], base: str =
         return NamedNode(text).value
     except ValueError as error:
         hint = "an IRI is absolute: `<http://…>`" if ":" not in text else ""
-        raise LanguageError(f"`{text}` is no IRI: {error}", source, token.span, hint) from None
+        raise LanguageError(f"`{text}` is not an IRI: {error}", source, token.span, hint) from None
 
 
 def string_text(token: Token, source: str) -> str:
@@ -75,7 +75,10 @@ def string_text(token: Token, source: str) -> str:
         if code not in _STRING_ESCAPES:
             start = token.start + quotes + match.start()
             raise LanguageError(
-                f"`\\{code}` is no escape", source, Span(start, start + 2), r"write `\\` for a \ "
+                f"`\\{code}` is not an escape",
+                source,
+                Span(start, start + 2),
+                r"write `\\` for a \ ",
             )
         return _STRING_ESCAPES[code]
 
@@ -86,7 +89,10 @@ def _character(digits: str, token: Token, source: str) -> str:
     code = int(digits, 16)
     if code > 0x10FFFF or 0xD800 <= code <= 0xDFFF:
         raise LanguageError(
-            f"U+{digits} is no character", source, token.span, "write the escape of another one"
+            f"U+{digits} is not a character",
+            source,
+            token.span,
+            "write the escape of another character",
         )
     return chr(code)
 

@@ -192,9 +192,9 @@ class Lexer:
         match = _TOKEN.fullmatch(text)
         if match is None or match.lastgroup != token.kind.name or _ESCAPES.search(text):
             raise self._error(
-                f"`{token.text}` is no name",
+                f"`{token.text}` is not a name",
                 token,
-                "an escape in a name stands for a character that a name may have",
+                "an escape in a name must stand for a character that names allow",
             )
         return Token(token.kind, text, token.start, token.end)
 
@@ -223,7 +223,7 @@ class Lexer:
         line = self.source.count("\n", 0, opened.start) + 1
         due = _CLOSING[opened.text]
         hint = f"the `{opened.text}` of line {line} is still open"
-        return self._error(f"`{token.text}` where `{due}` is due", token, hint)
+        return self._error(f"expected `{due}`, found `{token.text}`", token, hint)
 
 
 def _character(digits: str) -> str:

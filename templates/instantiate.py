@@ -93,7 +93,7 @@ def _check_variable(
         )
     if argument in arguments[:index]:
         raise _error(
-            f"{argument} stands for two arguments",
+            f"{argument} is used for two arguments",
             index,
             parameter,
             f"leave the second free under a name of its own: ?{parameter.value}",
@@ -108,12 +108,12 @@ def _check_term(
             iri = _iri(argument, place, index, parameter, "dyknow:UAV")
             if not vocabulary.is_sort(iri):
                 hint = suggestion(iri, vocabulary.suggest(iri, "sort"))
-                raise _error(f"{shorten(iri)} is no known sort", index, parameter, hint)
+                raise _error(f"{shorten(iri)} is not a known sort", index, parameter, hint)
         case Place.PREDICATE:
             iri = _iri(argument, place, index, parameter, "dyknow:speed")
             if not (vocabulary.is_feature(iri) or vocabulary.is_event(iri)):
                 hint = suggestion(iri, vocabulary.suggest(iri, "feature"))
-                raise _error(f"{shorten(iri)} is no known feature", index, parameter, hint)
+                raise _error(f"{shorten(iri)} is not a known feature", index, parameter, hint)
         case Place.SUBJECT:
             _iri(argument, place, index, parameter, "dyknow:uav1")
         case Place.NUMBER:
@@ -129,7 +129,7 @@ def _iri(argument: Term, place: Place, index: int, parameter: Variable, example:
         return argument.value
     given = "a blank node" if isinstance(argument, BlankNode) else f"the literal {_text(argument)}"
     raise _error(
-        f"?{parameter.value} stands for {place.value}: an IRI is due, not {given}",
+        f"?{parameter.value} stands for {place.value}: expected an IRI, found {given}",
         index,
         parameter,
         f"write a name such as {example}",
@@ -139,9 +139,9 @@ def _iri(argument: Term, place: Place, index: int, parameter: Variable, example:
 def number_problem(term: Term) -> str:
     """Return why ``term`` is no finite number; empty if it is one."""
     if not isinstance(term, Literal):
-        return f"{_text(term)} is no literal"
+        return f"{_text(term)} is not a literal"
     if not is_numeric(term.datatype.value):
-        return f"{_text(term)} is no number"
+        return f"{_text(term)} is not a number"
     kind = term.datatype.value.rpartition("#")[2]
     if kind in ("float", "double"):
         pattern = _DOUBLE
@@ -150,7 +150,7 @@ def number_problem(term: Term) -> str:
     if not pattern.fullmatch(term.value):
         if term.value in ("NaN", "INF", "+INF", "-INF"):
             return f"{term.value} is not finite"
-        return f"{term.value!r} is no xsd:{kind}"
+        return f"{term.value!r} is not an xsd:{kind}"
     # A double may overflow to infinity: 1e999.
     return f"{term.value} is not finite" if _overflows(term.value) else ""
 

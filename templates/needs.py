@@ -143,7 +143,7 @@ class _Reader:
             self._named_streams or (self._is_static is not None and self._is_static(predicate))
         ):
             raise NeedsError(
-                f"{shorten(predicate)} is neither a feature nor anything else that is known",
+                f"{shorten(predicate)} is neither a feature nor another known term",
                 suggestion(predicate, vocabulary.suggest(predicate)),
             )
         return False
@@ -155,7 +155,8 @@ class _Reader:
             return
         if not (vocabulary.is_sort(iri) or vocabulary.is_event(iri) or vocabulary.is_feature(iri)):
             raise NeedsError(
-                f"{shorten(iri)} is no known sort", suggestion(iri, vocabulary.suggest(iri, "sort"))
+                f"{shorten(iri)} is not a known sort",
+                suggestion(iri, vocabulary.suggest(iri, "sort")),
             )
 
     def want(self, pattern: Pattern) -> Want:

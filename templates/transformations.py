@@ -96,7 +96,7 @@ def event_transformation(
         names = " and ".join(f"?{parameter.value}" for parameter in required)
         lacks = f"{names} must be given: request {shorten(template.name)} with a value"
     elif query.form is not Form.CONSTRUCT:
-        lacks = "its answers are a table, which is no stream of an event"
+        lacks = "its results are a table, not a stream of an event"
     else:
         predicates = _predicates(query)
         value = field_names(predicates)[predicates[0]]
@@ -110,7 +110,7 @@ def event_transformation(
             if product is not None and len(product.sorts) == 1:
                 sort = product.sorts[0]
             elif product is not None and len(product.sorts) > 1:
-                lacks = "its head speaks of several kinds of objects"
+                lacks = "its head is about several kinds of objects"
     inputs = tuple(
         PortAnnotation(want.feature, want.feature, (), (Argument("o", want.wanted_sort),))
         for want in wants

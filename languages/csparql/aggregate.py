@@ -50,14 +50,14 @@ def _filter(at: ExpressionReader) -> tuple[Expression, Span]:
 
 def _aggregation(at: Cursor) -> Aggregation:
     first = at.take()
-    alias = at.variable("the name of the aggregate, like `?avg`,", _EXAMPLE)
+    alias = at.variable("the name of the aggregate, like `?avg`", _EXAMPLE)
     at.expect_mark(",", _EXAMPLE)
     function = _function(at)
     at.expect_mark(",", _EXAMPLE)
     at.expect_mark("{", _EXAMPLE)
     argument = at.variable("a variable of WHERE", _EXAMPLE)
     if at.is_mark(","):
-        raise at.error("an aggregate is taken over one variable", at.here, _EXAMPLE)
+        raise at.error("an aggregate has one variable", at.here, _EXAMPLE)
     at.expect_mark("}", _EXAMPLE)
     close = at.expect_mark(")", _EXAMPLE)
     span = Span(first.start, close.end)
@@ -73,6 +73,6 @@ def _function(at: Cursor) -> str:
     if name not in FUNCTIONS:
         near = difflib.get_close_matches(name, FUNCTIONS, n=1)
         hint = f"did you mean {near[0]}?" if near else hint
-        raise at.error(f"`{word.text}` is no aggregate function", word, hint)
+        raise at.error(f"`{word.text}` is not an aggregate function", word, hint)
     at.take()
     return name

@@ -102,9 +102,7 @@ def with_streams(query: ContinuousQuery, streams: Sequence[str]) -> ContinuousQu
     """
     named = next((clause.name for clause in query.streams if clause.name is not None), None)
     if named is not None:
-        raise ValueError(
-            f"the query's streams cannot be replaced: it asks the window <{named}> by its name"
-        )
+        raise ValueError(f"the query's streams cannot be replaced: it names the window <{named}>")
     window = query.window or (query.streams[0].window if query.streams else None)
     if window is None:
         raise ValueError(f"{query.name or 'the query'} has no window")
@@ -323,7 +321,7 @@ def _substitute_aliases(query: Query) -> Query:
     def put_in(expression: Expression) -> Expression:
         size, height = _measure(expression, sizes)
         if size > _LARGEST or height > _HIGHEST:
-            raise ValueError("names in the head stand for each other too often")
+            raise ValueError("aliases in the head expand to too large an expression")
         return rewrite(expression, _by_name(aliases)) if aliases else expression
 
     projection = []

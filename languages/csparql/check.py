@@ -62,7 +62,7 @@ class Check:
             for name in (name for node in inside for name in variables_of(node)):
                 if name in aliases - self.bound:
                     raise LanguageError(
-                        f"`?{name}` is computed in the head, and no aggregate is taken of it",
+                        f"`?{name}` is computed in the head, so it cannot be aggregated",
                         self.reader.source,
                         one.span,
                         "compute it in a sub-query",
@@ -81,7 +81,9 @@ class Check:
             if is_present:
                 after_where = (t for t in self.reader.tokens if t.start >= self.where.span.end)
                 first = next(t for t in after_where if t.is_word(word.split()[0]))
-                raise self.reader.error(f"{word} and AGGREGATE in one query", first, hint)
+                raise self.reader.error(
+                    f"a query cannot have both {word} and AGGREGATE", first, hint
+                )
         if body.selects_all or body.is_short:
             raise self.reader.error(
                 "the head must name its variables, since AGGREGATE groups by them",
@@ -125,7 +127,7 @@ class Check:
                 if name not in allowed:
                     token = self._token(name, span)
                     raise self.reader.error(
-                        f"`{token.text}` is no aggregate and no variable of the head",
+                        f"`{token.text}` is neither an aggregate nor a variable of the head",
                         token,
                         "filter on an aggregate here, on other variables inside WHERE",
                     )

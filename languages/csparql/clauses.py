@@ -130,10 +130,10 @@ class ClauseReader(QueryReader):
             if token is None or token.kind is not Kind.VARIABLE:
                 raise self.expected("a parameter like `?o`")
             if any(token.text[1:] == other.text[1:] for other in self.found.parameters):
-                raise self.error(f"the parameter `{token.text}` is there twice", token)
+                raise self.error(f"the parameter `{token.text}` occurs twice", token)
             self.found.parameters.append(self.take())
             if not self.is_mark(")"):
-                self.expect_mark(",", "parameters are parted by commas")
+                self.expect_mark(",", "separate parameters by commas")
         self.take()
         self.group_parameters = frozenset(token.text[1:] for token in self.found.parameters)
 
@@ -149,7 +149,7 @@ class ClauseReader(QueryReader):
             raise self.error(
                 f"`{word.text}`, but the query is registered as {registered}",
                 word,
-                "say it in one place",
+                "state it in one place",
             )
         self.found.head_operator = written
         self.mark_ours(word)
@@ -168,7 +168,7 @@ class ClauseReader(QueryReader):
                 self.window_clause(first)
             else:
                 raise self.error(
-                    "one text registers one query", first, "send the second on its own"
+                    "one text registers one query", first, "send the second one separately"
                 )
 
     def more_clauses(self) -> None:
@@ -183,7 +183,7 @@ class ClauseReader(QueryReader):
                 f"write `WHERE {{ WINDOW {here.text} {{ … }} }}`",
             )
         if self.found.window is not None:
-            raise self.error("a second WINDOW clause", first, "one window holds for all streams")
+            raise self.error("a second WINDOW clause", first, "one window applies to all streams")
         self.found.window = read_window(self, "WINDOW", self.found.every)
         self.mark_ours(first)
 
@@ -203,12 +203,12 @@ class ClauseReader(QueryReader):
         word = self.take()
         if self.is_mark("["):
             raise self.error(
-                "the WINDOW clause stands inside a group", word, "write it behind the last `}`"
+                "the WINDOW clause is inside a group", word, "write it after the last `}`"
             )
         name = self.here
         if name is None or name.kind not in (Kind.IRI, Kind.PREFIXED, Kind.VARIABLE):
             raise self.error(
-                "the name of a window is due after WINDOW", name, "write `WINDOW :w { … }`"
+                "expected the name of a window after WINDOW", name, "write `WINDOW :w { … }`"
             )
         return Graph(self.graph_name(), self.group(), is_window=True)
 
@@ -237,9 +237,9 @@ class ClauseReader(QueryReader):
             word = self.take()
             name = "" if self.here is None else f" {self.here.text}"
             return self.error(
-                f"`WINDOW{name}` in what is constructed",
+                f"`WINDOW{name}` in the constructed triples",
                 word,
-                "triples are constructed without a window: write it inside WHERE",
+                "constructed triples have no window: write it inside WHERE",
             )
         if self.is_word("STREAM", "ON"):
             hint = (

@@ -70,7 +70,7 @@ def read_from(at: Cursor, dataset: Dataset, every: Every) -> None:
     elif at.is_word("NAMED"):
         at.take()
         if at.is_word("STREAM"):
-            raise at.error("only windows of streams are named", at.here, _NAMED_EXAMPLE)
+            raise at.error("a stream has no name, only its window has", at.here, _NAMED_EXAMPLE)
         if at.is_word("WINDOW"):
             at.take()
             name = at.iri("FROM NAMED WINDOW")
@@ -146,7 +146,7 @@ def _twice(at: Cursor, token: Token) -> LanguageError:
 def _check_name(at: Cursor, token: Token, is_window: bool, is_graph: bool) -> None:
     if is_window:
         raise at.error(
-            f"the window `{token.text}` is there twice", token, "give each window its own name"
+            f"the window `{token.text}` occurs twice", token, "give each window its own name"
         )
     if is_graph:
         raise at.error(

@@ -34,7 +34,7 @@ _SPELLED_OUT: Final = {
 _LONGEST: Final = 2**62
 _EXAMPLE: Final = "write a whole number and a unit (ns us ms s m h d): `5s`"
 _XSD_EXAMPLE: Final = (
-    "write `PT5S`, `PT0.5S` or `P1DT2H`; years and months are of no one length, "
+    "write `PT5S`, `PT0.5S` or `P1DT2H`; years and months vary in length, "
     "and nothing is finer than a nanosecond"
 )
 _DURATIONS: Final = (XSD + "duration", XSD + "dayTimeDuration")
@@ -87,7 +87,10 @@ def _literal(at: Cursor, what: str) -> int:
     span = Span(start, at.last_token.end)
     if not isinstance(term, Literal) or term.datatype.value not in _DURATIONS:
         raise LanguageError(
-            f"{what} is no xsd:duration", at.source, span, 'write `"PT5S"^^xsd:duration` or `PT5S`'
+            f"{what} is not an xsd:duration",
+            at.source,
+            span,
+            'write `"PT5S"^^xsd:duration` or `PT5S`',
         )
     return _parsed(at, what, term.value, span)
 
@@ -99,7 +102,7 @@ def _parsed(at: Cursor, what: str, text: str, span: Span) -> int:
             raise ValueError
         value = parse_duration(text.upper())
     except ValueError:
-        message = f"{what} is no length of time: `{text}`"
+        message = f"{what} is not a duration: `{text}`"
         raise LanguageError(message, at.source, span, _XSD_EXAMPLE) from None
     return _in_range(at, what, value, span)
 

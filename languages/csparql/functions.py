@@ -65,7 +65,7 @@ def _wrong_arguments(arguments: Sequence[Expression]) -> str:
     if len(arguments) not in (1, 3):
         return f"takes 1 or 3 arguments, not {len(arguments)}"
     if not all(isinstance(one, Variable | NamedNode | Literal) for one in arguments):
-        return "takes variables and terms, no expressions"
+        return "takes variables and terms, not expressions"
     if not any(isinstance(one, Variable) for one in arguments):
         return "takes a variable" if len(arguments) == 1 else "takes at least one variable"
     return ""

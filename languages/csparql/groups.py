@@ -62,7 +62,7 @@ def _check_variable(at: Cursor, name: Token, has_windows: bool, is_graph: bool) 
         raise at.error(
             f"`{name.text}` names a window here and a graph elsewhere",
             name,
-            "no window is a graph: use two variables",
+            "a window is not a graph: use two variables",
         )
     if not has_windows:
         raise at.error("the query has no named window", name, _declare(":w"))

@@ -40,7 +40,7 @@ def parse_query(source: str) -> ContinuousQuery:
         raise reader.error(
             "this text registers a template, not a query",
             found.name,
-            "write `REGISTER STREAM name AS` for a query that runs as it stands",
+            "write `REGISTER STREAM name AS` for a query without parameters",
         )
     return _query(source)
 

@@ -26,23 +26,23 @@ def parse_event_request(source: str, prefixes: Mapping[str, str] = PREFIXES) -> 
     at = Cursor(source, prefixes)
     name = at.here
     if name is None or name.kind not in (Kind.IRI, Kind.PREFIXED, Kind.WORD):
-        found = "" if name is None else f", not `{at.text_of(name)}`"
-        raise at.error(f"the name of an event is due{found}", name, _EXAMPLE)
+        found = "" if name is None else f", found `{at.text_of(name)}`"
+        raise at.error(f"expected the name of an event{found}", name, _EXAMPLE)
     at.take()
     event = DYKNOW + name.text if name.kind is Kind.WORD else at.iri_of(name)
     if not at.accept_mark("("):
-        raise at.error("`(` is due after the event's name", at.here, _EXAMPLE)
+        raise at.error("expected `(` after the event's name", at.here, _EXAMPLE)
     arguments: list[Term | Variable] = []
     while not at.is_mark(")"):
         arguments.append(at.term())
         if at.accept_mark(","):
             if at.is_mark(")"):
-                raise at.error("an argument is due after `,`", at.here, _EXAMPLE)
+                raise at.error("expected an argument after `,`", at.here, _EXAMPLE)
         elif not at.is_mark(")"):
             raise at.expected("`,` or `)`", _EXAMPLE)
     at.take()
     if at.here is not None:
-        raise at.error(f"`{at.text_of(at.here)}` stands behind the request", at.here)
+        raise at.error(f"`{at.text_of(at.here)}` follows the request", at.here)
     return EventRequest(event, tuple(arguments), source)
 
 
@@ -55,12 +55,12 @@ def parse_argument(text: str, prefixes: Mapping[str, str] = PREFIXES) -> Term | 
     check_length(text)
     at = Cursor(text, prefixes)
     if at.at_end:
-        raise at.error("an argument is due", None, "write a term, or a variable: `?o`")
+        raise at.error("expected an argument", None, "write a term, or a variable: `?o`")
     argument = at.term()
     if at.here is not None:
         raise at.error(
-            f"`{at.text_of(at.here)}` stands behind the argument",
+            f"`{at.text_of(at.here)}` follows the argument",
             at.here,
-            'a text stands in quotes: `"two words"`',
+            'put a text in quotes: `"two words"`',
         )
     return argument

@@ -32,7 +32,7 @@ _ELSEWHERE: Final = {
     "TUPLES": _COUNT_EXAMPLE,
     "ALL": _LANDMARK_EXAMPLE,
     "NOW": "write `[RANGE 1s STEP 1s]` for the newest second",
-    "FROM": "write the length of what `FROM NOW - 5s TO NOW` holds: `[RANGE 5s STEP 1s]`",
+    "FROM": "write the length of `FROM NOW - 5s TO NOW`: `[RANGE 5s STEP 1s]`",
 }
 """Words of CQELS, CQL and SPARQLStream, with the equivalent here."""
 
@@ -102,7 +102,9 @@ def _instant(at: Cursor) -> int:
     try:
         return parse_time(term.value)
     except ValueError as error:
-        raise LanguageError(f"no landmark: {error}", at.source, span, _LANDMARK_EXAMPLE) from None
+        raise LanguageError(
+            f"not a landmark: {error}", at.source, span, _LANDMARK_EXAMPLE
+        ) from None
 
 
 def _count(at: Cursor, what: str) -> CountWindow:
@@ -126,7 +128,7 @@ def _number(at: Cursor, what: str) -> int:
     unit = at.here
     if unit is not None and unit.kind is Kind.WORD and unit.start == number.end:
         raise at.error(
-            f"{what} is a number of triples, not a length of time",
+            f"{what} is a number of triples, not a duration",
             unit,
             f"write `{number.text}`, or a window of time: `[RANGE 5s STEP 1s]`",
         )

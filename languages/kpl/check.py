@@ -56,7 +56,7 @@ def check_kpl(
         unit = written.text
         if unit not in UNITS:
             raise LanguageError(
-                f"`{unit}` is no unit of abstract time", source, written.span, "ns, us, ms or s"
+                f"`{unit}` is not a unit of abstract time", source, written.span, "ns, us, ms or s"
             )
     check_unit(unit)
     symbols = Symbols(BUILT_IN, signature.declarations)
@@ -128,7 +128,7 @@ class _Checker:
             self._scope.symbols.add(made)
             self.new.append(made)
         elif there != made:
-            hint = "it makes the same for the same objects: remove the other one first"
+            hint = "it makes the same generators for the same objects: remove the other one first"
             if not isinstance(there, ForeachDeclaration):
                 # The last line: the first may state the unit.
                 text = format_kpl(there, self._scope.unit).splitlines()[-1]
@@ -143,7 +143,7 @@ class _Checker:
             raise self._scope.error(
                 f"`{name}` is a process of the language",
                 span,
-                f"choose another name; {', '.join(PROCESSES)} are there without a declaration",
+                f"choose another name; {', '.join(PROCESSES)} are predefined",
             )
         self._scope.check_symbol(name, kind, span)
 
@@ -162,14 +162,14 @@ class _Checker:
         reader = scope.symbols.reader(feature)
         if reader is not None and made.sort not in scope.symbols.sorts(feature):
             raise scope.error(
-                f"`{made.label}` is of another sort than the streams of `{feature}` that there are",
+                f"`{made.label}` has another sort than the existing streams of `{feature}`",
                 span,
-                f"`{reader}` reads those of every object, and they need one sort",
+                f"`{reader}` reads the streams of every object, which need one sort",
             )
         needs = (*map(str, members), *generator_needs(made, *generators.variables))
         if scope.symbols.is_circle(feature, needs):
             raise scope.error(
-                f"`{made.label}` would be made out of itself",
+                f"`{made.label}` would depend on itself",
                 span,
                 f"`{reader or made.label}` reads `{feature}` of every object, and this is one: "
                 "give it a feature of its own",

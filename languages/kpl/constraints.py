@@ -82,14 +82,14 @@ def to_synchronization(
     merged = _merge(constraints, source, unit)
     if merged.change is None:
         raise LanguageError(
-            "a synchronization says when its states are",
+            "a synchronization needs the times of its states",
             source,
             span,
             "write `sync(a, b; sample every 100, max delay 50)` or `sync(a, b; any change)`",
         )
     if isinstance(merged.change, ChangeBy):
         raise LanguageError(
-            "`change by` says nothing of the times at which states are",
+            "`change by` does not determine the times of states",
             source,
             span,
             "write `any change`, and read the states with the policy: `stream s = state with "
@@ -122,7 +122,7 @@ def _merge(constraints: Sequence[ast.Constraint], source: str, unit: str) -> _Co
                 approximations.setdefault(constraint.approximation, constraint.span)
                 if len(approximations) > 1:
                     raise LanguageError(
-                        "samples are approximated or they are not",
+                        "the approximation constraints exclude each other",
                         source,
                         constraint.span,
                         "keep one of `no approximation` and `use most recent`",
@@ -144,7 +144,7 @@ def _stronger(change: Change | None, constraint: ast.Change, source: str, unit: 
         period = duration(constraint.period, source, unit)
         if period <= 0:
             raise LanguageError(
-                f"a sample period is longer than nothing, not {constraint.period.text}",
+                f"a sample period must be greater than 0, not {constraint.period.text}",
                 source,
                 constraint.period.span,
                 "write for example `sample every 100`",
@@ -154,7 +154,7 @@ def _stronger(change: Change | None, constraint: ast.Change, source: str, unit: 
                 "two sample periods in one policy",
                 source,
                 constraint.span,
-                "valid times cannot differ by exactly two times at once: keep one",
+                "keep one: a policy has one period",
             )
         return SampleEvery(period)
     if constraint.kind == "any change":
@@ -170,7 +170,7 @@ def _larger(change: Change | None, constraint: ast.Change, source: str) -> Chang
         wanted = ChangeBy(float(constraint.difference or ""))
     except ValueError as error:
         raise LanguageError(
-            f"`change by {constraint.difference}` names no difference above 0",
+            f"`change by {constraint.difference}` needs a difference greater than 0",
             source,
             constraint.span,
             error.hint
@@ -220,7 +220,7 @@ def duration(time: ast.Time, source: str, unit: str) -> int:
     """Return a duration in ns: an integer in ``unit``, or a number with its own unit."""
     if _TIME_POINT.match(time.text):
         raise LanguageError(
-            "a point in time stands where a stretch of time is meant",
+            "expected a duration, found a point in time",
             source,
             time.span,
             "write an integer, or a number with a unit: `200`, `1.5s`",
@@ -237,7 +237,7 @@ def time_point(time: ast.Time, source: str, unit: str) -> int:
         return parse_time(time.text)
     except ValueError as error:
         raise LanguageError(
-            f"`{time.text}` is no point in time",
+            f"`{time.text}` is not a point in time",
             source,
             time.span,
             "times are 64-bit nanoseconds: years 1678 to 2262"
@@ -256,9 +256,9 @@ def _nanoseconds(time: ast.Time, source: str, unit: str) -> int:
     digits = text.lstrip("+-")
     sign = -1 if text.startswith("-") else 1
     too_long = refused(
-        f"`{text}` is more than 64 bits of nanoseconds hold"
+        f"`{text}` exceeds 64 bits of nanoseconds"
         if len(text) <= _MOST_DIGITS
-        else "this is more than 64 bits of nanoseconds hold",
+        else "this exceeds 64 bits of nanoseconds",
         f"integers are in {unit} here; times reach {TIME_MAX // UNITS[unit]} {unit}",
     )
     if len(text) > _MOST_DIGITS:
@@ -267,7 +267,7 @@ def _nanoseconds(time: ast.Time, source: str, unit: str) -> int:
         total = sign * int(digits) * UNITS[unit]
     elif digits[-1].isdigit():
         raise refused(
-            f"`{text}` is no integer", "a fraction of a time needs a unit of its own: `1.5s`"
+            f"`{text}` is not an integer", "a fraction of a time needs a unit of its own: `1.5s`"
         )
     else:
         try:
@@ -283,7 +283,7 @@ def _nanoseconds(time: ast.Time, source: str, unit: str) -> int:
                     return TIME_MIN
                 raise too_long from None
             raise refused(
-                f"`{text}` is no time", "units are ns, us, ms, s, m, h and d: `200ms`, `1.5s`"
+                f"`{text}` is not a time", "units are ns, us, ms, s, m, h and d: `200ms`, `1.5s`"
             ) from None
     if not TIME_MIN <= total <= TIME_MAX:
         raise too_long

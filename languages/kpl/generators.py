@@ -119,18 +119,18 @@ class Generators:
             raise self.scope.error(
                 f"`{name}` takes no constraints of its own",
                 written.synchronization[0].span,
-                "constraints after `;` belong to `sync`; those of an input stand after `with`",
+                "constraints after `;` belong to `sync`; those of an input follow `with`",
             )
         if written.inner_times and name != "join":
             raise self.scope.error(
                 f"`{name}` has no inner times",
                 written.process.span,
-                "`; inner times` is for `join` alone: of a state, the valid time is its own",
+                "only `join` has `; inner times`: a state has a valid time of its own",
             )
         mediates = name in ("aggregate", "select")
         if written.mediation is not None and not mediates:
             raise self.scope.error(
-                "`foreach` among the inputs is for `aggregate` and `select` alone",
+                "only `aggregate` and `select` have `foreach` among the inputs",
                 written.mediation.variable.span,
                 "declare a generator of one of them, and name its label here",
             )
@@ -138,7 +138,7 @@ class Generators:
         if written.terms and (mediates or too_many):
             span = Span(written.terms[0].span.start, written.terms[-1].span.end)
             raise self.scope.error(
-                f"these are no inputs of `{name}`", span, f"write `{_FORMS[name]}`"
+                f"these are not inputs of `{name}`", span, f"write `{_FORMS[name]}`"
             )
 
     def _check_inputs(
@@ -172,8 +172,8 @@ class Generators:
         if not tuples or label.feature == input.name:
             return ""
         return (
-            f"the sort of a join or synchronization is called like its feature: take "
-            f"`{label.feature}`, or call the feature `{input.name}`"
+            f"the sort of a join or synchronization has the name of its feature: declare "
+            f"`{label.feature}`, or name the feature `{input.name}`"
         )
 
     # -- mediation -------------------------------------------------------------------------
@@ -185,7 +185,7 @@ class Generators:
         pattern_label = self.scope.label(written.pattern.label)
         if variable not in pattern_label.objects:
             raise self.scope.error(
-                f"`{variable}` is no object of `{pattern_label}`",
+                f"`{variable}` is not an object of `{pattern_label}`",
                 written.pattern.label.span,
                 f"write `{pattern_label.feature}[{variable}]`",
             )
@@ -204,7 +204,7 @@ class Generators:
     def _select_object(self, label: Label, written: ast.Strmgen) -> GeneratorDeclaration:
         if len(label.objects) != 1:
             raise self.scope.error(
-                f"`{label}` does not say which object to select",
+                f"`{label}` does not name the object to select",
                 written.process.span,
                 "the label names one object: `strmgen pos[car1] = selectObject(positions)`",
             )
@@ -270,9 +270,9 @@ class Generators:
         there = scope.by_key.get(name)
         if there is not None:
             return scope.error(
-                f"`{name}` is {scope.symbols.kind(name)}, no generator",
+                f"`{name}` is {scope.symbols.kind(name)}, not a generator",
                 span,
-                f"it has no output: name the label of what `{name}` gets"
+                f"it has no output: name the label of an input of `{name}`"
                 if isinstance(there, SinkDeclaration)
                 else f"declare a generator of it, `strmgen LABEL = {name}`, and name the label",
             )
@@ -286,7 +286,7 @@ class Generators:
             hint = suggest_name(name, known)
         else:
             hint = did_you_mean(name, known) or (
-                f"`{pattern}` is made for objects as they come: follow one with "
+                f"`{pattern}` is made for each new object: follow one object with "
                 f"`select({pattern} foreach … in …)`"
             )
         return scope.error(f"there is no generator `{name}`", span, hint)
@@ -300,10 +300,10 @@ class Generators:
                 if isinstance(later, ast.Strmgen) and scope.label(later.label).feature == feature:
                     return self._used_before("generator", str(label), span, later)
         return scope.error(
-            f"there is no generator of `{feature}`, for no object",
+            f"no object has a generator of `{feature}`",
             span,
             did_you_mean(feature, scope.symbols.features())
-            or f"declare `strmgen {label} = …` in a `foreach`, or one for an object that you know",
+            or f"declare `strmgen {label} = …` in a `foreach`, or one for a known object",
         )
 
     def _unknown_process(self, name: ast.Name, kind: type[CheckedDeclaration]) -> LanguageError:
@@ -319,7 +319,7 @@ class Generators:
         other = scope.symbols.kind(text)
         if other is not None:
             hint = hint or f"declare a {what} of another name"
-            return scope.error(f"`{text}` is {other}, no {what}", name.span, hint)
+            return scope.error(f"`{text}` is {other}, not a {what}", name.span, hint)
         hint = hint or f"declare `{form}` first"
         return scope.error(f"there is no {what} `{text}`", name.span, hint)
 

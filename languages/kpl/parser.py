@@ -59,7 +59,7 @@ _CONSTRAINTS: Final = (
 )
 
 _TERMS: Final = "a term is a label, `pos[car1]`, or one with a policy: `pos[car1] with any change`"
-_BLOCK: Final = "in a `foreach` stand generators, `strmgen speed[car] = …`, and `}` ends it"
+_BLOCK: Final = "a `foreach` contains generators, `strmgen speed[car] = …`, and ends with `}`"
 _FOR_EACH_OBJECT: Final = {
     "source_decl": "declare the source before it: one serves the streams of every object",
     "compunit_decl": "declare the computational unit before it: one serves every object",
@@ -115,7 +115,7 @@ def _parse(source: str, start: str) -> Tree[Token]:
 
         def hint(found: str, expected: AbstractSet[str]) -> str:
             if before is not None and before.type == "WITH" and found in ("", ")", *_DECLARATIONS):
-                return "after `with` stands a constraint; without one leave `with` out"
+                return "a constraint follows `with`; without one leave `with` out"
             return _syntax_hint(found, expected)
 
         raise syntax_error(error, source, hint) from None
@@ -126,7 +126,7 @@ def _parse(source: str, start: str) -> Tree[Token]:
 def _syntax_hint(found: str, expected: AbstractSet[str]) -> str:
     declaring = bool(expected >= _DECLARING)
     if found == "unit" and declaring:
-        return "`unit` stands once, before every declaration"
+        return "`unit` is allowed once, before all declarations"
     if found == "." and declaring:
         return "nothing ends a declaration: leave the full stop out"
     if found.lower() in _BEGINNINGS and "WITH" in expected:
@@ -154,7 +154,7 @@ def _keyword_error(token: Token, source: str, quoted: bool = False) -> LanguageE
     elif token in _DECLARATIONS:
         hint += "; if a declaration begins here, a name is missing before it"
     return LanguageError(
-        f"`{token}` is a keyword of KPL, so nothing is called that", source, span_of(token), hint
+        f"`{token}` is a keyword of KPL and not allowed as a name", source, span_of(token), hint
     )
 
 
@@ -181,10 +181,10 @@ class _Reader:
             text.encode()
         except ValueError:
             raise LanguageError(
-                f"{token} is no text",
+                f"{token} is not a text",
                 self._source,
                 span,
-                'what follows a `\\` is as in JSON: `\\"`, `\\\\`, `\\n`, `\\u00e9`',
+                'escapes are those of JSON: `\\"`, `\\\\`, `\\n`, `\\u00e9`',
             ) from None
         return ast.Name(text, span)
 
@@ -233,8 +233,8 @@ class _Reader:
         return ast.Strmgen(self.label(label), name, terms, synchronization, None, span, is_timed)
 
     def mediation(self, items: list[Tree[Token]], tree: Tree[Token]) -> ast.Mediation:
-        pattern = self.one_term(items, "what is mediated")
-        members = self.one_term(trees(trees(tree)[0]), "what names the objects")
+        pattern = self.one_term(items, "the pattern of a mediation")
+        members = self.one_term(trees(trees(tree)[0]), "the term that names the objects")
         variable = self.name(tokens(tree, "NAME")[0])
         return ast.Mediation(pattern, variable, members, span_of(tree))
 
@@ -244,7 +244,7 @@ class _Reader:
         for node in trees(block):
             if node.data != "strmgen_decl":
                 raise LanguageError(
-                    "a `foreach` declares generators alone",
+                    "a `foreach` declares generators only",
                     self._source,
                     span_of(tokens(node)[0]),
                     _FOR_EACH_OBJECT[str(node.data)],
@@ -257,7 +257,7 @@ class _Reader:
         items, last = self.split(tree)
         if last is not None:
             raise LanguageError(
-                "a sink gets streams, and nothing stands behind them",
+                "the inputs of a sink are streams only",
                 self._source,
                 span_of(last),
                 "declare a generator, `strmgen LABEL = …`, and name its label here",
@@ -273,7 +273,7 @@ class _Reader:
                 f"a label has at most {_LONGEST_LABEL} characters",
                 self._source,
                 found.span,
-                "it is the name of what it labels: declare streams of some of its objects each",
+                "declare several streams, each of some of its objects",
             )
         return found
 
@@ -302,7 +302,7 @@ class _Reader:
                 span = span_of(node)
                 words = self._source[span.start : span.end]
                 raise LanguageError(
-                    "a constraint stands here without a term that it belongs to",
+                    "this constraint belongs to no term",
                     self._source,
                     span,
                     f"a policy begins with `with`: write `label with {words}`",
@@ -313,7 +313,7 @@ class _Reader:
         term, *more = self.terms(nodes)
         if more:
             raise LanguageError(
-                f"{what} is one term", self._source, more[0].span, "leave this one out"
+                f"{what} is a single term", self._source, more[0].span, "leave this one out"
             )
         return term
 

@@ -82,7 +82,7 @@ class Scope:
 def check_unit(unit: str) -> None:
     """Raise `ValueError` for a unit that integers cannot have."""
     if unit not in UNITS:
-        raise ValueError(f"{unit!r} is no unit of abstract time: ns, us, ms or s")
+        raise ValueError(f"{unit!r} is not a unit of abstract time: ns, us, ms or s")
 
 
 def label_of(label: ast.LabelTerm, source: str) -> Label:

@@ -80,7 +80,7 @@ def _check_known(name: ast.Name, iri: str, scope: Scope, vocabulary: Vocabulary)
             name.span,
             f"did you mean {prefix}:{found[0]}?"
             if found
-            else f"without its prefix `{local}` is a sort of your own",
+            else f"without its prefix `{local}` is a new sort",
         )
 
 
@@ -120,7 +120,7 @@ def declared_sort(declaration: ast.Sort, scope: Scope) -> SortDeclaration:
     for field, written in declaration.value:
         if field.text in fields:
             raise scope.error(
-                f"field `{field.text}` is there twice", field.span, "name each field once"
+                f"field `{field.text}` occurs twice", field.span, "name each field once"
             )
         known = _fields_of(written, scope)
         if [each.name for each in known] != [VALUE]:
@@ -137,7 +137,7 @@ def _fields_of(name: ast.Name, scope: Scope) -> tuple[Field, ...]:
     sort = read_sort(name, scope)
     if sort.fields is None:
         raise scope.error(
-            f"what values of `{name.text}` are is not known",
+            f"the values of `{name.text}` are unknown",
             name.span,
             suggest_name(name.text, known_sorts(scope)),
         )
@@ -210,7 +210,7 @@ def misfit_hint(sort: ValueSort, input: ValueSort, scope: Scope) -> str:
         if one.is_open:
             hint = did_you_mean(one.name, known_sorts(scope))
             if hint:
-                return f"nobody has declared the sort `{one.name}`: {hint}"
+                return f"the sort `{one.name}` is not declared: {hint}"
     return ""
 
 

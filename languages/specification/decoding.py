@@ -55,10 +55,10 @@ def decode(text: str | bytes) -> str:
     wrong = _NO_CHARACTER.search(source)
     if wrong is not None:
         raise LanguageError(
-            f"U+{ord(wrong[0]):04X} is no character of XML",
+            f"U+{ord(wrong[0]):04X} is not an XML character",
             _NO_CHARACTER.sub("\ufffd", source),
             Span(*wrong.span()),
-            "leave it out: XML has no way to write it",
+            "leave it out: XML cannot express it",
         )
     return source
 
@@ -78,7 +78,7 @@ def _check_size(text: str | bytes) -> None:
             f"the text has {size:,} bytes, and at most {MAX_BYTES:,} are read",
             "",
             Span(0, 0),
-            "split it: what one text inserts, the next can read by `stream`",
+            "split it: a later text reads units of an earlier one by `stream`",
         )
 
 
@@ -97,7 +97,7 @@ def _decoded_bytes(text: bytes) -> str:
     except UnicodeDecodeError as error:
         start = len(body[: error.start].decode(codec))
         raise LanguageError(
-            f"the bytes here are no {name}", source, Span(start, start + 1), _AS_UTF_8
+            f"these bytes are not {name}", source, Span(start, start + 1), _AS_UTF_8
         ) from None
 
 
@@ -117,4 +117,6 @@ def _check_declared(source: str, name: str) -> None:
 
 
 def _unread(name: str, source: str, span: Span) -> LanguageError:
-    return LanguageError(f"the encoding `{abbreviate(name)}` is not read", source, span, _AS_UTF_8)
+    return LanguageError(
+        f"the encoding `{abbreviate(name)}` is not supported", source, span, _AS_UTF_8
+    )

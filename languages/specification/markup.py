@@ -127,10 +127,10 @@ class _Scanner:
         if not self.open:
             where = "after" if self.tags else "before"
             raise self.error(
-                f"text cannot stand {where} the specification",
+                f"text is not allowed {where} the specification",
                 start,
                 end,
-                "one text holds one element `specification`, and nothing else but comments",
+                "a text consists of one element `specification` and comments",
             )
         self.texts.setdefault(self.open[-1], start)
 
@@ -139,9 +139,7 @@ class _Scanner:
         if wrong is None:
             return
         if wrong[0] == "&":
-            raise self.error(
-                "`&` begins a reference, and none follows", *wrong.span(), "write `&amp;` for `&`"
-            )
+            raise self.error("`&` begins no reference", *wrong.span(), "write `&amp;` for `&`")
         raise self.error(
             f"there is no entity `{abbreviate(wrong[0])}`",
             *wrong.span(),
@@ -166,7 +164,7 @@ class _Scanner:
             raise self.error(f"the {what} is not closed", start, inner, f"close it with `{end}`")
         if begin == "<?" and start > 0 and re.compile(r"xml[ \t\r\n?]").match(self.source, inner):
             raise self.error(
-                "the XML declaration stands first, before all else",
+                "the XML declaration must come first",
                 start,
                 close + len(end),
                 "move it to the very beginning of the text, or leave it out",
@@ -209,7 +207,7 @@ class _Scanner:
         if tag.name != match[1]:
             line = self.source.count("\n", 0, tag.span.start) + 1
             raise self.error(
-                f"`</{abbreviate(match[1])}>` stands where `</{abbreviate(tag.name)}>` must",
+                f"expected `</{abbreviate(tag.name)}>`, found `</{abbreviate(match[1])}>`",
                 *match.span(),
                 f"`<{abbreviate(tag.name)}>` of line {line} is still open",
             )
@@ -223,23 +221,23 @@ class _Scanner:
         name = match[1]
         if self.tags and not self.open:
             raise self.error(
-                f"`{abbreviate(name)}` stands after the end of the specification",
+                f"`{abbreviate(name)}` follows the end of the specification",
                 start + 1,
                 start + 1 + len(name),
-                "one text holds one specification; several are several texts",
+                "send each specification as a text of its own",
             )
         if len(self.open) == MAX_DEPTH:
             raise self.error(
-                f"elements stand more than {MAX_DEPTH} deep in each other",
+                f"elements are nested more than {MAX_DEPTH} deep",
                 *match.span(),
-                "name a unit, and let others read it by `stream`",
+                "name a unit, and read it by `stream`",
             )
         most = islice(_ATTRIBUTE.finditer(self.source, start, match.end()), MOST_ATTRIBUTES + 1)
         if sum(1 for _ in most) > MOST_ATTRIBUTES:
             raise self.error(
                 f"an element has more than {MOST_ATTRIBUTES} attributes",
                 *match.span(),
-                "an attribute of the schema stands once",
+                "the schema allows each attribute once",
             )
         if not match[4]:
             self.open.append(len(self.tags))
@@ -250,7 +248,7 @@ class _Scanner:
         if not self.tags:
             place = len(self.source.rstrip(BLANKS))
             raise self.error(
-                "the text holds no specification",
+                "the text contains no specification",
                 place,
                 place,
                 "it is an element: `<spec:specification …>…</spec:specification>`",
@@ -262,16 +260,14 @@ class _Scanner:
                 f"`{name}` is not closed",
                 tag.name_span.start,
                 tag.name_span.end,
-                f"write `</{name}>` behind what is in it, or end the tag with `/>`",
+                f"write `</{name}>` after its contents, or end the tag with `/>`",
             )
 
     def broken_tag(self, start: int) -> NoReturn:
         """Raise the error for the first mistake in a broken start tag."""
         name = _WORD.match(self.source, start + 1)
         if name is None:
-            raise self.error(
-                "`<` begins a tag, and no name follows", start, start + 1, "write `&lt;` for `<`"
-            )
+            raise self.error("`<` begins no tag", start, start + 1, "write `&lt;` for `<`")
         position = name.end()
         while match := _ATTRIBUTE.match(self.source, position):
             position = match.end()
@@ -287,7 +283,7 @@ class _Scanner:
                 "end it with `>` or `/>`",
             )
         raise self.error(
-            f"`{self.source[position]}` cannot stand in a tag",
+            f"`{self.source[position]}` is not allowed in a tag",
             position,
             position + 1,
             'a tag is a name and attributes: `<spec:cu type="gps" />`',
@@ -299,12 +295,12 @@ class _Scanner:
         if equals is None:
             message, hint = f"the attribute `{name}` has no value", f'write `{name}="…"`'
         elif self.source[position - 1] not in BLANKS:
-            message, hint = f"a blank is missing before `{name}`", "attributes stand apart"
+            message, hint = f"a blank is missing before `{name}`", "separate attributes by blanks"
         elif self.source[equals.end() : equals.end() + 1] not in ('"', "'"):
             message, hint = f"the value of `{name}` is not in quotes", f'write `{name}="…"`'
         else:
-            message = f"the value of `{name}` is not closed, or holds `<`"
-            hint = "close it with the quote that it began with; write `&lt;` for `<`"
+            message = f"the value of `{name}` is not closed, or contains `<`"
+            hint = "close it with its opening quote; write `&lt;` for `<`"
         raise self.error(message, *word.span(), hint)
 
 

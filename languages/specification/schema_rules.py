@@ -50,14 +50,12 @@ _KINDS: Final = {
 }
 _ELEMENTS: Final = ("specification", "insertions", "removals", *_UNIT_HOLDS)
 _MISSING: Final = {
-    ("unit", "type"): 'say its transformation: `type="gps"`',
-    ("stream", "name"): 'say which stream is read: `name="positions"`',
-    ("parameter", "name"): 'say which parameter it is: `name="baseline"`',
-    ("parameter", "value"): 'say what it is set to: `value="5s"`; `value=""` is the empty text',
+    ("unit", "type"): 'name its transformation: `type="gps"`',
+    ("stream", "name"): 'name the stream to read: `name="positions"`',
+    ("parameter", "name"): 'name the parameter: `name="baseline"`',
+    ("parameter", "value"): 'state its value: `value="5s"`; `value=""` is the empty text',
 }
-_NAME_OR_TYPE: Final = (
-    'say which unit or stream, `name="result"`, or all of which transformation, `type="gps"`'
-)
+_NAME_OR_TYPE: Final = 'name a unit or stream, `name="result"`, or a transformation, `type="gps"`'
 
 
 def first_violation(document: Document) -> LanguageError | None:
@@ -84,9 +82,9 @@ class _Walk:
             self.once(element, kind)
             if element.text is not None:
                 raise self.error(
-                    f"{_KINDS[kind].title} holds text",
+                    f"{_KINDS[kind].title} contains text",
                     Span(element.text, element.text + 1),
-                    "names and values stand in attributes; a comment is `<!-- … -->`",
+                    "put names and values into attributes; a comment is `<!-- … -->`",
                 )
 
     def error(self, message: str, span: Span, hint: str) -> LanguageError:
@@ -103,16 +101,16 @@ class _Walk:
         if element.name in parent.holds:
             return parent.holds[element.name]
         name, span = abbreviate(element.name), element.tag.name_span
-        holds = f"{parent.title} holds {_listed(parent.holds)}"
+        holds = f"{parent.title} contains {_listed(parent.holds)}"
         if element.name in _ELEMENTS:
-            raise self.error(f"`{name}` cannot stand in {parent.title}", span, holds)
+            raise self.error(f"`{name}` is not allowed in {parent.title}", span, holds)
         hint = did_you_mean(element.name, parent.holds) or holds
-        raise self.error(f"`{name}` is no element of a specification", span, hint)
+        raise self.error(f"`{name}` is not an element of a specification", span, hint)
 
     def root(self, element: Element) -> str:
         if element.name != "specification":
             raise self.error(
-                f"`{abbreviate(element.name)}` is no specification",
+                f"`{abbreviate(element.name)}` is not a specification",
                 element.tag.name_span,
                 f"the first element is `specification`, of the namespace `{NAMESPACE}`",
             )
@@ -180,7 +178,7 @@ class _Walk:
             )
         if name not in _KINDS[kind].references and _NAME.fullmatch(text) is None:
             raise self.error(
-                f"`{abbreviate(text)}` is no name",
+                f"`{abbreviate(text)}` is not a name",
                 place,
                 "a name is letters a-z, digits, `_`, `.` and `-`, and begins with a letter or `_`",
             )
@@ -202,7 +200,7 @@ class _Walk:
             raise self.error(
                 "a removed `cu` has both `name` and `type`",
                 list(element.attributes.values())[1].place.span,
-                "what is removed is said one way; two ways are two `cu`",
+                "give one of the two; two removals are two `cu`",
             )
 
     # -- uniqueness -------------------------------------------------------------------------
@@ -214,7 +212,7 @@ class _Walk:
             case "insertions" | "removals":
                 if line := self.first_line((kind, None, ""), element):
                     hint = f"put all into the one of line {line}"
-                    raise self.error(f"`{kind}` stands twice", span, hint)
+                    raise self.error(f"`{kind}` occurs twice", span, hint)
             case "unit" if "name" in element.attributes:
                 value = element.attributes["name"]
                 name = value.text.strip(BLANKS)
@@ -227,7 +225,7 @@ class _Walk:
                 name = value.text.strip(BLANKS)
                 if line := self.first_line((kind, element.parent, name), element):
                     message = f"`{abbreviate(name)}` is set twice"
-                    hint = f"line {line} sets it already; a unit has a parameter once"
+                    hint = f"line {line} sets it already; a unit has each parameter once"
                     raise self.error(message, value.place.value, hint)
             case _:
                 pass

@@ -35,7 +35,7 @@ def malformed_error(
     end = _offset(source, line, column)
     declaration = source.find("?>") + 2 if source.startswith("<?xml") else 0
     if end <= declaration:
-        text = "the XML declaration is not understood"
+        text = "the XML declaration is malformed"
         hint = 'write `<?xml version="1.0" encoding="UTF-8"?>`, or leave it out'
         return LanguageError(text, source, Span(0, declaration), hint)
     if code in _TWICE:
@@ -49,22 +49,24 @@ def malformed_error(
         return LanguageError(text, source, tag.name_span, hint)
     if code in _NO_CHARACTER and (start := source.rfind("&", 0, end)) >= 0:
         close = max(source.find(";", start) + 1, start + 1)
-        text = f"`{abbreviate(source[start:close])}` is no character of XML"
-        return LanguageError(text, source, Span(start, close), "leave it out: XML cannot hold it")
+        text = f"`{abbreviate(source[start:close])}` is not an XML character"
+        return LanguageError(
+            text, source, Span(start, close), "leave it out: XML cannot express it"
+        )
     if code == ErrorTypes.ERR_HYPHEN_IN_COMMENT:
         start = source.rfind("--", 0, end + 2)
-        text = "`--` cannot stand in a comment"
+        text = "`--` is not allowed in a comment"
         return LanguageError(text, source, Span(start, start + 2), "write `- -`")
     if code == ErrorTypes.ERR_MISPLACED_CDATA_END:
         start = max(source.find("]]>", max(end - 3, 0)), 0)
-        text = "`]]>` ends a CDATA section, and none is open"
+        text = "`]]>` ends a CDATA section, but none is open"
         return LanguageError(text, source, Span(start, start + 3), "write `]]&gt;`")
     text = re.sub(r",? line \d+, column \d+$", "", message).strip()
     return LanguageError(
-        f"this is no well-formed XML: {abbreviate(text)}",
+        f"this is not well-formed XML: {abbreviate(text)}",
         source,
         Span(max(end - 1, 0), end),
-        "mend what stands here or just before",
+        "correct the text here or just before",
     )
 
 
@@ -73,7 +75,7 @@ def _given_twice(markup: Markup, end: int) -> LanguageError:
     tag = _tag_before(markup, end)
     again = [one for one in markup.attributes(tag) if one.span.start < end][-1]
     text = f"`{abbreviate(again.name)}` is given twice"
-    return LanguageError(text, markup.source, again.span, "an element has an attribute once")
+    return LanguageError(text, markup.source, again.span, "an element has each attribute once")
 
 
 def _undeclared_prefix(markup: Markup, message: str, end: int) -> LanguageError:

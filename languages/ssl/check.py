@@ -123,7 +123,7 @@ class _Checker:
     def check_field(self, field: str, span: Span) -> None:
         if field in TIME_FIELDS:
             raise self.error(
-                f"a field cannot be called `{field}`: that is a sample's time",
+                f"a field cannot have the name `{field}`: that is a sample's time",
                 span,
                 "give the field another name",
             )
@@ -132,8 +132,7 @@ class _Checker:
         info = self.vocabulary.feature(feature)
         if info is not None and info.arity not in (None, number):
             raise self.error(
-                f"`{name}` is a feature of one object, and {number or 'none'} "
-                f"{'is' if number == 0 else 'are'} named",
+                f"`{name}` has 1 argument, not {number}",
                 span,
                 f"write `{name}(UAV)` with one sort or object",
             )
@@ -151,7 +150,7 @@ class _Checker:
                     f"`{entity.name}` is named by two fields, "
                     f"`{by_term[key].field}` and `{entity.field}`",
                     entity.span,
-                    "one field names it; tell two of a sort apart: `(UAV as a, UAV as b)`",
+                    "one field names it; distinguish two of a sort: `(UAV as a, UAV as b)`",
                 )
             by_term[key] = entity
             if not named:
@@ -159,9 +158,9 @@ class _Checker:
                 raise self.error(
                     f"`{entity.name}` is not in the stream's features",
                     entity.span,
-                    f"the features speak of {', '.join(known)}"
+                    f"the features have the arguments {', '.join(known)}"
                     if known
-                    else "the features speak of nothing: leave the for-part out",
+                    else "the features have no arguments: leave the for-part out",
                 )
             for argument in named:
                 self.check_entity(entity, argument)
@@ -189,13 +188,13 @@ class _Checker:
                 hint = f"write `for {entity.name} = {entity.field}` if it is an object"
             else:
                 hint = f"did you mean {' or '.join(near)}?"
-            what = "an object" if known_object else "no sort of the ontology"
+            what = "an object" if known_object else "not a sort of the ontology"
             raise self.error(
                 f"`every` needs a sort, and `{argument.name}` is {what}", entity.span, hint
             )
         if not entity.every and sort is not None:
             raise self.error(
-                f"`{argument.name}` is a sort, so one field value cannot be it",
+                f"`{argument.name}` is a sort, not an object",
                 entity.span,
                 f"write `for every {entity.name} = {entity.field}`",
             )
@@ -209,7 +208,7 @@ class _Checker:
             sort = self.sort(argument)
             if name in by_name and (sort is not None or argument.alias is not None):
                 raise self.error(
-                    f"`{name}` occurs twice in `{term.feature}`, so it is not clear which is meant",
+                    f"`{name}` occurs twice in `{term.feature}`, which is ambiguous",
                     argument.span,
                     f"give each an alias: `({argument.name} as arg1, {argument.name} as arg2)`",
                 )
@@ -248,7 +247,7 @@ class _Checker:
             try:
                 return (NamedNode(name[1:-1]).value,)
             except ValueError as error:
-                raise self.error(f"`{name}` is no IRI: {error}", span) from None
+                raise self.error(f"`{name}` is not an IRI: {error}", span) from None
         prefix, colon, local = name.partition(":")
         if not colon:
             return tuple(space + name for space in self.spaces())
@@ -273,9 +272,9 @@ class _Checker:
             if self.vocabulary.is_feature(iri) or self.vocabulary.is_event(iri):
                 kind = "a feature" if self.vocabulary.is_feature(iri) else "an event"
                 raise self.error(
-                    f"`{argument.name}` is {kind}, no sort or object",
+                    f"`{argument.name}` is {kind}, not a sort or object",
                     argument.span,
-                    "a feature speaks of objects: `speed(uav1)`, or of a sort: `speed(UAV)`",
+                    "the arguments of a feature are objects, `speed(uav1)`, or sorts, `speed(UAV)`",
                 )
         known = (iri for iri in candidates if self.vocabulary.is_object(iri))
         return next(known, candidates[0])
@@ -327,7 +326,7 @@ class _Checker:
         for port in unit.inputs:
             if port.field in names:
                 raise self.error(
-                    f"two inputs are called `{port.field}`", port.span, "each needs its own name"
+                    f"two inputs have the name `{port.field}`", port.span, "each needs its own name"
                 )
             names.add(port.field)
         return tuple(self.port(port) for port in unit.inputs)
@@ -342,7 +341,7 @@ class _Checker:
         if len(names) > len(set(names)):
             twice = next(name for name in names if names.count(name) > 1)
             raise self.error(
-                f"`{twice}` occurs twice in `{port.feature}`, so it is not clear which is meant",
+                f"`{twice}` occurs twice in `{port.feature}`, which is ambiguous",
                 port.span,
                 f"give each an alias: `({twice} as arg1, {twice} as arg2)`",
             )
@@ -379,9 +378,9 @@ class _Checker:
             if argument.sort is None or argument.variable in in_inputs:
                 if entity is not None:
                     raise self.error(
-                        f"`{entity.name}` comes with the inputs: no field of the output names it",
+                        f"`{entity.name}` is an object of the inputs, which no output field names",
                         entity.span,
-                        "leave it out: the output keeps apart the objects of the inputs",
+                        "leave it out: the output distinguishes the objects of the inputs",
                     )
                 arguments.append(argument)
                 continue
@@ -395,7 +394,7 @@ class _Checker:
             arguments.append(replace(argument, id_field=field))
         for entity in fields.values():
             raise self.error(
-                f"the output does not speak of `{entity.name}`",
+                f"`{entity.name}` is not an argument of the output",
                 entity.span,
                 f"name it in the output: `{port.field}:{port.feature}({entity.name})`",
             )

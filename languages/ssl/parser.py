@@ -81,7 +81,7 @@ def parse_ssl(source: str) -> tuple[Declaration, ...]:
 
 def _syntax_hint(found: str, expected: AbstractSet[str]) -> str:
     if found.isalpha() and expected >= {"LSQB", "NO_UNIT"}:
-        return f"a unit stands in brackets: write `[{found}]`"
+        return f"put a unit in brackets: write `[{found}]`"
     if "UNIT_NAME" in expected and found == "%":
         return f"a unit is a name: write `{PERCENT}`"
     if found == "/" and "RSQB" in expected:
@@ -119,7 +119,7 @@ def _found(for_part: list[Tree[Token]], source: str) -> tuple[Entity, ...]:
     for entity in entities:
         if not entity.every:
             raise LanguageError(
-                "a source or unit gives every object of a sort its name, so this needs `every`",
+                "a source or unit names every object of a sort, so this needs `every`",
                 source,
                 span_of(for_part[0]),
                 f"write `for every {entity.name} = {entity.field}`",
@@ -186,7 +186,7 @@ def _unit(tree: Tree[Token], source: str) -> UnitPower:
     # Rejects long digit strings before int(), whose cost is quadratic in the digits.
     if len(power[0]) > 3 or int(power[0]) == 0:
         raise LanguageError(
-            f"`{power[0]}` is no power of a unit",
+            f"`{power[0]}` is not a power of a unit",
             source,
             span_of(power[0]),
             "a power is a small whole number other than 0: `m2`, `h-1`",

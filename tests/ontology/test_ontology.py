@@ -208,7 +208,7 @@ def test_a_bad_ontology_is_refused_and_changes_nothing(
 
 
 def test_a_system_name_is_refused(plain: Ontology) -> None:
-    with pytest.raises(OntologyError, match="system"):
+    with pytest.raises(OntologyError, match="reserved"):
         plain.load("", name="http://www.dyknow.eu/graphs/templates")
 
 

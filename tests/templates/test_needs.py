@@ -110,7 +110,7 @@ def test_unknown_dyknow_names_are_errors(vocabulary):
     with pytest.raises(NeedsError) as caught:
         wants("?o dyknow:sped ?s", vocabulary)
     assert caught.value.hint == "did you mean dyknow:speed?"
-    with pytest.raises(NeedsError, match="dyknow:Aircrft is no known sort") as caught:
+    with pytest.raises(NeedsError, match="dyknow:Aircrft is not a known sort") as caught:
         wants("?o a dyknow:Aircrft ; dyknow:speed ?s", vocabulary)
     assert "dyknow:Aircraft" in caught.value.hint
 
