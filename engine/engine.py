@@ -23,7 +23,7 @@ from ..languages.ssl.annotation import CheckedAnnotation
 from ..matching.uncollected import uncollected
 from ..ontology.ontology import Ontology, PreparedOntology
 from ..ontology.reading import TextFormat
-from ..rdf.namespaces import DYKNOW, PREFIXES
+from ..rdf.namespaces import DYKNOW
 from ..streams.generator import StreamGenerator
 from ..streams.rules import INSTANTS
 from ..streams.sample import SampleBatch
@@ -365,11 +365,11 @@ class Engine:
 
     def parse_request(self, text: str) -> EventRequest:
         """``dyknow:HighSpeedEvent(?o, dyknow:UAV, 100)``; raises `LanguageError`."""
-        return parse_event_request(text, PREFIXES)
+        return parse_event_request(text)
 
     def make_request(self, event: str, arguments: Sequence[str]) -> EventRequest:
         """The same from parts, each argument as text; raises `LanguageError`."""
-        parsed = tuple(parse_argument(argument, PREFIXES) for argument in arguments)
+        parsed = tuple(parse_argument(argument) for argument in arguments)
         return EventRequest(iri_of(event), parsed, f"{event}({', '.join(arguments)})")
 
     def request_event(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 
 def did_you_mean(name: str, candidates: Iterable[str]) -> str:
@@ -20,6 +20,12 @@ def suggest_name(name: str, candidates: Iterable[str]) -> str:
         return "none is declared yet: declare it first"
     listed = ", ".join(names[:8]) + (" …" if len(names) > 8 else "")
     return did_you_mean(name, names) or f"known are {listed}"
+
+
+def listed(names: Sequence[str]) -> str:
+    """Return ``a``, ``a or b``, ``a, b or c``."""
+    *others, last = names
+    return f"{', '.join(others)} or {last}" if others else last
 
 
 def count(number: int, what: str) -> str:

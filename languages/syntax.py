@@ -4,18 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from collections.abc import Set as AbstractSet
+from functools import cache
+from importlib import resources
 from typing import Final, TypeAlias
 
-from lark import Token, Tree
+from lark import Lark, Token, Tree
 from lark.exceptions import UnexpectedCharacters, UnexpectedInput, UnexpectedToken
 
 from ..streams.sample import LONGEST_NAME
 from .errors import LanguageError, Span
+from .hints import listed
 
 _NAMES: Final = ("NAME", "UNIT_NAME", "PREFIXED", "IRI", "TEXT", "OBJECT_ID", "STRING")
 SyntaxHint: TypeAlias = Callable[[str, AbstractSet[str]], str]
 """Makes a hint from the text found (empty at the end of the source) and the terminals that are
 possible there."""
+
+
+@cache
+def grammar(file: str, *starts: str) -> Lark:
+    """Load a grammar of this room, such as ``ssl/ssl.lark``, with its start rules."""
+    text = resources.files(__package__).joinpath(file).read_text(encoding="utf-8")
+    lexer = "contextual"  # a keyword is a keyword only where the grammar expects one
+    return Lark(text, start=list(starts), parser="lalr", lexer=lexer, propagate_positions=True)
 
 
 def syntax_error(error: UnexpectedInput, source: str, hint: SyntaxHint) -> LanguageError:
@@ -63,11 +74,7 @@ def check_names(tree: Tree[Token], source: str) -> None:
 def expected_hint(expected: AbstractSet[str], names: Mapping[str, str]) -> str:
     """Return ``expected `=`, `(` or a name``. A terminal that ``names`` lacks is a keyword."""
     words = sorted({names.get(name, f"`{name.lower()}`") for name in expected})
-    if not words:
-        return ""
-    return "expected " + (
-        words[0] if len(words) == 1 else f"{', '.join(words[:-1])} or {words[-1]}"
-    )
+    return f"expected {listed(words)}" if words else ""
 
 
 def trees(tree: Tree[Token]) -> list[Tree[Token]]:

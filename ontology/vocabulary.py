@@ -10,7 +10,7 @@ from __future__ import annotations
 import difflib
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Literal as OneOf
 from typing import TypeAlias
@@ -81,28 +81,18 @@ class Vocabulary:
     `SELF`."""
 
     @classmethod
-    def from_triples(cls, triples: Iterable[Triple], version: int = 0) -> Vocabulary:
+    def from_triples(cls, triples: Iterable[Triple]) -> Vocabulary:
         """Build the vocabulary of closed triples (asserted and entailed); the pairs of hierarchies
         may be missing.
 
         Raises `UnitError`, naming the feature, for a ``:hasUnit`` that is no unit. Cost: linear in
         the triples, and that of the hierarchies.
         """
-        return _read(_Index(triples), version)
+        return _read(_Index(triples))
 
     def with_events(self, events: Iterable[str], version: int) -> Vocabulary:
         """Return the vocabulary at a new version with these events added."""
-        return Vocabulary(
-            version,
-            self._sorts,
-            self._subsorts,
-            self._features,
-            self._superfeatures,
-            self._subfeatures,
-            self._objects,
-            self._events | frozenset(events),
-            self.self_object,
-        )
+        return replace(self, version=version, _events=self._events | frozenset(events))
 
     def is_sort(self, iri: str) -> bool:
         return iri in self._sorts
@@ -214,7 +204,7 @@ class _Index:
         }
 
 
-def _read(index: _Index, version: int) -> Vocabulary:
+def _read(index: _Index) -> Vocabulary:
     types = index.named(_TYPE)
     # The stream space's own terms are no domain terms, though Stream is an OWL class too.
     own = {
@@ -253,7 +243,7 @@ def _read(index: _Index, version: int) -> Vocabulary:
         objects[subject] = frozenset((types.get(subject, set()) & sorts) | tops)
     infos = _Infos(index, superclasses, superfeatures, features)
     return Vocabulary(
-        version,
+        0,
         _Links(supersorts, frozenset(sorts)),
         _Links(supersorts.inverted(), frozenset(sorts)),
         {feature: infos.info(feature) for feature in features},

@@ -7,6 +7,7 @@ later passes turn chains into binary operators.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Final
 
 from pyoxigraph import Literal, NamedNode, Variable
@@ -34,6 +35,7 @@ AGGREGATES: Final = ("COUNT", "SUM", "MIN", "MAX", "AVG", "SAMPLE", "GROUP_CONCA
 MOST_IN_A_ROW: Final = 64
 """Up to this length each ``||`` or ``&&`` of a chain adds one to the height; longer chains are
 halved."""
+MOST_NEGATIONS: Final = 64
 _MANY: Final = 1 << 20
 # [121] BuiltInCall: name -> least and greatest number of arguments.
 FUNCTIONS: Final = {
@@ -120,24 +122,19 @@ class ExpressionReader(Cursor):
 
     def _additive(self) -> Expression:
         """[116] AdditiveExpression."""
-        first = self._multiplicative()
-        rest: list[tuple[str, Expression]] = []
-        height = self.height
-        while self._is_operator("+", "-"):
-            sign = self.take().text
-            rest.append((sign, self._multiplicative()))
-            height = max(height, self.height) + 1
-            self._rise(height)
-        return Arithmetic(first, tuple(rest)) if rest else first
+        return self._chain(self._multiplicative, "+", "-")
 
     def _multiplicative(self) -> Expression:
         """[117] MultiplicativeExpression."""
-        first = self._unary()
+        return self._chain(self._unary, "*", "/")
+
+    def _chain(self, operand: Callable[[], Expression], *operators: str) -> Expression:
+        first = operand()
         rest: list[tuple[str, Expression]] = []
         height = self.height
-        while self._is_operator("*", "/"):
+        while self._is_operator(*operators):
             sign = self.take().text
-            rest.append((sign, self._unary()))
+            rest.append((sign, operand()))
             height = max(height, self.height) + 1
             self._rise(height)
         return Arithmetic(first, tuple(rest)) if rest else first
@@ -171,8 +168,8 @@ class ExpressionReader(Cursor):
         while self.is_mark("!"):
             token = self.take()
             signs += 1
-            if signs > self.limits.negations:
-                message = f"more than {self.limits.negations} negations in a row"
+            if signs > MOST_NEGATIONS:
+                message = f"more than {MOST_NEGATIONS} negations in a row"
                 raise self.error(message, token)
         found = self._primary()
         for _ in range(signs):
@@ -269,7 +266,7 @@ class ExpressionReader(Cursor):
         if name in AGGREGATES:
             if not self.aggregates:
                 raise self.unexpected(
-                    "an aggregate is allowed in the head, HAVING and ORDER BY, but not in another one"
+                    "aggregates are allowed in the head, HAVING and ORDER BY, but not nested"
                 )
             return self._aggregate(self.take())
         token = self.take()

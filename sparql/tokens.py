@@ -61,16 +61,16 @@ class Limits:
     """
 
     tokens: int = 1 << 20
-    depth: int = 64
     patterns: int = 1 << 20
     operators: int = 1 << 20
     parts: int = 1 << 20
-    negations: int = 64
     hint: str = ""
 
 
 UNLIMITED: Final = Limits()
-"""Bounds nesting only, since later passes recurse."""
+"""For texts that a bound on characters limits already."""
+DEEPEST: Final = 64
+"""The greatest depth of nested brackets: later passes recurse."""
 
 # [164] PN_CHARS_BASE, [165] PN_CHARS_U, [167] PN_CHARS, and what VARNAME [166] has besides.
 _BASE: Final = (
@@ -118,7 +118,7 @@ _PARTS: Final = ("FILTER", "BIND", "VALUES")
 class Lexer:
     """The tokens of ``source``, read one at a time.
 
-    Brackets must match, at most ``limits.depth`` deep. Raises `LanguageError` for a character that
+    Brackets must match, at most `DEEPEST` deep. Raises `LanguageError` for a character that
     begins no token, an open string, unmatched brackets, and too many tokens. Cost: linear.
     """
 
@@ -178,8 +178,8 @@ class Lexer:
             return
         if token.text in _CLOSING:
             self.brackets.append(token)
-            if len(self.brackets) > limits.depth:
-                raise self._error(f"brackets are nested more than {limits.depth} deep", token)
+            if len(self.brackets) > DEEPEST:
+                raise self._error(f"brackets are nested more than {DEEPEST} deep", token)
         elif token.text in "})]":
             if not self.brackets or _CLOSING[self.brackets[-1].text] != token.text:
                 raise self._no_match(token)
@@ -231,9 +231,3 @@ def _character(digits: str) -> str:
     code = int(digits, 16)
     is_none = code > 0x10FFFF or 0xD800 <= code <= 0xDFFF or code == 0x5C
     return " " if is_none else chr(code)
-
-
-def tokenize(source: str, limits: Limits = UNLIMITED) -> tuple[Token, ...]:
-    """Return all tokens of a text without expressions, where ``<`` always begins an IRI."""
-    lexer = Lexer(source, limits)
-    return tuple(iter(lexer.next, None))

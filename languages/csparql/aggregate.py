@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from typing import Final
 
 from pyoxigraph import Variable
@@ -12,6 +11,7 @@ from ...sparql.cursor import Cursor
 from ...sparql.expressions import ExpressionReader
 from ...sparql.tokens import Kind
 from ..errors import Span
+from ..hints import suggest_name
 from .ast import Aggregation
 
 FUNCTIONS: Final = ("AVG", "SUM", "COUNT", "MIN", "MAX")
@@ -65,14 +65,12 @@ def _aggregation(at: Cursor) -> Aggregation:
 
 
 def _function(at: Cursor) -> str:
-    hint = f"known are {', '.join(FUNCTIONS)}"
     word = at.here
     if word is None or word.kind is not Kind.WORD:
-        raise at.expected("a function", hint)
+        raise at.expected("a function", suggest_name("", FUNCTIONS))
     name = word.text.upper()
     if name not in FUNCTIONS:
-        near = difflib.get_close_matches(name, FUNCTIONS, n=1)
-        hint = f"did you mean {near[0]}?" if near else hint
+        hint = suggest_name(name, FUNCTIONS)
         raise at.error(f"`{word.text}` is not an aggregate function", word, hint)
     at.take()
     return name

@@ -127,23 +127,9 @@ def group_keys(query: ContinuousQuery) -> tuple[Variable, ...]:
     return tuple(map(Variable, _keys(query, [v.value for v in query.bindings])))
 
 
-def nested_parameters(query: ContinuousQuery) -> frozenset[Variable]:
-    """Return the bound parameters used in a nested group or sub-query of WHERE.
-
-    A join with the row of parameters at the top is not enough for them, since SPARQL evaluates a
-    group without the bindings around it. `body_tree` puts the row into the group itself.
-    """
-    names: set[str] = set()
-    for part in parts_of(query.body):
-        if part.group is not query.body.where:
-            names |= part.names
-    return frozenset(variable for variable in query.bindings if variable.value in names)
-
-
 def body_sparql(query: ContinuousQuery) -> str:
     """Return the equivalent SPARQL 1.1 text: bindings as VALUES rows, no FROM clauses."""
-    rows = {variable.value: term for variable, term in query.bindings.items()}
-    return print_query(_translate(query, rows, list(rows)), query.prefixes)
+    return print_query(body_with_rows(query), query.prefixes)
 
 
 def body_with_rows(query: ContinuousQuery) -> Query:

@@ -3,7 +3,6 @@ parameter."""
 
 from __future__ import annotations
 
-import difflib
 from itertools import pairwise
 
 from ...sparql.ast import Aggregate, Form, Query, variables_of, walk
@@ -165,7 +164,5 @@ class Check:
 
 
 def _near(name: str, known: set[str]) -> str:
-    near = difflib.get_close_matches(name, sorted(known), n=1)
-    if near:
-        return f"did you mean `?{near[0]}`?"
-    return f"the body has {', '.join(f'`?{k}`' for k in sorted(known))}" if known else ""
+    meant = did_you_mean(f"?{name}", (f"?{each}" for each in known))
+    return meant or (f"the body has {', '.join(f'`?{k}`' for k in sorted(known))}" if known else "")

@@ -83,14 +83,17 @@ class _Text:
     def edited(self, edits: Sequence[Edit], start: int, end: int) -> str:
         """Apply the disjoint edits within a range of the SPARQL; insertions at one place keep their
         order."""
-        parts: list[str] = []
-        position = start
-        for edit in sorted(edits, key=lambda edit: (edit.start, edit.end)):
-            if start <= edit.start < end:
-                parts += (self.sparql[position : edit.start], edit.text)
-                position = edit.end
-        parts.append(self.sparql[position:end])
-        return "".join(parts)
+        return _edited(self.sparql, edits, start, end)
+
+
+def _edited(text: str, edits: Sequence[Edit], start: int, end: int) -> str:
+    parts: list[str] = []
+    position = start
+    for edit in sorted(edits, key=lambda edit: (edit.start, edit.end)):
+        if start <= edit.start < end:
+            parts += (text[position : edit.start], edit.text)
+            position = edit.end
+    return "".join([*parts, text[position:end]])
 
 
 def format_query(query: ContinuousQuery) -> str:
@@ -133,14 +136,8 @@ def _kind(text: str) -> str:
 
 
 def _is_query(query: ContinuousQuery, edits: Sequence[Edit]) -> bool:
-    parts: list[str] = []
-    position = 0
-    for edit in sorted(edits, key=lambda edit: (edit.start, edit.end)):
-        parts += (query.source[position : edit.start], edit.text)
-        position = edit.end
-    parts.append(query.source[position:])
     try:
-        ClauseReader("".join(parts)).read()
+        ClauseReader(_edited(query.source, edits, 0, len(query.source))).read()
     except LanguageError:
         return False
     return True
@@ -319,14 +316,8 @@ def _aggregate(query: ContinuousQuery, replaced: Mapping[str, str]) -> str:
 
 def _blank(source: str, spans: Sequence[Span]) -> str:
     """Replace the characters of ``spans`` by spaces; line ends and offsets stay."""
-    parts: list[str] = []
-    position = 0
-    for span in sorted(spans, key=lambda span: span.start):
-        parts.append(source[position : span.start])
-        parts.append(re.sub(r"[^\r\n]", " ", source[span.start : span.end]))
-        position = span.end
-    parts.append(source[position:])
-    return "".join(parts)
+    blanks = [Edit(s.start, s.end, re.sub(r"[^\r\n]", " ", source[s.start : s.end])) for s in spans]
+    return _edited(source, blanks, 0, len(source))
 
 
 def compact(text: str) -> str:

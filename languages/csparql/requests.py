@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 from pyoxigraph import Variable
 
 from ...rdf.dictionary import Term
@@ -16,14 +14,14 @@ from .limits import check_length
 _EXAMPLE = "write `dyknow:HighSpeedEvent(?o, dyknow:UAV, 100)`"
 
 
-def parse_event_request(source: str, prefixes: Mapping[str, str] = PREFIXES) -> EventRequest:
+def parse_event_request(source: str) -> EventRequest:
     """Parse an event and its arguments, each a term or a free variable. An event without a prefix
     belongs to ``dyknow:``, as in [Events14 §V.C].
 
     Raises `LanguageError` with the place of a malformed name or argument, or an unknown prefix.
     """
     check_length(source)
-    at = Cursor(source, prefixes)
+    at = Cursor(source, PREFIXES)
     name = at.here
     if name is None or name.kind not in (Kind.IRI, Kind.PREFIXED, Kind.WORD):
         found = "" if name is None else f", found `{at.text_of(name)}`"
@@ -46,14 +44,14 @@ def parse_event_request(source: str, prefixes: Mapping[str, str] = PREFIXES) -> 
     return EventRequest(event, tuple(arguments), source)
 
 
-def parse_argument(text: str, prefixes: Mapping[str, str] = PREFIXES) -> Term | Variable:
+def parse_argument(text: str) -> Term | Variable:
     """Parse one argument: ``?o``, ``dyknow:UAV``, ``100``, ``"x"@en``, ``<iri>``, ``true``,
     ``1.5e3``.
 
     Raises `LanguageError` if the text is anything else.
     """
     check_length(text)
-    at = Cursor(text, prefixes)
+    at = Cursor(text, PREFIXES)
     if at.at_end:
         raise at.error("expected an argument", None, "write a term, or a variable: `?o`")
     argument = at.term()

@@ -8,20 +8,19 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable
 from collections.abc import Set as AbstractSet
-from functools import cache
-from importlib import resources
 from typing import Final
 
-from lark import Lark, Token, Tree
+from lark import Token, Tree
 from lark.exceptions import UnexpectedInput
 
 from ...streams.policies.policy import Approximation, Order
 from ...streams.sample import LONGEST_NAME
 from ..errors import LanguageError, Span
-from ..hints import did_you_mean
+from ..hints import did_you_mean, listed
 from ..syntax import (
     check_names,
     expected_hint,
+    grammar,
     span_of,
     syntax_error,
     tokens,
@@ -30,6 +29,7 @@ from ..syntax import (
 from ..text_cache import TextCache
 from . import ast
 
+_STARTS: Final = ("start", "policy_text", "label_text")
 _LONGEST_LABEL: Final = 5 * LONGEST_NAME
 _EXPECTED: Final = {
     "NAME": "a name",
@@ -70,13 +70,6 @@ _FOR_EACH_OBJECT: Final = {
 }
 
 
-@cache
-def _grammar() -> Lark:
-    text = resources.files(__package__).joinpath("kpl.lark").read_text(encoding="utf-8")
-    starts = ["start", "policy_text", "label_text"]
-    return Lark(text, start=starts, parser="lalr", lexer="contextual", propagate_positions=True)
-
-
 @TextCache
 def parse_kpl(source: str) -> ast.Specification:
     """Parse the declarations of a KPL text, in order; ``#`` and ``//`` start comments.
@@ -105,7 +98,7 @@ def parse_label_term(source: str) -> ast.LabelTerm:
 
 def _parse(source: str, start: str) -> Tree[Token]:
     try:
-        tree = _grammar().parse(source, start=start)
+        tree = grammar("kpl/kpl.lark", *_STARTS).parse(source, start=start)
     except UnexpectedInput as error:
         history = getattr(error, "token_history", None)
         before = history[-1] if history else None
@@ -142,8 +135,7 @@ def _syntax_hint(found: str, expected: AbstractSet[str]) -> str:
     if expected in ({"NAME"}, {"NAME", "PREFIXED"}):
         return "a name is a letter or `_`, then letters, digits and `_`"
     if declaring and expected <= {*_DECLARING, "UNIT", "$END"}:
-        known = [f"`{word}`" for word in _DECLARATIONS]
-        return f"a declaration begins with {', '.join(known[:-1])} or {known[-1]}"
+        return f"a declaration begins with {listed([f'`{word}`' for word in _DECLARATIONS])}"
     return expected_hint(expected, _EXPECTED)
 
 

@@ -5,14 +5,13 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable
 from dataclasses import dataclass
 
 from ...ontology.vocabulary import Vocabulary
 from ...rdf.namespaces import DYKNOW, PREFIXES
 from ..errors import LanguageError, Span
-from ..hints import count
+from ..hints import count, suggest_name
 from . import ast
 from .constraints import UNITS
 from .declarations import CheckedDeclaration, Label
@@ -95,8 +94,7 @@ def check_prefix(name: ast.Name, source: str) -> None:
     """Raise `LanguageError` for a name whose prefix is not in `PREFIXES`."""
     prefix, colon, _ = name.text.partition(":")
     if colon and prefix not in PREFIXES:
-        near = difflib.get_close_matches(prefix, PREFIXES, n=1)
-        hint = f"did you mean {near[0]}:?" if near else f"known are {', '.join(PREFIXES)}"
+        hint = suggest_name(f"{prefix}:", (f"{known}:" for known in PREFIXES))
         span = Span(name.span.start, name.span.start + len(prefix))
         raise LanguageError(f"the prefix `{prefix}:` is not known", source, span, hint)
 

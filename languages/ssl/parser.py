@@ -6,11 +6,9 @@ Names are not resolved here; `check` does that.
 from __future__ import annotations
 
 from collections.abc import Set as AbstractSet
-from functools import cache
-from importlib import resources
 from typing import Final
 
-from lark import Lark, Token, Tree
+from lark import Token, Tree
 from lark.exceptions import UnexpectedInput
 
 from ...ontology.units import PERCENT, POWERS
@@ -18,6 +16,7 @@ from ..errors import LanguageError, Span
 from ..syntax import (
     check_names,
     expected_hint,
+    grammar,
     span_of,
     syntax_error,
     tokens,
@@ -57,12 +56,6 @@ _EXPECTED: Final = {
 _DECLARATION_WORDS: Final = frozenset({"STREAM", "SOURCE", "COMPUNIT"})
 
 
-@cache
-def _grammar() -> Lark:
-    text = resources.files(__package__).joinpath("ssl.lark").read_text(encoding="utf-8")
-    return Lark(text, parser="lalr", lexer="contextual", propagate_positions=True)
-
-
 @TextCache
 def parse_ssl(source: str) -> tuple[Declaration, ...]:
     """Parse the declarations of an SSL text, in order; `#` starts a comment.
@@ -72,7 +65,7 @@ def parse_ssl(source: str) -> tuple[Declaration, ...]:
     then the engine finds it.
     """
     try:
-        tree = _grammar().parse(source)
+        tree = grammar("ssl/ssl.lark", "start").parse(source)
     except UnexpectedInput as error:
         raise syntax_error(error, source, _syntax_hint) from None
     check_names(tree, source)

@@ -2,6 +2,7 @@
 only where they stand for one, and SPARQL is left in its place (SPEC §5)."""
 
 import re
+from collections.abc import Iterator
 from dataclasses import replace
 
 from hypothesis import assume, given, settings
@@ -19,7 +20,7 @@ from dyknow.languages.csparql.parser import read
 from dyknow.languages.csparql.printer import compact
 from dyknow.languages.errors import LanguageError
 from dyknow.sparql.ast import NO_SPAN, Graph, variables_of, walk
-from dyknow.sparql.tokens import tokenize
+from dyknow.sparql.tokens import UNLIMITED, Lexer, Token
 
 WORDS = """register stream query as compute every select from named window on range step slide
 tumbling triples elements landmark rstream istream dstream graph where aggregate filter prefix base
@@ -174,6 +175,10 @@ def test_keywords_in_names_are_names(words: list[str], is_rsp_ql: bool) -> None:
     assert list(variables_of(query.body)) == [variable]
     assert sum(isinstance(one, Graph) for one in walk(query.body)) == is_rsp_ql
     assert meaning(parse_query(format_query(query))) == meaning(query)
+
+
+def tokenize(text: str) -> Iterator[Token]:
+    return iter(Lexer(text, UNLIMITED).next, None)
 
 
 def compacted(text: str) -> str:
