@@ -7,7 +7,6 @@ graphs tell the origin of a triple; `GRAPH` reads them. docs/ontology.md explain
 from __future__ import annotations
 
 from typing import Final
-from urllib.parse import quote
 
 from pyoxigraph import NamedNode
 
@@ -22,10 +21,6 @@ ALIGNMENTS: Final = "http://www.dyknow.eu/ontology/alignments/"
 """The prefix of the graphs of alignments/, one for each file: the stream space in the terms of
 other vocabularies."""
 
-_ANNOTATION_NODES: Final = "http://www.dyknow.eu/annotations/"
-_DECLARATION_NODES: Final = "http://www.dyknow.eu/declarations/"
-_TRANSFORMATION_NODES: Final = "http://www.dyknow.eu/transformations/"
-_QUERY_NODES: Final = "http://www.dyknow.eu/queries/"
 _OWN: Final = "http://www.dyknow.eu/graphs/"
 ENTAILMENTS: Final = NamedNode(_OWN + "entailments")
 """The triples that OWL RL adds to the loaded ontologies."""
@@ -75,26 +70,6 @@ LOADED: Final = NamedNode(_OWN + "catalog#loaded")
 CLOSED: Final = NamedNode(_OWN + "catalog#closed")
 """``<entailments graph> CLOSED "key"``: the key of the texts that the stored closure was computed
 from."""
-
-
-def annotation_node(name: str) -> NamedNode:
-    """Return the `:Annotation` with the SSL text of the subject ``name``."""
-    return NamedNode(f"{_ANNOTATION_NODES}{quote(name, safe='')}")
-
-
-def declaration_node(name: str) -> NamedNode:
-    """Return the `:Specification` with the declaration of the stream ``name``."""
-    return NamedNode(f"{_DECLARATION_NODES}{quote(name, safe='')}")
-
-
-def transformation_node(name: str) -> NamedNode:
-    """Return the `:Specification` with the description of the transformation ``name``."""
-    return NamedNode(f"{_TRANSFORMATION_NODES}{quote(name, safe='')}")
-
-
-def query_node(name: str) -> NamedNode:
-    """Return the `:Specification` with the registration of the query ``name``."""
-    return NamedNode(f"{_QUERY_NODES}{quote(name, safe='')}")
 
 
 def ontology_graph(name: str) -> NamedNode:

@@ -467,7 +467,7 @@ class Ontology:
 
     def _bump_version(self) -> None:
         self.version += 1
-        self.vocabulary = self._base.with_events(self.registered.templates(), self.version)
+        self.vocabulary = self._base.with_events(self.registered.templates, self.version)
 
     def _hashes(self) -> dict[str, str]:
         quads = self._quads.store.quads_for_pattern(None, graphs.LOADED, None, graphs.CATALOG)

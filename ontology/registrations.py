@@ -3,8 +3,9 @@ streams, transformations, continuous queries, KPL, specifications (docs/ontology
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, MutableMapping
 from typing import Protocol
+from urllib.parse import quote
 
 from pyoxigraph import Literal, NamedNode, Quad, Triple
 
@@ -13,6 +14,7 @@ from . import graphs
 from .errors import OntologyError
 from .quad_store import subject_of, text_of
 
+_NODES = "http://www.dyknow.eu/"
 _HAS_TEMPLATE = NamedNode(STREAM_SPACE + "hasTemplate")
 _HAS_NAME = NamedNode(STREAM_SPACE + "hasName")
 _HAS_TEXT = NamedNode(STREAM_SPACE + "hasText")
@@ -39,133 +41,115 @@ class RegistrationStore(Protocol):
         """See `Ontology.replace_unread_triples`."""
 
 
+class RegisteredTexts(MutableMapping[str, str]):
+    """Name -> text, in one graph: a node of type ``kind`` for each name. A change is durable when
+    the call returns."""
+
+    _text = _HAS_TEXT
+
+    def __init__(
+        self, store: RegistrationStore, graph: NamedNode, kind: NamedNode = _SPECIFICATION
+    ) -> None:
+        self._store = store
+        self._graph = graph
+        self._kind = kind
+        self._replace = store.replace_triples
+
+    def _node(self, name: str) -> NamedNode:
+        folder = self._graph.value.rpartition("/")[2]
+        return NamedNode(f"{_NODES}{folder}/{quote(name, safe='')}")
+
+    def _triples(self, node: NamedNode, name: str, text: str) -> set[Triple]:
+        return _named_text(node, self._kind, name, text)
+
+    def __getitem__(self, name: str) -> str:
+        for quad in self._store.about(self._node(name), self._text, self._graph):
+            return text_of(quad)
+        raise KeyError(name)
+
+    def __setitem__(self, name: str, text: str) -> None:
+        node = self._node(name)
+        self._replace(self._graph, node, self._triples(node, name, text))
+
+    def __delitem__(self, name: str) -> None:
+        if name not in self:
+            raise KeyError(name)
+        self._replace(self._graph, self._node(name), set())
+
+    def __iter__(self) -> Iterator[str]:
+        return map(text_of, sorted(self._store.about(None, _HAS_NAME, self._graph), key=str))
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self)
+
+
+class RegisteredTemplates(RegisteredTexts):
+    """IRI of an event -> template text. Registering a text makes the IRI an event concept."""
+
+    _text = _HAS_TEMPLATE
+
+    def _node(self, name: str) -> NamedNode:
+        try:
+            return NamedNode(name)
+        except ValueError as error:
+            raise OntologyError(f"{name!r} is not an IRI: {error}") from error
+
+    def _triples(self, node: NamedNode, name: str, text: str) -> set[Triple]:
+        return {
+            Triple(node, RDF_TYPE, _EVENT),
+            Triple(node, RDF_TYPE, _EVENT_TEMPLATE),
+            Triple(node, _HAS_TEMPLATE, Literal(text)),
+        }
+
+    def __iter__(self) -> Iterator[str]:
+        quads = self._store.about(None, _HAS_TEMPLATE, self._graph)
+        return map(subject_of, sorted(quads, key=str))
+
+
+class RegisteredQueries(RegisteredTexts):
+    """Name of a continuous query -> its registration as JSON text. No rule or query reads these."""
+
+    def __init__(self, store: RegistrationStore) -> None:
+        super().__init__(store, graphs.QUERIES)
+        self._replace = store.replace_unread_triples
+
+
 class Registrations:
-    """The registered texts by name. Each change is durable when the call returns."""
+    """All registered texts."""
 
     def __init__(self, store: RegistrationStore) -> None:
         self._store = store
+        self.templates = RegisteredTemplates(store, graphs.TEMPLATES)
+        self.annotations = RegisteredTexts(store, graphs.ANNOTATIONS, _ANNOTATION)
+        """Name of a stream, source or unit -> its SSL text."""
+        self.streams = RegisteredTexts(store, graphs.DECLARATIONS)
+        """Name of a declared stream -> its declaration as JSON text."""
+        self.transformations = RegisteredTexts(store, graphs.TRANSFORMATIONS)
+        """Name of a transformation -> its description as JSON text."""
+        self.queries = RegisteredQueries(store)
 
-    def set_template(self, event: str, source: str) -> None:
-        """Register a template text for ``event`` (an IRI), or replace it. The IRI becomes an event
-        concept."""
-        concept = _iri(event)
-        triples = {
-            Triple(concept, RDF_TYPE, _EVENT),
-            Triple(concept, RDF_TYPE, _EVENT_TEMPLATE),
-            Triple(concept, _HAS_TEMPLATE, Literal(source)),
-        }
-        self._store.replace_triples(graphs.TEMPLATES, concept, triples)
-
-    def remove_template(self, event: str) -> None:
-        """Remove the event concept and its template. Raises KeyError if there is none."""
-        if event not in self.templates():
-            raise KeyError(event)
-        self._store.replace_triples(graphs.TEMPLATES, _iri(event), set())
-
-    def templates(self) -> dict[str, str]:
-        """Return event concept IRI -> template text."""
-        quads = self._store.about(None, _HAS_TEMPLATE, graphs.TEMPLATES)
-        return {subject_of(q): text_of(q) for q in sorted(quads, key=str)}
-
-    def set_annotation(self, subject_name: str, source: str) -> None:
-        """Store the SSL text of the stream, source or unit of this name."""
-        node = graphs.annotation_node(subject_name)
-        self._store.replace_triples(
-            graphs.ANNOTATIONS, node, _named_text(node, _ANNOTATION, subject_name, source)
-        )
-
-    def remove_annotation(self, subject_name: str) -> None:
-        """Remove the SSL text. Raises KeyError if there is none."""
-        if subject_name not in self.annotations():
-            raise KeyError(subject_name)
-        self._store.replace_triples(graphs.ANNOTATIONS, graphs.annotation_node(subject_name), set())
-
-    def annotations(self) -> dict[str, str]:
-        """Return name of the stream, source or unit -> SSL text."""
-        return self._named_texts(graphs.ANNOTATIONS)
-
-    def set_stream(self, name: str, declaration_json: str) -> None:
-        """Store the declaration of a stream."""
-        node = graphs.declaration_node(name)
-        triples = _named_text(node, _SPECIFICATION, name, declaration_json)
-        self._store.replace_triples(graphs.DECLARATIONS, node, triples)
-
-    def remove_stream(self, name: str) -> None:
-        """Remove the declaration. Raises KeyError if there is none."""
-        if name not in self.streams():
-            raise KeyError(name)
-        self._store.replace_triples(graphs.DECLARATIONS, graphs.declaration_node(name), set())
-
-    def streams(self) -> dict[str, str]:
-        """Return name of a declared stream -> its declaration as JSON text."""
-        return self._named_texts(graphs.DECLARATIONS)
-
-    def set_transformation(self, name: str, description_json: str) -> None:
-        """Store the description of a transformation."""
-        node = graphs.transformation_node(name)
-        triples = _named_text(node, _SPECIFICATION, name, description_json)
-        self._store.replace_triples(graphs.TRANSFORMATIONS, node, triples)
-
-    def remove_transformation(self, name: str) -> None:
-        """Remove the description. Raises KeyError if there is none."""
-        if name not in self.transformations():
-            raise KeyError(name)
-        self._store.replace_triples(graphs.TRANSFORMATIONS, graphs.transformation_node(name), set())
-
-    def transformations(self) -> dict[str, str]:
-        """Return name of a registered transformation -> its description as JSON text."""
-        return self._named_texts(graphs.TRANSFORMATIONS)
-
-    def set_query(self, name: str, registration_json: str) -> None:
-        """Store the registration of a continuous query."""
-        node = graphs.query_node(name)
-        self._store.replace_unread_triples(
-            graphs.QUERIES, node, _named_text(node, _SPECIFICATION, name, registration_json)
-        )
-
-    def remove_query(self, name: str) -> None:
-        """Remove the registration, if there is one."""
-        self._store.replace_unread_triples(graphs.QUERIES, graphs.query_node(name), set())
-
-    def queries(self) -> dict[str, str]:
-        """Return name of a registered continuous query -> its registration as JSON text."""
-        return self._named_texts(graphs.QUERIES)
+    def kpl(self) -> str:
+        """Return all KPL declarations; empty if there are none."""
+        return self._single(graphs.KPL)
 
     def set_kpl(self, text: str) -> None:
         """Store all KPL declarations as one text; an empty text removes them."""
-        node = graphs.KPL
-        triples = _named_text(node, _SPECIFICATION, "KPL", text) if text else set()
-        self._store.replace_triples(graphs.KPL, node, triples)
-
-    def kpl(self) -> str:
-        """Return the KPL declarations; empty if there are none."""
-        return self._named_texts(graphs.KPL).get("KPL", "")
-
-    def set_specifications(self, text: str) -> None:
-        """Store the units that specifications inserted as one text; an empty text removes it."""
-        node = graphs.SPECIFICATIONS
-        triples = _named_text(node, _SPECIFICATION, "specifications", text) if text else set()
-        self._store.replace_triples(graphs.SPECIFICATIONS, node, triples)
+        self._set_single(graphs.KPL, "KPL", text)
 
     def specifications(self) -> str:
         """Return the units that specifications inserted; empty if there are none."""
-        return self._named_texts(graphs.SPECIFICATIONS).get("specifications", "")
+        return self._single(graphs.SPECIFICATIONS)
 
-    def _named_texts(self, graph: NamedNode) -> dict[str, str]:
-        names = self._store.about(None, _HAS_NAME, graph)
-        found = {}
-        for quad in sorted(names, key=str):
-            node = NamedNode(subject_of(quad))
-            for text in self._store.about(node, _HAS_TEXT, graph):
-                found[text_of(quad)] = text_of(text)
-        return found
+    def set_specifications(self, text: str) -> None:
+        """Store the units that specifications inserted as one text; an empty text removes it."""
+        self._set_single(graphs.SPECIFICATIONS, "specifications", text)
 
+    def _single(self, graph: NamedNode) -> str:
+        return next(map(text_of, self._store.about(graph, _HAS_TEXT, graph)), "")
 
-def _iri(text: str) -> NamedNode:
-    try:
-        return NamedNode(text)
-    except ValueError as error:
-        raise OntologyError(f"{text!r} is not an IRI: {error}") from error
+    def _set_single(self, graph: NamedNode, name: str, text: str) -> None:
+        triples = _named_text(graph, _SPECIFICATION, name, text) if text else set()
+        self._store.replace_triples(graph, graph, triples)
 
 
 def _named_text(node: NamedNode, kind: NamedNode, name: str, text: str) -> set[Triple]:

@@ -56,7 +56,7 @@ class TemplateLibrary:
         self._templates: dict[str, Template] = {}
         self.broken: dict[str, str] = {}
         """Stored texts that no longer parse, by event, with the reason; they stay stored."""
-        for event, source in ontology.registered.templates().items():
+        for event, source in ontology.registered.templates.items():
             try:
                 self._templates[event] = parse_template(source)
             except LanguageError as error:
@@ -72,7 +72,7 @@ class TemplateLibrary:
         if template.name in self._templates and not replace:
             raise TemplateExists(template.name)
         self._check(template)
-        self._ontology.registered.set_template(template.name, text)
+        self._ontology.registered.templates[template.name] = text
         self._templates[template.name] = template
         return template
 
@@ -84,7 +84,7 @@ class TemplateLibrary:
     def remove(self, name: str) -> Template:
         """Remove the template and return it. Raises `NoSuchTemplate`."""
         iri = self._resolve(name)
-        self._ontology.registered.remove_template(iri)
+        del self._ontology.registered.templates[iri]
         return self._templates.pop(iri)
 
     def __len__(self) -> int:

@@ -45,7 +45,7 @@ class Annotations:
         self._registered = registered
         self._transformations = transformations
         self._changed = changed
-        self._left = ontology.registered.annotations()
+        self._left = dict(ontology.registered.annotations)
         """Those that an earlier run was told and that are still to be restored."""
 
     def annotate(self, ssl: str) -> tuple[CheckedAnnotation, ...]:

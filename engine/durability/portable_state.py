@@ -99,7 +99,7 @@ def portable_of(
 ) -> Portable:
     """What of ``engine`` any version understands. Cost: O(samples kept)."""
     kept = [each for each in engine.published() if each.schema.fields]
-    named = engine.ontology.registered.queries()
+    named = dict(engine.ontology.registered.queries)
     unnamed: dict[str, Command] = {}
     waiting: list[tuple[str, int, Command]] = []
     for key, asked in standing.all():

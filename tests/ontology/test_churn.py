@@ -61,8 +61,8 @@ def test_what_comes_and_goes_of_templates_leaves_nothing(monkeypatch: pytest.Mon
     before = set(ontology.closed_store())
     stores = []
     for number in range(len(before)):
-        ontology.registered.set_template(f"{DYKNOW}E{number}", "text")
-        ontology.registered.remove_template(f"{DYKNOW}E{number}")
+        ontology.registered.templates[f"{DYKNOW}E{number}"] = "text"
+        del ontology.registered.templates[f"{DYKNOW}E{number}"]
         if not stores or ontology.closed_store() is not stores[-1]:
             stores.append(ontology.closed_store())
         if len(stores) == 3:

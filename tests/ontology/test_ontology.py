@@ -220,36 +220,34 @@ def test_imports_are_noted_not_fetched() -> None:
 
 def test_templates_annotations_and_streams_survive_a_restart(tmp_path: Path) -> None:
     ontology = Ontology.open(tmp_path / "store")
-    ontology.registered.set_template(EVENT, 'REGISTER TEMPLATE "one"')
-    ontology.registered.set_template(EVENT, 'REGISTER TEMPLATE "two"\n')
-    ontology.registered.set_annotation(
-        "s5", "stream s5 contains speed(UAV) = spd for every UAV = id"
-    )
-    ontology.registered.set_stream("s5", '{"name": "s5"}')
+    ontology.registered.templates[EVENT] = 'REGISTER TEMPLATE "one"'
+    ontology.registered.templates[EVENT] = 'REGISTER TEMPLATE "two"\n'
+    ontology.registered.annotations["s5"] = "stream s5 contains speed(UAV) = spd for every UAV = id"
+    ontology.registered.streams["s5"] = '{"name": "s5"}'
     ontology.load("dyknow:q1 a dyknow:UAV .", name="mine")
     ontology.mirror([Triple(own("s5"), RDF_TYPE, own("Stream"))], [])
     del ontology
     again = Ontology.open(tmp_path / "store")
-    assert again.registered.templates() == {EVENT: 'REGISTER TEMPLATE "two"\n'}
+    assert again.registered.templates == {EVENT: 'REGISTER TEMPLATE "two"\n'}
     assert again.vocabulary.is_event(EVENT)
     assert again.vocabulary.is_object(DYKNOW + "q1")
-    assert set(again.registered.annotations()) == {"s5"}
-    assert again.registered.streams() == {"s5": '{"name": "s5"}'}
+    assert set(again.registered.annotations) == {"s5"}
+    assert again.registered.streams == {"s5": '{"name": "s5"}'}
     assert not again.query("ASK { :s5 a :Stream }")
     text = column(again, "SELECT ?t { dyknow:HighSpeedEvent a :Event ; :hasTemplate ?t }")
     assert text == {'REGISTER TEMPLATE "two"\n'}
-    again.registered.remove_template(EVENT)
-    again.registered.remove_annotation("s5")
-    again.registered.remove_stream("s5")
+    del again.registered.templates[EVENT]
+    del again.registered.annotations["s5"]
+    del again.registered.streams["s5"]
     assert (
-        again.registered.templates(),
-        again.registered.annotations(),
-        again.registered.streams(),
+        again.registered.templates,
+        again.registered.annotations,
+        again.registered.streams,
     ) == ({}, {}, {})
     assert not again.query("ASK { dyknow:HighSpeedEvent ?p ?o }")
     assert not again.vocabulary.is_event(EVENT)
     with pytest.raises(KeyError):
-        again.registered.remove_template(EVENT)
+        del again.registered.templates[EVENT]
 
 
 def test_a_second_process_is_told_that_the_store_is_in_use(tmp_path: Path) -> None:
@@ -306,9 +304,9 @@ def test_the_closed_store_changes_with_the_version() -> None:
     first = ontology.closed_store()
     assert ontology.closed_store() is first
     assert first.query(f"ASK {{ <{DYKNOW}RMAX> <{SUBCLASS}> <{DYKNOW}Vehicle> }}")
-    ontology.registered.set_template(EVENT, "text")
+    ontology.registered.templates[EVENT] = "text"
     assert ontology.closed_store().query(f"ASK {{ <{EVENT}> a <{STREAM_SPACE}Event> }}")
-    ontology.registered.remove_template(EVENT)
+    del ontology.registered.templates[EVENT]
     assert not ontology.closed_store().query(f"ASK {{ <{EVENT}> ?p ?o }}")
     ontology.load(f"<{DYKNOW}Ship> a <http://www.w3.org/2002/07/owl#Class> .", name="urn:ships")
     assert ontology.closed_store().query(f"ASK {{ <{DYKNOW}Ship> a ?kind }}")

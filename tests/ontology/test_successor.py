@@ -50,17 +50,17 @@ class Change:
         typed = Triple(own(f"u{self.number}"), RDF_TYPE, own("ComputationalUnit"))
         match self.kind:
             case 0:
-                ontology.registered.set_template(name, f"text {self.number}")
-            case 1 if name in ontology.registered.templates():
-                ontology.registered.remove_template(name)
+                ontology.registered.templates[name] = f"text {self.number}"
+            case 1 if name in ontology.registered.templates:
+                del ontology.registered.templates[name]
             case 2:
-                ontology.registered.set_annotation(f"s{self.number}", "said")
+                ontology.registered.annotations[f"s{self.number}"] = "said"
             case 3:
                 ontology.mirror([reads, typed], [])
             case 4:
                 ontology.mirror([], [reads])
             case 5:
-                ontology.registered.set_query(f"q{self.number}", "{}")
+                ontology.registered.queries[f"q{self.number}"] = "{}"
             case 6:
                 ontology.registered.set_kpl(f"source float s{self.number}" if self.number else "")
 
@@ -122,7 +122,7 @@ def test_where_too_much_has_changed_it_is_made_anew(monkeypatch: pytest.MonkeyPa
     ontology = Ontology.open()
     prepared = ontology.prepare(SHIPS, name="urn:ships")
     monkeypatch.setattr(replicas, "MOST", 3)
-    ontology.registered.set_template(DYKNOW + "Alarm", "text")
+    ontology.registered.templates[DYKNOW + "Alarm"] = "text"
     ontology.install(prepared)
     assert ontology.vocabulary.is_sort(DYKNOW + "Ship")
     assert ontology.query(f"ASK {{ <{DYKNOW}Alarm> <{STREAM_SPACE}hasTemplate> 'text' }}")
