@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from collections.abc import Set as AbstractSet
 from functools import cache
 from importlib import resources
@@ -16,6 +16,26 @@ from .errors import LanguageError, Span
 from .hints import listed
 
 _NAMES: Final = ("NAME", "UNIT_NAME", "PREFIXED", "IRI", "TEXT", "OBJECT_ID", "STRING")
+TERMINALS: Final = {
+    **dict.fromkeys(("NAME", "PREFIXED", "IRI", "TEXT", "OBJECT_ID"), "a name"),
+    **dict.fromkeys(("NUMBER", "TIME_POINT"), "a time"),
+    "STRING": "a name in quotes",
+    "UNIT_NAME": "a unit (letters only)",
+    "POWER": "a power",
+    "EQUAL": "`=`",
+    "LPAR": "`(`",
+    "RPAR": "`)`",
+    "LSQB": "`[`",
+    "RSQB": "`]`",
+    "LBRACE": "`{`",
+    "RBRACE": "`}`",
+    "COMMA": "`,`",
+    "COLON": "`:`",
+    "SEMICOLON": "`;`",
+    "DOT": "`.`",
+    "$END": "the end",
+}
+"""The terminals in hints, except keywords."""
 SyntaxHint: TypeAlias = Callable[[str, AbstractSet[str]], str]
 """Makes a hint from the text found (empty at the end of the source) and the terminals that are
 possible there."""
@@ -71,9 +91,9 @@ def check_names(tree: Tree[Token], source: str) -> None:
         )
 
 
-def expected_hint(expected: AbstractSet[str], names: Mapping[str, str]) -> str:
-    """Return ``expected `=`, `(` or a name``. A terminal that ``names`` lacks is a keyword."""
-    words = sorted({names.get(name, f"`{name.lower()}`") for name in expected})
+def expected_hint(expected: AbstractSet[str]) -> str:
+    """Return ``expected `=`, `(` or a name``."""
+    words = sorted({TERMINALS.get(name, f"`{name.lower()}`") for name in expected})
     return f"expected {listed(words)}" if words else ""
 
 

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from typing import Final
 
 from .errors import OntologyError
+from .turtle import OPAQUE
 
 DEEPEST: Final = 100
 """The greatest depth of nested brackets or elements."""
@@ -21,16 +22,7 @@ LONGEST_EXPANSION: Final = 16 * 1024 * 1024
 # quadratic time.
 _JSON: Final = re.compile(r'"(?:[^"\\]|\\.)*+"?|[\[\]{}]', re.DOTALL)
 # Strings, IRIs and comments match first, so that their contents do not count.
-_TURTLE: Final = re.compile(
-    r'"""(?:[^"\\]|\\.|"(?!""))*+(?:"""|\Z)'
-    r"|'''(?:[^'\\]|\\.|'(?!''))*+(?:'''|\Z)"
-    r'|"(?:[^"\\\n]|\\.)*+"?'
-    r"|'(?:[^'\\\n]|\\.)*+'?"
-    r"|<[^<>\s]*+>"
-    r"|#[^\n]*+"
-    r"|<<|[\[\](){}]",
-    re.DOTALL,
-)
+_TURTLE: Final = re.compile(OPAQUE + r"|<<|[\[\](){}]", re.DOTALL)
 _XML: Final = re.compile(
     r"<!--.*?(?:-->|\Z)|<!\[CDATA\[.*?(?:\]\]>|\Z)|<\?.*?(?:\?>|\Z)"
     r"|<(?P<end>/)?[^\s<>/!?](?:[^<>\"']|\"[^\"]*+(?:\"|\Z)|'[^']*+(?:'|\Z))*+>?",

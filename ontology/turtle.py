@@ -22,14 +22,17 @@ include them."""
 
 # Strings, IRIs and comments match first, so that their contents stay unchanged. An open string
 # extends to the end: trying again at each quote within it would cost quadratic time.
-_TOKEN: Final = re.compile(
+OPAQUE: Final = (
     r'"""(?:[^"\\]|\\.|"(?!""))*+(?:"""|\Z)'
     r"|'''(?:[^'\\]|\\.|'(?!''))*+(?:'''|\Z)"
     r'|"(?:[^"\\\n]|\\.)*+"?'
     r"|'(?:[^'\\\n]|\\.)*+'?"
     r"|<[^<>\s]*+>"
-    r"|#[^\n]*"
-    r"|\^\^(?P<bare>string|integer|decimal|double|float|boolean|dateTime)(?![\w:.-]*:)\b",
+    r"|#[^\n]*+"
+)
+"""Matches a string, an IRI or a comment of Turtle."""
+_TOKEN: Final = re.compile(
+    OPAQUE + r"|\^\^(?P<bare>string|integer|decimal|double|float|boolean|dateTime)(?![\w:.-]*:)\b",
     re.DOTALL,
 )
 

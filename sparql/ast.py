@@ -180,7 +180,7 @@ Expression: TypeAlias = (
 )
 
 
-# -- patterns ([53]-[67]): what stands in a group, in this order ---------------------------------
+# -- patterns ([53]-[67]): the elements of a group, in reading order -----------------------------
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ MOST_OPERATORS: Final = 128
 """The height of an expression: later passes recurse over it."""
 MOST_PARTS: Final = 160
 """Groups in braces, FILTER, BIND and VALUES: each adds a level to the plan."""
-_HINT: Final = "load what it lists as an ontology, or ask with several queries"
+_HINT: Final = "load its data as an ontology, or ask with several queries"
 LIMITS: Final = Limits(
     tokens=MOST_TOKENS,
     patterns=MOST_PATTERNS,

@@ -1,7 +1,7 @@
 """The AST of KPL ([DyKnow10 §5.2], SPEC §1): the text as written, with unresolved names.
 
 Spans take no part in comparisons: two declarations that differ only in spans are equal. `check`
-converts these values to those of `declarations`. *Extension* marks what the paper does not have.
+converts these values to those of `declarations`. *Extension* marks additions to the paper.
 """
 
 from __future__ import annotations

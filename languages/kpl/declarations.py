@@ -1,7 +1,7 @@
 """Checked KPL declarations ([DyKnow10 Def. 4.6, 4.7, 5.13-5.20]).
 
 `check` makes them, `printer` prints them, `signature` collects them, and the engine runs them. All
-values are frozen. *Extension* marks what the paper does not have.
+values are frozen. *Extension* marks additions to the paper.
 """
 
 from __future__ import annotations

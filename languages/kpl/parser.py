@@ -18,6 +18,7 @@ from ...streams.sample import LONGEST_NAME
 from ..errors import LanguageError, Span
 from ..hints import did_you_mean, listed
 from ..syntax import (
+    TERMINALS,
     check_names,
     expected_hint,
     grammar,
@@ -31,24 +32,6 @@ from . import ast
 
 _STARTS: Final = ("start", "policy_text", "label_text")
 _LONGEST_LABEL: Final = 5 * LONGEST_NAME
-_EXPECTED: Final = {
-    "NAME": "a name",
-    "PREFIXED": "a name",
-    "NUMBER": "a time",
-    "TIME_POINT": "a time",
-    "OBJECT_ID": "a name",
-    "STRING": "a name in quotes",
-    "EQUAL": "`=`",
-    "LPAR": "`(`",
-    "RPAR": "`)`",
-    "LSQB": "`[`",
-    "RSQB": "`]`",
-    "LBRACE": "`{`",
-    "RBRACE": "`}`",
-    "COMMA": "`,`",
-    "SEMICOLON": "`;`",
-    "$END": "the end",
-}
 _DECLARATIONS: Final = ("source", "compunit", "strmgen", "stream", "sort", "foreach", "sink")
 _DECLARING: Final = frozenset(word.upper() for word in _DECLARATIONS)
 _CONSTRAINING: Final = frozenset({"ANY", "SAMPLE", "MAX", "FROM", "TO", "STRICT", "NO", "USE"})
@@ -126,7 +109,7 @@ def _syntax_hint(found: str, expected: AbstractSet[str]) -> str:
         return f"a policy begins with `with`: write `with {found} …`"
     if declaring and "RBRACE" in expected:
         return _BLOCK
-    words = {name.lower() for name in expected if name not in _EXPECTED}
+    words = {name.lower() for name in expected if name not in TERMINALS}
     meant = did_you_mean(found, words) if found.isidentifier() else ""
     if meant:
         return meant
@@ -136,7 +119,7 @@ def _syntax_hint(found: str, expected: AbstractSet[str]) -> str:
         return "a name is a letter or `_`, then letters, digits and `_`"
     if declaring and expected <= {*_DECLARING, "UNIT", "$END"}:
         return f"a declaration begins with {listed([f'`{word}`' for word in _DECLARATIONS])}"
-    return expected_hint(expected, _EXPECTED)
+    return expected_hint(expected)
 
 
 def _keyword_error(token: Token, source: str, quoted: bool = False) -> LanguageError:

@@ -79,8 +79,8 @@ class Signature:
         return Signature((*self.declarations, *new))
 
     def dependents(self, name_or_label: str) -> tuple[str, ...]:
-        """Return the keys of all declarations that need it, directly or not; users before what they
-        use.
+        """Return the keys of all declarations that need it, directly or not; users before the used
+        ones.
 
         A mediation or foreach does not need a generator as long as its feature has another, or a
         foreach that makes them. Empty for an unknown name. Cost: linear in the declarations.

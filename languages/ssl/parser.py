@@ -36,23 +36,6 @@ from .ast import (
     UnitPower,
 )
 
-_EXPECTED: Final = {
-    "NAME": "a name",
-    "PREFIXED": "a name",
-    "IRI": "a name",
-    "TEXT": "a name",
-    "UNIT_NAME": "a unit (letters only)",
-    "POWER": "a power",
-    "EQUAL": "`=`",
-    "LPAR": "`(`",
-    "RPAR": "`)`",
-    "LSQB": "`[`",
-    "RSQB": "`]`",
-    "COMMA": "`,`",
-    "COLON": "`:`",
-    "DOT": "`.`",
-    "$END": "the end",
-}
 _DECLARATION_WORDS: Final = frozenset({"STREAM", "SOURCE", "COMPUNIT"})
 
 
@@ -81,7 +64,7 @@ def _syntax_hint(found: str, expected: AbstractSet[str]) -> str:
         return POWERS
     if expected >= _DECLARATION_WORDS and expected <= {*_DECLARATION_WORDS, "$END"}:
         return "a declaration begins with `stream`, `source` or `compunit`"
-    return expected_hint(expected, _EXPECTED)
+    return expected_hint(expected)
 
 
 def _declaration(tree: Tree[Token], source: str) -> Declaration:
