@@ -18,11 +18,11 @@ def suggest_name(name: str, candidates: Iterable[str]) -> str:
     names = sorted(set(candidates))
     if not names:
         return "none is declared yet: declare it first"
-    listed = ", ".join(names[:8]) + (" …" if len(names) > 8 else "")
-    return did_you_mean(name, names) or f"known are {listed}"
+    examples = ", ".join(names[:8]) + (" …" if len(names) > 8 else "")
+    return did_you_mean(name, names) or f"known are {examples}"
 
 
-def listed(names: Sequence[str]) -> str:
+def or_list(names: Sequence[str]) -> str:
     """Return ``a``, ``a or b``, ``a, b or c``."""
     *others, last = names
     return f"{', '.join(others)} or {last}" if others else last

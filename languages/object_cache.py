@@ -28,15 +28,15 @@ class ObjectCache(Generic[S, P, T]):
         self._known: dict[int, tuple[weakref.ref[Any], tuple[Any, ...], T]] = {}
         update_wrapper(self, work)
 
-    def __call__(self, subject: S, *more: P.args, **named: P.kwargs) -> T:
-        assert not named, "pass the arguments by position"
-        known = self._known.get(id(subject))
-        if known is not None and known[1] == more:
-            return known[2]
-        found = self._work(subject, *more, **named)
+    def __call__(self, subject: S, *more: P.args, **keywords: P.kwargs) -> T:
+        assert not keywords, "pass the arguments by position"
+        cached = self._known.get(id(subject))
+        if cached is not None and cached[1] == more:
+            return cached[2]
+        found = self._work(subject, *more, **keywords)
         key = id(subject)
-        gone = weakref.ref(subject, lambda _: self._known.pop(key, None))
-        self._known[key] = gone, more, found
+        reference = weakref.ref(subject, lambda _: self._known.pop(key, None))
+        self._known[key] = reference, more, found
         return found
 
     def __len__(self) -> int:

@@ -13,7 +13,7 @@ from lark.exceptions import UnexpectedCharacters, UnexpectedInput, UnexpectedTok
 
 from ..streams.sample import LONGEST_NAME
 from .errors import LanguageError, Span
-from .hints import listed
+from .hints import or_list
 
 _NAMES: Final = ("NAME", "UNIT_NAME", "PREFIXED", "IRI", "TEXT", "OBJECT_ID", "STRING")
 TERMINALS: Final = {
@@ -94,7 +94,7 @@ def check_names(tree: Tree[Token], source: str) -> None:
 def expected_hint(expected: AbstractSet[str]) -> str:
     """Return ``expected `=`, `(` or a name``."""
     words = sorted({TERMINALS.get(name, f"`{name.lower()}`") for name in expected})
-    return f"expected {listed(words)}" if words else ""
+    return f"expected {or_list(words)}" if words else ""
 
 
 def trees(tree: Tree[Token]) -> list[Tree[Token]]:

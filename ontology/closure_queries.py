@@ -58,11 +58,11 @@ def answer(store: Store, text: str) -> QueryResults:
         found = store.query(printed, default_graph=list(default), named_graphs=list(named))
     if query.form is ast.Form.DESCRIBE:
         assert isinstance(found, QueryTriples)
-        return _described(store, found)
+        return _replace_marks(store, found)
     return found
 
 
-def _described(store: Store, found: QueryTriples) -> QueryResults:
+def _replace_marks(store: Store, found: QueryTriples) -> QueryResults:
     """Replace the marks in the result of a DESCRIBE by the pairs of the described nodes."""
     triples = list(found)
     described = {triple.subject for triple in triples if triple.predicate in MARKERS}
@@ -96,7 +96,7 @@ class _Rewriter:
     def query(self, query: ast.Query) -> ast.Query:
         """Rewrite a query. ``*`` and the short form are written out first: they would expose the
         added variables."""
-        query = ast.rewrite(query, _named)
+        query = ast.rewrite(query, _expand_star)
         if query.is_short:
             query = replace(query, is_short=False)
         return ast.rewrite(query, self._change)
@@ -164,7 +164,7 @@ class _Rewriter:
         found = ast.Group((pair, *map(ast.Filter, (*conditions, is_lower))))
         # From a constant the path yields its pairs at once. A sub-query keeps Oxigraph from testing
         # each end that the rest of the query yields.
-        return _selected(found, ends) if len(ends) == 1 else found
+        return _sub_select(found, ends) if len(ends) == 1 else found
 
     # -- paths ---------------------------------------------------------------------------------
 
@@ -184,7 +184,7 @@ class _Rewriter:
                 groups = [ast.Group(tuple(self._path(subject, p, object))) for p in parts]
                 yield self._distinct(subject, groups, object)
             case ast.NegatedSet():
-                yield self._negated(subject, path, object)
+                yield self._negated_path(subject, path, object)
             case ast.Repetition(inner, sign):
                 yield _triples(subject, ast.Repetition(self._steps(inner), sign), object)
             case _:
@@ -196,9 +196,11 @@ class _Rewriter:
         """Return each solution of ``groups`` once: Oxigraph's alternatives are sets of pairs."""
         ends = [place for place in (subject, object) if isinstance(place, Variable)]
         found = ast.Group((ast.Union(tuple(groups)),))
-        return _selected(found, dict.fromkeys(ends or [next(self._free)]), "DISTINCT")
+        return _sub_select(found, dict.fromkeys(ends or [next(self._free)]), "DISTINCT")
 
-    def _negated(self, subject: ast.Place, path: ast.NegatedSet, object: ast.Place) -> ast.Element:
+    def _negated_path(
+        self, subject: ast.Place, path: ast.NegatedSet, object: ast.Place
+    ) -> ast.Element:
         groups: list[ast.Group] = []
         for no_marks, but, is_inverse in _directions(path):
             start, stop = (object, subject) if is_inverse else (subject, object)
@@ -232,7 +234,7 @@ def _triples(subject: ast.Place, verb: ast.Path | Variable, object: ast.Place) -
     return ast.Triples((ast.Triple(subject, verb, object),))
 
 
-def _selected(where: ast.Group, variables: Iterable[Variable], modifier: str = "") -> ast.Group:
+def _sub_select(where: ast.Group, variables: Iterable[Variable], modifier: str = "") -> ast.Group:
     projection = tuple(map(ast.SelectItem, variables))
     query = ast.Query(ast.Form.SELECT, where, modifier=modifier, projection=projection)
     return ast.Group((ast.SubSelect(query),))
@@ -265,7 +267,7 @@ def _directions(
         yield ast.NegatedSet((*path.backward, *markers), ()), path.backward, True
 
 
-def _named(query: object) -> ast.Query | None:
+def _expand_star(query: object) -> ast.Query | None:
     """Write ``*`` out as all variables, ordered as Oxigraph orders them."""
     if not (isinstance(query, ast.Query) and query.selects_all and query.where is not None):
         return None
@@ -275,8 +277,8 @@ def _named(query: object) -> ast.Query | None:
             **(visible_variables(query.values) if query.values else {}),
         }
         described = tuple(map(Variable, sorted(names)))
-        return ast.rewrite(replace(query, described=described), _named) if names else None
+        return ast.rewrite(replace(query, described=described), _expand_star) if names else None
     projection = tuple(
         ast.SelectItem(Variable(name)) for name in sorted(projected_variables(query))
     )
-    return ast.rewrite(replace(query, projection=projection), _named) if projection else None
+    return ast.rewrite(replace(query, projection=projection), _expand_star) if projection else None

@@ -128,7 +128,7 @@ def _missing_of(
     if subject is not None:
         starts &= {subject}
     elif object is not None:
-        starts &= hierarchy.inverted().above(object)
+        starts &= hierarchy.inverse().above(object)
     kinds = [number for number, one in enumerate(marks.kind) if predicate in (None, one)]
     for start in starts:
         above = hierarchy.above(start) - {start}

@@ -41,7 +41,7 @@ def check_document(text: str, format: str) -> None:
 def _json(text: str) -> None:
     depth = 0
     for match in _JSON.finditer(text):
-        depth = _counted(depth, match[0], text, match.start())
+        depth = _next_depth(depth, match[0], text, match.start())
 
 
 def _turtle(text: str) -> None:
@@ -50,10 +50,10 @@ def _turtle(text: str) -> None:
         if match[0] == "<<":
             line, column = _place(text, match.start())
             raise OntologyError("triples about triples (RDF 1.2) are not supported", line, column)
-        depth = _counted(depth, match[0], text, match.start())
+        depth = _next_depth(depth, match[0], text, match.start())
 
 
-def _counted(depth: int, token: str, text: str, position: int) -> int:
+def _next_depth(depth: int, token: str, text: str, position: int) -> int:
     """Return the depth after a token. Tokens of one character are brackets, or open quotes."""
     if token in _OPENING:
         if depth == DEEPEST:

@@ -138,8 +138,8 @@ class Rules:
         along = frozenset(p for p, turned in reached if not turned)
         back = frozenset(p for p, turned in reached if turned)
         return Consequences(
-            _named(along),
-            _named(back),
+            _named_nodes(along),
+            _named_nodes(back),
             self._kinds(along, self._domains) | self._kinds(back, self._ranges),
             self._kinds(along, self._ranges) | self._kinds(back, self._domains),
         )
@@ -149,7 +149,7 @@ class Rules:
         return frozenset(direct.union(*(self._classes.above(c) for c in direct)))
 
 
-def _named(properties: Iterable[Node]) -> frozenset[NamedNode]:
+def _named_nodes(properties: Iterable[Node]) -> frozenset[NamedNode]:
     return frozenset(p for p in properties if isinstance(p, NamedNode))
 
 

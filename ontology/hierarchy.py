@@ -39,12 +39,12 @@ class Hierarchy(Mapping[T, frozenset[T]], Generic[T]):
         self._number: dict[T, int] = {}
         self._upper: list[list[int]] = []
         for lower, upper in self.edges:
-            self._upper[self._numbered(lower)].append(self._numbered(upper))
+            self._upper[self._number_of(lower)].append(self._number_of(upper))
         self._nodes = list(self._number)
         self._bits = _reachable(self._upper)
         self._read: dict[T, frozenset[T]] = {}
 
-    def _numbered(self, node: T) -> int:
+    def _number_of(self, node: T) -> int:
         number = self._number.setdefault(node, len(self._upper))
         if number == len(self._upper):
             self._upper.append([])
@@ -67,7 +67,7 @@ class Hierarchy(Mapping[T, frozenset[T]], Generic[T]):
         """Return the nodes above ``node``; none if no edge contains it."""
         return self[node] if node in self._number else frozenset()
 
-    def inverted(self) -> Hierarchy[T]:
+    def inverse(self) -> Hierarchy[T]:
         """Return the hierarchy that maps each node to those below it."""
         return Hierarchy((upper, lower) for lower, upper in self.edges)
 

@@ -16,10 +16,12 @@ from pathlib import Path
 from typing import Any
 
 from pyoxigraph import (
+    BlankNode,
     DefaultGraph,
     Literal,
     NamedNode,
     Quad,
+    QuerySolutions,
     Store,
     Triple,
 )
@@ -27,11 +29,10 @@ from pyoxigraph import (
 from ..rdf.dictionary import Term
 from ..rdf.namespaces import OWL
 from . import graphs
-from .answers import rows_of, serialized
 from .closure import cached_closure, closure_key
 from .closure_queries import QueryResults, answer
 from .entailment import Change, Entailments, Rules
-from .errors import OntologyError
+from .errors import OntologyError, QueryRefused
 from .quad_store import (
     QuadStore,
     StoreChanges,
@@ -184,9 +185,9 @@ class Ontology:
         triples = reasoning.read(text, format, graph)
         # Reads without the lock: if the ontologies change meanwhile, `install` refuses.
         hashes = {**self._hashes(), graph.value: text_hash(f"{format}\n{text}")}
-        asserted = self._asserted({graph: triples}, hashes)
+        asserted = self._asserted_triples({graph: triples}, hashes)
         kept_closure = self._kept_closure(closure_key(hashes))
-        implied = reasoning.entailed(asserted) if kept_closure is None else kept_closure
+        implied = reasoning.entail(asserted) if kept_closure is None else kept_closure
         successor = None
         if self.path is None:
             try:
@@ -208,10 +209,10 @@ class Ontology:
         with self._lock:
             # The iterator reads a snapshot: the store as it is now.
             now = self._quads.store.quads_for_pattern(None, None, None, None)
-            held = (self._concepts.asserted, self._live.asserted)
+            asserted = (self._concepts.asserted, self._live.asserted)
             position = self._quads.position
         replaced = {graph: triples, graphs.CATALOG: _catalog(hashes)}
-        return build_successor(position, now, replaced, stated_and_implied, held, vocabulary)
+        return build_successor(position, now, replaced, stated_and_implied, asserted, vocabulary)
 
     def install(self, prepared: PreparedOntology) -> None:
         """Install a prepared ontology. Raises `OntologyError` if it contradicts the vocabulary, or
@@ -327,12 +328,12 @@ class Ontology:
         store empties the graph. Cost: O(changed triples).
         """
         with self._pending_lock:
-            for triples, there in ((removed, False), (added, True)):
+            for triples, exists in ((removed, False), (added, True)):
                 for triple in triples:
                     self._pending.pop(triple, None)
                     will_be = self._applying.get(triple)
-                    if (self._live.is_asserted(triple) if will_be is None else will_be) != there:
-                        self._pending[triple] = there
+                    if (self._live.is_asserted(triple) if will_be is None else will_be) != exists:
+                        self._pending[triple] = exists
         if len(self._pending) > _MOST_PENDING:
             self.apply_pending_piece()
 
@@ -355,15 +356,15 @@ class Ontology:
         with self._pending_lock:
             # Oldest first: some of the latest are about to be reverted.
             for _ in range(min(_PIECE, len(self._pending))):
-                triple, there = self._pending.popitem(last=False)
-                self._applying[triple] = there
-                changed[there].append(triple)
+                triple, exists = self._pending.popitem(last=False)
+                self._applying[triple] = exists
+                changed[exists].append(triple)
         try:
-            held, implied = self._live.update(changed[True], changed[False])
+            asserted, implied = self._live.update(changed[True], changed[False])
         finally:
             with self._pending_lock:
                 self._applying.clear()
-        self._quads.apply({graphs.STREAM_SPACE: held, graphs.STREAM_SPACE_ENTAILMENTS: implied})
+        self._quads.apply({graphs.STREAM_SPACE: asserted, graphs.STREAM_SPACE_ENTAILMENTS: implied})
 
     # -- queries ------------------------------------------------------------------------------
 
@@ -387,11 +388,11 @@ class Ontology:
     def query_rows(self, sparql: str) -> tuple[tuple[str, ...], list[tuple[Term | None, ...]]]:
         """Evaluate a SELECT to variables and rows; None is unbound. Raises `QueryRefused` for other
         forms."""
-        return rows_of(self.query(sparql))
-
-    def query_serialized(self, sparql: str, accept_format: str) -> bytes:
-        """Evaluate a query to bytes; see `answers.serialized` for formats and errors."""
-        return serialized(self.query(sparql), accept_format)
+        results = self.query(sparql)
+        if not isinstance(results, QuerySolutions):
+            raise QueryRefused("a table needs a SELECT query", 1, 1)
+        variables = tuple(variable.value for variable in results.variables)
+        return variables, [tuple(map(_rdf11, solution)) for solution in results]
 
     def validate(self) -> ShaclReport:
         """Check the stream space against the shapes of shapes.ttl."""
@@ -418,7 +419,7 @@ class Ontology:
         self._quads.apply(emptied)
         self._reload(new, hashes)
 
-    def _asserted(
+    def _asserted_triples(
         self, new: dict[NamedNode, frozenset[Triple]], hashes: dict[str, str]
     ) -> frozenset[Triple]:
         loaded = {NamedNode(iri): self._quads.graph(NamedNode(iri)) for iri in hashes} | new
@@ -438,7 +439,7 @@ class Ontology:
         implied: frozenset[Triple] | None = None,
     ) -> None:
         """Replace the graphs ``new`` and everything derived from the ontologies."""
-        asserted = self._asserted(new, hashes)
+        asserted = self._asserted_triples(new, hashes)
         key = closure_key(hashes)
         if implied is None:
             implied = self._kept_closure(key)
@@ -479,6 +480,11 @@ class Ontology:
 
     def _concept_triples(self) -> frozenset[Triple]:
         return frozenset().union(*map(self._quads.graph, CONCEPTS))
+
+
+def _rdf11(term: object) -> Term | None:
+    assert term is None or isinstance(term, NamedNode | BlankNode | Literal)
+    return term
 
 
 def _catalog(hashes: dict[str, str]) -> frozenset[Triple]:

@@ -35,10 +35,10 @@ Changes: TypeAlias = dict[NamedNode, Change]
 
 @dataclass(frozen=True, slots=True)
 class StoreChanges:
-    """The changes that a replica lacks, as N-Quads; ``whole`` replaces all its data."""
+    """The changes that a replica lacks, as N-Quads; ``dump`` replaces all its data."""
 
     position: int
-    whole: bytes | None
+    dump: bytes | None
     added: bytes
     removed: bytes
 

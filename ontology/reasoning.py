@@ -20,7 +20,7 @@ class Reasoning(Protocol):
     def read(self, text: str, format: TextFormat, base: NamedNode) -> frozenset[Triple]:
         """See `reading.read_triples`."""
 
-    def entailed(self, asserted: frozenset[Triple]) -> frozenset[Triple]:
+    def entail(self, asserted: frozenset[Triple]) -> frozenset[Triple]:
         """See `closure.closure_of`."""
 
 
@@ -30,7 +30,7 @@ class DirectReasoning:
     def read(self, text: str, format: TextFormat, base: NamedNode) -> frozenset[Triple]:
         return read_triples(text, format, base)
 
-    def entailed(self, asserted: frozenset[Triple]) -> frozenset[Triple]:
+    def entail(self, asserted: frozenset[Triple]) -> frozenset[Triple]:
         return cached_closure(asserted)
 
 

@@ -114,7 +114,9 @@ class Separation:
                 continue
             if predicate in _HIERARCHICAL and {subject, object} & self.plain:
                 continue
-            visible = self._seen(object) if predicate in (RDF_TYPE, *_ENDS) else [object]
+            visible = (
+                self._classes_for_owlrl(object) if predicate in (RDF_TYPE, *_ENDS) else [object]
+            )
             if subject not in self.plain:
                 rest.update(Triple(subject, predicate, each) for each in visible)
             elif predicate not in _ENDS:
@@ -128,7 +130,7 @@ class Separation:
             rest.update(Triple(nodes[0], predicate, object) for predicate, object in statements)
         return frozenset(rest)
 
-    def _seen(
+    def _classes_for_owlrl(
         self, kind: NamedNode | BlankNode | Literal | Triple
     ) -> Iterable[NamedNode | BlankNode | Literal | Triple]:
         """Return ``kind``, or the classes above it that are in the input of owlrl."""
@@ -152,7 +154,7 @@ class Separation:
             if triple.predicate in _ENDS and triple.subject in self.plain:
                 for lower in visible:
                     if triple.subject in self._properties[lower]:
-                        for kind in self._seen(triple.object):
+                        for kind in self._classes_for_owlrl(triple.object):
                             yield Triple(lower, triple.predicate, kind)
 
     # -- conclusions ---------------------------------------------------------------------------

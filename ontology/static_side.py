@@ -35,7 +35,7 @@ class StaticSide:
         """Return the store; build it from ``triples`` if there is none."""
         if self._store is None:
             store = Store()
-            store.extend(map(_merged, triples()))
+            store.extend(map(_in_default_graph, triples()))
             self.replace_store(store)
             return store
         return self._store
@@ -49,10 +49,10 @@ class StaticSide:
         if self._store is None:
             return
         for change in changes:
-            self._store.extend(map(_merged, change.added))
+            self._store.extend(map(_in_default_graph, change.added))
             for triple in change.removed:
                 if not self._is_static(triple):
-                    self._store.remove(_merged(triple))
+                    self._store.remove(_in_default_graph(triple))
             self._churn.note(change.added, change.removed)
         self._store = self._churn.replace_if_due(self._store)
 
@@ -66,5 +66,5 @@ class StaticSide:
         return {**self.__dict__, "_store": None}
 
 
-def _merged(triple: Triple) -> Quad:
+def _in_default_graph(triple: Triple) -> Quad:
     return Quad(triple.subject, triple.predicate, triple.object)

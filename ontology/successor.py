@@ -78,7 +78,7 @@ def build_successor(
     now: Iterator[Quad],
     replaced: Mapping[NamedNode, Set[Triple]],
     entailed: tuple[Set[Triple], Set[Triple]],
-    held: tuple[Set[Triple], Set[Triple]],
+    asserted_triples: tuple[Set[Triple], Set[Triple]],
     vocabulary: Vocabulary,
 ) -> Successor:
     """Build the next state. Thread-safe.
@@ -90,7 +90,7 @@ def build_successor(
     """
     asserted, implied = entailed
     rules = Rules(chain(asserted, implied))
-    concepts, live = (Entailments(rules, triples) for triples in held)
+    concepts, live = (Entailments(rules, triples) for triples in asserted_triples)
     wanted: dict[NamedNode, Iterable[Triple]] = {
         **replaced,
         graphs.ENTAILMENTS: implied,

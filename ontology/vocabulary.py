@@ -180,7 +180,7 @@ class _Index:
             elif isinstance(triple.subject, NamedNode) and isinstance(object, NamedNode | Literal):
                 self._objects[triple.predicate.value][triple.subject.value].append(object)
 
-    def named(self, predicate: str) -> dict[str, set[str]]:
+    def named_objects(self, predicate: str) -> dict[str, set[str]]:
         """Return subject -> named objects of ``predicate``."""
         return {
             subject: {o.value for o in objects if isinstance(o, NamedNode)}
@@ -189,8 +189,8 @@ class _Index:
 
     def hierarchy(self, of: str) -> Hierarchy[str]:
         """Return the hierarchy of classes or properties, by name."""
-        inclusions = self.named(f"{RDFS}sub{of}Of")
-        equivalences = self.named(f"{OWL}equivalent{of}")
+        inclusions = self.named_objects(f"{RDFS}sub{of}Of")
+        equivalences = self.named_objects(f"{OWL}equivalent{of}")
         edges = [(lower, upper) for lower, uppers in inclusions.items() for upper in uppers]
         for one, others in equivalences.items():
             edges += [pair for other in others for pair in ((one, other), (other, one))]
@@ -205,11 +205,11 @@ class _Index:
 
 
 def _read(index: _Index) -> Vocabulary:
-    types = index.named(_TYPE)
+    types = index.named_objects(_TYPE)
     # The stream space's own terms are no domain terms, though Stream is an OWL class too.
     own = {
         subject
-        for subject, definers in index.named(RDFS + "isDefinedBy").items()
+        for subject, definers in index.named_objects(RDFS + "isDefinedBy").items()
         if STREAM_SPACE.rstrip("#") in definers
     }
 
@@ -221,7 +221,7 @@ def _read(index: _Index) -> Vocabulary:
     features = of_type([STREAM_SPACE + "Feature"]) - own
     events = of_type([STREAM_SPACE + "Event"]) - own
     superclasses = index.hierarchy("Class")
-    kinds_of_feature = superclasses.inverted().above(STREAM_SPACE + "Feature")
+    kinds_of_feature = superclasses.inverse().above(STREAM_SPACE + "Feature")
     classes = of_type(_CLASSES) | (index.described_sorts - {SELF})
     sorts = (classes - own - features - events - kinds_of_feature) | _TOPS
     tops = {sort for sort in sorts if sort in _TOPS or sort == THING}
@@ -238,17 +238,17 @@ def _read(index: _Index) -> Vocabulary:
     }
     # `self` is a term of the stream space but also an object, of the sorts that the ontology
     # states. Objects that are the same as it are objects too.
-    named = sorted(index.named(_SAME).get(SELF, set()) - {SELF})
+    named = sorted(index.named_objects(_SAME).get(SELF, set()) - {SELF})
     for subject in (SELF, *named):
         objects[subject] = frozenset((types.get(subject, set()) & sorts) | tops)
     infos = _Infos(index, superclasses, superfeatures, features)
     return Vocabulary(
         0,
         _Links(supersorts, frozenset(sorts)),
-        _Links(supersorts.inverted(), frozenset(sorts)),
+        _Links(supersorts.inverse(), frozenset(sorts)),
         {feature: infos.info(feature) for feature in features},
         _Links(superfeatures, frozenset(features)),
-        _Links(superfeatures.inverted(), frozenset(features)),
+        _Links(superfeatures.inverse(), frozenset(features)),
         objects,
         frozenset(events),
         named[0] if named else SELF,
@@ -265,12 +265,12 @@ class _Infos:
         superfeatures: Hierarchy[str],
         features: Set[str],
     ) -> None:
-        self._types = index.named(_TYPE)
+        self._types = index.named_objects(_TYPE)
         self._superclasses = superclasses
         self._superfeatures = superfeatures
         self._features = features
-        self._ranges = index.named(RDFS + "range")
-        self._domains = index.named(RDFS + "domain")
+        self._ranges = index.named_objects(RDFS + "range")
+        self._domains = index.named_objects(RDFS + "domain")
         self._units = index.texts(STREAM_SPACE + "hasUnit")
 
     def info(self, feature: str) -> FeatureInfo:

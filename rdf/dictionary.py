@@ -254,25 +254,25 @@ class TermDictionary:
         tables = [table for reference in self._tables.copy() if (table := reference()) is not None]
         for table in tables:
             marked[table.implied(marked)] = True
-        gone = np.flatnonzero((state == _TRANSIENT) & ~marked[:size])
+        freed_ids = np.flatnonzero((state == _TRANSIENT) & ~marked[:size])
         freed = np.zeros(size + 1, np.bool_)
-        freed[gone] = True
+        freed[freed_ids] = True
         for table in tables:
             table.forget(freed)
         self.reused = []
-        self._remove(gone.tolist())
+        self._remove(freed_ids.tolist())
         survivors = self._transient
         self._due = max(SWEEP_FLOOR, 2 * survivors, survivors + (rows + size) // _SHARE)
-        return len(gone)
+        return len(freed_ids)
 
-    def _remove(self, gone: Sequence[int]) -> None:
+    def _remove(self, ids: Sequence[int]) -> None:
         # In reverse, so that the lowest id is reused first.
-        for id in reversed(gone):
+        for id in reversed(ids):
             term = self._terms[id]
             assert term is not None
             del self._ids[term]
             self._terms[id] = None
             self._state[id] = _FREE
-        self._free.extend(reversed(gone))
-        self._transient -= len(gone)
+        self._free.extend(reversed(ids))
+        self._transient -= len(ids)
         self._next = self._free[-1] if self._free else len(self._terms)

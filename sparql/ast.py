@@ -350,13 +350,15 @@ def children(node: Any) -> Iterator[Any]:
 _TERMS: Final = (NamedNode, Literal, BlankNode, Variable)
 
 
-def walk(node: Any) -> Iterator[Any]:
-    """Yield ``node`` and all nodes and terms below it, in reading order."""
+def walk(node: Any, *opaque: type) -> Iterator[Any]:
+    """Yield ``node`` and all nodes and terms below it, in reading order, but nothing within nodes
+    of the types ``opaque``."""
     waiting = [node]
     while waiting:
         one = waiting.pop()
         yield one
-        waiting.extend(reversed(list(children(one))))
+        if not isinstance(one, opaque):
+            waiting.extend(reversed(list(children(one))))
 
 
 def variables_of(node: Any) -> dict[str, None]:
@@ -366,14 +368,7 @@ def variables_of(node: Any) -> dict[str, None]:
 
 def has_aggregate(expression: Expression) -> bool:
     """Return whether an expression contains an aggregate outside of EXISTS."""
-    waiting: list[Any] = [expression]
-    while waiting:
-        one = waiting.pop()
-        if isinstance(one, Aggregate):
-            return True
-        if not isinstance(one, Exists):
-            waiting.extend(children(one))
-    return False
+    return any(isinstance(one, Aggregate) for one in walk(expression, Exists))
 
 
 def rewrite(node: T, change: Callable[[Any], Any]) -> T:

@@ -80,7 +80,7 @@ class Cursor:
                 hint = "is a `.` missing before it, to end the triple?"
             elif here.is_mark("}"):
                 hint = "something is missing before the `}`: is a triple incomplete?"
-        return self.error(f"`{_shown(self.text_of(here))}` is not allowed here", here, hint)
+        return self.error(f"`{_abbreviate(self.text_of(here))}` is not allowed here", here, hint)
 
     def text_of(self, token: Token) -> str:
         """Return a token as written, with its escapes."""
@@ -250,5 +250,5 @@ class Cursor:
             self.prefixes[name.text[:-1]] = iri_text(iri, self.source, {}, self.base)
 
 
-def _shown(word: str) -> str:
+def _abbreviate(word: str) -> str:
     return word if len(word) <= 40 else word[:40] + "…"

@@ -116,7 +116,7 @@ class ExpressionReader(Cursor):
         self.take()
         if negated and not self.accept_word("IN"):
             raise self.unexpected("write `?x NOT IN (…)`")
-        options = self._listed()
+        options = self._expression_list()
         self.height = max(height, self.height)
         return In(left, options, negated)
 
@@ -218,7 +218,7 @@ class ExpressionReader(Cursor):
         iri = NamedNode(self.iri_of(token))
         if not self.is_mark("("):
             return iri
-        found = FunctionCall(iri, self._listed(), token.span)
+        found = FunctionCall(iri, self._expression_list(), token.span)
         self.check_call(found)
         return found
 
@@ -229,7 +229,7 @@ class ExpressionReader(Cursor):
             raise self.unexpected("a function is called with its arguments in brackets")
         return found
 
-    def _listed(self) -> tuple[Expression, ...]:
+    def _expression_list(self) -> tuple[Expression, ...]:
         """[72] ExpressionList, [71] ArgList."""
         self.expect("(")
         found: list[Expression] = []
@@ -270,7 +270,7 @@ class ExpressionReader(Cursor):
                 )
             return self._aggregate(self.take())
         token = self.take()
-        arguments = self._listed()
+        arguments = self._expression_list()
         least, most = FUNCTIONS[name]
         if not least <= len(arguments) <= most:
             counted = str(least) if least == most else f"{least} to {most}"
@@ -316,7 +316,7 @@ class ExpressionReader(Cursor):
             return self.function_call()
         return self.built_in()
 
-    def aliased(self) -> tuple[Expression, Variable, Span]:
+    def alias(self) -> tuple[Expression, Variable, Span]:
         """Read ``(expression AS ?v)`` and return its span too."""
         opened = self.expect("(")
         found = self.expression()

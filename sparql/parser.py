@@ -60,7 +60,7 @@ class QueryReader(PatternReader):
                 found = self._construct(here.start)
             case Form.ASK:
                 self.clauses()
-                found = self._modified(Query(form, self.where()), here.start, is_top=True)
+                found = self._add_modifiers(Query(form, self.where()), here.start, is_top=True)
             case Form.DESCRIBE:
                 found = self._describe(here.start)
         if self.here is not None:
@@ -83,7 +83,7 @@ class QueryReader(PatternReader):
         if not self.accept_mark("*"):
             projection = []
             while self.is_mark("(") or (self.here and self.here.kind is Kind.VARIABLE):
-                projection.append(self._projected())
+                projection.append(self._select_item())
             if not projection:
                 raise self.unexpected()
         if is_top:
@@ -91,17 +91,17 @@ class QueryReader(PatternReader):
         where = self.where()
         shown = None if projection is None else tuple(projection)
         query = Query(Form.SELECT, where, modifier, shown)
-        query = self._modified(query, start, is_top=is_top)
+        query = self._add_modifiers(query, start, is_top=is_top)
         self._check_projection(query)
         return query
 
-    def _projected(self) -> SelectItem:
+    def _select_item(self) -> SelectItem:
         token = self.here
         assert token is not None
         if token.kind is Kind.VARIABLE:
             return SelectItem(self.named_variable(), None, token.span)
         self.aggregates = True
-        expression, variable, span = self.aliased()
+        expression, variable, span = self.alias()
         self.aggregates = False
         return SelectItem(variable, expression, span)
 
@@ -113,7 +113,7 @@ class QueryReader(PatternReader):
             self.in_template = False
             self.clauses()
             query = Query(Form.CONSTRUCT, self.where(), template=template)
-            return self._modified(query, start, is_top=True)
+            return self._add_modifiers(query, start, is_top=True)
         self.clauses()
         self.accept_word("WHERE")
         opened = self.here
@@ -123,7 +123,7 @@ class QueryReader(PatternReader):
         assert opened is not None
         where = Group((Triples(template),), Span(opened.start, self.last_token.end))
         query = Query(Form.CONSTRUCT, where, template=template, is_short=True)
-        return self._modified(query, start, is_top=True)
+        return self._add_modifiers(query, start, is_top=True)
 
     def _describe(self, start: int) -> Query:
         """[11] DescribeQuery."""
@@ -138,7 +138,7 @@ class QueryReader(PatternReader):
         if self.is_word("WHERE") or self.is_mark("{"):
             where = self.where()
         query = Query(Form.DESCRIBE, where, described=tuple(described))
-        return self._modified(query, start, is_top=True)
+        return self._add_modifiers(query, start, is_top=True)
 
     def where(self) -> Group:
         """[17] WhereClause."""
@@ -147,7 +147,7 @@ class QueryReader(PatternReader):
 
     # -- what follows WHERE ----------------------------------------------------------------
 
-    def _modified(self, query: Query, start: int, *, is_top: bool) -> Query:
+    def _add_modifiers(self, query: Query, start: int, *, is_top: bool) -> Query:
         """Read [18] SolutionModifier and [28] ValuesClause, and add them to the query."""
 
         def between() -> None:

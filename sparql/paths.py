@@ -53,10 +53,10 @@ class PathReader(ExpressionReader):
             self.expect(")")
             return found
         if self.accept_mark("!"):
-            return self._negated()
+            return self._negated_set()
         return self.predicate()
 
-    def _negated(self) -> NegatedSet:
+    def _negated_set(self) -> NegatedSet:
         """[95] PathNegatedPropertySet, [96] PathOneInPropertySet."""
         forward: list[NamedNode] = []
         backward: list[NamedNode] = []

@@ -297,16 +297,16 @@ class PatternReader(PathReader):
         if here is None:
             raise self.unexpected()
         if here.is_mark("["):
-            return self._bracketed()
+            return self._blank_node_list()
         if here.is_mark("("):
             return self._collection()
         if not self._is_term(here):
             raise self.unexpected()
         if here.kind is Kind.BLANK:
-            return self._labelled(), False
+            return self._blank_node(), False
         return self.term(), False
 
-    def _bracketed(self) -> tuple[Place, bool]:
+    def _blank_node_list(self) -> tuple[Place, bool]:
         """[99] BlankNodePropertyList, [163] ANON."""
         self.take()
         node = self._fresh()
@@ -338,7 +338,7 @@ class PatternReader(PathReader):
             assert isinstance(rest, BlankNode)
             node = rest
 
-    def _labelled(self) -> BlankNode:
+    def _blank_node(self) -> BlankNode:
         token = self.take()
         key = (self.in_template, token.text)
         if self.labels.setdefault(key, self.block) != self.block:

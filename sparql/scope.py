@@ -24,8 +24,8 @@ from .ast import (
     Triples,
     Union,
     Values,
-    children,
     variables_of,
+    walk,
 )
 
 
@@ -77,15 +77,8 @@ def projected_variables(query: Query) -> tuple[str, ...]:
 
 def ungrouped_variables(expression: Expression) -> dict[str, None]:
     """Return the names of the variables of an expression outside of aggregates and EXISTS."""
-    found: dict[str, None] = {}
-    waiting: list[object] = [expression]
-    while waiting:
-        one = waiting.pop()
-        if isinstance(one, Variable):
-            found[one.value] = None
-        elif not isinstance(one, Aggregate | Exists):
-            waiting.extend(reversed(list(children(one))))
-    return found
+    nodes = walk(expression, Aggregate, Exists)
+    return {one.value: None for one in nodes if isinstance(one, Variable)}
 
 
 def head_variables(query: Query) -> dict[str, None]:

@@ -113,7 +113,7 @@ def term_text(term: Term) -> str:
         case NamedNode():
             return f"<{term.value}>"
         case Literal():
-            quoted = f'"{_escaped(term.value)}"'
+            quoted = f'"{_escape(term.value)}"'
             if term.language is not None:
                 return f"{quoted}@{term.language}"
             if term.datatype.value == XSD + "string":
@@ -123,7 +123,7 @@ def term_text(term: Term) -> str:
             raise ValueError("a blank node cannot be given as an argument")
 
 
-def _escaped(text: str) -> str:
+def _escape(text: str) -> str:
     text = text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
     text = text.replace("\r", "\\r").replace("\t", "\\t").replace("\b", "\\b").replace("\f", "\\f")
     return re.sub(r"(?<=\\)([uU])", lambda m: f"\\U{ord(m[1]):08X}", text)

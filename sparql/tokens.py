@@ -144,14 +144,14 @@ class Lexer:
             kind = Kind[group]
             token = Token(kind, match[0], match.start(), match.end())
             if kind in _NAMES and "\\" in token.text:
-                token = self._resolved(token)
+                token = self._resolve_escapes(token)
             self._count(token)
             return token
         if self.brackets:
             token = self.brackets[-1]
-            due = _CLOSING[token.text]
+            closing = _CLOSING[token.text]
             raise self._error(
-                f"`{token.text}` is not closed", token, f"write `{due}` where it ends"
+                f"`{token.text}` is not closed", token, f"write `{closing}` where it ends"
             )
         return None
 
@@ -185,7 +185,7 @@ class Lexer:
                 raise self._no_match(token)
             self.brackets.pop()
 
-    def _resolved(self, token: Token) -> Token:
+    def _resolve_escapes(self, token: Token) -> Token:
         """Return a name with its code point escapes resolved. Each must stand for a character that
         names allow."""
         text = _ESCAPES.sub(lambda m: _character(m[1] or m[2]), token.text)
@@ -221,9 +221,9 @@ class Lexer:
             )
         opened = self.brackets[-1]
         line = self.source.count("\n", 0, opened.start) + 1
-        due = _CLOSING[opened.text]
+        closing = _CLOSING[opened.text]
         hint = f"the `{opened.text}` of line {line} is still open"
-        return self._error(f"expected `{due}`, found `{token.text}`", token, hint)
+        return self._error(f"expected `{closing}`, found `{token.text}`", token, hint)
 
 
 def _character(digits: str) -> str:

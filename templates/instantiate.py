@@ -15,6 +15,7 @@ from pyoxigraph import BlankNode, Literal, NamedNode, Variable
 
 from ..languages.csparql import bind, body_tree, required_parameters, term_text
 from ..languages.csparql.ast import ContinuousQuery, Template
+from ..languages.hints import count
 from ..ontology.vocabulary import Vocabulary
 from ..rdf.dictionary import Term
 from ..rdf.namespaces import DYKNOW, shorten
@@ -55,7 +56,8 @@ def instantiate(
     parameters = template.parameters
     if len(arguments) != len(parameters):
         raise ArgumentError(
-            f"{shorten(template.name)} takes {_counted(len(parameters))}, not {len(arguments)}",
+            f"{shorten(template.name)} takes {count(len(parameters), 'argument')}, "
+            f"not {len(arguments)}",
             hint=f"write {_signature(template)}",
         )
     stand = places(body_tree(template.query), vocabulary)
@@ -84,12 +86,13 @@ def _check_variable(
 ) -> None:
     argument = arguments[index]
     if required:
-        due = Place.NUMBER.value if Place.NUMBER in kinds else "a value"
+        needed = Place.NUMBER.value if Place.NUMBER in kinds else "a value"
         raise _error(
             f"?{parameter.value} must be given: nothing in the template finds a value for it",
             index,
             parameter,
-            f"give {due} instead of {argument}" + (", for example 100" if "num" in due else ""),
+            f"give {needed} instead of {argument}"
+            + (", for example 100" if "num" in needed else ""),
         )
     if argument in arguments[:index]:
         raise _error(
@@ -177,10 +180,6 @@ def _text(term: Term) -> str:
     if isinstance(term, NamedNode):
         return shorten(term.value)
     return str(term) if isinstance(term, BlankNode) else term_text(term)
-
-
-def _counted(number: int) -> str:
-    return "1 argument" if number == 1 else f"{number} arguments"
 
 
 def _signature(template: Template) -> str:

@@ -55,7 +55,7 @@ def _of_query(query: ast.Query, inherited: Typing) -> Iterator[Pattern]:
 def _of_group(
     group: ast.Group, inherited: Typing, *, is_optional: bool = False
 ) -> Iterator[Pattern]:
-    classes = _joined(inherited, _required(group))
+    classes = _union(inherited, _required_classes(group))
     parts, conditions = split_group(group)
     existing = [inner for condition in conditions for inner in _existing(condition)]
     tested = (found for inner in existing for found in _of_group(inner, classes))
@@ -89,22 +89,16 @@ def _of_part(part: ast.Element, classes: Typing) -> Iterator[Pattern]:
 
 
 def _existing(node: object) -> Iterator[ast.Group]:
-    """Yield the groups of EXISTS in an expression."""
-    waiting = [node]
-    while waiting:
-        one = waiting.pop()
-        if isinstance(one, ast.Exists):
-            yield one.group
-        else:
-            waiting.extend(reversed(list(ast.children(one))))
+    """Return the groups of EXISTS in an expression, without nested ones."""
+    return (one.group for one in ast.walk(node, ast.Exists) if isinstance(one, ast.Exists))
 
 
-def _required(group: ast.Group) -> Typing:
+def _required_classes(group: ast.Group) -> Typing:
     """Return the classes that a subject has in each solution of a group."""
-    return reduce(_joined, map(_required_by, group.elements), {})
+    return reduce(_union, map(_classes_required_by, group.elements), {})
 
 
-def _required_by(element: ast.Element) -> Typing:
+def _classes_required_by(element: ast.Element) -> Typing:
     match element:
         case ast.Triples(triples):
             found: dict[ast.Place, frozenset[ast.Place]] = {}
@@ -114,25 +108,25 @@ def _required_by(element: ast.Element) -> Typing:
                     found[triple.subject] = classes | {triple.object}
             return found
         case ast.Group():
-            return _required(element)
+            return _required_classes(element)
         case ast.Union(groups):
-            return reduce(_common, map(_required, groups))
+            return reduce(_intersection, map(_required_classes, groups))
         case ast.SubSelect(query) if query.where is not None:
             names = projected_variables(query)
             return {
                 subject: classes
-                for subject, classes in _required(query.where).items()
+                for subject, classes in _required_classes(query.where).items()
                 if isinstance(subject, Variable) and subject.value in names
             }
         case _:
             return {}
 
 
-def _common(left: Typing, right: Typing) -> Typing:
+def _intersection(left: Typing, right: Typing) -> Typing:
     return {subject: left[subject] & right[subject] for subject in left if subject in right}
 
 
-def _joined(left: Typing, right: Typing) -> Typing:
+def _union(left: Typing, right: Typing) -> Typing:
     return {
         subject: left.get(subject, frozenset()) | right.get(subject, frozenset())
         for subject in (*left, *right)

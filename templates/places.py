@@ -49,7 +49,7 @@ def places(query: ast.Query, vocabulary: Vocabulary) -> dict[str, frozenset[Plac
         if pattern.predicate == RDF_TYPE:
             _note(found, pattern.object, Place.SORT)
     numbers = _Numbers(query, vocabulary)
-    for variable in numbers.demanded():
+    for variable in numbers.required_numbers():
         _note(found, variable, Place.NUMBER)
     return {name: frozenset(kinds) for name, kinds in found.items()}
 
@@ -64,13 +64,13 @@ class _Numbers:
 
     def __init__(self, query: ast.Query, vocabulary: Vocabulary) -> None:
         self._nodes = list(ast.walk(query))
-        self._known: set[Variable] = set()
+        self._numbers: set[Variable] = set()
         for pattern in patterns(query):
             predicate = pattern.predicate
             info = vocabulary.feature(predicate.value) if isinstance(predicate, NamedNode) else None
             is_number = info is not None and (is_numeric(info.range) or info.unit is not None)
             if is_number and isinstance(pattern.object, Variable):
-                self._known.add(pattern.object)
+                self._numbers.add(pattern.object)
         self._spread()
 
     def _spread(self) -> None:
@@ -86,16 +86,16 @@ class _Numbers:
             if isinstance(node, ast.Key) and node.alias is not None
         ]
         before = -1
-        while before != len(self._known):
-            before = len(self._known)
-            self._known.update(name for name, expression in named if self.is_number(expression))
+        while before != len(self._numbers):
+            before = len(self._numbers)
+            self._numbers.update(name for name, expression in named if self.is_number(expression))
 
     def is_number(self, expression: ast.Expression) -> bool:
         match expression:
             case Literal():
                 return is_numeric(expression.datatype.value)
             case Variable():
-                return expression in self._known
+                return expression in self._numbers
             case ast.Arithmetic() | ast.Unary("-" | "+", _):
                 return True
             case ast.Call(name, _):
@@ -107,7 +107,7 @@ class _Numbers:
             case _:
                 return False
 
-    def demanded(self) -> Iterator[Variable]:
+    def required_numbers(self) -> Iterator[Variable]:
         """Yield the variables that must be numbers."""
         for node in self._nodes:
             for operand in self._operands(node):

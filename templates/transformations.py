@@ -41,7 +41,7 @@ class EventTransformation(EventDescription):
     needs_of: Callable[[ContinuousQuery], Needs] | None = field(default=None, compare=False)
 
     @cached_property
-    def _known(self) -> dict[tuple[int, Subject], tuple[Want, ...] | None]:
+    def _wants_cache(self) -> dict[tuple[int, Subject], tuple[Want, ...] | None]:
         return {}
 
     def wants_of(self, subject: Subject) -> tuple[Want, ...] | None:
@@ -49,9 +49,9 @@ class EventTransformation(EventDescription):
         that."""
         assert self.vocabulary is not None
         key = (self.vocabulary().version, subject._replace(bounds=()))
-        if key not in self._known:
-            self._known[key] = self._wants(key[1])
-        return self._known[key]
+        if key not in self._wants_cache:
+            self._wants_cache[key] = self._wants(key[1])
+        return self._wants_cache[key]
 
     def query(self, subject: Subject) -> ContinuousQuery:
         """Return the template's query for ``subject``. Raises `ArgumentError`."""

@@ -163,6 +163,6 @@ class Check:
         return next(t for t in inside if t.kind is Kind.VARIABLE and t.text[1:] == name)
 
 
-def _near(name: str, known: set[str]) -> str:
-    meant = did_you_mean(f"?{name}", (f"?{each}" for each in known))
-    return meant or (f"the body has {', '.join(f'`?{k}`' for k in sorted(known))}" if known else "")
+def _near(name: str, names: set[str]) -> str:
+    meant = did_you_mean(f"?{name}", (f"?{each}" for each in names))
+    return meant or (f"the body has {', '.join(f'`?{k}`' for k in sorted(names))}" if names else "")

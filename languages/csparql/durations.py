@@ -78,7 +78,7 @@ def _xsd(at: Cursor, what: str) -> int:
     while at.here is not None and at.here.start == at.last_token.end and not at.is_mark("]"):
         at.take()
     span = Span(start, at.last_token.end)
-    return _parsed(at, what, at.source[span.start : span.end], span)
+    return _parse_xsd(at, what, at.source[span.start : span.end], span)
 
 
 def _literal(at: Cursor, what: str) -> int:
@@ -92,10 +92,10 @@ def _literal(at: Cursor, what: str) -> int:
             span,
             'write `"PT5S"^^xsd:duration` or `PT5S`',
         )
-    return _parsed(at, what, term.value, span)
+    return _parse_xsd(at, what, term.value, span)
 
 
-def _parsed(at: Cursor, what: str, text: str, span: Span) -> int:
+def _parse_xsd(at: Cursor, what: str, text: str, span: Span) -> int:
     try:
         # ISO forms only: parse_duration also accepts 5s, which is no xsd:duration.
         if not text.upper().startswith("P"):

@@ -9,22 +9,10 @@ from ..errors import LanguageError, Span
 
 LONGEST: Final = 64 * 1024
 """The greatest number of characters."""
-MOST_TOKENS: Final = 4096
-MOST_PATTERNS: Final = 128
-"""Triple patterns; each step and each alternative of a property path counts as one."""
-MOST_OPERATORS: Final = 128
-"""The height of an expression: later passes recurse over it."""
-MOST_PARTS: Final = 160
-"""Groups in braces, FILTER, BIND and VALUES: each adds a level to the plan."""
 _HINT: Final = "load its data as an ontology, or ask with several queries"
-LIMITS: Final = Limits(
-    tokens=MOST_TOKENS,
-    patterns=MOST_PATTERNS,
-    operators=MOST_OPERATORS,
-    parts=MOST_PARTS,
-    hint=_HINT,
-)
-"""The bounds of continuous queries and templates."""
+LIMITS: Final = Limits(tokens=4096, patterns=128, operators=128, parts=160, hint=_HINT)
+"""The bounds of continuous queries and templates (`Limits` explains them). Later passes recurse
+over the height of an expression; each part adds a level to the plan."""
 
 
 def check_length(source: str) -> None:

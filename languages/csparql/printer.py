@@ -80,13 +80,13 @@ class _Text:
         tokens = [t for t in reader.tokens if not any(s.start <= t.start < s.end for s in ours)]
         return cls(_blank(query.source, ours), tokens, body, body.where.span)
 
-    def edited(self, edits: Sequence[Edit], start: int, end: int) -> str:
+    def apply(self, edits: Sequence[Edit], start: int, end: int) -> str:
         """Apply the disjoint edits within a range of the SPARQL; insertions at one place keep their
         order."""
-        return _edited(self.sparql, edits, start, end)
+        return _apply_edits(self.sparql, edits, start, end)
 
 
-def _edited(text: str, edits: Sequence[Edit], start: int, end: int) -> str:
+def _apply_edits(text: str, edits: Sequence[Edit], start: int, end: int) -> str:
     parts: list[str] = []
     position = start
     for edit in sorted(edits, key=lambda edit: (edit.start, edit.end)):
@@ -103,9 +103,9 @@ def format_query(query: ContinuousQuery) -> str:
         variable.value: short_text(term, query.prefixes)
         for variable, term in query.bindings.items()
     }
-    kept = head_variables(text.body).keys() | query.window_variables
-    replaced = {name: term for name, term in terms.items() if name not in kept}
-    rows = {name: term for name, term in terms.items() if name in kept}
+    head_names = head_variables(text.body).keys() | query.window_variables
+    replaced = {name: term for name, term in terms.items() if name not in head_names}
+    rows = {name: term for name, term in terms.items() if name in head_names}
     edits = _binding_edits(text, rows, replaced)
     if replaced and (len(text.tokens) > MOST_READ or not _fits(query, edits, replaced)):
         # Some places of a variable allow no term (a projection, f:timestamp).
@@ -137,7 +137,7 @@ def _kind(text: str) -> str:
 
 def _is_query(query: ContinuousQuery, edits: Sequence[Edit]) -> bool:
     try:
-        ClauseReader(_edited(query.source, edits, 0, len(query.source))).read()
+        ClauseReader(_apply_edits(query.source, edits, 0, len(query.source))).read()
     except LanguageError:
         return False
     return True
@@ -196,7 +196,7 @@ def _assemble(
     lines."""
     start, where = text.body.span.start, text.where
     lines = _register(query)
-    prologue = compact(_prefix_lines(query, text) + text.edited(edits, 0, start))
+    prologue = compact(_prefix_lines(query, text) + text.apply(edits, 0, start))
     lines += [prologue] if prologue else []
     before = [t for t in text.tokens if t.start < where.start][-1]
     end = before.start if before.is_word("WHERE") else where.start
@@ -204,8 +204,8 @@ def _assemble(
     lines += [f"FROM <{iri}>" for iri in query.static]
     lines += [f"FROM NAMED <{iri}>" for iri in query.static_named]
     lines += [f"{_from(query, clause)} {_window(clause.window, query)}" for clause in query.streams]
-    lines.append("WHERE " + text.edited(edits, where.start, where.end))
-    modifiers = compact(text.edited(edits, where.end, len(text.sparql)))
+    lines.append("WHERE " + text.apply(edits, where.start, where.end))
+    modifiers = compact(text.apply(edits, where.end, len(text.sparql)))
     lines += [modifiers] if modifiers else []
     if query.aggregations:
         lines.append(_aggregate(query, replaced))
@@ -253,9 +253,7 @@ def _head(query: ContinuousQuery, text: _Text, edits: Sequence[Edit], end: int) 
         gap = _one_space(text.sparql[after.end : tokens[2].start])
         closed.append(Edit(after.end, tokens[2].start, gap))
     return compact(
-        text.edited(
-            [Edit(form.end, form.end, operator), *edits, *closed], text.body.span.start, end
-        )
+        text.apply([Edit(form.end, form.end, operator), *edits, *closed], text.body.span.start, end)
     )
 
 
@@ -317,7 +315,7 @@ def _aggregate(query: ContinuousQuery, replaced: Mapping[str, str]) -> str:
 def _blank(source: str, spans: Sequence[Span]) -> str:
     """Replace the characters of ``spans`` by spaces; line ends and offsets stay."""
     blanks = [Edit(s.start, s.end, re.sub(r"[^\r\n]", " ", source[s.start : s.end])) for s in spans]
-    return _edited(source, blanks, 0, len(source))
+    return _apply_edits(source, blanks, 0, len(source))
 
 
 def compact(text: str) -> str:

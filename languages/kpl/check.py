@@ -120,21 +120,21 @@ class _Checker:
             case _:
                 assert_never(declaration)
 
-    def add(self, made: CheckedDeclaration, span: Span) -> None:
+    def add(self, declaration: CheckedDeclaration, span: Span) -> None:
         """Declare it, unless an equal declaration exists."""
-        there = self._scope.by_key.get(made.key)
-        if there is None:
-            self._scope.by_key[made.key] = made
-            self._scope.symbols.add(made)
-            self.new.append(made)
-        elif there != made:
+        existing = self._scope.by_key.get(declaration.key)
+        if existing is None:
+            self._scope.by_key[declaration.key] = declaration
+            self._scope.symbols.add(declaration)
+            self.new.append(declaration)
+        elif existing != declaration:
             hint = "it makes the same generators for the same objects: remove the other one first"
-            if not isinstance(there, ForeachDeclaration):
+            if not isinstance(existing, ForeachDeclaration):
                 # The last line: the first may state the unit.
-                text = format_kpl(there, self._scope.unit).splitlines()[-1]
+                text = format_kpl(existing, self._scope.unit).splitlines()[-1]
                 hint = f"there is `{text}`: remove it first, or choose another name"
             raise self._scope.error(
-                f"`{made.key}` is declared already, and differently", span, hint
+                f"`{declaration.key}` is declared already, and differently", span, hint
             )
 
     def check_name(self, name: str, kind: str, span: Span) -> None:
@@ -191,7 +191,7 @@ class _Checker:
                     span,
                     f"its label names the object: `{label.feature}[{variable}]`",
                 )
-            if any(label == there.label for there in generators):
+            if any(label == earlier.label for earlier in generators):
                 raise scope.error(
                     f"`{label}` is declared twice for each object",
                     span,

@@ -267,25 +267,25 @@ class Generators:
 
     def _unknown_label(self, label: Label, span: Span) -> LanguageError:
         scope, name = self.scope, str(label)
-        there = scope.by_key.get(name)
-        if there is not None:
+        declaration = scope.by_key.get(name)
+        if declaration is not None:
             return scope.error(
                 f"`{name}` is {scope.symbols.kind(name)}, not a generator",
                 span,
                 f"it has no output: name the label of an input of `{name}`"
-                if isinstance(there, SinkDeclaration)
+                if isinstance(declaration, SinkDeclaration)
                 else f"declare a generator of it, `strmgen LABEL = {name}`, and name the label",
             )
         scope.check_arity(label, span)
         for later in scope.text_declarations:
             if isinstance(later, ast.Strmgen) and scope.label(later.label) == label:
                 return self._used_before("generator", name, span, later)
-        known = scope.keys_of(GeneratorDeclaration)
+        labels = scope.keys_of(GeneratorDeclaration)
         pattern = scope.symbols.pattern(label.feature)
         if pattern is None:
-            hint = suggest_name(name, known)
+            hint = suggest_name(name, labels)
         else:
-            hint = did_you_mean(name, known) or (
+            hint = did_you_mean(name, labels) or (
                 f"`{pattern}` is made for each new object: follow one object with "
                 f"`select({pattern} foreach … in …)`"
             )

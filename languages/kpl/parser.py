@@ -16,7 +16,7 @@ from lark.exceptions import UnexpectedInput
 from ...streams.policies.policy import Approximation, Order
 from ...streams.sample import LONGEST_NAME
 from ..errors import LanguageError, Span
-from ..hints import did_you_mean, listed
+from ..hints import did_you_mean, or_list
 from ..syntax import (
     TERMINALS,
     check_names,
@@ -118,7 +118,7 @@ def _syntax_hint(found: str, expected: AbstractSet[str]) -> str:
     if expected in ({"NAME"}, {"NAME", "PREFIXED"}):
         return "a name is a letter or `_`, then letters, digits and `_`"
     if declaring and expected <= {*_DECLARING, "UNIT", "$END"}:
-        return f"a declaration begins with {listed([f'`{word}`' for word in _DECLARATIONS])}"
+        return f"a declaration begins with {or_list([f'`{word}`' for word in _DECLARATIONS])}"
     return expected_hint(expected)
 
 

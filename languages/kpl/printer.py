@@ -148,7 +148,7 @@ def _number(number: float) -> str:
 def _time(time: int, unit: str) -> str:
     """Return an integer in ``unit`` if that is exact, else a duration in the coarsest
     exact unit."""
-    whole, rest = divmod(time, UNITS[unit])
+    quotient, rest = divmod(time, UNITS[unit])
     if not rest:
-        return str(whole)
+        return str(quotient)
     return f"{'-' if time < 0 else ''}{format_duration(abs(time))}"

@@ -68,13 +68,13 @@ class Scope:
         self.check_arity(label, written.span)
 
     def check_arity(self, label: Label, span: Span) -> None:
-        known = self.symbols.example(label.feature)
-        if known is not None and len(known.objects) != len(label.objects):
+        example = self.symbols.example(label.feature)
+        if example is not None and len(example.objects) != len(label.objects):
             raise self.error(
-                f"`{label.feature}` is of {count(len(known.objects), 'object')}, "
+                f"`{label.feature}` is of {count(len(example.objects), 'object')}, "
                 f"and here of {len(label.objects)}",
                 span,
-                f"it is declared as {known}",
+                f"it is declared as {example}",
             )
 
 

@@ -60,8 +60,8 @@ def _resolve(name: ast.Name, scope: Scope) -> ValueSort:
     check_prefix(name, scope.source)
     if prefix == "xsd":
         if XSD + local not in VALUE_DATATYPES:
-            known = [iri.removeprefix(XSD) for iri in VALUE_DATATYPES]
-            raise scope.error(f"XSD has no `{local}`", name.span, suggest_name(local, known))
+            datatypes = [iri.removeprefix(XSD) for iri in VALUE_DATATYPES]
+            raise scope.error(f"XSD has no `{local}`", name.span, suggest_name(local, datatypes))
         return _simple(text, range_type(XSD + local))
     iri = PREFIXES[prefix] + local
     if scope.vocabulary is not None:
@@ -122,14 +122,14 @@ def declared_sort(declaration: ast.Sort, scope: Scope) -> SortDeclaration:
             raise scope.error(
                 f"field `{field.text}` occurs twice", field.span, "name each field once"
             )
-        known = _fields_of(written, scope)
-        if [each.name for each in known] != [VALUE]:
+        parts = _fields_of(written, scope)
+        if [each.name for each in parts] != [VALUE]:
             raise scope.error(
-                f"a field holds one value, and `{written.text}` has ({format_fields(known)})",
+                f"a field holds one value, and `{written.text}` has ({format_fields(parts)})",
                 written.span,
                 "write its fields one by one",
             )
-        fields[field.text] = Field(field.text, known[0].type)
+        fields[field.text] = Field(field.text, parts[0].type)
     return SortDeclaration(ValueSort(name.text, tuple(fields.values())))
 
 

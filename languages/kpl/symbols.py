@@ -44,7 +44,7 @@ class Symbols:
         """For each feature its first label, which shows its number of objects."""
         self._patterns: dict[str, Label] = {}
         """For each feature its first label in a ``foreach``."""
-        self._made: dict[str, list[ValueSort]] = {}
+        self._sorts_by_feature: dict[str, list[ValueSort]] = {}
         """For each feature the sorts of its generators, each once."""
         self._edges: dict[str, set[str]] = {}
         """For each token of `dependencies`, the tokens that it needs."""
@@ -92,7 +92,7 @@ class Symbols:
 
     def sorts(self, feature: str) -> tuple[ValueSort, ...]:
         """Return the sorts of the feature's generators, each once."""
-        return tuple(self._made.get(feature, ()))
+        return tuple(self._sorts_by_feature.get(feature, ()))
 
     def reader(self, feature: str) -> str | None:
         """Return the label of a declaration that reads the feature's streams of all objects, if
@@ -158,7 +158,7 @@ class Symbols:
         self._kinds[feature] = FEATURE
         self._kinds.update((object, OBJECT) for object in objects)
         self._labels.setdefault(feature, generator.label)
-        sorts = self._made.setdefault(feature, [])
+        sorts = self._sorts_by_feature.setdefault(feature, [])
         if generator.sort not in sorts:
             sorts.append(generator.sort)
 

@@ -52,7 +52,7 @@ class _Part:
 def is_within(specification: Specification, text: str | bytes, bounds: Bounds) -> bool:
     """Return whether ``text``, the source of ``specification``, is within the bounds."""
     length = len(text.encode() if isinstance(text, str) else text)
-    size = sum(map(_counted, specification.insertions), _Size(bytes=length))
+    size = sum(map(_size_without_bytes, specification.insertions), _Size(bytes=length))
     removed = len(specification.removals)
     return (size + _Size(elements=removed)).fits(bounds) and removed <= bounds.units
 
@@ -132,10 +132,10 @@ class _Copying:
 
 def _size_of(one: UnitSpecification) -> _Size:
     text = format_specification(Specification((one,), (), ""))
-    return _counted(one) + _Size(bytes=len(text.encode()))
+    return _size_without_bytes(one) + _Size(bytes=len(text.encode()))
 
 
-def _counted(one: UnitSpecification) -> _Size:
+def _size_without_bytes(one: UnitSpecification) -> _Size:
     """Return the size without the bytes."""
     units = list(elements_of([one]))
     references = sum(

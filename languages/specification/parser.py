@@ -91,12 +91,12 @@ def _part(element: Element, parts: list[_Part]) -> Input | Parameter:
     match element.name:
         case "parameter":
             value = element.attributes["value"].text
-            return Parameter(_required(element, "name"), value, element.tag.span)
+            return Parameter(_required_name(element, "name"), value, element.tag.span)
         case "stream":
-            return StreamReference(_required(element, "name"), element.tag.span)
+            return StreamReference(_required_name(element, "name"), element.tag.span)
         case _:
             return UnitSpecification(
-                _required(element, "type"),
+                _required_name(element, "type"),
                 _name(element, "name"),
                 tuple(part for part in parts if isinstance(part, Parameter)),
                 tuple(part for part in parts if isinstance(part, Input)),
@@ -108,7 +108,7 @@ def _removal(element: Element) -> Removal:
     return Removal(_name(element, "name"), _name(element, "type"), element.tag.span)
 
 
-def _required(element: Element, attribute: str) -> str:
+def _required_name(element: Element, attribute: str) -> str:
     name = _name(element, attribute)
     assert name is not None
     return name

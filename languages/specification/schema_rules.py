@@ -101,7 +101,7 @@ class _Walk:
         if element.name in parent.holds:
             return parent.holds[element.name]
         name, span = abbreviate(element.name), element.tag.name_span
-        holds = f"{parent.title} contains {_listed(parent.holds)}"
+        holds = f"{parent.title} contains {_enumerate(parent.holds)}"
         if element.name in _ELEMENTS:
             raise self.error(f"`{name}` is not allowed in {parent.title}", span, holds)
         hint = did_you_mean(element.name, parent.holds) or holds
@@ -162,7 +162,7 @@ class _Walk:
             hint = f"write `{name}`, without a prefix"
         else:
             near = "" if name in allowed else did_you_mean(name, allowed)
-            hint = near or f"it has {_listed(allowed) if allowed else 'none'}"
+            hint = near or f"it has {_enumerate(allowed) if allowed else 'none'}"
         message = f"{rules.title} has no attribute `{abbreviate(attribute.name)}`"
         return self.error(message, attribute.span, hint)
 
@@ -238,7 +238,7 @@ class _Walk:
         return self.document.source.count("\n", 0, first.tag.span.start) + 1
 
 
-def _listed(names: Iterable[str]) -> str:
+def _enumerate(names: Iterable[str]) -> str:
     """Return `` `a`, `b` and `c` ``; ``nothing`` if empty."""
     *others, last = [f"`{name}`" for name in names] or ["nothing"]
     return f"{', '.join(others)} and {last}" if others else last

@@ -67,11 +67,11 @@ def declaration_of(
         case StreamAnnotation():
             return _stream(annotation, vocabulary)
         case SourceAnnotation(name, output):
-            return SourceDeclaration(name, _port(output, vocabulary), _HERE, _found(output))
+            return SourceDeclaration(name, _port(output, vocabulary), _HERE, _entities(output))
         case TransformationAnnotation(name, inputs, output):
-            taken = tuple(_port(port, vocabulary) for port in inputs)
+            inputs_text = tuple(_port(port, vocabulary) for port in inputs)
             made = _port(output, vocabulary)
-            return CompunitDeclaration(name, taken, made, _HERE, _found(output))
+            return CompunitDeclaration(name, inputs_text, made, _HERE, _entities(output))
 
 
 def term_words(iri: str) -> str:
@@ -90,7 +90,7 @@ def _stream(annotation: StreamAnnotation, vocabulary: Vocabulary | None) -> Stre
         FeatureTerm(
             term_words(content.feature),
             tuple(
-                Argument(term_words(_named(role)[0]), aliases.get(_named(role)), _HERE)
+                Argument(term_words(_role_key(role)[0]), aliases.get(_role_key(role)), _HERE)
                 for role in content.roles
             ),
             content.field,
@@ -104,13 +104,13 @@ def _stream(annotation: StreamAnnotation, vocabulary: Vocabulary | None) -> Stre
     # Conditions first: `every` applies to all entities after it.
     for role in sorted(roles, key=lambda role: role.object is None):
         if role.id_field is not None:
-            words = aliases.get(_named(role)) or term_words(_named(role)[0])
+            words = aliases.get(_role_key(role)) or term_words(_role_key(role)[0])
             entity = Entity(words, role.id_field, _HERE, role.object is None)
-            entities.setdefault(_named(role), entity)
+            entities.setdefault(_role_key(role), entity)
     return StreamDeclaration(annotation.stream, features, tuple(entities.values()), _HERE)
 
 
-def _named(role: Role) -> Named:
+def _role_key(role: Role) -> Named:
     """Return the sort or object of a role, and its field."""
     return role.object or role.sort or "", role.id_field
 
@@ -119,7 +119,7 @@ def _aliases(roles: Iterable[Role]) -> Mapping[Named, str]:
     """Return aliases for sorts and objects that several fields name, or that have a field in one
     role only."""
     fields: dict[str, list[str | None]] = {}
-    for iri, field in dict.fromkeys(map(_named, roles)):
+    for iri, field in dict.fromkeys(map(_role_key, roles)):
         fields.setdefault(iri, []).append(field)
     free = _free_names({term_words(iri) for iri in fields})
     return {
@@ -155,7 +155,7 @@ def _argument_words(argument: CheckedArgument) -> str:
     return term_words(argument.object or argument.sort or "")
 
 
-def _found(output: PortAnnotation) -> tuple[Entity, ...]:
+def _entities(output: PortAnnotation) -> tuple[Entity, ...]:
     """Return the for-part: fields that name objects which no input contains. The field `id` is the
     default and needs no text."""
     return tuple(

@@ -154,12 +154,12 @@ class _Checker:
                 )
             by_term[key] = entity
             if not named:
-                known = sorted({argument.alias or argument.name for argument in arguments})
+                names = sorted({argument.alias or argument.name for argument in arguments})
                 raise self.error(
                     f"`{entity.name}` is not in the stream's features",
                     entity.span,
-                    f"the features have the arguments {', '.join(known)}"
-                    if known
+                    f"the features have the arguments {', '.join(names)}"
+                    if names
                     else "the features have no arguments: leave the for-part out",
                 )
             for argument in named:
@@ -174,8 +174,10 @@ class _Checker:
     def term(self, named: Argument | Entity) -> str:
         """Resolve a name: a term of the ontology, else a new one."""
         iris = self.iris(named.name, named.span)
-        known = self.vocabulary
-        return next((iri for iri in iris if known.is_sort(iri) or known.is_object(iri)), iris[0])
+        vocabulary = self.vocabulary
+        return next(
+            (iri for iri in iris if vocabulary.is_sort(iri) or vocabulary.is_object(iri)), iris[0]
+        )
 
     def check_entity(self, entity: Entity, argument: Argument) -> None:
         sort = self.sort(argument)
@@ -276,8 +278,8 @@ class _Checker:
                     argument.span,
                     "the arguments of a feature are objects, `speed(uav1)`, or sorts, `speed(UAV)`",
                 )
-        known = (iri for iri in candidates if self.vocabulary.is_object(iri))
-        return next(known, candidates[0])
+        objects = (iri for iri in candidates if self.vocabulary.is_object(iri))
+        return next(objects, candidates[0])
 
     def feature(self, name: str, span: Span) -> str:
         """Return the IRI of a feature, or of an event, whose stream carries the event's value."""
@@ -369,8 +371,8 @@ class _Checker:
         if any(not input.arguments for input in inputs):
             # Such an input concerns the objects of the output.
             in_inputs |= {argument.variable for argument in made.arguments}
-        for named in entities:
-            self.check_field(named.field, named.span)
+        for each in entities:
+            self.check_field(each.field, each.span)
         fields = {variable_name(entity.name): entity for entity in entities}
         arguments: list[annotation.Argument] = []
         for argument in made.arguments:

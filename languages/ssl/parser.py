@@ -79,15 +79,15 @@ def _declaration(tree: Tree[Token], source: str) -> Declaration:
         case "source_decl":
             output, *rest = parts
             made = _field_feature(output, source)
-            return SourceDeclaration(name, made, span_of(tree), _found(rest, source))
+            return SourceDeclaration(name, made, span_of(tree), _entities(rest, source))
         case _:
             first, output, *rest = parts
             inputs = tuple(_field_feature(part, source) for part in trees(first))
             made = _field_feature(output, source)
-            return CompunitDeclaration(name, inputs, made, span_of(tree), _found(rest, source))
+            return CompunitDeclaration(name, inputs, made, span_of(tree), _entities(rest, source))
 
 
-def _found(for_part: list[Tree[Token]], source: str) -> tuple[Entity, ...]:
+def _entities(for_part: list[Tree[Token]], source: str) -> tuple[Entity, ...]:
     """Return the objects that a source or unit names itself, if it has a for-part."""
     if not for_part:
         return ()

@@ -27,19 +27,19 @@ def format_declaration(declaration: Declaration) -> str:
     match declaration:
         case StreamDeclaration(name, features, entities):
             text = f"stream {name} contains {', '.join(map(_feature, features))}"
-            return text + _named(entities)
+            return text + _for_part(entities)
         case SourceDeclaration(name, output):
-            made = _field_feature(output) + _named(declaration.entities)
+            made = _field_feature(output) + _for_part(declaration.entities)
             return f"source {name} provides {made}"
         case CompunitDeclaration(name, inputs, output):
             text = ", ".join(map(_field_feature, inputs))
-            made = _field_feature(output) + _named(declaration.entities)
+            made = _field_feature(output) + _for_part(declaration.entities)
             return f"compunit {name} transforms {text} to {made}"
         case _:
             assert_never(declaration)
 
 
-def _named(entities: Sequence[Entity]) -> str:
+def _for_part(entities: Sequence[Entity]) -> str:
     """Return the for-part; `every` stands once, before the first entity that it applies to."""
     words = []
     governed = False

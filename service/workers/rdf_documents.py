@@ -56,7 +56,7 @@ class IsolatedReasoning:
         work = Read(text, format, base.value, self._triples)
         return _renamed(self._table(work, "reading the text"))
 
-    def entailed(self, asserted: frozenset[Triple]) -> frozenset[Triple]:
+    def entail(self, asserted: frozenset[Triple]) -> frozenset[Triple]:
         """Raises `OntologyError`, also for triples that entail too much."""
         if len(asserted) > self._triples:
             raise _too_many(self._triples)

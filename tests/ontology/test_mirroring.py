@@ -103,7 +103,7 @@ LOOKS: dict[str, Callable[[Ontology], object]] = {
     "the store": lambda o: len(
         list(o.store.quads_for_pattern(None, RDF_TYPE, own("Stream"), None))
     ),
-    "a copy": lambda o: (o.changes_since(None).whole or b"").count(b"ontology#Stream> .\n"),
+    "a copy": lambda o: (o.changes_since(None).dump or b"").count(b"ontology#Stream> .\n"),
     "one that is brought up to date": lambda o: o.changes_since(1).added.count(b"Stream> .\n"),
     "a deep copy": lambda o: len(copy.copy(o)._pending),
 }

@@ -148,7 +148,7 @@ def test_nobody_waits_for_what_is_prepared(monkeypatch: pytest.MonkeyPatch) -> N
         return done
 
     monkeypatch.setattr(successor, "Rules", noted(successor.Rules))
-    monkeypatch.setattr(Ontology, "_asserted", noted(Ontology._asserted))
+    monkeypatch.setattr(Ontology, "_asserted_triples", noted(Ontology._asserted_triples))
     ontology.install(ontology.prepare(SHIPS, name="urn:ships"))
     assert waited == [False, False]
     assert ontology.query(f"ASK {{ <{STREAM_SPACE}s> a <{STREAM_SPACE}Stream> }}")
@@ -159,9 +159,9 @@ def test_copies_are_made_anew_of_what_has_taken_its_place() -> None:
     position = ontology.changes_since(None).position
     ontology.load(SHIPS, name="urn:ships")
     found = ontology.changes_since(position)
-    assert found.whole is not None
-    assert f"<{DYKNOW}Ship>".encode() in found.whole
-    assert ontology.changes_since(found.position).whole is None
+    assert found.dump is not None
+    assert f"<{DYKNOW}Ship>".encode() in found.dump
+    assert ontology.changes_since(found.position).dump is None
 
 
 def test_only_one_of_two_that_were_prepared_together_is_taken() -> None:
