@@ -357,6 +357,7 @@ class Ontology:
             # Oldest first: some of the latest are about to be reverted.
             for _ in range(min(_PIECE, len(self._pending))):
                 triple, exists = self._pending.popitem(last=False)
+                # Until it is in `_live`, `mirror` compares with this.
                 self._applying[triple] = exists
                 changed[exists].append(triple)
         try:

@@ -51,6 +51,7 @@ class StaticSide:
         for change in changes:
             self._store.extend(map(_in_default_graph, change.added))
             for triple in change.removed:
+                # Another static graph may contain it too.
                 if not self._is_static(triple):
                     self._store.remove(_in_default_graph(triple))
             self._churn.note(change.added, change.removed)

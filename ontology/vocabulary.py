@@ -286,7 +286,7 @@ class _Infos:
         """Return the class that contains no other of them; the first by name if there are
         several."""
         wider = {w for c in classes for w in self._superclasses.above(c) if w != c}
-        # Equivalent classes contain each other; then none is narrowest, and the name decides.
+        # Of equivalent classes, which contain each other, dyknow:Thing or the first name wins.
         return min(classes - wider or classes, key=lambda c: (c != THING, c), default=None)
 
     def _depth(self, feature: str) -> int:

@@ -252,6 +252,7 @@ class TermDictionary:
         state = np.frombuffer(bytes(self._state), np.uint8)
         marked[:size] |= state == _PINNED
         tables = [table for reference in self._tables.copy() if (table := reference()) is not None]
+        # After all holders: what a table implies depends on every id that stays.
         for table in tables:
             marked[table.implied(marked)] = True
         freed_ids = np.flatnonzero((state == _TRANSIENT) & ~marked[:size])

@@ -52,6 +52,7 @@ def most_bound_first(triples: Iterable[Triple]) -> list[Triple]:
         places = (triple.subject, triple.predicate, triple.object)
         return free, shared, not isinstance(triple.object, Literal), tuple(map(_order, places))
 
+    # Quadratic, but a query has at most some hundred patterns.
     while remaining:
         remaining = [one for _, _, one in sorted((rank(t), n, t) for n, t in enumerate(remaining))]
         least = rank(remaining[0])[0]

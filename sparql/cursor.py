@@ -177,6 +177,7 @@ class Cursor:
                 return number(self.take().text)
             case Kind.WORD if token.is_word("TRUE", "FALSE"):
                 return Literal(self.take().text.lower() == "true")
+            # The tokenizer separates the sign, since `?v-1` is a subtraction.
             case Kind.MARK if self.is_signed_number():
                 return number(self.take().text + self.take().text)
             case Kind.BLANK:

@@ -59,6 +59,7 @@ def _of_group(
     parts, conditions = split_group(group)
     existing = [inner for condition in conditions for inner in _existing(condition)]
     tested = (found for inner in existing for found in _of_group(inner, classes))
+    # A generator: what this loop yields, the last one does not yield again.
     if not is_optional:
         yield from tested
     for part in parts:

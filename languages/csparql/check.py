@@ -73,8 +73,8 @@ class Check:
         source = self.reader.source
         body = self.body
         for word, is_present, hint in (
-            ("GROUP BY", body.keys, "say it one way or the other"),
-            ("HAVING", body.having, "say it one way or the other"),
+            ("GROUP BY", body.keys, "use one of the two"),
+            ("HAVING", body.having, "use one of the two"),
             ("VALUES", body.values, "put VALUES inside WHERE"),
         ):
             if is_present:
