@@ -123,7 +123,7 @@ class _Checker:
     def check_field(self, field: str, span: Span) -> None:
         if field in TIME_FIELDS:
             raise self.error(
-                f"a field cannot have the name `{field}`: that is a sample's time",
+                f"a field cannot be called `{field}`: that is a sample's time",
                 span,
                 "give the field another name",
             )
