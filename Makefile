@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
 PORT ?= 8000
 
-.PHONY: demo serve test soak image-check lint bench lock format clean
+.PHONY: demo serve test soak image-check lint kernels bench lock format clean
 
 demo: $(VENV)/installed ## replay five minutes of recorded flights and find events in them
 	@$(BIN)/dyknow demo
@@ -18,7 +18,9 @@ serve: $(VENV)/installed ## leave the service running with the same flights repl
 # One more at work than there are cores: many tests wait. Whoever is done takes tests from the others.
 PYTEST := $(BIN)/pytest -n $$(( $$(nproc) + 1 )) --dist worksteal
 
-test: lint image-check ## everything that CI runs
+# The loops are compiled once, before workers and services would each compile their own.
+test: $(VENV)/installed-dev ## everything that CI runs
+	$(MAKE) --no-print-directory -j3 lint image-check kernels
 	$(PYTEST) --hypothesis-profile=ci
 	for way in reused retired; do $(PYTEST) $(SWEPT) --sweeps=$$way --share=0.01 --hypothesis-profile=ci || exit 1; done
 # Laws that hold as well where terms are forgotten at every chance (tests/conftest.py).
@@ -41,7 +43,10 @@ lint: $(VENV)/installed-dev
 	$(BIN)/mypy -p dyknow
 	$(BIN)/lint-imports
 
-bench: $(VENV)/installed-dev ## the performance tables of docs/performance.md
+kernels: $(VENV)/installed-dev ## compile the loops of numba into its cache
+	@$(BIN)/python -c 'import dyknow.service.app; from dyknow.streams.jit import compile_all; compile_all()'
+
+bench: $(VENV)/installed-dev ## the performance tables of docs/explanation/performance.md
 	$(BIN)/python bench/run.py
 
 format: $(VENV)/installed-dev

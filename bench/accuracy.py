@@ -53,7 +53,7 @@ def agreement(path: Path, unit: SpeedFromCoordinates) -> Agreement:
 
 
 def main(path: Path = SLICE) -> None:
-    """Print the table of docs/performance.md."""
+    """Print the table of docs/explanation/design/0008-measurements.md."""
     default = SpeedFromCoordinates().baseline
     print(f"speeds from coordinates against reported ground speeds: {path.name}")
     print(f"{'baseline':>10} {'speeds':>9} {'median':>9} {'95th pct':>9}")

@@ -16,7 +16,7 @@ from pyoxigraph import NamedNode, Quad, Store
 
 from dyknow.continuous.algebra.plan import Plan, inputs, walk
 from dyknow.continuous.estimation.estimates import COST, FOREIGN, Way, estimate
-from dyknow.continuous.evaluation import evaluator as evaluators
+from dyknow.continuous.evaluation import execution as executions
 from dyknow.continuous.evaluation.evaluator import ContinuousEvaluator
 from dyknow.continuous.operators.background import Background
 from dyknow.continuous.operators.profile import Profile
@@ -72,8 +72,10 @@ def profiled(name: str, text: str, rows: int) -> tuple[float, float]:
     if name == "TypeScan":
         store.extend(Quad(term, RDF_TYPE, NamedNode(PLACE + "Thing")) for term in terms)
     evaluator = ContinuousEvaluator(parse_query(full), dictionary, Background(store), [STREAM])
+    execution = evaluator._solver.execution
+    assert execution is not None
     if name not in ("INCREMENTAL", "FOLDED"):
-        evaluator._incremental = None
+        execution.incremental = None
     spent, moved = [], 0.0
     for window in range(WINDOWS):
         at = window * SECOND + 1 + np.sort(random.integers(0, SECOND - 1, rows))
@@ -109,12 +111,11 @@ def profiled(name: str, text: str, rows: int) -> tuple[float, float]:
 
 def _node(evaluator: ContinuousEvaluator, name: str) -> Plan:
     """The operator that is looked at: the first of its kind, or the one done in that way."""
-    assert evaluator._plan is not None
-    plan = evaluator._plan.plan
-    known = evaluator.known({})
-    incremental = evaluator._incremental
-    shape = None if incremental is None else incremental.shape
-    ways = {id: one.way for id, one in estimate(plan, known, shape, evaluator._served).items()}
+    execution = evaluator._solver.execution
+    assert execution is not None
+    plan, known = execution.plan, evaluator._solver.known({})
+    shape = None if isinstance(execution.shape, str) else execution.shape
+    ways = {id: one.way for id, one in estimate(plan, known, shape, execution.served).items()}
     if name == "foreign":
         name = "Filter"
     if name in Way.__members__:
@@ -126,9 +127,9 @@ def main() -> int:
     """Print the table, beside the constants in use."""
     print(f"own time of an operator; {SIZES[0]:,} and {SIZES[1]:,} rows a pattern")
     print(f"{'':<14}{'µs a call':>12}{'ns a row':>12}{'in use: µs':>14}{'ns':>8}")
-    compiled = evaluators.JIT
+    compiled = executions.JIT
     for name, text in QUERIES.items():
-        evaluators.JIT = compiled and name == "COMPILED"
+        executions.JIT = compiled and name == "COMPILED"
         (few, short), (many, long) = (profiled(name, text, rows) for rows in SIZES)
         row = (long - short) / (many - few)
         call = max(short - row * few, 0.0)

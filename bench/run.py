@@ -1,4 +1,4 @@
-"""``make bench``: every performance table of docs/performance.md, in one run.
+"""``make bench``: the figures of docs/explanation/performance.md, in one run.
 
 Machines are noisy: read the ratios, which are between rows of one run.
 """

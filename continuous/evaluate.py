@@ -33,7 +33,7 @@ class Window:
     ``solutions``: for SELECT a list of dicts name -> term (unbound names left out), for CONSTRUCT
     a list of triples ``(subject, predicate, object)``, for ASK a bool. ``late``: how many elements
     had been dropped as late by then. ``merged``: the bag was asked for, yet
-    equal triples counted once (docs/semantics.md says where).
+    equal triples counted once (docs/explanation/semantics.md says where).
     """
 
     start: int

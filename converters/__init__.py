@@ -1,7 +1,7 @@
 """Converters: samples <-> timed triples by annotation ([Events14 §V.A]), samples <-> bytes.
 
-Conversion is renaming and masking of columns; a Python object per sample appears only where a
-wire format makes one. docs/conversion.md shows every form by example.
+A conversion renames and masks columns. Python objects for single samples appear only where a wire
+format makes them. docs/reference/formats.md shows every form by example.
 """
 
 from .errors import ConversionError, WireError

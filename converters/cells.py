@@ -1,12 +1,12 @@
-"""Cells of a text, read by compiled loops: where values stand in the bytes, and what they are.
+"""Cells of a text, read by compiled loops: integers, booleans, times, distinct texts.
 
-A *cell* is a value's bytes, ``start <= position < end``; a column of cells is two int32 arrays of
-shape ``(n,)``. Each loop takes only spellings whose meaning is beyond doubt and says ``-1`` to all
-others; whoever calls then reads the whole text again with the exact decoder, which also knows the
-error. So a loop decides nothing but speed. Where loops are not compiled (`JIT`), nobody calls them.
+A *cell* is the bytes of one value, ``start <= position < end``; a column of cells is two int32
+arrays of shape ``(n,)``. A loop reads only unambiguous spellings and returns ``-1`` for all others.
+The caller then decodes the whole text by its exact path, which also makes the errors, so that a
+loop affects speed only. Callers use the exact path alone where loops are not compiled (`JIT`).
 
-Numbers with fractions are in `decimals`. Used by `regular` (NDJSON) and `ntriples`. Cost: 1 to 2 ns
-a byte.
+`decimals` reads numbers with fractions. Used by `ndjson_scan` and `ntriples`. Cost: 1 to 2 ns a
+byte.
 """
 
 from __future__ import annotations
@@ -19,13 +19,16 @@ from numpy.typing import NDArray
 from ..streams.jit import Kernel
 
 LEAST = 4_096
-"""Bytes from which on the loops are worth their calls; they are not even compiled before."""
+"""Bytes of a text from which the loops pay off; no loop is compiled for a shorter one."""
+TAB, LF, CR, SPACE = b"\t\n\r "
+QUOTE, HASH, PLUS, COMMA, MINUS, POINT, ZERO, NINE = b'"#+,-.09'
+COLON, LESS, GREATER, AT, BACKSLASH, CARET, UNDERSCORE, OPEN, CLOSE = b":<>@\\^_{}"
 Bytes = NDArray[np.uint8]
 Positions = NDArray[np.int32]
 
 
 def _integers(data: Any, starts: Any, ends: Any, values: Any, null: Any) -> int:
-    """JSON integers within 64 bits; returns how many are ``null``, ``-1`` for anything else."""
+    """Read JSON integers within 64 bits; returns the number of nulls, ``-1`` for other cells."""
     nulls = 0
     for row in range(starts.shape[0]):
         i = starts[row]
@@ -38,16 +41,16 @@ def _integers(data: Any, starts: Any, ends: Any, values: Any, null: Any) -> int:
             values[row] = 0
             nulls += 1
             continue
-        negative = data[i] == 45
+        negative = data[i] == MINUS
         if negative:
             i += 1
-        if i == end or end - i > 19 or (data[i] == 48 and end - i > 1):
+        if i == end or end - i > 19 or (data[i] == ZERO and end - i > 1):
             return -1
         value = np.uint64(0)
         while i < end:
-            if data[i] < 48 or data[i] > 57:
+            if data[i] < ZERO or data[i] > NINE:
                 return -1
-            value = value * np.uint64(10) + np.uint64(data[i] - 48)
+            value = value * np.uint64(10) + np.uint64(data[i] - ZERO)
             i += 1
         if value > np.uint64(2**63 - 1):
             return -1
@@ -56,7 +59,7 @@ def _integers(data: Any, starts: Any, ends: Any, values: Any, null: Any) -> int:
 
 
 def _booleans(data: Any, starts: Any, ends: Any, values: Any, null: Any) -> int:
-    """``true``, ``false`` and ``null``; returns how many are null, ``-1`` for anything else."""
+    """Read ``true``, ``false`` and ``null``; returns the number of nulls, ``-1`` for others."""
     nulls = 0
     for row in range(starts.shape[0]):
         i = starts[row]
@@ -85,35 +88,35 @@ def _booleans(data: Any, starts: Any, ends: Any, values: Any, null: Any) -> int:
 
 
 def _times(data: Any, starts: Any, ends: Any, values: Any) -> int:
-    """Quoted ISO-8601 times in UTC, years 1900 to 2199, as ns; ``-1`` for any other spelling.
+    """Read quoted ISO-8601 times in UTC, years 1900 to 2199, as ns; ``-1`` for other cells.
 
     ``"YYYY-MM-DDThh:mm:ssZ"``, with up to nine digits of a fraction.
     """
     for row in range(starts.shape[0]):
         i = starts[row] + 1
         end = ends[row] - 1  # at the closing quote
-        if end - i < 20 or data[i - 1] != 34 or data[end] != 34 or data[end - 1] != 90:
+        if end - i < 20 or data[i - 1] != QUOTE or data[end] != QUOTE or data[end - 1] != 90:
             return -1
         for k in range(19):
             byte = data[i + k]
             if k == 4 or k == 7:
-                if byte != 45:
+                if byte != MINUS:
                     return -1
             elif k == 10:
                 if byte != 84:
                     return -1
             elif k == 13 or k == 16:
-                if byte != 58:
+                if byte != COLON:
                     return -1
-            elif byte < 48 or byte > 57:
+            elif byte < ZERO or byte > NINE:
                 return -1
-        year = np.int64(data[i] - 48) * 1000 + np.int64(data[i + 1] - 48) * 100
-        year += np.int64(data[i + 2] - 48) * 10 + np.int64(data[i + 3] - 48)
-        month = np.int64(data[i + 5] - 48) * 10 + np.int64(data[i + 6] - 48)
-        day = np.int64(data[i + 8] - 48) * 10 + np.int64(data[i + 9] - 48)
-        hour = np.int64(data[i + 11] - 48) * 10 + np.int64(data[i + 12] - 48)
-        minute = np.int64(data[i + 14] - 48) * 10 + np.int64(data[i + 15] - 48)
-        second = np.int64(data[i + 17] - 48) * 10 + np.int64(data[i + 18] - 48)
+        year = np.int64(data[i] - ZERO) * 1000 + np.int64(data[i + 1] - ZERO) * 100
+        year += np.int64(data[i + 2] - ZERO) * 10 + np.int64(data[i + 3] - ZERO)
+        month = np.int64(data[i + 5] - ZERO) * 10 + np.int64(data[i + 6] - ZERO)
+        day = np.int64(data[i + 8] - ZERO) * 10 + np.int64(data[i + 9] - ZERO)
+        hour = np.int64(data[i + 11] - ZERO) * 10 + np.int64(data[i + 12] - ZERO)
+        minute = np.int64(data[i + 14] - ZERO) * 10 + np.int64(data[i + 15] - ZERO)
+        second = np.int64(data[i + 17] - ZERO) * 10 + np.int64(data[i + 18] - ZERO)
         leap = year % 4 == 0 and (year % 100 != 0 or year % 400 == 0)
         length = 31 - (month == 4 or month == 6 or month == 9 or month == 11)
         if month == 2:
@@ -124,15 +127,15 @@ def _times(data: Any, starts: Any, ends: Any, values: Any) -> int:
             return -1
         fraction = 0
         if end - i > 20:
-            if data[i + 19] != 46 or end - i == 21 or end - i > 30:
+            if data[i + 19] != POINT or end - i == 21 or end - i > 30:
                 return -1
             for k in range(i + 20, i + 29):
                 fraction *= 10
                 if k < end - 1:
-                    if data[k] < 48 or data[k] > 57:
+                    if data[k] < ZERO or data[k] > NINE:
                         return -1
-                    fraction += int(data[k] - 48)
-        # Years begin in March, so that a leap day is the last of its year.
+                    fraction += int(data[k] - ZERO)
+        # Count years from March, so that a leap day is the last of its year.
         y = year - (month <= 2)
         days = 365 * y + y // 4 - y // 100 + y // 400
         days += (153 * ((month + 9) % 12) + 2) // 5 + day - 719469
@@ -144,11 +147,11 @@ def _times(data: Any, starts: Any, ends: Any, values: Any) -> int:
 def _distinct(
     data: Any, starts: Any, ends: Any, table: Any, hashes: Any, codes: Any, first: Any
 ) -> int:
-    """Number the distinct cells as they are met: ``codes`` by row, the ``first`` row by code.
+    """Number the distinct cells in order of appearance: ``codes`` by row, ``first`` row by code.
 
-    Empty cells (``end <= start``) have code 0 and are none. ``table`` (-1 everywhere, a power of 2
-    of slots, more than twice the rows) is worked in. Returns how many are distinct; ``-1`` when a
-    thousand slots in a row are taken, which only texts made for it bring about.
+    Empty cells (``end <= start``) get code 0 and do not count. ``table`` is scratch: -1 everywhere,
+    a power of 2 of slots, more than twice the rows. Returns the number of distinct cells; ``-1``
+    after a thousand taken slots in a row, which only texts made for collisions reach.
     """
     mask = np.int64(table.shape[0] - 1)
     count = 0
@@ -233,7 +236,7 @@ _distinct_kernel = Kernel(_distinct, _signature("distinct"))
 
 
 class Irregular(Exception):
-    """A cell whose spelling the loops do not know: the exact decoder reads the whole text."""
+    """A cell that the loops cannot read: the caller takes the exact path."""
 
 
 Values = tuple[NDArray[Any], NDArray[np.bool_] | None]
@@ -241,41 +244,41 @@ Values = tuple[NDArray[Any], NDArray[np.bool_] | None]
 
 
 def integers(data: Bytes, starts: Positions, ends: Positions) -> Values:
-    """JSON integers and nulls as int64; raises `Irregular`, as all of these do."""
+    """JSON integers and nulls as int64; raises `Irregular`, as do the functions below."""
     values, null = np.empty(len(starts), np.int64), np.empty(len(starts), np.bool_)
-    nulls = known(_integers_kernel(data, starts, ends, values, null))
+    nulls = checked_count(_integers_kernel(data, starts, ends, values, null))
     return values, null if nulls else None
 
 
 def booleans(data: Bytes, starts: Positions, ends: Positions) -> Values:
-    """JSON truths and nulls as bool."""
+    """JSON booleans and nulls as bool."""
     values, null = np.empty(len(starts), np.bool_), np.empty(len(starts), np.bool_)
-    nulls = known(_booleans_kernel(data, starts, ends, values, null))
+    nulls = checked_count(_booleans_kernel(data, starts, ends, values, null))
     return values, null if nulls else None
 
 
 def times(data: Bytes, starts: Positions, ends: Positions) -> NDArray[np.int64]:
     """Quoted ISO-8601 times in UTC, as ns."""
     values = np.empty(len(starts), np.int64)
-    known(_times_kernel(data, starts, ends, values))
+    checked_count(_times_kernel(data, starts, ends, values))
     return values
 
 
 def distinct(
     data: Bytes, starts: Positions, ends: Positions
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """``codes, first``: equal cells have equal codes, counted from 0 as they are met; code c is
-    met first in row ``first[c]``. An empty cell has code 0 and meets nothing."""
+    """``codes, first``: equal cells have equal codes, numbered from 0 in order of appearance; code
+    c appears first in row ``first[c]``. An empty cell has code 0 and does not count."""
     count = len(starts)
     table = np.full(1 << (2 * count).bit_length(), -1, np.int32)
     hashes = np.empty(count, np.uint64)
     codes, first = np.empty(count, np.int32), np.empty(count, np.int32)
-    met = known(_distinct_kernel(data, starts, ends, table, hashes, codes, first))
+    met = checked_count(_distinct_kernel(data, starts, ends, table, hashes, codes, first))
     return codes, first[:met]
 
 
-def known(found: int) -> int:
-    """What a loop said, unless it was ``-1``."""
+def checked_count(found: int) -> int:
+    """The return value of a loop; raises `Irregular` for ``-1``."""
     if found < 0:
         raise Irregular
     return found

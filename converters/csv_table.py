@@ -20,14 +20,14 @@ from .wire import format_times, text_column
 
 CONTENT_TYPE = "text/csv"
 CHUNK = 8192
-"""Rows read at a time: memory stays bounded whatever the table's size."""
+"""Rows that are read at once, which bounds memory for any table."""
 
 TextChunk = tuple[list[int], dict[str, Sequence[str]]]
 """Line numbers and the cells of each column."""
 
 
 def encode_csv(batch: SampleBatch, *, header: bool = True) -> bytes:
-    """``available,valid,<fields>`` and a row a sample: times in ISO-8601, no_value empty."""
+    """Write ``available,valid,<fields>`` and a row a sample: times in ISO-8601, no_value empty."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     if header:
@@ -39,9 +39,9 @@ def encode_csv(batch: SampleBatch, *, header: bool = True) -> bytes:
 
 
 def read_csv(path: Path) -> Iterator[TextChunk]:
-    """The table's cells in chunks of rows; ``.gz`` is unpacked on the way.
+    """The table's cells in chunks of rows; ``.gz`` files are decompressed.
 
-    Raises `WireError` with the line for a row of the wrong length, bad quoting or text that is no
+    Raises `WireError` with the line for a row of the wrong length, bad quoting or bytes that are no
     UTF-8, and for a table without header.
     """
     opened = gzip.open if path.suffix == ".gz" else open
@@ -52,7 +52,7 @@ def read_csv(path: Path) -> Iterator[TextChunk]:
 def read_csv_lines(
     lines: Iterable[str], ends: Callable[[], bool] | None = None
 ) -> Iterator[TextChunk]:
-    """`read_csv` of ``lines``; a chunk also ends with a row after which ``ends`` gives true."""
+    """`read_csv` of ``lines``; a chunk also ends after a row for which ``ends`` returns True."""
     reader = csv.reader(lines, strict=True)
     try:
         names = next(reader, [])
@@ -89,7 +89,7 @@ def column_from_cells(
         if field.type is not FieldType.FLOAT or np.isfinite(values).all():
             return Column(field.type, values, null)
     except (ValueError, KeyError, OverflowError):
-        pass  # said with its line below
+        pass  # the loop below finds the line
     for cell, line in zip(cells, lines, strict=True):
         if cell and not _fits(field.type, cell):
             raise WireError(
@@ -127,7 +127,7 @@ def _columns(names: Sequence[str], rows: list[tuple[int, list[str]]]) -> TextChu
 
 
 def _float(cell: str) -> float:
-    if "_" in cell:  # Python's own spelling of numbers, not a table's
+    if "_" in cell:  # only Python reads 1_000 as a number
         raise ValueError(cell)
     return float(cell)
 

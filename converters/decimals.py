@@ -1,7 +1,7 @@
 """Decimal texts to the nearest float64, in a compiled loop; see `cells`.
 
-The product of the digits and 64 bits of a power of five, after Eisel and Lemire; in the rare case
-that it does not decide the rounding, Python's ``float`` does.
+It multiplies the digits by 64 bits of a power of five, after Eisel and Lemire. In the rare cases
+where the product does not decide the rounding, Python's ``float`` reads the number.
 """
 
 from __future__ import annotations
@@ -13,8 +13,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..streams.jit import Kernel
-from ..streams.yield_points import STRAIGHT, Pauses, slices
-from .cells import Bytes, Irregular, Positions, Values, known
+from .cells import (
+    MINUS,
+    NINE,
+    PLUS,
+    POINT,
+    ZERO,
+    Bytes,
+    Irregular,
+    Positions,
+    Values,
+    checked_count,
+)
 
 _LEAST_POWER, _GREATEST_POWER = -342, 308
 
@@ -45,10 +55,11 @@ def _floats(
     null: Any,
     unsure: Any,
 ) -> tuple[int, int]:
-    """JSON numbers as the bits of the nearest float64; ``null`` cells are marked.
+    """Read JSON numbers as the bits of the nearest float64, and mark ``null`` cells.
 
-    Rows whose rounding 128 bits do not decide, and those outside the normal numbers or with more
-    than 19 digits, go to ``unsure``. Returns how many are null and unsure; ``-1`` for no number.
+    ``unsure`` gets the rows whose rounding 128 bits do not decide, and those outside the normal
+    numbers or with more than 19 digits. Returns the numbers of nulls and of unsure rows; ``-1`` for
+    other cells.
 
     Law (tests/laws): the bits are those of Python's ``float``. Why: with w the digits' integer,
     shifted to 64 bits, and T <= 5**q·2**k < T + 1, the product lies in [w·T, w·T + w), so that its
@@ -71,26 +82,26 @@ def _floats(
             bits[row] = 0
             nulls += 1
             continue
-        negative = data[i] == 45
+        negative = data[i] == MINUS
         if negative:
             i += 1
         first = i
         digits = 0
         mantissa = np.uint64(0)
         power = 0
-        while i < end and 48 <= data[i] <= 57:
-            mantissa = mantissa * np.uint64(10) + np.uint64(data[i] - 48)
+        while i < end and ZERO <= data[i] <= NINE:
+            mantissa = mantissa * np.uint64(10) + np.uint64(data[i] - ZERO)
             digits += mantissa != 0
             i += 1
-        if i == first or (data[first] == 48 and i > first + 1):
+        if i == first or (data[first] == ZERO and i > first + 1):
             return -1, 0  # no digit, or a leading zero
         if negative and mantissa == 0 and i == end:
             return -1, 0  # -0: an integer, or a float64 with a sign
-        if i < end and data[i] == 46:
+        if i < end and data[i] == POINT:
             i += 1
             fraction = i
-            while i < end and 48 <= data[i] <= 57:
-                mantissa = mantissa * np.uint64(10) + np.uint64(data[i] - 48)
+            while i < end and ZERO <= data[i] <= NINE:
+                mantissa = mantissa * np.uint64(10) + np.uint64(data[i] - ZERO)
                 digits += mantissa != 0
                 i += 1
             if i == fraction:
@@ -98,14 +109,14 @@ def _floats(
             power = fraction - i
         if i < end and (data[i] == 101 or data[i] == 69):
             i += 1
-            lowered = i < end and data[i] == 45
-            if i < end and (data[i] == 45 or data[i] == 43):
+            lowered = i < end and data[i] == MINUS
+            if i < end and (data[i] == MINUS or data[i] == PLUS):
                 i += 1
             if i == end or end - i > 4:
                 return -1, 0
             exponent = 0
-            while i < end and 48 <= data[i] <= 57:
-                exponent = exponent * 10 + int(data[i] - 48)
+            while i < end and ZERO <= data[i] <= NINE:
+                exponent = exponent * 10 + int(data[i] - ZERO)
                 i += 1
             power += -exponent if lowered else exponent
         if i != end:
@@ -123,7 +134,7 @@ def _floats(
             while mantissa < np.uint64(1 << 63):
                 mantissa <<= one
                 shift += 1
-            # 64 x 64 bits by halves.
+            # 64 x 64 bits, by halves of 32.
             ten = powers[power + 342]
             a, b = mantissa >> half, mantissa & low32
             c, d = ten >> half, ten & low32
@@ -163,22 +174,16 @@ def _signature() -> Any:
 _floats_kernel = Kernel(_floats, _signature)
 
 
-_UNSURE = 4096
-"""Numbers that are read one by one between two moments for others."""
-
-
-def floats(data: Bytes, starts: Positions, ends: Positions, pauses: Pauses = STRAIGHT) -> Values:
+def floats(data: Bytes, starts: Positions, ends: Positions) -> Values:
     """JSON numbers and nulls as float64; raises `Irregular`."""
     count = len(starts)
     bits, null = np.empty(count, np.int64), np.empty(count, np.bool_)
     unsure = np.empty(count, np.int64)
-    with pauses.apart():
-        found = _floats_kernel(data, starts, ends, *_powers(), bits, null, unsure)
-    nulls, doubts = known(found[0]), found[1]
+    found = _floats_kernel(data, starts, ends, *_powers(), bits, null, unsure)
+    nulls, doubts = checked_count(found[0]), found[1]
     values = bits.view(np.float64)
-    for rows in slices(unsure[:doubts], _UNSURE, pauses):
-        for row in rows.tolist():
-            values[row] = float(data[starts[row] : ends[row]].tobytes())
-            if not 1e-300 < abs(values[row]) < 1e300:  # what is allowed there is not for us to say
-                raise Irregular
+    for row in unsure[:doubts].tolist():
+        values[row] = float(data[starts[row] : ends[row]].tobytes())
+        if not 1e-300 < abs(values[row]) < 1e300:  # the exact path decides about these
+            raise Irregular
     return values, null if nulls else None

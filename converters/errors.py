@@ -1,4 +1,4 @@
-"""The errors of converters: samples that are no triples, bytes that are no samples."""
+"""The errors of converters: of samples <-> triples, and of bytes -> samples."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ class ConversionError(ValueError):
 
 
 class WireError(ValueError):
-    """Bytes that are no batch of samples. Nothing of the batch was taken.
+    """Bytes that are no batch of samples; the decoder took nothing of the batch.
 
-    ``line`` counts from 1 (records, in a format without lines) and is None when no line is to
-    blame; ``hint`` says what to do next (may be empty).
+    ``line`` counts from 1 (records, in a format without lines); None if the error has no line.
+    ``hint`` says what to do next (may be empty).
     """
 
     def __init__(self, line: int | None, message: str, hint: str = "") -> None:
@@ -43,8 +43,8 @@ class WireError(ValueError):
 
 
 class AheadOfClock(WireError):
-    """A sample that is stamped further ahead of the clock than its stream allows, the first of its
-    batch; ``latest`` (ns) is the greatest available time that is allowed now."""
+    """A sample, the first of its batch, is stamped further ahead of the clock than its stream
+    allows; ``latest`` (ns) is the greatest available time that the stream takes now."""
 
     def __init__(self, line: int, message: str, hint: str, latest: int) -> None:
         super().__init__(line, message, hint)

@@ -1,6 +1,6 @@
-"""What the columns of a table hold, when nobody declared it: types of fields, units of time.
+"""Types of fields and units of time, inferred from the columns of a table.
 
-Used for recordings only; what is published to a stream is checked against its schema instead.
+Used for recordings; samples that are published are checked against the stream's schema instead.
 """
 
 from __future__ import annotations
@@ -49,9 +49,9 @@ _NAMES_OBJECTS = re.compile(
 
 
 class TextColumnType:
-    """The narrowest type that holds every non-empty cell seen: integer, float, boolean, else text.
+    """The narrowest type for all non-empty cells so far: integer, float, boolean, else text.
 
-    A column named like an identifier is text whatever its cells look like, and so are numbers with
+    A column with the name of an identifier is text whatever its cells are. So is a column with
     leading zeros or more digits than 64 bits hold.
     """
 
@@ -88,7 +88,7 @@ class TextColumnType:
 
 
 def time_column(names: Sequence[str], wanted: str | None) -> str:
-    """The column that holds the valid time: the one named by the caller, else by custom."""
+    """The column of the valid time: ``wanted``, else the first of `TIME_NAMES` in the table."""
     if wanted is not None:
         if wanted not in names:
             raise WireError(
@@ -107,15 +107,15 @@ def time_column(names: Sequence[str], wanted: str | None) -> str:
 
 
 _EARLIEST = 1e8
-"""A table whose greatest time is less has no times of the calendar: that is 1973 in seconds."""
+"""Below this greatest time (1973 in seconds) a table has abstract times, not calendar times."""
 
 
 class TimeReader:
     """Reads a table's times: numbers in one unit since 1970, or ISO-8601 texts.
 
-    `observe` every time first: the unit, if it is not given, is the one that the greatest number
-    makes sense in (years 1973 to 5138 as s; larger as ms, us, ns). ``abstract_unit`` is that of
-    numbers which are earlier than that, as those of examples are.
+    `observe` every time first: the greatest number then decides the unit, if none is given (years
+    1973 to 5138 as s; larger as ms, us, ns). ``abstract_unit`` is the unit of smaller numbers,
+    as in examples.
     """
 
     def __init__(self, unit: str | None, abstract_unit: str = "s") -> None:
@@ -147,7 +147,7 @@ class TimeReader:
         return "ns"
 
     def read(self, times: Sequence[object], lines: Sequence[int], key: str) -> Times:
-        """A column of times in ns; raises `WireError` with the line for what is none."""
+        """A column of times in ns; raises `WireError` with the line of a bad one."""
         scale = TIME_UNITS[self.unit]
         pairs = zip(times, lines, strict=True)
         return np.array([self._one(time, scale, line, key) for time, line in pairs], np.int64)

@@ -1,7 +1,9 @@
-"""Samples as newline-delimited JSON, ``application/x-ndjson`` (docs/conversion.md).
+"""Samples as newline-delimited JSON, ``application/x-ndjson`` (docs/reference/ssl.md).
 
-A line is ``{"valid": time, "available": time (optional), <field>: value …}``: every declared field
-and no other; null is no_value; a time is ISO-8601 or integer nanoseconds.
+A line is ``{"valid": time, "available": time (optional), <field>: value …}`` with every declared
+field and no other. null is no_value; a time is ISO-8601 or integer nanoseconds. There are two ways
+through a body: a compiled scan for regular lines (`ndjson_scan`), and msgspec line by line for all
+others (`ndjson_lines`), which also makes the errors.
 """
 
 from __future__ import annotations
@@ -14,12 +16,9 @@ import msgspec
 from ..streams.sample import SampleBatch, Schema, Value
 from ..streams.string_pool import StringPool
 from ..streams.time import format_time
-from ..streams.yield_points import STRAIGHT, Pauses
-from .bad_lines import NO_JSON
-from .exact import decode_exactly
-from .lines import PART, count_lines
-from .open_fields import decided_by
-from .regular import decode_regular
+from .ndjson_errors import NO_JSON
+from .ndjson_lines import decode_lines, infer_fields, sample_lines
+from .ndjson_scan import scan_lines
 from .rounding import rounded_lines
 from .wire import BOM, BatchLimits, Incoming, check_names, format_times
 
@@ -33,44 +32,41 @@ def decode_ndjson(
     schema: Schema,
     pools: dict[str, StringPool],
     limits: BatchLimits | None = None,
-    pauses: Pauses = STRAIGHT,
 ) -> Incoming:
-    """A batch from its lines, taken whole or refused whole.
+    """Decode a batch; one bad line refuses all of it.
 
-    Text is encoded with ``pools`` (by field; made where one lacks), which grow only when the
-    whole batch is good. Without fields in ``schema`` (an open stream) the batch decides them:
-    those of its first line, typed by all values. Raises `WireError` with the line, also for more
-    than ``limits``. Others may go on between parts (``pauses``), and what they do to the pools is
-    no matter: a code means what it meant.
+    ``pools`` (by field, made where missing) encode texts and grow only if the whole batch is good.
+    A ``schema`` without fields belongs to an open stream: the batch then decides its fields, from
+    the first line, typed by all values. Raises `WireError` with the line, also
+    for more than ``limits``.
 
-    Cost: lines of one make (`regular`) take 3 ns a byte, others and small batches 0.3 µs a field.
+    Cost: 3 ns a byte for regular lines, 0.3 µs a field for others and for small batches.
     """
     data = data.removeprefix(BOM)
     if limits is not None:
-        _check_limits(data, limits, pauses)
-        pauses.breathe()
+        _check_limits(data, limits)
     if not schema.fields:
-        schema = decided_by(data, limits, pauses)
+        schema = infer_fields(data, limits)
     check_names(schema)
-    regular = decode_regular(data, schema, pools, pauses)
-    found = decode_exactly(data, schema, pools, pauses) if regular is None else regular
-    return replace(found, rounded=rounded_lines(data, found.batch, pauses))
+    found = scan_lines(data, schema, pools) or decode_lines(data, schema, pools)
+    return replace(found, rounded=rounded_lines(data, found.batch))
 
 
-def _check_limits(data: bytes, limits: BatchLimits, pauses: Pauses) -> None:
-    """Raises `WireError` for too many lines, and for a line or a text that is too long. Cost: a
-    look at a line every ``limits.text`` bytes, and where the line feeds may be too many."""
-    first = count_lines(data, limits.samples, PART, pauses)
-    if first is not None:
-        limits.check_samples(limits.samples + 1, first)
+def _check_limits(data: bytes, limits: BatchLimits) -> None:
+    """Raise `WireError` for too many samples, a line that is too long or a text that is too long.
+
+    Cost: one search for a line feed in every ``limits.text`` bytes. Only a body with as many line
+    feeds as ``limits.samples`` is read line by line."""
+    if data.count(b"\n") >= limits.samples:
+        for count, (number, _) in enumerate(sample_lines(data), 1):
+            limits.check_samples(count, number)
     start = 0
     while start + limits.text < len(data):
         end = data.rfind(b"\n", start, start + limits.text + 1)
-        if end < 0:  # a text that is too long stands in a line that is
+        if end < 0:  # only a line that is too long can hold a text that is too long
             end = data.find(b"\n", start)
             end = len(data) if end < 0 else end
             _check_line(data, start, end, limits)
-            pauses.breathe()
         start = end + 1
 
 
@@ -80,7 +76,7 @@ def _check_line(data: bytes, start: int, end: int, limits: BatchLimits) -> None:
     try:
         values = _TEXTS.decode(data[start:end])
     except NO_JSON:
-        return  # what it is instead is told where it is decoded
+        return  # the decoder reports it
     for name, value in values.items():
         size = len(value.encode()) if isinstance(value, str) else 0
         if size > limits.text:
@@ -96,5 +92,5 @@ def encode_ndjson(batch: SampleBatch) -> bytes:
 
 
 def sample_json(available: int, valid: int, values: Mapping[str, Value]) -> dict[str, Value]:
-    """A sample as the JSON object that stands for it, times in ISO-8601."""
+    """A sample as a JSON object, times in ISO-8601."""
     return {"available": format_time(available), "valid": format_time(valid), **values}

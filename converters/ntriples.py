@@ -1,12 +1,12 @@
 """N-Triples and N-Quads as timed triples in columns.
 
-N-Triples say no time: all triples of a text hold at the time that is given with it. N-Quads are a
-stream of *timestamped graphs* as the W3C RDF Stream Processing group has it: a graph's triples hold
-at the time that the default graph tells of it,
+N-Triples have no times: the caller gives one time for all triples of a text. N-Quads are a stream
+of *timestamped graphs* as the W3C RDF Stream Processing group defines them: the default graph gives
+the time of each graph's triples,
 
     <urn:g1> <http://www.w3.org/ns/prov#generatedAtTime> "2021-10-07T19:12:53Z"^^xsd:dateTime .
 
-anywhere in the text. Called by ``dyknow run`` and by programs; docs/conversion.md.
+anywhere in the text. Called by ``dyknow run`` and by programs; see docs/reference/formats.md.
 """
 
 from __future__ import annotations
@@ -39,14 +39,14 @@ from .errors import WireError
 from .triple_lines import DATATYPES, LOOK, numbers, statements
 
 GENERATED = NamedNode("http://www.w3.org/ns/prov#generatedAtTime")
-"""Tells a graph's time."""
+"""The predicate that gives a graph's time."""
 _TIME_HINT = f"a graph has one {GENERATED}, in the default graph"
 
 
 @dataclass(frozen=True, slots=True)
 class _Statements:
-    """Triples in columns, shape ``(n,)``: ids, and of objects `Kind` and value: an id, an integer,
-    a truth, or the bits of a float64. ``line`` is None where nobody counted."""
+    """Triples in columns, shape ``(n,)``: ids, and for objects `Kind` and value: an id, an integer,
+    a boolean, or the bits of a float64. ``line`` is None if the parser gives no lines."""
 
     subject: Ids
     predicate: Ids
@@ -64,13 +64,13 @@ class _Statements:
 class TripleReader(TermTable):
     """Reads texts into the ids of one dictionary, and remembers each spelling of a term.
 
-    Law (tests/laws): the triples are those that pyoxigraph's parser finds, objects as `from_terms`
-    holds them; a text that it refuses is a `WireError` with line and column.
+    Law (tests/laws): the triples equal those of pyoxigraph's parser, objects as `from_terms` holds
+    them; a text that it refuses raises `WireError` with line and column.
 
-    Cost: about 2 ns a byte, Python once a distinct term of a text; numbers of 16 and 17 digits some
-    Python each, and those in unusual spellings (``1.50``, ``1E2``) are terms like others. Texts
-    that the loops do not know, such as with ``_:b.`` or triple terms, are parsed one by one, 3 µs
-    a triple. Memory: the spellings of the terms that the dictionary has.
+    Cost: about 2 ns a byte, and Python once per distinct term of a text. Numbers of 16 and 17
+    digits cost some Python each; unusual spellings (``1.50``, ``1E2``) are terms like others. The
+    loops decline some texts, such as those with ``_:b.`` or triple terms: pyoxigraph parses these,
+    3 µs a triple. Memory: the spellings of the terms in the dictionary.
     """
 
     def __init__(self, dictionary: TermDictionary, least: int = cells.LEAST) -> None:
@@ -143,7 +143,7 @@ class TripleReader(TermTable):
         most = raw.count(b"\n") + raw.count(b"\r") + 1
         starts, ends, lines = statements(data, most, quads=quads)
         kind, object = self._numbers(raw, data, starts[2], ends[2])
-        # What has become a number is no term to look up.
+        # Numbers need no look-up in the dictionary.
         ends[2][kind != Kind.TERM] = 0
         codes, first = cells.distinct(data, starts.ravel(), ends.ravel())
         kinds, values = self._terms(raw, starts.ravel()[first], ends.ravel()[first])
@@ -158,7 +158,7 @@ class TripleReader(TermTable):
     def _numbers(
         self, raw: bytes, data: cells.Bytes, starts: cells.Positions, ends: cells.Positions
     ) -> tuple[NDArray[np.int8], NDArray[np.int64]]:
-        """Kinds and values of the objects that are plain numbers; `Kind.TERM` for the others."""
+        """Kinds and values of the objects that are plain numbers; `Kind.TERM` for all others."""
         found, until, sure = numbers(data, starts, ends)
         kind = np.full(len(starts), int(Kind.TERM), np.int8)
         value = np.zeros(len(starts), np.int64)
@@ -185,7 +185,7 @@ class TripleReader(TermTable):
     def _terms(
         self, raw: bytes, starts: cells.Positions, ends: cells.Positions
     ) -> tuple[NDArray[np.int8], NDArray[np.int64]]:
-        """Kind and value of distinct spellings; those not known yet are parsed together."""
+        """Kind and value of distinct spellings; pyoxigraph parses the new ones in one call."""
         places = zip(starts.tolist(), ends.tolist(), strict=True)
         spelled = [raw[start:end] for start, end in places]
         known, numbers = self._known, {}
@@ -214,7 +214,7 @@ class TripleReader(TermTable):
         return kinds.astype(np.int8), values
 
     def _times(self, told: _Statements) -> dict[int, int]:
-        """The time of each graph, by the triples of the default graph."""
+        """The time of each graph, from the triples of the default graph."""
         times: dict[int, int] = {}
         generated = self.dictionary.find(GENERATED)
         for row in range(len(told.subject)):
@@ -231,7 +231,7 @@ class TripleReader(TermTable):
         return times
 
     def _tables(self, found: _Statements, time: Times) -> TimedTriples:
-        """One table a predicate and kind of object, in the order they are met."""
+        """One table per predicate and kind of object, in order of appearance."""
         groups, first, place = np.unique(
             found.predicate.astype(np.int64) * len(Kind) + found.kind,
             return_index=True,
@@ -248,7 +248,7 @@ class TripleReader(TermTable):
 
 
 def decode_ntriples(data: bytes, time: int, dictionary: TermDictionary) -> TimedTriples:
-    """The triples of one text, all at ``time``; see `TripleReader`, which remembers terms."""
+    """The triples of one text, all at ``time``; a `TripleReader` for several texts is faster."""
     return TripleReader(dictionary).triples(data, time)
 
 
@@ -287,8 +287,8 @@ def _bits(kind: Kind, value: Any) -> int:
 
 
 def _canonical(kind: Kind, values: NDArray[np.float64], spelled: list[bytes]) -> NDArray[np.bool_]:
-    """Which texts are those that `number_text` gives."""
-    # JSON's shortest digits are the same ones nearly always, and cost a tenth.
+    """Which texts equal `number_text` of their values."""
+    # JSON's shortest digits nearly always agree, at a tenth of the cost.
     shortest = msgspec.json.encode(values.tolist())[1:-1].split(b",") if spelled else ()
     return np.array(
         [

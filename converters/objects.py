@@ -16,14 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 from pyoxigraph import NamedNode
 
-from ..rdf.dictionary import NO_TERM, Ids, Kept, Term, TermDictionary, TermTable
+from ..rdf.dictionary import NO_TERM, Ids, Term, TermArena, TermDictionary, TermTable
 from ..rdf.namespaces import PREFIXES
 from ..streams.sample import Column, Mask
 from .term_tables import PoolTable
 
 _SCHEME = re.compile(r"[A-Za-z][A-Za-z0-9+.\-]*:")
-# RFC 3987: what a path may hold beside letters and digits of any script. "%" is encoded so that
-# decoding is its inverse; "#" and "?" so that a name stays within its namespace.
+# RFC 3987: the characters of a path beside letters and digits of any script. `_encoded` also
+# encodes "%", so that decoding inverts it, and "#" and "?", so that a name stays in its namespace.
 _KEPT = frozenset("-._~!$&'()*+,;=:@/")
 _PLAIN = re.compile(r"[A-Za-z0-9\-._~!$&'()*+,;=:@/]*").fullmatch
 
@@ -46,7 +46,7 @@ def object_iri(name: str, namespace: str) -> str:
 
 def object_name(iri: str, namespace: str) -> str:
     """The shortest name that `object_iri` takes to ``iri``: local in ``namespace``, else full."""
-    # Of long ones thousands would be gigabytes.
+    # Thousands of long names would take gigabytes.
     return _known_name(iri, namespace) if len(iri) <= _SHORT else _name(iri, namespace)
 
 
@@ -62,15 +62,15 @@ def _name(iri: str, namespace: str) -> str:
 
 
 _SHORT = 256
-"""Characters of an IRI whose name is remembered."""
+"""Characters of an IRI up to which its name is cached."""
 _known_name = lru_cache(maxsize=65_536)(_name)
 _SMALL = 1 << 20
-"""Integers from 0 to here are looked up by their place, others by search."""
+"""Integers from 0 to here index a table; a binary search finds others."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Interning:
-    """Knows no table, so that one nobody needs is gone at once."""
+    """Interns names. It refers to no table: a cycle would keep unused tables for longer."""
 
     intern: Callable[[Term], int]
     namespace: str
@@ -80,22 +80,22 @@ class _Interning:
 
 
 class ObjectTable(TermTable):
-    """Term ids of the objects that a field names: a table that follows the field's pool, or the
-    integers that have come.
+    """Term ids of the objects that a field names: a table by the codes of the field's pool, or by
+    its integers.
 
-    ``keeps``: they stay as long as the table does, for who keeps them in places that nobody asks;
-    else as long as they are held, and the table forgets them then.
+    With ``keeps`` the terms stay in the dictionary as long as the table does, for callers that
+    store their ids and are no holders (docs/explanation/design/0006). Else the table forgets a
+    term with the dictionary.
 
-    Law (tests/laws): each row has the id that `of_name` gives its name; a name met before adds
-    nothing. Cost: one gather a batch (a binary search for integers that are not small), and once
-    per distinct name an IRI. Memory: 4 bytes a name of the pool, 4 up to the greatest small
-    integer, 12 a large one.
+    Law (tests/laws): each row has the id that `of_name` gives its name; a known name adds nothing.
+    Cost: one gather a batch (a binary search for large integers), and an IRI per distinct name.
+    Memory: 4 bytes a name of the pool, 4 per integer up to the greatest small one, 12 a large one.
     """
 
     def __init__(self, dictionary: TermDictionary, namespace: str, *, keeps: bool = False) -> None:
-        intern = Kept(dictionary).id if keeps else dictionary.transient_id
+        intern = TermArena(dictionary).id if keeps else dictionary.transient_id
         self.of_name = _Interning(intern, namespace)
-        """The term id of the object that is called so."""
+        """The term id of the object with this name."""
         self._texts = PoolTable(self.of_name, dictionary)
         self._small: Ids = np.empty(0, np.int32)
         self._large: NDArray[np.int64] = np.empty(0, np.int64)
@@ -103,20 +103,20 @@ class ObjectTable(TermTable):
         dictionary.follow(self)
 
     def ids(self, column: Column) -> tuple[Ids, Mask]:
-        """The term ids that a text or integer field names, and where it names one; ``(n,)``."""
+        """The term ids that a text or integer field names, and the rows that name one; ``(n,)``."""
         return self.of_column(column), column.present
 
     def of_column(self, column: Column) -> Ids:
-        """The term ids alone; those of null rows mean nothing."""
+        """The term ids alone; those of null rows have no meaning."""
         values = column.values
-        if column.null is not None:  # what stands under a null bit means nothing
+        if column.null is not None:  # any value may stand under a null bit
             values = np.where(column.null, values.dtype.type(0), values)
         if column.pool is None:
             return self.of_integers(values)
         return self._texts.of_codes(values, column.pool)
 
     def of_integers(self, values: NDArray[np.int64]) -> Ids:
-        """The term ids of objects that are called by integers, shape ``(n,)``."""
+        """The term ids of objects whose names are integers, shape ``(n,)``."""
         if not len(values):
             return np.empty(0, np.int32)
         greatest = int(values.max())

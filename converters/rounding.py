@@ -1,9 +1,9 @@
-"""Numbers of a batch that float fields round beyond a last digit (docs/conversion.md).
+"""Numbers of a batch that float fields change beyond the last digit (docs/reference/formats.md).
 
-A float field holds the double nearest to the number that was sent (IEEE 754, ties to even), as
-every reader of decimals does. This module reports two kinds of numbers that lose more: integers
-from 2^53 on that no double is, such as 9007199254740993, and numbers so near to 0 that doubles have
-fewer digits there, or none, such as 1e-400. Such a number is *rounded* if the shortest decimal of
+A float field holds the double nearest to the sent number (IEEE 754, ties to even), as in every
+reader of decimals. This module reports two kinds of numbers that lose more: integers from 2^53 on
+that no double equals, such as 9007199254740993, and numbers so close to 0 that doubles have fewer
+digits there, or none, such as 1e-400. Such a number counts as *rounded* if the shortest decimal of
 its double is another number.
 """
 
@@ -20,28 +20,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..streams.sample import FieldType, SampleBatch
-from ..streams.yield_points import Pauses
-from .lines import Part
+from .ndjson_lines import sample_lines
+from .wire import Rounded
 
 EXACT: Final = 2.0**53
-"""Every integer below is a double."""
+"""Doubles represent every integer below."""
 _LEAST: Final = 2.0**-1022
-"""Doubles nearer to 0 have fewer digits."""
+"""Doubles closer to 0 have fewer digits."""
 _LONG: Final = 300
-"""A number nearer to 0 has an exponent, or more characters."""
+"""A number closer to 0 has an exponent, or more characters."""
 _ZEROS: Final = b"0" * _LONG
 _FEW: Final = 16
-_SOME: Final = 256
-"""Lines that are read again between two moments for others."""
-
-
-@dataclass(frozen=True, slots=True)
-class Rounded:
-    """So many values of a batch were rounded; the first of them stands in ``line``."""
-
-    count: int
-    line: int
-    field: str
+"""Values up to which plain Python is faster than numpy."""
 
 
 class Spelled(float):
@@ -109,21 +99,21 @@ def _may_be_small(spelling: str) -> bool:
 
 
 def has_small(data: bytes) -> bool:
-    """Whether a JSON text may have a number nearer to 0 than doubles have digits."""
+    """Whether a JSON text may have a number closer to 0 than doubles have digits."""
     return b"e-" in data or b"E-" in data or _ZEROS in data
 
 
-def rounded_lines(data: bytes, batch: SampleBatch, pauses: Pauses) -> Rounded | None:
-    """The numbers of an NDJSON body that were rounded in ``batch``, its samples.
+def rounded_lines(data: bytes, batch: SampleBatch) -> Rounded | None:
+    """The rounded numbers of an NDJSON body; ``batch`` are its samples.
 
-    Cost: a look at each float column; the lines are read again where values are large or tiny.
+    Cost: one pass over each float column. Lines with large or tiny values are parsed again.
     """
     suspects = _suspects(batch, lambda: has_small(data))
     if not suspects:
         return None
     rows = set().union(*suspects.values())
     found: list[tuple[int, str]] = []
-    for row, (line, text) in enumerate(Part(data, 1).lines()):
+    for row, (line, text) in enumerate(sample_lines(data)):
         if row in rows:
             sent = json.loads(text, parse_float=Decimal, parse_int=Decimal)
             found += [
@@ -131,13 +121,11 @@ def rounded_lines(data: bytes, batch: SampleBatch, pauses: Pauses) -> Rounded | 
                 for name, places in suspects.items()
                 if row in places and _is_other(batch.columns[name].values[row], sent[name])
             ]
-        if not row % _SOME:
-            pauses.breathe()
     return Rounded(len(found), *found[0]) if found else None
 
 
 def rounded_rows(columns: Mapping[str, Any], batch: SampleBatch) -> Rounded | None:
-    """The integers of Arrow's ``columns`` that were rounded in ``batch``; ``line`` is the row."""
+    """The rounded integers of Arrow's ``columns``, whose samples are ``batch``; lines are rows."""
     found = [
         (row + 1, name)
         for name, rows in _suspects(batch, lambda: False).items()
@@ -149,8 +137,8 @@ def rounded_rows(columns: Mapping[str, Any], batch: SampleBatch) -> Rounded | No
 
 
 def _suspects(batch: SampleBatch, may_be_small: Callable[[], bool]) -> dict[str, set[int]]:
-    """The rows of each float column that have large values, and, where there ``may_be_small`` ones,
-    those next to 0."""
+    """The rows of each float column with large values and, if there ``may_be_small`` ones, with
+    values next to 0."""
     found = {}
     may_be_small = cache(may_be_small)
     for name, column in batch.columns.items():
@@ -168,7 +156,7 @@ def _suspects(batch: SampleBatch, may_be_small: Callable[[], bool]) -> dict[str,
 
 
 def _is_plain(values: NDArray[np.float64], may_be_small: Callable[[], bool]) -> bool:
-    """Whether a few values are surely neither large nor small: much cheaper than columns are."""
+    """Whether a few values are neither large nor small: cheaper here than by columns."""
     return len(values) <= _FEW and all(
         _LEAST <= abs(value) < EXACT or (value == 0 and not may_be_small())
         for value in values.tolist()
@@ -176,5 +164,5 @@ def _is_plain(values: NDArray[np.float64], may_be_small: Callable[[], bool]) -> 
 
 
 def _is_other(value: float, sent: Decimal) -> bool:
-    """Whether the shortest decimal of ``value`` is another number than was sent."""
+    """Whether the shortest decimal of ``value`` differs from the sent number."""
     return Decimal(repr(float(value))) != sent

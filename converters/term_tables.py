@@ -1,4 +1,4 @@
-"""Ids of the terms that texts stand for, by the codes of a string pool."""
+"""Term ids of texts, by the codes of a string pool."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from ..streams.string_pool import StringPool
 
 
 class PoolTable(TermTable):
-    """Term ids by the codes of a pool: a table that follows the pool.
+    """Term ids by the codes of a pool; the table grows with the pool.
 
-    ``term`` gives the id of a text's term. A text is asked for when it comes, and again when it
-    comes after its term was forgotten. Cost: one gather a batch, and ``term`` once per distinct
+    It calls ``term`` for the id of a text's term when the text appears first, and again if the
+    dictionary has forgotten the term. Cost: one gather a batch, and ``term`` once per distinct
     text. Memory: 4 bytes a text of the pool.
     """
 
@@ -31,7 +31,7 @@ class PoolTable(TermTable):
         if pool is not self._pool:
             self._pool, self._ids, self._known = pool, np.empty(0, np.int32), 0
         size = len(pool)
-        if not size:  # no text has been seen: every row is null
+        if not size:  # an empty pool: every row is null
             return np.full(len(codes), NO_TERM, np.int32)
         if size > len(self._ids):
             larger = np.full(max(size, 2 * len(self._ids)), NO_TERM, np.int32)

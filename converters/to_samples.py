@@ -151,7 +151,7 @@ class TripleConverter:
 
 
 class Solved(Protocol):
-    """A SELECT table, as `continuous` makes it."""
+    """A SELECT table from `continuous`."""
 
     @property
     def variables(self) -> tuple[str, ...]: ...
@@ -163,7 +163,7 @@ class Solved(Protocol):
 
 
 class Result(Protocol):
-    """What a window gave: one of a table, triples, or an answer to ASK."""
+    """The result of a window: a table, triples, or the answer to ASK."""
 
     @property
     def end(self) -> int: ...
@@ -184,12 +184,12 @@ def result_schema(
     vocabulary: Vocabulary | None = None,
     ask: bool = False,
 ) -> Schema:
-    """The fields of a query's output stream, which must be known before its first result.
+    """The fields of a query's output stream, known before its first result.
 
     CONSTRUCT: ``id`` and a field for each of ``predicates`` (IRIs of the head). SELECT: a field for
     each of ``variables``. ASK: ``answer``. A field's type comes from ``kinds`` (predicate or
-    variable -> kind of its column, where the query's plan knows it), else from the range: that of
-    the predicate in the vocabulary, or ``ranges``; else it is text.
+    variable -> kind of its column, if the query's plan determines it), else from the range in
+    ``ranges`` or the vocabulary; else it is text.
     """
     if ask:
         return Schema((Field(ANSWER, FieldType.BOOLEAN),))
@@ -205,7 +205,7 @@ def result_schema(
 
 
 def field_names(predicates: Iterable[str]) -> dict[str, str]:
-    """The field of each predicate: its local name, numbered from the second of the same name."""
+    """The field of each predicate: its local name, with a number from the second equal one on."""
     names: dict[str, str] = {}
     taken = {ID, "available", "valid"}
     for predicate in dict.fromkeys(predicates):
@@ -222,17 +222,17 @@ def field_names(predicates: Iterable[str]) -> dict[str, str]:
 class ResultConverter:
     """Results of a continuous query -> samples of its output stream.
 
-    Valid time is the window's end; all are available at the time that the caller gives.
-    CONSTRUCT: a wide row is a solution and becomes a sample (``id``, then a field a predicate);
-    triples that come in several tables are joined by subject where no field would get two values.
+    The valid time is the window's end; the caller gives the available time of all.
+    CONSTRUCT: a wide row is a solution and becomes a sample (``id``, then a field per predicate).
+    Triples of several tables are joined by subject unless a field would get two values.
     SELECT: a row is a sample. IRIs in ``namespace`` are written as their local name.
 
-    Samples are ordered by the schema's fields, first to last (no_value first, text by code point),
-    so that the output does not depend on the evaluator; ``keep_order`` keeps ORDER BY's.
+    Samples are sorted by the schema's fields, first to last (no_value first, text by code point),
+    so that the output does not depend on the evaluator; ``keep_order`` keeps that of ORDER BY.
 
-    Raises `ConversionError` for a predicate that ``predicates`` did not name, and for an object
-    that its field cannot hold unless there is a list `lost`. Cost: numpy per column; the texts of a
-    field are sorted once while no new ones come, those of the result alone where some do.
+    Raises `ConversionError` for a predicate that ``predicates`` does not name, and for an object
+    that its field cannot hold unless there is a list `lost`. Cost: numpy per column. The texts of a
+    field are sorted once; in results with new texts, those of the result alone.
     """
 
     def __init__(
@@ -253,7 +253,7 @@ class ResultConverter:
         """Gets the first error of each field and result; such values become no_value."""
         self._ranks: dict[str, tuple[StringPool, Ids]] = {}
         self._sizes: dict[str, int] = {}
-        """How many texts a field had when they were ordered last."""
+        """By field, the size of its pool when its texts were sorted last."""
         for field in schema.fields:
             if field.type is FieldType.STRING:
                 pools.setdefault(field.name, StringPool())
@@ -345,7 +345,7 @@ class ResultConverter:
         return batch.take(order)
 
     def _keys(self, field: Field, columns: Mapping[str, Column]) -> list[np.ndarray]:
-        """What to order a field by: presence, then value."""
+        """The sort keys of a field: presence, then value."""
         column = columns[field.name]
         values = column.values
         if column.pool is not None and len(column.pool):
@@ -357,10 +357,10 @@ class ResultConverter:
     def _rank(self, name: str, codes: Ids, pool: StringPool) -> Ids:
         """Numbers that order the texts with these codes."""
         known = self._ranks.get(name)
-        # As many texts may be others: a pool is renewed (`FluentStream.forget_texts`).
+        # A new pool may have as many texts (`FluentStream.forget_texts`), hence both checks.
         if known is None or known[0] is not pool or len(known[1]) != len(pool):
             if self._sizes.get(name) != len(pool):
-                # Where new texts come all the time, to sort all would cost more and more.
+                # If each result adds texts, sorting the whole pool would cost more each time.
                 self._sizes[name] = len(pool)
                 distinct, place = np.unique(codes, return_inverse=True)
                 among: Ids = _ranked([pool[code] for code in distinct.tolist()])[place]
@@ -491,7 +491,7 @@ class _Building:
 
 
 def _join_subjects(batch: SampleBatch) -> SampleBatch:
-    """Rows of the same subject made one, for the subjects where no field has two values."""
+    """Join the rows of each subject, unless a field has two values."""
     subjects = batch.columns[ID]
     _, first, group = np.unique(subjects.values, return_index=True, return_inverse=True)
     joined = np.ones(len(first), np.bool_)
@@ -546,6 +546,6 @@ def _terms(ids: Ids) -> ObjectColumn:
 
 
 def _nothing(field: Field, length: int, pools: Mapping[str, StringPool]) -> Column:
-    """A column without any value."""
+    """A column of no_value."""
     pool = pools[field.name] if field.type is FieldType.STRING else None
     return Column(field.type, np.zeros(length, field.type.dtype), np.ones(length, np.bool_), pool)

@@ -1,7 +1,7 @@
 """Samples -> timed triples by a stream's SSL annotation ([Events14 §V.A], SPEC §4).
 
-The annotation is compiled once to a plan of columns; converting a batch renames, masks and looks
-up columns. docs/conversion.md shows the triples of s1-s7.
+The annotation is compiled once to a plan of columns; converting a batch renames, masks and looks up
+columns. docs/reference/formats.md shows the triples of s1-s7.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from pyoxigraph import NamedNode
 from ..languages.ssl.annotation import Content, Role, StreamAnnotation
 from ..ontology.units import IDENTITY, Conversion, Unit, UnitError, conversion
 from ..ontology.vocabulary import Vocabulary
-from ..rdf.dictionary import Ids, Named, TermDictionary
+from ..rdf.dictionary import HeldTerms, Ids, TermDictionary
 from ..rdf.namespaces import DYKNOW, RDF, local_name
 from ..rdf.timed import Kind, ObjectColumn, TimedTriples, TripleRows
 from ..streams.instants import places_in_instants
@@ -33,17 +33,17 @@ VALUE: Final = RDF + "value"
 class SampleConverter:
     """Compiled from an annotation: `convert` maps batches of the stream to timed triples.
 
-    Meaning: per feature whose condition holds ``(object, feature, value)`` at τ = available time,
-    the valid time beside it. No object or no value: no triple. Features that share subject and
-    condition share one table of wide rows, in the samples' order; rows without any triple are left
-    out. ``features`` (IRIs) keeps only these, ``units`` gives a feature (IRI) another unit than the
-    stream's; ``ranges`` are those of features that the vocabulary does not know. Objects named by
-    an id field lie in ``namespace`` unless they are IRIs.
+    Meaning: ``(object, feature, value)`` for each feature whose condition holds, at τ = available
+    time, with the valid time. No object or no value: no triple. Features with the same subject and
+    condition share one table of wide rows, in the order of the samples, without rows that have no
+    triple. ``features`` (IRIs) selects features, ``units`` gives a feature (IRI) another unit than
+    the stream's, ``ranges`` gives the ranges of features that the vocabulary lacks. Objects named
+    by an id field lie in ``namespace`` unless they are IRIs.
 
     Law (tests/laws): `TripleConverter` of the same annotation gives the samples back.
 
-    Raises `ConversionError` at once when the annotation does not fit the schema or the ontology's
-    ranges, and in `convert`, naming the row, when a value is no object of its feature.
+    The constructor raises `ConversionError` if the annotation does not fit the schema or the
+    ontology's ranges; `convert` raises it with the row of a value that is no object of its feature.
 
     Cost: numpy per column, a dict look-up per distinct new name or text; n-ary features make one
     IRI per sample. Memory: 4 bytes a distinct name of each id field.
@@ -66,8 +66,8 @@ class SampleConverter:
         self._tables: list[_Table] = []
         self._tables_of: dict[tuple[Role, ...], list[_Table]] = {}
         self._nodes: list[_Node] = []
-        self._named: list[Named] = []
-        """The features, whose ids columns have."""
+        self._named: list[HeldTerms] = []
+        """Keep the features' ids, which columns hold, in the dictionary."""
         for position, content in enumerate(annotation.contents):
             if features is not None and content.feature not in features:
                 continue
@@ -84,7 +84,7 @@ class SampleConverter:
                 _Subject.compile(role, schema, annotation, dictionary, namespace)
                 for role in content.roles
             )
-            predicate = Named(dictionary, [NamedNode(content.feature)])
+            predicate = HeldTerms(dictionary, [NamedNode(content.feature)])
             self._named.append(predicate)
             column = _Column(content.field, int(predicate.ids[0]), objects)
             if len(roles) > 1:
@@ -96,14 +96,14 @@ class SampleConverter:
 
     @property
     def makes_nodes(self) -> bool:
-        """Whether features of several objects make nodes, which have names."""
+        """Whether features of several objects make nodes, which need names."""
         return bool(self._nodes)
 
     def convert(self, batch: SampleBatch, names: Sequence[str] | None = None) -> TimedTriples:
-        """The timed triples that the samples stand for.
+        """The timed triples of the samples.
 
-        ``names`` (`node_names`) name the nodes that n-ary features make of the samples; without
-        them the batch holds its instants whole.
+        ``names`` (`node_names`) name the nodes of n-ary features, one per sample. Without them the
+        batch must hold its instants completely.
         """
         tables: list[TripleRows] = []
         for table in self._tables:
@@ -128,7 +128,7 @@ class SampleConverter:
 
 
 def field_of(schema: Schema, name: str, annotation: StreamAnnotation) -> Field:
-    """The declared field that an annotation names; raises `ConversionError` if there is none."""
+    """The declared field with this name; raises `ConversionError` if there is none."""
     field = schema.get(name)
     if field is None:
         raise ConversionError(
@@ -140,7 +140,7 @@ def field_of(schema: Schema, name: str, annotation: StreamAnnotation) -> Field:
 
 
 def edge_conversion(content: Content, units: Mapping[str, Unit] | None) -> Conversion:
-    """From the stream's unit to the one wanted: the factor of this edge, found once."""
+    """The conversion from the stream's unit to the wanted one."""
     target = None if units is None else units.get(content.feature)
     if target is None:
         return IDENTITY
@@ -151,39 +151,39 @@ def edge_conversion(content: Content, units: Mapping[str, Unit] | None) -> Conve
 
 
 def stream_iri(annotation: StreamAnnotation, namespace: str) -> str:
-    """The subject of a feature that speaks of nothing, ``temperature() = t``: the stream itself."""
+    """The subject of a feature without arguments, ``temperature() = t``: the stream itself."""
     return object_iri(annotation.stream, namespace)
 
 
 def node_stem(annotation: StreamAnnotation, position: int, namespace: str) -> str:
-    """What the nodes of an n-ary feature's samples are called, up to the available time.
+    """The IRI of an n-ary feature's nodes, up to the available time.
 
-    ``position`` is the feature's in the annotation, which may have it twice with other arguments.
+    ``position`` is that of the feature in the annotation, which may have it twice with other
+    arguments.
     """
     feature = local_name(annotation.contents[position].feature)
     return object_iri(f"{annotation.stream}/{feature}.{position}/", namespace)
 
 
 def node_names(available: Times, places: NDArray[np.int64]) -> list[str]:
-    """How the nodes of samples are told apart: by available time, in an instant by place (from
-    0).
-    """
+    """The ends of nodes' IRIs: the available time, and the place in its instant from 1 on."""
     times = zip(available.tolist(), places.tolist(), strict=True)
     return [format_time(time) + (f".{place}" if place else "") for time, place in times]
 
 
 @dataclass(frozen=True, slots=True)
 class _Subject:
-    """What a role names in each sample: a constant, or by a field, perhaps only if it is one."""
+    """The object of a role in each sample: a constant, the value of a field, or a constant where
+    the field names it."""
 
-    constant: Named | None
+    constant: HeldTerms | None
     field: str | None
     names: ObjectTable
-    named_sort: Named | None
+    named_sort: HeldTerms | None
 
     @property
     def sort(self) -> int | None:
-        """The id of the sort that what it names is of."""
+        """The id of the sort of its objects."""
         return None if self.named_sort is None else int(self.named_sort.ids[0])
 
     @classmethod
@@ -209,14 +209,14 @@ class _Subject:
                 hint=f"add: for every {local_name(role.sort or 'SORT')} = <id field>",
             )
         return cls(
-            None if role.object is None else Named(dictionary, [NamedNode(role.object)]),
+            None if role.object is None else HeldTerms(dictionary, [NamedNode(role.object)]),
             role.id_field,
             ObjectTable(dictionary, namespace),
-            None if role.sort is None else Named(dictionary, [NamedNode(role.sort)]),
+            None if role.sort is None else HeldTerms(dictionary, [NamedNode(role.sort)]),
         )
 
     def ids(self, batch: SampleBatch) -> tuple[Ids, Mask | None]:
-        """Term ids, shape ``(n,)``, and where the role names its object (None: everywhere)."""
+        """Term ids, shape ``(n,)``, and the rows where the role has an object (None: all)."""
         if self.field is None:
             assert self.constant is not None
             return np.full(len(batch), self.constant.ids[0], np.int32), None
@@ -256,7 +256,7 @@ class _Table:
 
     def rows(self, batch: SampleBatch) -> TripleRows:
         subjects, kept = self.subject.ids(batch)
-        # Samples that the condition leaves out are not read: their values may be of other things.
+        # Samples without the condition may hold values of other features: they are not converted.
         chosen = _selected(batch, kept)
         objects = {column.predicate: column.objects(chosen, kept) for column in self.columns}
         if kept is not None and len(chosen) < len(batch):
@@ -290,7 +290,7 @@ class _Node:
         if not len(chosen):
             return []
         arguments = [ids[kept] for ids in arguments]
-        # The stem's slashes stand for themselves; only the name is added.
+        # `stem` is an IRI already, so that the name needs no encoding.
         nodes = self.dictionary.transient_ids(
             NamedNode(f"{self.stem}{names[row]}") for row in np.flatnonzero(kept).tolist()
         )
@@ -303,7 +303,7 @@ class _Node:
             TripleRows(time, valid, arguments[0], link, self.roles[0].sort),
             TripleRows(time, valid, nodes, objects),
         ]
-        # The other arguments are subjects of no triple; rows without objects say their sort.
+        # The other arguments are subjects of no triple; rows without objects tell their sort.
         found.extend(
             TripleRows(time, valid, ids, {}, role.sort)
             for role, ids in zip(self.roles[1:], arguments[1:], strict=True)
@@ -316,7 +316,7 @@ class _Node:
 
 
 def _stream(annotation: StreamAnnotation, dictionary: TermDictionary, namespace: str) -> _Subject:
-    subject = Named(dictionary, [NamedNode(stream_iri(annotation, namespace))])
+    subject = HeldTerms(dictionary, [NamedNode(stream_iri(annotation, namespace))])
     return _Subject(subject, None, ObjectTable(dictionary, namespace), None)
 
 

@@ -1,7 +1,7 @@
 """Lines of N-Triples and N-Quads, cut into terms by compiled loops; see `cells` and `ntriples`.
 
-The loops only find where a term begins and ends. Whether it is one, pyoxigraph's parser says, once
-for each distinct spelling; only plain numbers are read here.
+The loops only find the begin and end of each term. pyoxigraph's parser checks each distinct
+spelling once; the loops read plain numbers only.
 """
 
 from __future__ import annotations
@@ -13,7 +13,27 @@ from numpy.typing import NDArray
 
 from ..rdf.timed import Kind
 from ..streams.jit import Kernel
-from .cells import Bytes, Irregular, Positions
+from .cells import (
+    AT,
+    BACKSLASH,
+    CARET,
+    CR,
+    GREATER,
+    HASH,
+    LESS,
+    LF,
+    MINUS,
+    NINE,
+    POINT,
+    QUOTE,
+    SPACE,
+    TAB,
+    UNDERSCORE,
+    ZERO,
+    Bytes,
+    Irregular,
+    Positions,
+)
 
 DATATYPES = (
     (b"integer", Kind.INTEGER),
@@ -24,12 +44,13 @@ DATATYPES = (
 )
 _XSD = b'"^^<http://www.w3.org/2001/XMLSchema#'
 SURE, LOOK = 0, 1
-"""Of a number: it is spelled as `rdf.timed.make_term` would; or it is, if that gives its text."""
+"""Of a number: its spelling is canonical (`rdf.timed.make_term`), or the caller must compare."""
 
 
 def _statements(data: Any, starts: Any, ends: Any, lines: Any, quads: bool) -> int:
-    """Where terms stand: ``starts[k, row]``, k = 0 to 3 for subject, predicate, object and graph
-    (empty where there is none), and in which line; returns the rows, ``-1`` for unknown lines."""
+    """Find the bytes of terms: ``starts[k, row]`` to ``ends[k, row]``, k = 0 to 3 for subject,
+    predicate, object and graph (empty if absent), and the line. Returns the number of rows; ``-1``
+    for lines that it cannot read."""
     size = data.shape[0]
     rows = 0
     line = 1
@@ -38,13 +59,13 @@ def _statements(data: Any, starts: Any, ends: Any, lines: Any, quads: bool) -> i
         # Between statements: blanks, ends of lines, comments.
         while i < size:
             byte = data[i]
-            if byte == 10:
+            if byte == LF:
                 line += 1
-            elif byte == 35:
-                while i < size and data[i] != 10 and data[i] != 13:
+            elif byte == HASH:
+                while i < size and data[i] != LF and data[i] != CR:
                     i += 1
                 continue
-            elif byte != 32 and byte != 9 and byte != 13:
+            elif byte != SPACE and byte != TAB and byte != CR:
                 break
             i += 1
         if i == size:
@@ -56,61 +77,61 @@ def _statements(data: Any, starts: Any, ends: Any, lines: Any, quads: bool) -> i
         starts[3, rows] = 0
         ends[3, rows] = 0
         while True:
-            while i < size and (data[i] == 32 or data[i] == 9):
+            while i < size and (data[i] == SPACE or data[i] == TAB):
                 i += 1
             if i == size:
                 return -1
             byte = data[i]
-            if byte == 46 and place >= 3:
+            if byte == POINT and place >= 3:
                 i += 1
                 break
             if place == 4 or (place == 3 and not quads):
                 return -1
             starts[place, rows] = i
-            if byte == 34 and place == 2:
+            if byte == QUOTE and place == 2:
                 i += 1
-                while i < size and data[i] != 34 and data[i] != 10 and data[i] != 13:
-                    # What a backslash escapes is no end, and no end of a line either.
-                    i += 1 + (data[i] == 92 and i + 1 < size and data[i + 1] > 31)
-                if i >= size or data[i] != 34:
+                while i < size and data[i] != QUOTE and data[i] != LF and data[i] != CR:
+                    # An escaped quote does not end the text.
+                    i += 1 + (data[i] == BACKSLASH and i + 1 < size and data[i + 1] > 31)
+                if i >= size or data[i] != QUOTE:
                     return -1
                 i += 1
-                if i < size and data[i] == 64:
+                if i < size and data[i] == AT:
                     i += 1
                     while i < size and (
                         97 <= data[i] <= 122
                         or 65 <= data[i] <= 90
-                        or 48 <= data[i] <= 57
-                        or data[i] == 45
+                        or ZERO <= data[i] <= NINE
+                        or data[i] == MINUS
                     ):
                         i += 1
-                elif i + 2 < size and data[i] == 94:
-                    if data[i + 1] != 94 or data[i + 2] != 60:
+                elif i + 2 < size and data[i] == CARET:
+                    if data[i + 1] != CARET or data[i + 2] != LESS:
                         return -1
                     i += 3
-                    while i < size and data[i] != 62 and data[i] > 32:
+                    while i < size and data[i] != GREATER and data[i] > SPACE:
                         i += 1
-                    if i == size or data[i] != 62:
+                    if i == size or data[i] != GREATER:
                         return -1
                     i += 1
-            elif byte == 60:
-                while i < size and data[i] != 62 and data[i] > 32:
+            elif byte == LESS:
+                while i < size and data[i] != GREATER and data[i] > SPACE:
                     i += 1
-                if i == size or data[i] != 62:
+                if i == size or data[i] != GREATER:
                     return -1
                 i += 1
-            elif byte == 95 and place != 1:
-                # A label may hold dots and end in none: what follows must be a blank.
-                while i < size and data[i] > 32:
+            elif byte == UNDERSCORE and place != 1:
+                # A label may contain dots but not end in one: a blank must follow.
+                while i < size and data[i] > SPACE:
                     i += 1
             else:
                 return -1
             ends[place, rows] = i
             place += 1
         # One statement a line.
-        while i < size and (data[i] == 32 or data[i] == 9):
+        while i < size and (data[i] == SPACE or data[i] == TAB):
             i += 1
-        if i < size and data[i] != 10 and data[i] != 13 and data[i] != 35:
+        if i < size and data[i] != LF and data[i] != CR and data[i] != HASH:
             return -1
         rows += 1
 
@@ -126,11 +147,12 @@ def _numbers(
     ends_of_text: Any,
     sure: Any,
 ) -> int:
-    """Which objects are plain numbers or truths: ``kinds[row]`` (else 0), the end of their text.
+    """Find the objects that are plain numbers or booleans: ``kinds[row]`` (else 0), and the end of
+    their text.
 
-    Plain is what has a single spelling: no sign but a minus, no leading zero, no zero at the end of
-    a fraction, no exponent. Up to 15 digits from 0.0001 on it is `make_term`'s spelling, since no
-    two such texts have the same float64; with 16 or 17 digits somebody must look.
+    A plain number has no plus sign, no leading zero, no zero at the end of a fraction, no exponent.
+    With up to 15 digits and from 0.0001 on that is the canonical spelling, because no two such
+    texts have the same float64. With 16 or 17 digits the caller must compare.
     """
     count = 0
     prefix = xsd.shape[0]
@@ -138,11 +160,11 @@ def _numbers(
         kinds[row] = 0
         start = starts[row]
         end = ends[row]
-        if data[start] != 34 or end - start < prefix + 6 or data[end - 1] != 62:
+        if data[start] != QUOTE or end - start < prefix + 6 or data[end - 1] != GREATER:
             continue
-        # The text ends where the longest possible datatype of XSD begins.
+        # A plain number has its closing quote within 32 bytes; its datatype follows.
         quote = start + 1
-        while quote < end and data[quote] != 34 and quote - start < 32:
+        while quote < end and data[quote] != QUOTE and quote - start < 32:
             quote += 1
         if end - quote < prefix + 6:
             continue
@@ -176,31 +198,31 @@ def _numbers(
             ends_of_text[row] = quote
             count += 1
             continue
-        if data[i] == 45:
+        if data[i] == MINUS:
             i += 1
         first = i
         digits = 0
-        while i < quote and 48 <= data[i] <= 57:
-            digits += digits > 0 or data[i] != 48
+        while i < quote and ZERO <= data[i] <= NINE:
+            digits += digits > 0 or data[i] != ZERO
             i += 1
-        if i == first or (data[first] == 48 and i > first + 1):
+        if i == first or (data[first] == ZERO and i > first + 1):
             continue
         small = False
         if i < quote:
-            if kind == 1 or data[i] != 46:
+            if kind == 1 or data[i] != POINT:
                 continue
             i += 1
             point = i
-            while i < quote and 48 <= data[i] <= 57:
-                digits += digits > 0 or data[i] != 48
+            while i < quote and ZERO <= data[i] <= NINE:
+                digits += digits > 0 or data[i] != ZERO
                 i += 1
-            if i < quote or i == point or data[i - 1] == 48:
+            if i < quote or i == point or data[i - 1] == ZERO:
                 continue
             k = point
-            while data[k] == 48:
+            while data[k] == ZERO:
                 k += 1
-            small = data[first] == 48 and k - point > 3
-        if digits == 0 and data[start + 1] == 45:
+            small = data[first] == ZERO and k - point > 3
+        if digits == 0 and data[start + 1] == MINUS:
             continue
         if digits > 17 or small:
             continue
@@ -236,22 +258,22 @@ _OFFSETS = np.cumsum([0, *(len(name) for name, _ in DATATYPES)], dtype=np.int64)
 def statements(
     data: Bytes, most: int, *, quads: bool
 ) -> tuple[NDArray[np.int32], NDArray[np.int32], Positions]:
-    """``starts, ends`` of shape ``(4, n)`` and the line of each statement, of which there are at
-    most ``most``; raises `Irregular`."""
+    """``starts, ends`` of shape ``(4, n)`` and the line of each statement, at most ``most``; raises
+    `Irregular`."""
     starts, ends = np.empty((4, most), np.int32), np.empty((4, most), np.int32)
     lines = np.empty(most, np.int32)
     rows = _statements_kernel(data, starts, ends, lines, quads)
     if rows < 0:
         raise Irregular
-    # The loops want columns without gaps.
+    # The loops take contiguous columns only.
     return starts[:, :rows].copy(), ends[:, :rows].copy(), lines[:rows]
 
 
 def numbers(
     data: Bytes, starts: Positions, ends: Positions
 ) -> tuple[NDArray[np.int8], Positions, NDArray[np.int8]]:
-    """Of objects: the place in `DATATYPES` counted from 1 (0: no plain number), where the text
-    between the quotes ends, and `SURE` or `LOOK`."""
+    """For each object: the place in `DATATYPES` counted from 1 (0: no plain number), the end of the
+    text between the quotes, and `SURE` or `LOOK`."""
     count = len(starts)
     kinds, sure = np.empty(count, np.int8), np.zeros(count, np.int8)
     until = np.empty(count, np.int32)

@@ -46,16 +46,16 @@ _INTEGERS: Final[dict[str, tuple[int, int]]] = {
     "unsignedShort": (0, 2**16 - 1),
     "unsignedByte": (0, 2**8 - 1),
 }
-"""Datatypes derived from xsd:integer: their literals are terms (the datatype must be kept), within
-the bounds that 64 bits leave."""
+"""Datatypes derived from xsd:integer with their bounds within 64 bits. Their literals are terms,
+which keep the datatype."""
 _EXACT = 2**53
 _SHOWN: Final = 100
 """Characters of a term in a message."""
 
 
 def field_type(range: str | None, kind: Kind | None = None) -> FieldType:
-    """The type of a field for a predicate's objects: by the kind of their column when it is known,
-    else by the feature's range, else text."""
+    """The type of a field for a predicate's objects: by the ``kind`` of their column if given, else
+    by the feature's range, else text."""
     match kind:
         case Kind.INTEGER:
             return FieldType.INTEGER
@@ -77,12 +77,11 @@ def object_column(
     names: ObjectTable,
     dictionary: TermDictionary,
 ) -> ToObjects:
-    """How values of ``field`` become objects of a feature with this ``rdfs:range``.
+    """Compile the conversion of values of ``field`` to objects of a feature's ``rdfs:range``.
 
-    ``range`` is a datatype's IRI, a class's IRI (objects are named like subjects) or None (the
-    field's type decides). ``conversion`` is applied to numbers. Raises `ConversionError` when the
-    field cannot hold such objects; the returned function raises it, naming the row, for a value
-    that is no such object.
+    ``range`` is the IRI of a datatype or of a class (objects are named like subjects), or None (the
+    field's type decides). ``conversion`` applies to numbers. Raises `ConversionError` if the field
+    cannot hold such objects; the returned function raises it with the row of a bad value.
     """
     if range is None or range == RDFS + "Literal":
         range = _natural_range(field.type)
@@ -116,7 +115,7 @@ def object_column(
     if local == "string" and field.type is FieldType.INTEGER:
         return _distinct(field, lambda value: Literal(str(value)), dictionary)
     if local is None and not range.startswith(RDF) and field.type in _NAMING:
-        # A class: the values name objects.
+        # A class: the values are names of objects.
         return lambda column: ObjectColumn(Kind.TERM, names.ids(column)[0], column.null)
     raise ConversionError(
         f"field {field.name!r} holds {field.type} values, the feature's are {_short(range)}",
@@ -133,12 +132,12 @@ def field_column(
     namespace: str,
     lost: list[ConversionError] | None = None,
 ) -> Column:
-    """Objects read back into a field, shape ``(n,)``: the inverse of `object_column`.
+    """Convert objects to a field, shape ``(n,)``: the inverse of `object_column`.
 
     Text fields take any term: names of IRIs (`object_name`), texts of literals. Number fields take
-    numbers of any datatype; INF and NaN, which no sample holds, become no_value. Raises
-    `ConversionError`, naming the row, for an object that the field cannot hold; where there is
-    ``lost``, the first such error goes there, and each such object becomes no_value.
+    numbers of any datatype; INF and NaN become no_value, as samples hold neither. Raises
+    `ConversionError` with the row of an object that the field cannot hold. With ``lost``, the first
+    such error is appended there, and each such object becomes no_value.
     """
     kind, null = objects.kind, objects.null
     match field.type:
@@ -170,7 +169,7 @@ def _to_floats(field: Field, kind: Kind, conversion: Conversion) -> ToObjects:
             values = _filled(column)
             floats = values.astype(np.float64)
             large = (values > _EXACT) | (values < -_EXACT)
-            # Above 2^53 a float64 may be a neighbour: compared as integers where both exist.
+            # Above 2^53 a float64 may be a neighbour: compare as integers where both exist.
             inexact = large & ((floats >= 2.0**63) | (_as_integers(floats) != values))
             _refuse(
                 inexact, column.null, field.name, "has more digits than a float64 holds", values
@@ -225,7 +224,7 @@ def _to_literals(
 
 
 def _distinct(field: Field, term: Callable[[int], Term], dictionary: TermDictionary) -> ToObjects:
-    """Integers that become terms: one term a distinct value."""
+    """Compile the conversion of integers to terms, one per distinct value."""
 
     def convert(column: Column) -> ObjectColumn:
         distinct, inverse = np.unique(_filled(column), return_inverse=True)
@@ -260,7 +259,7 @@ def _parsed(
     namespace: str,
     lost: list[ConversionError] | None,
 ) -> Column:
-    """Terms that are no column of numbers: each distinct one is read once."""
+    """Convert terms to numbers or booleans, each distinct one once."""
     present = np.flatnonzero(objects.present)
     distinct, first, inverse = np.unique(
         objects.values[present], return_index=True, return_inverse=True
@@ -301,8 +300,8 @@ def _shortened(term: Term) -> str:
 
 
 def _term_value(type: FieldType, term: Term, namespace: str) -> float | int | bool | None:
-    """The value of a term for a field of this type; None if it has none."""
-    if isinstance(term, NamedNode) and type is FieldType.INTEGER:  # an object called by a number
+    """The value of a term for a field of this type, or None."""
+    if isinstance(term, NamedNode) and type is FieldType.INTEGER:  # an object named by a number
         name = object_name(term.value, namespace)
         term = Literal(name, datatype=NamedNode(XSD + "integer"))
     if not isinstance(term, Literal) or not term.datatype.value.startswith(XSD):
@@ -316,7 +315,7 @@ def _term_value(type: FieldType, term: Term, namespace: str) -> float | int | bo
             case FieldType.FLOAT:
                 return float(text) if datatype in _NUMERIC else None
             case FieldType.INTEGER if datatype == "dateTime":
-                # What a query has computed may be finer than what is kept.
+                # A query may compute times finer than a nanosecond.
                 return parse_time(text, cut=True)
             case FieldType.INTEGER:
                 if datatype not in (*_NUMERIC, "string"):
@@ -332,7 +331,7 @@ def _term_value(type: FieldType, term: Term, namespace: str) -> float | int | bo
 
 
 def _integral(name: str, values: NDArray[Any], null: Mask | None) -> NDArray[np.int64]:
-    """Floats as integers, all of which must be integral and within 64 bits."""
+    """Floats as integers; raises `ConversionError` unless all are integral and within 64 bits."""
     _refuse(~_whole(values), null, name, "is no integer", values)
     return _as_integers(values if null is None else np.where(null, 0.0, values))
 
@@ -349,7 +348,7 @@ def _is_integral(objects: ObjectColumn) -> bool:
 
 
 def _as_integers(values: NDArray[Any]) -> NDArray[np.int64]:
-    """Floats cut to int64; what does not fit becomes the smallest one, quietly."""
+    """Floats cut to int64; a float outside becomes the smallest integer, without a warning."""
     with np.errstate(invalid="ignore"):
         return values.astype(np.int64)
 
@@ -357,7 +356,7 @@ def _as_integers(values: NDArray[Any]) -> NDArray[np.int64]:
 def _refuse(
     bad: Mask, null: Mask | None, name: str, problem: str, values: NDArray[Any] | None = None
 ) -> None:
-    """Raise for the first row that is bad and present."""
+    """Raise `ConversionError` for the first row that is bad and present."""
     if null is not None:
         bad = bad & ~null
     if not bad.any():
@@ -368,7 +367,7 @@ def _refuse(
 
 
 def _filled(column: Column) -> NDArray[Any]:
-    """The values, 0 where there is none (what stands there means nothing)."""
+    """The values, 0 under null bits (where any value may stand)."""
     if column.null is None:
         return column.values
     return np.where(column.null, column.values.dtype.type(0), column.values)

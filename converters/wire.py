@@ -1,4 +1,4 @@
-"""What all wire formats share: the batch that came in, its error, its times, its text columns."""
+"""Common parts of the wire formats: decoded batches, their limits, times, text columns."""
 
 from __future__ import annotations
 
@@ -19,21 +19,27 @@ from ..streams.sample import (
     Times,
     check_field_name,
 )
-from ..streams.string_pool import Codes, StringPool
+from ..streams.string_pool import StringPool
 from ..streams.time import TIME_MIN, format_time, parse_time
-from ..streams.yield_points import Pauses, slices
 from .errors import WireError
-from .rounding import Rounded
 
 BOM = b"\xef\xbb\xbf"
-"""The byte order mark that some editors put before UTF-8; it is no part of the text."""
+"""The byte order mark that some editors write before UTF-8; decoders skip it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rounded:
+    """Rounded values of a batch (see `rounding`): their ``count``, and the place of the first."""
+
+    count: int
+    line: int
+    field: str
 
 
 @dataclass(frozen=True, slots=True)
 class Incoming:
-    """A decoded batch. ``stamped``: it brought no available times, the generator must stamp it
-    (``batch.available`` then repeats the valid times). ``rounded``: which of its numbers were (see
-    `rounding`); None where none was."""
+    """A decoded batch. ``stamped``: it has no available times, the generator must stamp it
+    (``batch.available`` then repeats the valid times). ``rounded`` is None if no number was."""
 
     batch: SampleBatch
     stamped: bool
@@ -42,10 +48,9 @@ class Incoming:
 
 @dataclass(frozen=True, slots=True)
 class BatchLimits:
-    """What a batch that comes from outside may have: so many samples, so many bytes (UTF-8) in one
-    text, and so many bytes once it is decompressed; so many bytes in one line, and so many fields
-    where it decides them. (What was taken once is taken again, whatever the limits are by then:
-    whoever reads it again gives none.)"""
+    """Limits of a batch from outside: samples, UTF-8 bytes of one text, bytes after decompression,
+    bytes of one line, and fields where the batch decides them. Recovery decodes without limits,
+    because the service accepted the batch under the limits of that time."""
 
     samples: int
     text: int
@@ -54,15 +59,15 @@ class BatchLimits:
     fields: int = 1_000
 
     def check_samples(self, count: int, line: int | None = None) -> None:
-        """Raises `WireError` for more samples; ``line`` is that of the first one too many."""
+        """Raise `WireError` for more samples; ``line`` is that of the first excess one."""
         if count > self.samples:
             raise WireError(
                 line, f"a batch has at most {self.samples} samples", "send several batches"
             )
 
     def check_fields(self, names: Collection[str]) -> None:
-        """Raises `WireError` for an open stream's fields: none, too many, or one that cannot be
-        called so."""
+        """Raise `WireError` for no fields, too many, or an invalid name: the first batch of an open
+        stream decides them."""
         if not names:
             raise WireError(
                 None,
@@ -80,15 +85,15 @@ class BatchLimits:
                 raise WireError(None, str(error), "give it another name") from None
 
     def too_long(self, line: int, field: str, size: int) -> WireError:
-        """What is said of a text of ``size`` bytes."""
+        """The error for a text of ``size`` bytes."""
         return WireError(
             line,
             f"field {field!r}: a text has at most {self.text} bytes, and this one {size}",
-            "send where it is kept in place of what is so long",
+            "keep the text elsewhere and send its address",
         )
 
     def line_too_long(self, line: int, size: int) -> WireError:
-        """What is said of a line of ``size`` bytes."""
+        """The error for a line of ``size`` bytes."""
         return WireError(
             line,
             f"a line has at most {self.line} bytes, and this one {size}",
@@ -97,7 +102,7 @@ class BatchLimits:
 
 
 def check_names(schema: Schema) -> None:
-    """Refuse a schema with a field that the wire formats cannot tell from a time."""
+    """Raise `WireError` for a field named like one of a sample's times."""
     for name in TIME_FIELDS:
         if schema.get(name) is not None:
             raise WireError(None, f"a field cannot be called {name!r}: that is a sample's time")
@@ -125,12 +130,12 @@ def time_of(value: object, key: str, line: int) -> int:
 
 
 def not_json(error: Exception) -> str:
-    """What an error says that reading JSON gave."""
+    """The message for an error of the JSON parser."""
     return f"not JSON: {str(error).removeprefix('JSON is malformed: ')}"
 
 
 def shown(value: object) -> str:
-    """A value for an error, as JSON spells it, not too long."""
+    """A value in an error's message: as JSON, cut to 40 characters."""
     if isinstance(value, int) and value.bit_length() > 64:
         return str(value) if value.bit_length() < 100 else "a number of many digits"
     text = msgspec.json.encode(value, enc_hook=str).decode()
@@ -142,7 +147,7 @@ TIME_HINT = "write ISO-8601 such as 2021-10-07T19:12:53.5Z, or integer nanosecon
 
 
 def text_column(values: Sequence[str | None], pool: StringPool, null: Mask | None) -> Column:
-    """Text as codes of ``pool``; the code under a set null bit means nothing."""
+    """Text as codes of ``pool``; a code under a set null bit has no meaning."""
     if null is None:
         codes = pool.encode(values)  # type: ignore[arg-type]  # null is None: all are text
     else:
@@ -153,24 +158,16 @@ def text_column(values: Sequence[str | None], pool: StringPool, null: Mask | Non
     return Column(FieldType.STRING, codes, null, pool)
 
 
-def encoded(strings: Sequence[str], pool: StringPool, pauses: Pauses) -> Codes:
-    """`StringPool.encode`, with moments for others."""
-    if len(strings) <= _STRINGS:
-        return pool.encode(strings)
-    return np.concatenate([pool.encode(part) for part in slices(strings, _STRINGS, pauses)])
-
-
-_STRINGS = 8192
-"""Texts that are encoded between two moments."""
-
-
 def null_mask(values: Sequence[object]) -> Mask | None:
-    """True where None stands; None when it stands nowhere."""
+    """True where a value is None; None if no value is."""
     if None not in values:
         return None
     return np.fromiter((value is None for value in values), np.bool_, len(values))
 
 
 def pool_of(field: Field, pools: dict[str, StringPool]) -> StringPool:
-    """The pool of a text field, made when it is not there yet."""
-    return pools.setdefault(field.name, StringPool())
+    """The pool of a text field, made if missing."""
+    pool = pools.get(field.name)
+    if pool is None:
+        pool = pools[field.name] = StringPool()
+    return pool

@@ -20,13 +20,13 @@ from ..languages.csparql.ast import EventRequest
 from ..languages.kpl import parse_policy
 from ..languages.specification import Specification, parse_specification
 from ..languages.ssl.annotation import CheckedAnnotation
-from ..matching.uncollected import uncollected
+from ..matching.gc_pause import gc_paused
 from ..ontology.ontology import Ontology, PreparedOntology
 from ..ontology.reading import TextFormat
-from ..rdf.namespaces import DYKNOW, PREFIXES
+from ..rdf.namespaces import DYKNOW
 from ..streams.generator import StreamGenerator
-from ..streams.rules import INSTANTS
 from ..streams.sample import SampleBatch
+from ..streams.stream_rules import INSTANTS
 from ..streams.time import SECOND, TIME_MIN
 from .catalog.iri_annotations import DescribedStream, DescribedTransformation
 from .catalog.name_resolution import (
@@ -68,7 +68,7 @@ from .requests.adaptive_subscription import Rematch, Wish
 from .requests.event_requests import EventRequests
 from .requests.subscriptions import Subscriptions
 from .specification.plan_text import plan_text
-from .units.backlog import Turns, Went
+from .units.backlog import TurnRecord, Turns
 from .units.base import ComputationalUnit
 from .units.windowed import WindowUnit
 from .units.work_time import Stopwatch
@@ -82,7 +82,8 @@ class Engine:
     the time in ns until `publish` and `tick` bring a later one. ``processes`` are the user-written
     ones that KPL may name, and ``runner`` calls them. ``ontology`` is taken instead of one in
     ``data``. With a ``stopwatch`` the work of units is measured. ``budget``
-    is what a window of a continuous query may cost. With ``turns`` windows close in `go_on` only.
+    is what a window of a continuous query may cost. With ``turns`` windows close in
+    `work_backlog` only.
     By the ``rules`` (`Rules.version`) it restores what an earlier run was told.
     """
 
@@ -111,7 +112,7 @@ class Engine:
         self._parts = parts = Parts(ontology, lambda: self._now, given)
         self.ontology = ontology
         self.dictionary = parts.dictionary
-        self.behind = parts.behind
+        self.backlog = parts.backlog
         """Units whose windows take long, if there are ``turns`` for them."""
         self.rules = parts.configuration.rules
         """The rules of commands; recovery changes them."""
@@ -283,22 +284,22 @@ class Engine:
         self._parts.rematching.tick(self._now)
         self._parts.settle()
         self._parts.collect()
-        self.ontology.advance()
+        self.ontology.apply_pending_piece()
         if now - SECOND >= self._counted:
             self._counted = now
             self._parts.count_subscribers()
 
-    def go_on(self, *, new: bool = False, begins: bool = True) -> tuple[Went, ...]:
-        """Close windows of units that are behind, see `Behind.go_on`; what was done."""
-        done = tuple(self.behind.go_on(new=new, begins=begins))
+    def work_backlog(self, *, new: bool = False, begins: bool = True) -> tuple[TurnRecord, ...]:
+        """Close windows that are due (`Backlog.work`); return what was done."""
+        done = tuple(self.backlog.work(new=new, begins=begins))
         if done:
             self._parts.settle()
             self._parts.collect()
         return done
 
-    def behind_of(self, stream: str) -> tuple[WindowUnit, ...]:
-        """The units that are behind and read ``stream``, themselves or through other units."""
-        return self._parts.evaluation.behind(stream)
+    def backlog_of(self, stream: str) -> tuple[WindowUnit, ...]:
+        """The units of the backlog that read ``stream``, themselves or through other units."""
+        return self._parts.evaluation.backlog_of(stream)
 
     def failure_of(self, generator: StreamGenerator) -> str | None:
         """Why nothing more comes in a stream: what feeds it has failed. None while something may.
@@ -313,9 +314,9 @@ class Engine:
         """How far all is that reads stream ``name``; raises `UnknownStream`. Cost: O(units²)."""
         return self._parts.evaluation.of(name)
 
-    def go_on_again(self, done: Sequence[Went]) -> None:
-        """Do what `go_on` did; raises ``ValueError`` where there is no such thing to do."""
-        self.behind.again(done)
+    def replay_turns(self, done: Sequence[TurnRecord]) -> None:
+        """Do what `work_backlog` did. Raises ``ValueError`` where there is no such work to do."""
+        self.backlog.replay(done)
         self._parts.settle()
         self._parts.collect()
 
@@ -329,7 +330,7 @@ class Engine:
             return
         self._measured = self._now
         streams = tuple(self._parts.configuration.streams.items())
-        with uncollected(), self._parts.manager.together():
+        with gc_paused(), self._parts.manager.together():
             self._parts.count_subscribers()
             self._parts.manager.measure_rates((name, rate_of(each)) for name, each in streams)
             self._parts.manager.show_samples(streams)
@@ -365,11 +366,11 @@ class Engine:
 
     def parse_request(self, text: str) -> EventRequest:
         """``dyknow:HighSpeedEvent(?o, dyknow:UAV, 100)``; raises `LanguageError`."""
-        return parse_event_request(text, PREFIXES)
+        return parse_event_request(text)
 
     def make_request(self, event: str, arguments: Sequence[str]) -> EventRequest:
         """The same from parts, each argument as text; raises `LanguageError`."""
-        parsed = tuple(parse_argument(argument, PREFIXES) for argument in arguments)
+        parsed = tuple(parse_argument(argument) for argument in arguments)
         return EventRequest(iri_of(event), parsed, f"{event}({', '.join(arguments)})")
 
     def request_event(
@@ -543,7 +544,7 @@ class Engine:
 
     def take_ontology(self, prepared: PreparedOntology) -> None:
         """The same with what `Ontology.prepare` made of a text, maybe in another thread."""
-        self.ontology.take(prepared)
+        self.ontology.install(prepared)
         self._parts.rdf.forget_all()
         self._parts.templates.tell()
         self._parts.rematching.ontology_changed()

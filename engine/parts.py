@@ -35,7 +35,7 @@ from .requests.rematching import Rematching
 from .requests.sample_rdf import SampleRdf
 from .requests.subscriptions import Subscriptions
 from .specification.apply import Specifications
-from .units.backlog import Behind, Turns
+from .units.backlog import Backlog, Turns
 from .units.work_time import BusyTime, Stopwatch
 from .users import Users
 
@@ -75,10 +75,10 @@ class Parts:
         """What streams and units there are, and what is known of them."""
         self.known_transformations = Transformations(self.ontology.vocabulary, given.processes)
         busy_time = None if given.stopwatch is None else BusyTime(given.stopwatch)
-        self.behind = Behind(given.turns)
+        self.backlog = Backlog(given.turns)
         """Units whose windows take long, if there are turns for them."""
         self.configuration = Configuration(
-            self.changed, given.first_reserved, busy_time, self.behind
+            self.changed, given.first_reserved, busy_time, self.backlog
         )
         self.configuration.rules.version = given.rules
         self.manager = SemanticsManager(self.ontology, self._subscribers)
@@ -174,7 +174,7 @@ class Parts:
             users=Users(self.requests, self.queries, self.subscriptions, self.kpl),
         )
         self.evaluation = Evaluation(
-            self.configuration, self.behind, self.requests, self.queries, self.subscriptions
+            self.configuration, self.backlog, self.requests, self.queries, self.subscriptions
         )
 
     def _listen(self) -> None:
@@ -223,7 +223,7 @@ class Parts:
     def collect(self) -> None:
         """Forget terms that nobody has any more."""
         # What is half done holds terms that nobody knows of.
-        if not self.behind.is_within:
+        if not self.backlog.is_mid_window:
             self.dictionary.collect()
 
     def count_subscribers(self) -> None:

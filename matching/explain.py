@@ -1,4 +1,4 @@
-"""Why this plan, and why not another: the transformation tree in words ([Introspection15 §4.3])."""
+"""The reasons for and against each alternative of a match ([Introspection15 §4.3])."""
 
 from __future__ import annotations
 
@@ -6,26 +6,28 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 
 from ..ontology.vocabulary import THING
 from ..rdf.namespaces import shorten
-from .fast import FastSearch
-from .goals import Answer, Goal, Goals, Offer, Through, why_not_convertible
+from .fast_search import FastSearch
+from .goal import Answer, Goal, Offer, Through, goal_of
+from .goals import Goals
 from .plan import Compute, Detect, Supply, UseStream, nodes_of
-from .space import Ask, StreamDescription, TransformationDescription
+from .plan_text import stream_text, transformation_text
+from .space import Ask, StreamDescription, TransformationDescription, why_not_convertible
 from .subject import Subjects, whose
 from .tree import Alternative, Outcome
 from .want import Want
-from .words import stream_words, unit_words
 
 LISTED = 20
-"""Alternatives listed of one kind; of more, only the number is told."""
+"""Alternatives of one kind to list; of the others only the number is shown."""
 EXPLAINED_DEPTH = 12
-"""Features on a path beyond which a failure is not taken apart further."""
+"""Features on a path beyond which a failure is not explained further."""
 
 
 class Explainer:
-    """Words for a match. A transformation that fails is explained where it is met first."""
+    """Explains a match. A transformation that fails is explained where it comes first."""
 
     def __init__(self, goals: Goals, search: FastSearch, chosen: Mapping[Goal, Answer]) -> None:
         self._goals = goals
+        self._index = goals.index
         self._search = search
         self._chosen = chosen
         self._explained: set[tuple[str, Goal]] = set()
@@ -35,17 +37,17 @@ class Explainer:
     ) -> tuple[Alternative, ...]:
         """All ways to the wanted feature: streams, then transformations, in the order of trying.
 
-        With *fast*, what comes after the choice was not tried: that is what makes it fast. Streams
-        are judged all the same, since a look suffices.
+        *fast* does not try the transformations after its choice, so they are listed as not tried.
+        Streams are judged in any case, since that is cheap.
         """
-        top = self._goals.top(want)
+        top = goal_of(want, self._index.sorts)
         self._explained.clear()
         streams = tuple(self._streams(top, supply))
         units = tuple(self._units(top, answered or (top,), supply))
         return streams + units
 
     def missing(self, want: Want, tree: tuple[Alternative, ...]) -> tuple[str, ...]:
-        """What would have to be there: the leaves of a tree without a plan, each once."""
+        """The reasons at the leaves of a tree without a plan, each once."""
         if not tree:
             return (_nothing_gives(want.feature),)
         return tuple(dict.fromkeys(_leaves(tree)))[:LISTED]
@@ -54,21 +56,21 @@ class Explainer:
 
     def _streams(self, goal: Goal, supply: Supply | None) -> Iterator[Alternative]:
         """Each stream with the feature: chosen, possible, or why not."""
-        goals = self._goals
+        index = self._index
         chosen = _chosen_streams(supply)
-        found = {stream.name: stream for stream in goals.candidates(goal)}
+        found = {stream.name: stream for stream in self._goals.streams.candidates(goal)}
         if supply is None and len(found) < LISTED:
-            # Streams about other objects are no candidates, but they tell what there is.
-            space = goals.space
-            names = (n for f in goals.serving(goal.asks[0].feature) for n in space.holding(f))
+            # Streams about other objects are no candidates, but the user learns that they exist.
+            space = index.space
+            names = (n for f in index.serving(goal.asks[0].feature) for n in space.holding(f))
             found |= {name: space.streams[name] for name in names}
         streams = sorted(
-            found.values(), key=lambda s: (s.name not in chosen, goals.space.place(s.name))
+            found.values(), key=lambda s: (s.name not in chosen, index.space.place(s.name))
         )
         for stream in streams[:LISTED]:
-            serving = goals.serving(goal.asks[0].feature)
+            serving = index.serving(goal.asks[0].feature)
             fields = [c.field for c in stream.contents if c.feature in serving]
-            text = stream_words(stream.name, stream.contents, fields, maker=stream.maker)
+            text = stream_text(stream.name, stream.contents, fields, maker=stream.maker)
             if stream.name in chosen:
                 yield Alternative(text, Outcome.CHOSEN)
             else:
@@ -78,20 +80,20 @@ class Explainer:
             yield Alternative(f"{more} more streams", Outcome.UNTRIED, "not listed")
 
     def _stream(self, stream: StreamDescription, goal: Goal, text: str) -> Alternative:
-        goals = self._goals
-        if stream.name in goals.without:
+        index = self._index
+        if stream.name in index.without:
             return Alternative(
-                text, Outcome.FAILED, "it is silent, has ended, or answers somebody else only"
+                text, Outcome.FAILED, "it is silent, has ended, or serves another request only"
             )
         ask, subjects = goal.asks[0], goal.subjects
         reasons: dict[str, None] = {}
         for content, unit in zip(stream.contents, stream.units, strict=True):
-            if content.feature not in goals.serving(ask.feature) or not content.roles:
+            if content.feature not in index.serving(ask.feature) or not content.roles:
                 continue
-            reason = goals.sorts.why_not_all(content.roles, subjects)
+            reason = index.sorts.why_not_all(content.roles, subjects)
             reason = reason or why_not_convertible(unit, ask.unit)
             if not reason:
-                whole = goals.sorts.holds(content.roles, subjects)
+                whole = index.sorts.holds(content.roles, subjects)
                 part = "" if whole else "some of the objects"
                 return Alternative(text, Outcome.POSSIBLE, part)
             reasons[reason] = None
@@ -109,22 +111,22 @@ class Explainer:
         for unit in self._giving(top.asks[0]):
             if unit.name in chosen:
                 passed = is_lazy
-                yield Alternative(unit_words(unit), Outcome.CHOSEN)
+                yield Alternative(transformation_text(unit), Outcome.CHOSEN)
             elif passed:
-                yield Alternative(unit_words(unit), Outcome.UNTRIED)
+                yield Alternative(transformation_text(unit), Outcome.UNTRIED)
             elif any(self._is_possible(unit, goal) for goal in answered):
-                yield Alternative(unit_words(unit), Outcome.POSSIBLE)
+                yield Alternative(transformation_text(unit), Outcome.POSSIBLE)
             else:
                 yield self._unit(unit, answered[0], frozenset())
 
     def _giving(self, ask: Ask) -> tuple[TransformationDescription, ...]:
-        return tuple(self._goals.producers(ask))
+        return tuple(self._index.producers(ask))
 
     def _is_possible(self, unit: TransformationDescription, goal: Goal) -> bool:
         return any(self._solves(goal, way) for way in self._goals.ways(goal) if _is_by(way, unit))
 
     def _solves(self, goal: Goal, way: Answer) -> bool:
-        """All that ``way`` needs can be had without ``goal`` itself."""
+        """Whether all needs of ``way`` have answers without ``goal`` itself."""
         assert not isinstance(way, Offer)
         search = FastSearch(self._goals, blocked={goal})
         return all(search.solve(need) for need in way.needs)
@@ -133,7 +135,7 @@ class Explainer:
         self, unit: TransformationDescription, goal: Goal, path: frozenset[Goal]
     ) -> Alternative:
         """Why this transformation gives nothing."""
-        text = unit_words(unit)
+        text = transformation_text(unit)
         reason = self._no_answer(unit, goal)
         if reason:
             return Alternative(text, Outcome.FAILED, reason)
@@ -178,7 +180,7 @@ class Explainer:
         return Alternative(text, Outcome.FAILED, "" if failed else _nothing_gives(feature), failed)
 
     def _no_answer(self, unit: TransformationDescription, goal: Goal) -> str:
-        """Why its output is not what is wanted, whatever it is fed with; empty if it is."""
+        """Why its output cannot be the wanted feature, whatever its inputs; empty if it can."""
         if unit.lacks:
             return unit.lacks
         reason = why_not_convertible(unit.output_unit, goal.asks[0].unit)
@@ -186,15 +188,15 @@ class Explainer:
             return reason
         for argument, subject in zip(unit.arguments, goal.subjects, strict=False):
             if argument.object is not None:
-                object = self._goals.sorts.canonical(argument.object)
+                object = self._index.sorts.canonical(argument.object)
                 if subject.object != object:
                     return f"it speaks of {shorten(object)}, not of {subject}"
-            elif not self._goals.sorts.belongs(subject, argument.sort or THING):
+            elif not self._index.sorts.belongs(subject, argument.sort or THING):
                 return _of_another_sort(unit, argument.sort or THING, goal.subjects)
         return ""
 
     def _unclear(self, unit: TransformationDescription) -> str:
-        """Why no choice of what it takes besides the objects of its output is possible."""
+        """Why no choice of its further arguments is possible."""
         own = {a.variable for a in unit.arguments if a.id_field is None}
         sorts = dict.fromkeys(
             shorten(argument.sort or THING)

@@ -1,12 +1,11 @@
-"""Semantic matching: a wanted feature in, the streams and units that give it out.
+"""Semantic matching: find the streams and units that give a wanted feature.
 
-[Introspection15 §4.3]. The engine calls `match_all` with what a query or a subscription needs;
-docs/design/0003-semantic-matching.md says how it works.
+[Introspection15 §4.3]. The engine calls `match_all` with the wants of a query or a subscription;
+docs/explanation/design/0003-semantic-matching.md explains how it works.
 
-How much of what was wanted: one stream (or unit) that holds every wanted object is a complete
-supply. Where there is none, each stream that holds some of them is a source, and together they
-are a partial supply; of two where one covers the other's objects only the wider is taken, so that
-no sample counts twice.
+One stream (or unit) that holds every wanted object is a complete supply. Where there is none, each
+stream that holds some of them is a source, and together they are a partial supply. Of two sources
+of which one covers the other's objects only the wider is taken, so that no sample counts twice.
 """
 
 from __future__ import annotations
@@ -19,19 +18,22 @@ from itertools import chain
 from typing import TypeAlias
 
 from ..ontology.vocabulary import Vocabulary
-from .building import Builder, source_of
 from .explain import Explainer
-from .fast import FastSearch
-from .goals import Answer, Goal, Goals
+from .fast_search import FastSearch
+from .feature_index import FeatureIndex
+from .gc_pause import gc_paused
+from .goal import Answer, Goal, goal_of
+from .goals import Goals
+from .optimal_plan import find_optimal_plan
 from .plan import Node, Supply, nothing_runs
+from .plan_builder import Builder, source_of
 from .render import render
 from .space import StreamSpace
 from .strategy import Kind, Strategy, UnknownStrategy
+from .stream_offers import StreamOffers
 from .subject import Sorts, Subjects
 from .tree import Alternative, Match, Outcome
-from .uncollected import uncollected
 from .want import Want
-from .weigh import weigh
 
 __all__ = [
     "Alternative",
@@ -46,7 +48,7 @@ __all__ = [
 
 
 def match(want: Want, space: StreamSpace, vocabulary: Vocabulary, strategy: str = "fast") -> Match:
-    """The supply that the strategy chooses, or what is missing; see `match_all`."""
+    """Match one want; see `match_all`."""
     (found,) = match_all([want], space, vocabulary, strategy)
     return found
 
@@ -61,15 +63,16 @@ def match_all(
     is_running: Callable[[Node], bool] = nothing_runs,
     explained: bool = True,
 ) -> tuple[Match, ...]:
-    """A match a want, in order. What several wants need is made once: with *cost* it counts once,
-    with *fast* a stream that serves several goes before others.
+    """Match several wants together; returns one match for each, in order.
 
-    ``without`` names streams and transformations that are not to be used; ``is_running`` says of
-    a selection whether there is a unit for it, which costs nothing more. Without ``explained`` the
-    trees are left out. Raises `UnknownStrategy`. Law: the same arguments give equal matches.
+    A unit that several wants need is made once: *cost* counts it once, and *fast* tries a stream
+    that serves several before others. ``without`` names streams and transformations that are not
+    to be used. ``is_running`` returns whether a selection has a unit, which then costs nothing.
+    Without ``explained`` the trees are left out. Raises `UnknownStrategy`. Law: the same arguments
+    give equal matches.
     """
     chosen = Strategy.parse(strategy)
-    with uncollected():
+    with gc_paused():
         return _match_all(
             wants, space, vocabulary, chosen, without, is_running, explained=explained
         )
@@ -90,7 +93,7 @@ def _match_all(
     search = FastSearch(goals)
     needed = [_needed(goals, search, want) for want in dict.fromkeys(wants)]
     answers, proven = _choose(goals, search, needed, chosen, is_running)
-    builder = Builder(answers, goals.sorts)
+    builder = Builder(answers, goals.index.sorts)
     explainer = Explainer(goals, search, answers)
     found = {}
     for need in needed:
@@ -121,26 +124,28 @@ class _Needed:
 def _favoured(
     wants: Sequence[Want], space: StreamSpace, vocabulary: Vocabulary, without: AbstractSet[str]
 ) -> Mapping[str, int]:
-    """How many of several wants each stream serves wholly by itself."""
+    """The number of wants that each stream serves completely by itself, where there are several."""
     counts: Counter[str] = Counter()
     distinct = tuple(dict.fromkeys(wants))
     if len(distinct) > 1:
-        goals = Goals(space, vocabulary, without=without)
+        index = FeatureIndex(space, vocabulary, without)
+        offers = StreamOffers(index, {})
         for want in distinct:
-            counts.update({offer.stream.name for offer in goals.offers(goals.top(want))})
+            found = offers.of(goal_of(want, index.sorts))
+            counts.update({offer.stream.name for offer in found})
     return counts
 
 
 def _needed(goals: Goals, search: FastSearch, want: Want) -> _Needed:
-    whole = goals.top(want)
+    whole = goal_of(want, goals.index.sorts)
     if search.solve(whole):
         return _Needed(want, (whole,), complete=True)
     parts = [part for part in goals.parts(whole) if search.solve(part)]
-    return _Needed(want, tuple(_widest(goals.sorts, parts)), complete=False)
+    return _Needed(want, tuple(_widest(goals.index.sorts, parts)), complete=False)
 
 
 def _widest(sorts: Sorts, parts: Sequence[Goal]) -> Sequence[Goal]:
-    """Those whose objects no other covers; of equals the first."""
+    """The parts whose objects no other part covers; of equal ones the first."""
     # Only a sort covers other objects, and sorts are few where objects may be many.
     wide: list[int] = []
     alike: defaultdict[_Objects, list[int]] = defaultdict(list)
@@ -178,9 +183,9 @@ def _choose(
     roots = [goal for need in needed for goal in need.goals]
     if strategy.kind is Kind.FAST or not roots:
         return search.chosen, True
-    weighed = weigh(goals, roots, strategy, is_running)
-    assert weighed is not None, "each of them has an answer"
-    return weighed.chosen, weighed.proven
+    optimal = find_optimal_plan(goals, roots, strategy, is_running)
+    assert optimal is not None, "each of them has an answer"
+    return optimal.chosen, optimal.proven
 
 
 def _supply(need: _Needed, builder: Builder) -> Supply | None:

@@ -19,21 +19,21 @@ from ..languages.ssl.annotation import (
     Role,
     StreamAnnotation,
 )
-from ..languages.ssl.annotation_text import in_ssl
+from ..languages.ssl.annotation_text import with_ssl_source
 from ..ontology.units import Conversion, Unit
 from .subject import Subject
 from .want import Want
 
 
 class _Hashed:
-    """Keeps its hash, and with whom it was found equal: a plan shares nodes, and would else be
-    walked along every path. Cost of both: O(distinct nodes) the first time."""
+    """Caches its hash, and the nodes it was found equal to: a plan shares nodes, so a plain
+    comparison would walk every path. Cost of both: O(distinct nodes) the first time."""
 
     __slots__ = ("_hash", "_same")
 
     @property
     def parts(self) -> tuple[Node | Edge, ...]:
-        """What stands in it of nodes and edges."""
+        """The nodes and edges in it."""
         raise NotImplementedError
 
     def __hash__(self) -> int:
@@ -47,7 +47,7 @@ class _Hashed:
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, _Hashed) or type(other) is not type(self):
             return NotImplemented
-        # What stands in it first, without recursion: a plan may be some hundred nodes deep.
+        # Parts first, without recursion: a plan may be some hundred nodes deep.
         waiting = [(self, other)]
         while waiting:
             one, another = waiting[-1]
@@ -97,7 +97,7 @@ def _values_of(node: _Hashed) -> tuple[object, ...]:
 
 
 _VALUES: dict[type, Callable[[object], tuple[object, ...]]] = {}
-"""What reads the fields of each class of nodes."""
+"""The reader of the fields of each class of nodes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,8 +134,8 @@ class SelectObject(_Hashed):
 class Port(NamedTuple):
     """A field of a node's stream feeds a field of the consumer, with the change of unit.
 
-    ``feature`` is what the stream says the field holds; it is, or is a sub-feature of, what the
-    consumer asked for. ``conversion`` turns ``source`` units into ``target`` units.
+    ``feature`` is the feature of the field in the stream: the one that the consumer asked for, or a
+    sub-feature. ``conversion`` turns ``source`` units into ``target`` units.
     """
 
     source_field: str
@@ -148,7 +148,7 @@ class Port(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Edge(_Hashed):
-    """What a unit takes from one node's stream, and whose features they are."""
+    """The fields that a unit takes from one node's stream, and the roles of their features."""
 
     node: Node
     ports: tuple[Port, ...]
@@ -171,9 +171,9 @@ class Edge(_Hashed):
 class Synchronize(_Hashed):
     """For each object the latest values of several streams together, whenever one has a new one.
 
-    The join of [DyKnow10 Def. 5.11], object by object. What an input holds of a single object is
-    for each of the others. Its stream has the ``target_field`` of each port, in the units of its
-    source, and the id fields of ``roles``, which are those of what is held of many objects.
+    The join of [DyKnow10 Def. 5.11], object by object. The value of an input with a single object
+    goes to each of the others. The stream has the ``target_field`` of each port, in the units of
+    its source, and the id fields of ``roles``: the roles of the inputs with many objects.
     """
 
     inputs: tuple[Edge, ...]
@@ -240,7 +240,7 @@ Node: TypeAlias = UseStream | SelectObject | Synchronize | Compute | Detect
 
 
 def nothing_runs(node: Node) -> bool:
-    """That there is no unit for any node."""
+    """The assumption that no node has a unit yet."""
     return False
 
 
@@ -273,7 +273,7 @@ class Supply:
 
 
 def contents_of(node: Node) -> tuple[Content, ...]:
-    """What the stream of ``node`` contains: features, fields, units, roles.
+    """The contents of the stream of ``node``: features, fields, units, roles.
 
     A selection keeps fields and units, and its object stands in each role that its id field
     names: such a role has sort, object and id field, and means "this object, which is of this
@@ -301,7 +301,7 @@ def contents_of(node: Node) -> tuple[Content, ...]:
 
 
 def tuple_roles(edge: Edge, kept: tuple[Role, ...]) -> tuple[Role, ...]:
-    """Whose a part of a tuple is: many objects are named by the tuple's own id fields."""
+    """The roles of a part of a tuple: the tuple's own id fields name many objects."""
     many = iter(kept)
     return tuple(
         next(many) if role.object is None else Role(None, role.object, None) for role in edge.roles
@@ -321,11 +321,11 @@ def annotation_of(node: Node, stream: str = "") -> StreamAnnotation:
     """
     name = node.stream if isinstance(node, UseStream) else stream
     contents = contents_of(node)
-    return in_ssl(StreamAnnotation(name, contents, ""))
+    return with_ssl_source(StreamAnnotation(name, contents, ""))
 
 
 def wanted_annotation(supply: Supply, source: SupplySource, stream: str = "") -> StreamAnnotation:
-    """What a consumer of ``source`` is to read: one content, under the *wanted* feature's name.
+    """The annotation for a consumer of ``source``: one content, named as the *wanted* feature.
 
     A stream of a sub-feature is a stream of the feature, so the triples made from it have the
     predicate that the query asks for. The unit is still the stream's (``source.port.source``).
@@ -342,7 +342,7 @@ def _annotation_of_source(feature: str, source: SupplySource, stream: str) -> St
     name = source.node.stream if isinstance(source.node, UseStream) else stream
     port = source.port
     contents = (Content(feature, port.source_field, port.source, source.roles),)
-    return in_ssl(StreamAnnotation(name, contents, ""))
+    return with_ssl_source(StreamAnnotation(name, contents, ""))
 
 
 def nodes_of(node: Node) -> Iterator[Node]:

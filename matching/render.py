@@ -22,12 +22,12 @@ from .plan import (
     below_of,
     nodes_of_supply,
 )
+from .plan_text import conversion_text, stream_text
 from .tree import Alternative, Match, Outcome
 from .want import Want
-from .words import conversion_words, stream_words
 
 MOST_LINES = 500
-"""So many lines has a match, and one more that says how many others there are."""
+"""Lines of a match at most; one more gives the number of the others."""
 
 
 class _Use(NamedTuple):
@@ -39,9 +39,9 @@ class _Use(NamedTuple):
 
 
 _Item: TypeAlias = _Use | Alternative | str
-"""What has a line."""
+"""The content of a line."""
 _Line: TypeAlias = tuple[str, str, _Item]
-"""What a line begins with, what those below it begin with, and whose it is."""
+"""The prefix of a line, that of the lines below it, and its content."""
 
 _BRANCH, _LAST, _DOWN, _PAST = "├─ ", "└─ ", "│  ", "   "
 
@@ -56,8 +56,8 @@ def render(match: Match) -> str:
            └─ select icao24 = uav1
               └─ stream positions : latitude [deg], longitude [deg] for every UAV = icao24
 
-    What stands in several places is told where it is met first, and has a number (``#1``) by which
-    the other places name it. At most `MOST_LINES` and one that says how many more there are.
+    A node in several places is shown where it comes first, with a number (``#1``) to which the
+    other places refer. At most `MOST_LINES` lines, and one with the number of the others.
     Law: lines are at most the title, the edges of the plan, and the alternatives.
     """
     sources = () if match.supply is None else match.supply.sources
@@ -116,8 +116,8 @@ def _shared(supply: Supply | None) -> set[Node]:
 def _described(
     item: _Item, shared: Set[Node], numbers: dict[Node, int]
 ) -> tuple[str, Sequence[_Item]]:
-    """The line of something, and what stands below it. A node that is shared and met first gets
-    its number in ``numbers``."""
+    """The line of an item, and the items below it. A shared node gets its number in ``numbers``
+    when it comes first."""
     match item:
         case str():
             return item, ()
@@ -136,11 +136,11 @@ def _described(
 
 
 def _node(node: Node, ports: tuple[Port, ...]) -> tuple[str, Sequence[_Use]]:
-    """The line of ``node``, of which ``ports`` are used, and what it uses."""
+    """The line of ``node``, of which ``ports`` are used, and the nodes that it uses."""
     match node:
         case UseStream(stream, contents):
             fields = tuple(port.source_field for port in ports)
-            return stream_words(stream, contents, fields, ports), ()
+            return stream_text(stream, contents, fields, ports), ()
         case SelectObject(source, id_field, object):
             return f"select {id_field} = {local_name(object)}", (_Use(source, ports),)
         case Synchronize(inputs):
@@ -150,7 +150,7 @@ def _node(node: Node, ports: tuple[Port, ...]) -> tuple[str, Sequence[_Use]]:
         case Compute(transformation, inputs, output):
             names = [local_name(port.feature) for edge in inputs for port in edge.ports]
             head = f"{transformation} : {', '.join(names) or '∅'} ⇒ {local_name(output.feature)}"
-            changes = ", ".join(filter(None, map(conversion_words, ports)))
+            changes = ", ".join(filter(None, map(conversion_text, ports)))
             return f"{head}   ({changes})" if changes else head, _uses(inputs)
         case _:
             assert_never(node)

@@ -1,4 +1,4 @@
-"""What there is to match against: annotated streams and transformations ([Introspection15 §4.1]).
+"""The annotated streams and transformations to match against ([Introspection15 §4.1]).
 
 The engine keeps one `StreamSpace` equal to the running system, change by change; its indexes make
 a match cost what is relevant, not what exists.
@@ -20,17 +20,17 @@ from ..languages.ssl.annotation import (
     StreamAnnotation,
     TransformationAnnotation,
 )
-from ..ontology.units import Unit, format_unit
+from ..ontology.units import Unit, UnitError, conversion, format_unit, parse_unit
 from ..ontology.vocabulary import SELF
 from .subject import Subject
 from .want import Want
 
 K = TypeVar("K", bound=Hashable)
 _Index: TypeAlias = dict[K, dict[str, None]]
-"""Names by what they have in common. Dictionaries without values are sets that keep their order."""
+"""Names by key. The inner dictionaries, without values, are sets that keep their order."""
 
 ITSELF = (Argument("self", None, SELF),)
-"""Whose a feature is that a source gives without saying so."""
+"""The arguments of a source whose annotation gives none: the system itself."""
 
 
 class Ask(NamedTuple):
@@ -45,11 +45,11 @@ class TransformationDescription:
     """``name : inputs ⇒ output`` ([Introspection15 §4.3]); a source has no inputs.
 
     ``cost`` is that of one more unit, ``quality`` (0..1) that of its output, given perfect inputs.
-    ``lacks`` says why no unit can be made of it (empty: one can).
+    ``lacks`` gives the reason why it can have no unit (empty: it can).
 
-    ``arguments`` say whose feature the output is; nothing: of whatever the inputs speak of.
+    ``arguments`` are the objects of the output; empty: those of the inputs, whatever they are.
     ``asks`` are the features and units (as text) of the inputs, each once; ``fed[i]`` is the place
-    there of what feeds input i. With ``passes_through`` all speak of the same, whatever it is.
+    there of what feeds input i. With ``passes_through`` inputs and output have the same objects.
     """
 
     name: str
@@ -104,7 +104,7 @@ class EventDescription(TransformationDescription, ABC):
 
     @abstractmethod
     def wants_of(self, subject: Subject) -> tuple[Want, ...] | None:
-        """What it needs to give the event of ``subject``; None if it cannot give it."""
+        """The wants of its query for ``subject``; None if it cannot give that event."""
 
     @abstractmethod
     def is_selective(self, subject: Subject) -> bool:
@@ -113,7 +113,7 @@ class EventDescription(TransformationDescription, ABC):
 
 @dataclass(frozen=True)
 class StreamDescription:
-    """A stream, what it contains, how good it is (0..1) and what one more reader of it costs.
+    """A stream: its contents, its quality (0..1), and the cost of one more reader.
 
     ``maker`` is the transformation whose unit makes it; empty for a stream from outside. ``units``
     are those of ``contents``, as texts.
@@ -139,10 +139,11 @@ class StreamDescription:
 
 
 class StreamSpace:
-    """The streams and transformations there are, each in the order in which it came.
+    """The streams and transformations that exist, each in the order of registration.
 
-    That order is the order in which matching tries them; what is described anew keeps its place.
-    ``subscribers`` tells how many readers a stream has now. ``version`` grows with every change.
+    Matching tries them in that order; a new description keeps the place of the old one.
+    ``subscribers`` returns the present number of readers of a stream. ``version`` grows with every
+    change.
 
     Cost: a change is linear in the contents of what changes, a look-up is one of a dictionary.
     """
@@ -170,7 +171,7 @@ class StreamSpace:
             self.put_transformation(transformation)
 
     def put_stream(self, stream: StreamDescription) -> None:
-        """A stream is there, or means something else from now on."""
+        """Add a stream, or replace its description."""
         self.discard_stream(stream.name)
         self.version += 1
         self.streams[stream.name] = stream
@@ -183,7 +184,7 @@ class StreamSpace:
                 _enter(self._holding_object, (content.feature, role.object), stream.name)
 
     def discard_stream(self, name: str) -> None:
-        """A stream is no more, or nobody knows what it means."""
+        """Remove a stream that has ended or lost its annotation; a new one keeps its place."""
         stream = self.streams.pop(name, None)
         if stream is None:
             return
@@ -194,12 +195,12 @@ class StreamSpace:
                 _leave(self._holding_object, (content.feature, role.object), name)
 
     def forget_stream(self, name: str) -> None:
-        """A stream is no more, and one of the same name would be another."""
+        """Remove a stream and its place: one of the same name would be another stream."""
         self.discard_stream(name)
         self._order.pop(name, None)
 
     def put_transformation(self, transformation: TransformationDescription) -> None:
-        """A transformation is there, or is described anew."""
+        """Add a transformation, or replace its description."""
         before = self.transformations.get(transformation.name)
         if before is not None:
             feature = before.output.feature
@@ -210,7 +211,7 @@ class StreamSpace:
         _enter(self._giving, transformation.output.feature, transformation.name)
 
     def discard_transformation(self, name: str) -> None:
-        """A transformation is no more."""
+        """Remove a transformation."""
         transformation = self.transformations.pop(name, None)
         if transformation is not None:
             self.version += 1
@@ -229,7 +230,7 @@ class StreamSpace:
         return self._giving.get(feature, ())
 
     def place(self, stream: str) -> int:
-        """The number of a stream in the order in which they came."""
+        """The number of a stream in the order of registration."""
         return self._order[stream]
 
 
@@ -238,7 +239,7 @@ def _enter(index: _Index[K], key: K, name: str) -> None:
 
 
 def _leave(index: _Index[K], key: K, name: str) -> None:
-    """It may have left before. Keys come without end, so nothing is kept of one without names."""
+    """Remove ``name``, if it is there. Keys come without end, so a key without names is removed."""
     names = index.get(key)
     if names is not None:
         names.pop(name, None)
@@ -248,5 +249,18 @@ def _leave(index: _Index[K], key: K, name: str) -> None:
 
 @lru_cache(maxsize=4096)
 def unit_text(unit: Unit) -> str:
-    """A unit's text: cheaper to compare and to look up than the unit itself."""
+    """The text of a unit, which is cheaper to compare and to look up than the unit."""
     return format_unit(unit)
+
+
+@lru_cache(maxsize=4096)
+def why_not_convertible(source: str, target: str | None) -> str:
+    """Why values in ``source`` units cannot be converted to ``target`` units (None: any); empty if
+    they can."""
+    if target is None or source == target:
+        return ""
+    try:
+        conversion(parse_unit(source), parse_unit(target))
+    except UnitError as error:
+        return str(error)
+    return ""

@@ -1,4 +1,4 @@
-"""Which of the possible plans is taken ([Introspection15 §4.3], SPEC §7)."""
+"""Strategies to choose one of the possible plans ([Introspection15 §4.3], SPEC §7)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ class UnknownStrategy(ValueError):
 
 
 class Kind(StrEnum):
-    """What a strategy looks for."""
+    """The aim of a strategy."""
 
     FAST = "fast"
     """The first valid plan, depth first."""
@@ -71,7 +71,7 @@ class Strategy:
                 return str(self.kind)
 
     def weight(self, cost: float, quality: float) -> float:
-        """What one more unit or stream of this cost and quality adds."""
+        """The weight of one more unit or stream of this cost and quality."""
         return self.cost * cost + self.quality * (1.0 - quality)
 
 

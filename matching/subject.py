@@ -1,7 +1,7 @@
-"""Whose feature it is: objects, sorts of objects, and how they contain each other.
+"""Subjects of features: objects, sorts of objects, and how they contain each other.
 
-[Introspection15 §4.3] matches over subsumption: `RMAX ⊑ UAV ⊑ Thing`. A `Subject` is what is
-asked for, a `Role` (of an annotation) what a stream holds.
+[Introspection15 §4.3] matches over subsumption: `RMAX ⊑ UAV ⊑ Thing`. A want asks for a `Subject`;
+a stream holds a `Role` (of its annotation).
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ TOPS = frozenset({THING, OWL + "Thing", STREAM_SPACE + "Sort"})
 """The sorts of all things."""
 
 Roles: TypeAlias = tuple[Role, ...]
-"""Whose a content is: one role, but for n-ary features."""
+"""The roles of a content: one, or several for an n-ary feature."""
 
 
 class Subject(NamedTuple):
     """Every object of ``sort``; ``object``; or ``object``, taken to be of ``sort``. IRIs.
 
-    ``bounds`` are sorts that whatever stands for every object of ``sort`` must not go beyond: a
-    transformation for a sort does not look at sorts, so it may be fed with no others.
+    ``bounds`` are sorts to which all objects in a stream for every object of ``sort`` must belong:
+    a transformation for a sort does not check sorts, so its inputs may have no others.
     """
 
     sort: str | None
@@ -39,7 +39,7 @@ class Subject(NamedTuple):
 
 
 Subjects: TypeAlias = tuple[Subject, ...]
-"""Whose a wanted feature is: one subject, but for n-ary features."""
+"""The subjects of a wanted feature: one, or several for an n-ary feature."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,7 +57,7 @@ class Sorts:
         return self.vocabulary.self_object if object == SELF else object
 
     def belongs(self, subject: Subject, sort: str) -> bool:
-        """Each object meant by ``subject`` is one of ``sort``, as far as is known or was said."""
+        """Whether each object of ``subject`` is known, or given, to be of ``sort``."""
         if sort in TOPS:
             return True
         if subject.object is not None and sort in self.vocabulary.sorts_of(subject.object):
@@ -65,7 +65,7 @@ class Sorts:
         return subject.sort is not None and self.within(subject.sort, sort)
 
     def bounded(self, subject: Subject, sort: str) -> Subject:
-        """``subject``, not beyond ``sort``. Contract: it belongs to ``sort``."""
+        """``subject`` with ``sort`` as a bound. Contract: it belongs to ``sort``."""
         if subject.object is not None or sort in TOPS or subject.sort is None:
             return subject
         narrower = [bound for bound in subject.bounds if not self.within(sort, bound)]
@@ -74,10 +74,10 @@ class Sorts:
         return subject._replace(bounds=tuple(sorted((*narrower, sort))))
 
     def holds(self, roles: Roles, subjects: Subjects) -> bool:
-        """A content of ``roles`` holds the feature of all that ``subjects`` mean.
+        """Whether a content of ``roles`` holds the feature of all objects of ``subjects``.
 
-        Further roles, beyond the subjects, may be any: who wants the distance of `uav1` to
-        whatever it is near wants each of them.
+        Roles beyond the subjects may be any: the distance of `uav1` without a second argument is
+        its distance to each object.
         """
         return len(roles) >= len(subjects) and all(
             self._holds(role, subject) for role, subject in zip(roles, subjects, strict=False)
@@ -95,10 +95,10 @@ class Sorts:
         )
 
     def part(self, held: Subject, wanted: Subject) -> Subject | None:
-        """What of ``wanted`` may be had where features of ``held`` are; None if nothing.
+        """The part of ``wanted`` that features of ``held`` may serve; None if there is none.
 
-        Of every object of a sort, those of a narrower one, or a single one. Of an object of which
-        it is not known, the object taken to be of the sort that is held.
+        Of every object of a sort, those of a narrower sort, or a single one. Of an object that is
+        not known to be of the held sort, that object, assumed to be of it.
         """
         if held.object is not None:
             own = Subject(None, held.object)
@@ -110,7 +110,7 @@ class Sorts:
             return Subject(sort, None) if self.within(sort, wanted.sort or THING) else None
         if self.belongs(wanted, sort) or not self.within(sort, wanted.sort or THING):
             return None
-        # What is known to be a car may be a taxi, and hardly a bird.
+        # An object that is known to be a car may be a taxi, but hardly a bird.
         known = self.vocabulary.sorts_of(wanted.object) - TOPS
         if known and not any(self.within(sort, one) for one in known):
             return None
@@ -143,7 +143,7 @@ class Sorts:
         return f"sort {shorten(sort)} is not a {shorten(wanted)}"
 
     def covers(self, wider: Subject, narrower: Subject) -> bool:
-        """Every object of ``narrower`` is one of ``wider``."""
+        """Whether every object of ``narrower`` is one of ``wider``."""
         if wider.object is None:
             return self.belongs(narrower, wider.sort or THING)
         if wider.object != narrower.object:
@@ -156,3 +156,19 @@ class Sorts:
 def whose(subjects: Sequence[Subject]) -> str:
     """``every dyknow:UAV``, ``dyknow:uav1``; several of an n-ary feature."""
     return " and ".join(map(str, subjects))
+
+
+def named_objects(subjects: Sequence[Subject]) -> dict[str | None, Subject]:
+    """The subject that names each object; of several the first that gives a sort."""
+    named: dict[str | None, Subject] = {}
+    for subject in subjects:
+        object = subject.object
+        if object is not None and (object not in named or named[object].sort is None):
+            named[object] = subject
+    return named
+
+
+def unified(subjects: Subjects) -> Subjects:
+    """The same subjects, where an object is the same subject in all its places."""
+    named = named_objects(subjects)
+    return tuple(named.get(subject.object, subject) for subject in subjects)

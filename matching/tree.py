@@ -1,7 +1,7 @@
-"""What a match answers: the supply, and the transformation tree that was looked through.
+"""The result of a match: the supply, and the transformation tree that was searched.
 
 [Introspection15 §4.3]: "every node represents a transformation or computational unit instance
-and edges correspond to features". Here a node is an `Alternative`, and says what became of it.
+and edges correspond to features". Here a node is an `Alternative` with its outcome.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from .want import Want
 
 
 class Outcome(StrEnum):
-    """What became of an alternative."""
+    """The outcome of an alternative."""
 
     CHOSEN = "chosen"
     POSSIBLE = "possible"
@@ -24,7 +24,7 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Alternative:
-    """One way to get a feature. ``parts`` say, for one that failed, what it lacked."""
+    """One way to get a feature. The ``parts`` of a failed one are the things that it lacked."""
 
     text: str
     outcome: Outcome
@@ -36,10 +36,10 @@ class Alternative:
 class Match:
     """The answer to a want.
 
-    ``supply`` is None where nothing gives the feature; ``missing`` then says what would have to
-    be there. ``tree`` are the alternatives for the wanted feature, in the order of trying.
-    ``proven``: the strategy's optimum was found and proven (always so with *fast*, which looks
-    for the first plan).
+    ``supply`` is None where nothing gives the feature; ``missing`` then lists the reasons at the
+    leaves of the tree. ``tree`` has the alternatives for the feature, in the order of trying.
+    ``proven``: the strategy's optimum was found and proven (always so with *fast*, which looks for
+    the first plan).
     """
 
     want: Want

@@ -1,4 +1,4 @@
-"""A wanted feature: what semantic matching is asked for ([Introspection15 §4.3])."""
+"""A wanted feature: the argument of semantic matching ([Introspection15 §4.3])."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ __all__ = ["THING", "Want"]
 class Want:
     """A feature of one object, or of every object of a sort. All are IRIs.
 
-    ``object`` None: of every object of ``sort`` (None: of all). With an object, ``sort`` is what
-    the asker says the object is (None: nothing beyond what the ontology knows). ``others`` are the
+    ``object`` None: of every object of ``sort`` (None: of all). With an object, ``sort`` is
+    its sort as the request gives it (None: only as the ontology knows it). ``others`` are the
     further arguments of an n-ary feature; without them they may be anything.
     """
 

@@ -23,10 +23,9 @@ from .config.settings import Settings
 from .config.version import __version__
 from .durability.command_queue import Keeper
 from .http import problems
-from .http.access_log import Observe
+from .http.access_log import AccessLog
 from .http.body_limit import BodyLimit, UnderWay
-from .http.body_timeouts import SlowBodies
-from .http.response_limit import PART, Answers, LongAnswers
+from .http.response_limit import PART, LongAnswers, ResponseLimit
 from .routes import (
     annotations,
     docs,
@@ -56,7 +55,7 @@ from .runtime.metrics import Metrics
 from .runtime.openapi import openapi_schema
 from .sse.clients import EventClients
 from .sse.feeds import Feeds
-from .turns.batch_decoding import Decoding
+from .turns.batch_decoding import BatchDecoder
 from .workers.services import Isolation, Windows
 
 # Looked through in this order for each request: the most frequent ones first.
@@ -132,7 +131,7 @@ def create_app(
         clock,
         feeds,
         LiveBodies(tokens),
-        Decoding(engine, settings.batch_limits),
+        BatchDecoder(engine, settings.batch_limits),
         Metrics(
             engine,
             feeds,
@@ -166,7 +165,7 @@ def create_app(
             yield
             service.leave()
             service.isolation.close()
-            service.decoding.close()
+            service.decoder.close()
             tasks.cancel_scope.cancel()
         keeper.close()
 
@@ -186,16 +185,18 @@ def create_app(
     problems.install(app)
     for resource in RESOURCES:
         app.include_router(resource.router)
-    app.add_middleware(Answers, long=answers, key=lambda request: service.client_key(request))
+    app.add_middleware(ResponseLimit, long=answers, key=lambda request: service.client_key(request))
     app.add_middleware(
         BodyLimit,
         limit=settings.body_limit,
         total=settings.bodies_limit,
-        slow=SlowBodies(settings.body_timeout, settings.body_rate, service.metrics.refused),
+        timeout=settings.body_timeout,
+        rate=settings.body_rate,
+        refused=service.metrics.refused,
         under_way=bodies,
     )
     app.add_middleware(Access, gate=service.gate, refused=service.metrics.refused)
-    app.add_middleware(Observe, metrics=service.metrics, slow=settings.slow_request)
+    app.add_middleware(AccessLog, metrics=service.metrics, slow=settings.slow_request)
     app.openapi = lambda: openapi_schema(app)  # type: ignore[method-assign]
     return app
 

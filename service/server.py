@@ -8,17 +8,15 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from types import FrameType
-from typing import Any
 
 import uvicorn
 from fastapi import FastAPI
 
 from .config.settings import Settings
-from .http.connection_limits import Bounds
-from .http.uvicorn_protocols import protocol
+from .http.connection_limits import ConnectionLimits, LimitedProtocol
 from .runtime.context import Service
-from .sse.response import TRANSPORT
 
 GRACE = 5
 """Seconds that open requests have to end when the service stops."""
@@ -48,16 +46,16 @@ class Server(uvicorn.Server):
     """
 
     def __init__(
-        self, config: uvicorn.Config, service: Service, drain: float, bounds: Bounds
+        self, config: uvicorn.Config, service: Service, drain: float, limits: ConnectionLimits
     ) -> None:
         super().__init__(config)
         self._service = service
         self._drain = drain
-        self._bounds = bounds
+        self._limits = limits
 
     async def on_tick(self, counter: int) -> bool:
         if counter % REVIEW == 0:
-            self._bounds.review(tuple(self.server_state.connections), time.monotonic())
+            self._limits.review(tuple(self.server_state.connections), time.monotonic())
         return await super().on_tick(counter)
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
@@ -96,24 +94,10 @@ class Server(uvicorn.Server):
             await asyncio.sleep(_LOOK)
 
 
-def telling_transport(protocol: Any) -> Any:
-    """The server's ``protocol``, whose requests know the transport of their connection: what is
-    sent for hours has to see to it that little of it waits (`EventStream`)."""
-
-    class Telling(protocol):  # type: ignore[misc]
-        app_state: dict[str, Any]
-
-        def connection_made(self, transport: asyncio.Transport) -> None:
-            super().connection_made(transport)
-            self.app_state = {**self.app_state, TRANSPORT: transport}
-
-    return Telling
-
-
 def make_server(app: FastAPI) -> Server:
     """A server for an application of `create_app`, not yet running."""
     service: Service = app.state.service
-    bounds = Bounds(service.settings, service.metrics.refused)
+    limits = ConnectionLimits(service.settings, service.metrics.refused)
     config = uvicorn.Config(
         app,
         log_config=None,
@@ -121,11 +105,11 @@ def make_server(app: FastAPI) -> Server:
         lifespan="on",
         timeout_graceful_shutdown=GRACE,
         server_header=False,
-        http=telling_transport(protocol(bounds)),
+        http=partial(LimitedProtocol, limits),  # type: ignore[arg-type]  # called like a class
         ws="none",
         headers=HEADERS,
     )
-    return Server(config, service, service.settings.drain, bounds)
+    return Server(config, service, service.settings.drain, limits)
 
 
 def bind(settings: Settings) -> socket.socket:

@@ -8,11 +8,9 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .yield_points import Pauses, slices
-
 Codes = NDArray[np.int32]
 _FEW: Final = 16
-"""So many strings are put in their place with each that is encoded alone."""
+"""Strings put in their place with each one that is encoded alone."""
 _MANY: Final = 8192
 """And with those that are encoded together; these are some milliseconds of work."""
 OVERHEAD: Final = 128
@@ -50,8 +48,8 @@ class StringPool:
     Law: ``pool[pool.code(s)] == s``, and a code once given never changes meaning, so columns of
     codes may be shared, sliced and cached. One pool serves one field of one stream.
 
-    Many new strings at once take long, half a microsecond each. Who has them in a pool of their own
-    lets `find_place` look for them a little at a time; `take` then is quick.
+    Many new strings at once take long, half a microsecond each. For strings in a pool of their own
+    `find_place` finds the codes beforehand, in another thread; `codes_in` is quick then.
 
     Cost: a dict look-up per string encoded, nothing per string carried. Memory: every distinct
     string once, for as long as the pool lives: that is as long as somebody keeps codes of the
@@ -160,28 +158,21 @@ class StringPool:
             self._characters += sum(lengths)
             self._longest = max(self._longest, max(lengths))
 
-    def find_place(self, pool: StringPool, pauses: Pauses) -> None:
-        """Look for the codes that all strings of this one have in ``pool``, or will have once
-        `codes_in` puts them there, with moments for others. It changes nothing that they see."""
-        while pool._late:
-            pool._move(_MANY)
-            pauses.breathe()
+    def find_place(self, pool: StringPool) -> None:
+        """Find the codes that all strings of this one have in ``pool``, or will have once
+        `codes_in` puts them there.
+
+        May run in another thread than that of ``pool``, which may grow meanwhile: then the place
+        holds no more. `find` looks in `_late` first, from which `_move` empties strings only after
+        they are in `_codes`, so a string that ``pool`` has is always found.
+        """
         self._place = None
         start = len(pool)
-        codes = np.empty(len(self), np.int32)
-        fresh: list[str] = []
-        late: dict[str, int] = {}
-        done = 0
-        for part in slices(self._strings, _MANY, pauses):
-            found = np.fromiter(map(pool.find, part), np.int32, len(part))
-            lacking = np.flatnonzero(found < 0)
-            first = start + len(fresh)
-            found[lacking] = np.arange(first, first + len(lacking), dtype=np.int32)
-            codes[done : done + len(part)] = found
-            done += len(part)
-            new = [part[i] for i in lacking.tolist()]
-            late.update(zip(new, range(first, first + len(new)), strict=True))
-            fresh += new
+        codes = np.fromiter(map(pool.find, self._strings), np.int32, len(self))
+        lacking = np.flatnonzero(codes < 0)
+        codes[lacking] = np.arange(start, start + len(lacking), dtype=np.int32)
+        fresh = [self._strings[i] for i in lacking.tolist()]
+        late = dict(zip(fresh, range(start, start + len(fresh)), strict=True))
         self._place = Place(pool, start, codes, fresh, late)
 
     def has_place(self, pool: StringPool) -> bool:

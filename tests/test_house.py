@@ -49,7 +49,7 @@ def test_every_python_file_says_what_it_is():
 
 def _map_rows() -> list[tuple[str, str, str]]:
     rows = []
-    for line in (ROOT / "docs" / "paper-map.md").read_text().splitlines():
+    for line in (ROOT / "docs" / "reference" / "paper-map.md").read_text().splitlines():
         cells = [cell.strip() for cell in line.strip("|").split("|")]
         if len(cells) == 3 and "`" in cells[1]:
             rows.append((cells[0], cells[1], cells[2]))

@@ -1,9 +1,9 @@
 """When what a variable is bound to was said: ``f:timestamp(?x)`` and ``dyknow-o:validTime(?x)``.
 
-Semantics (docs/semantics.md): of ``?x`` it is the latest time of the stream elements that the
-patterns with ``?x`` matched, of ``(?s, ?p, ?o)`` that of the element which this very pattern
-matched. Patterns of the static side, and ``a``, have no time. So a time is one more column of a
-scan, and an accessor a variable.
+Semantics (docs/explanation/semantics.md): of ``?x`` it is the latest time of the stream elements
+that the patterns with ``?x`` matched, of ``(?s, ?p, ?o)`` that of the element which this very
+pattern matched. Patterns of the static side, and ``a``, have no time. So a time is one more column
+of a scan, and an accessor a variable.
 """
 
 from __future__ import annotations

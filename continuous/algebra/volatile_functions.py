@@ -1,8 +1,9 @@
 """RAND(), UUID() and STRUUID() of continuous queries: drawn, and the same when drawn again.
 
-A window that is computed again, after a restart, has to give what it gave (docs/promises.md, P6).
-So what these functions give follows from the query, the end of the window, the call's place in the
-plan and the row. Oxigraph draws anew each time: a query that only it can evaluate has no chance.
+A window that is computed again, after a restart, has to give what it gave
+(docs/reference/promises.md, P6). So what these functions give follows from the query, the end of
+the window, the call's place in the plan and the row. Oxigraph draws anew each time: a query that
+only it can evaluate has no chance.
 """
 
 from __future__ import annotations

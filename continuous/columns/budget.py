@@ -12,8 +12,8 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Final, TypeVar
 
-from ...streams.yield_points import STRAIGHT, Pauses
 from .oxigraph_port import DIRECT, Asking
+from .pauses import NO_PAUSES, Pauses
 
 Item = TypeVar("Item")
 LOOKS: Final = 4
@@ -66,12 +66,12 @@ class Budget:
     results: int | None = None
     text: int | None = None
     asking: Asking = DIRECT
-    pauses: Pauses = STRAIGHT
+    pauses: Pauses = NO_PAUSES
 
     def check(self, rows: int, what: str) -> None:
         """Raises `BudgetExceeded` where an operator is about to make more rows than it may, and as
-        `Pauses.breathe` does."""
-        self.pauses.breathe()
+        `Pauses.pause` does."""
+        self.pauses.pause()
         if self.rows is not None and rows > self.rows:
             raise BudgetExceeded(
                 f"{what} makes {rows} rows of a window, at most {self.rows} may be"
@@ -79,7 +79,7 @@ class Budget:
 
     def check_result(self, rows: int) -> None:
         """Raises `BudgetExceeded` for so many solutions of one query: each becomes a sample."""
-        self.pauses.breathe()
+        self.pauses.pause()
         if self.results is not None and rows > self.results:
             raise BudgetExceeded(f"{rows} solutions, at most {self.results} may be")
 
@@ -91,10 +91,10 @@ class Budget:
             )
 
     def paced(self, items: Iterable[Item]) -> Iterator[Item]:
-        """``items``, with a moment for others now and then. Raises as `Pauses.breathe` does."""
+        """``items``, with a moment for others now and then. Raises as `Pauses.pause` does."""
         for number, item in enumerate(items):
             if not number % PACE:
-                self.pauses.breathe()
+                self.pauses.pause()
             yield item
 
     @property

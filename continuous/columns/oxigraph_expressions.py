@@ -51,7 +51,7 @@ def ask(
         ]
         for row in terms.budget.paced(range(len(first)))
     ]
-    with terms.budget.pauses.apart(waits=True):
+    with terms.budget.pauses.released(waits=True):
         answers = _answers(expression, known, table, terms.budget.asking)
     return term_column(answers, terms.dictionary.transient_id).take(inverse)
 

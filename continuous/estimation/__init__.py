@@ -1,1 +1,1 @@
-"""What an operator will cost: cardinalities, rates, sizes."""
+"""Estimated costs of operators: cardinalities, rates, sizes."""

@@ -1,8 +1,8 @@
-"""How many rows the operators of a plan give: the textbook's estimation of cardinalities.
+"""Rows that the operators of a plan give, estimated as in textbooks.
 
 Selinger et al., *Access Path Selection in a Relational Database Management System* (SIGMOD 1979);
 for joins |L||R| / max(V(L,a), V(R,a)). A relation is its rows and V(a), the distinct values of each
-variable; values are taken to be spread evenly, variables to be independent.
+variable; it assumes that values are spread evenly and variables are independent.
 """
 
 from __future__ import annotations
@@ -41,13 +41,13 @@ from .pattern_sizes import Known, PatternSizes, Size, either, named_in
 EQUAL, RANGE, OTHER = 1 / 10, 1 / 3, 1 / 2
 """The share of rows that passes ``=`` between computed values, ``<`` and its like, other tests."""
 REACH = 2.0
-"""Pairs that ``p+`` has for each pair of ``p``: made up, since it depends on the graph."""
+"""Pairs of ``p+`` for each pair of ``p``: a guess, since it depends on the graph."""
 MOST = 1e18
-"""No estimate is greater, so that all are finite."""
+"""The greatest estimate, so that all are finite."""
 
 
 class Sizes:
-    """The sizes of plans over what is known; each plan once, told apart by identity."""
+    """The estimated sizes of plans; it computes each plan once, by identity."""
 
     def __init__(self, known: Known) -> None:
         self.patterns = PatternSizes(known)
@@ -130,7 +130,7 @@ def _scaled(size: Size, share: float) -> Size:
 
 
 def _joined(left: Size, right: Size) -> Size:
-    """The textbook's join: each value of the side with fewer of them has a partner."""
+    """The join of textbooks: each value of the side with fewer values has a partner."""
     shared = left.distinct.keys() & right.distinct.keys()
     v = {**left.distinct, **right.distinct}
     v |= {name: min(left.v(name), right.v(name)) for name in shared}

@@ -1,4 +1,4 @@
-"""The table of what the operators of a plan cost, estimated and measured, for people."""
+"""The table of estimated and measured costs of the operators of a plan, for people."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from .input_rates import NOTHING_KNOWN
 from .pattern_sizes import Known
 
 _WIDEST = 96
-"""Columns of the table: with the margin of its section, what a terminal of 100 shows."""
+"""Columns of the table: with the margin of its section it fits a terminal of 100."""
 _NUMBERS = (9, 8)
 """Columns of rows and of time."""
 
@@ -20,10 +20,10 @@ _NUMBERS = (9, 8)
 def cost_table(
     plan: Plan, costs: Mapping[int, Estimate], known: Known, profile: Profile | None
 ) -> Iterator[str]:
-    """What is known of the inputs, then a line an operator: rows out and its own time a window.
+    """The lines of the table: the rates of the inputs, then rows out and time of each operator.
 
-    An operator that is done ``WITHIN`` the one above it has no time, and was not measured. Lines of
-    operators are cut to the width: the plan above has them whole.
+    An operator ``WITHIN`` the one above it has no time of its own. Lines of operators are cut to
+    the width: the plan above has them whole.
     """
     for name in dict.fromkeys(one.input for one in known.schedule.windows):
         yield f"{name or 'any stream'}: {known.flows.get(name, NOTHING_KNOWN)}"
@@ -64,7 +64,7 @@ def _pair(rows: str, time: str) -> str:
 
 
 def _rows(rows: float) -> str:
-    """Whole from ten on: what is smaller is a share."""
+    """A whole number from ten on, else one decimal."""
     if rows < 9.95:
         return f"{rows:.1f}".removesuffix(".0")
     return f"{rows:,.0f}" if rows < 1e7 else f"{rows:.1e}".replace("e+0", "e").replace("e+", "e")

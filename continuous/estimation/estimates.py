@@ -1,6 +1,7 @@
-"""What each operator of a plan is likely to cost: rows out (`cardinality`) and time, before it has
-run. `explain` shows it beside what was measured; all that is decided by it is whether queries that
-differ in constants are computed together (`similar_queries.worth_from`), which changes no result.
+"""Estimated cost of each operator of a plan: rows out (`cardinality`) and time.
+
+`explain` shows it beside the measured cost. One decision uses it: whether queries that differ in
+constants are computed together (`similar_queries.worth_from`), which changes no result.
 
 Law (tests/laws/continuous/test_estimates.py): finite, never negative; exact for a pattern over the
 static side alone; a join with a static pattern that has each key once gives at most the rows of the
@@ -23,7 +24,7 @@ from .pattern_sizes import Known, Size
 
 
 class Way(StrEnum):
-    """How an operator is done (docs/semantics.md, "How it is computed")."""
+    """How an operator is computed (docs/explanation/semantics.md, "How it is computed")."""
 
     COLUMNS = "in columns"
     INCREMENTAL = "incrementally"
@@ -34,8 +35,8 @@ class Way(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """Of one operator in a window: rows out (None where they are never made), its own time in ns (0
-    ``WITHIN`` another), how it is done. ``FOLDED``: of a step."""
+    """Of one operator in a window: rows out (None where it makes none), its own time in ns (0
+    ``WITHIN`` another), and how it is computed. ``FOLDED``: of a step."""
 
     rows: float | None
     nanoseconds: float
@@ -47,8 +48,8 @@ def estimate(
 ) -> dict[int, Estimate]:
     """The estimates of the operators of ``plan``, by their identity.
 
-    ``shape``: what of it is computed incrementally; ``served``: what a compiled loop solves. Cost:
-    what its patterns select of the static side is brought into columns, once a version.
+    ``shape``: the part that is computed incrementally; ``served``: the parts that a compiled loop
+    solves. Cost: it reads the rows of its patterns on the static side, once a version.
     """
     sizes = Sizes(known)
     ways = _ways(plan, shape, served)
@@ -104,9 +105,9 @@ COST: Mapping[str, tuple[float, float]] = {
     "COMPILED": (50_000, 31),
 }
 """By operator or way: ns a call, and ns a row that goes in or out. ``python bench/estimates.py``
-measured them once, with 100 and 30,000 rows; they are rough, and another machine has others."""
+measured them once, with 100 and 30,000 rows; they are rough and depend on the machine."""
 FOREIGN = 15_000.0
-"""ns to ask Oxigraph for the value of a function, a distinct combination of arguments."""
+"""ns to have Oxigraph compute a function for one distinct combination of arguments."""
 
 
 def _time(node: Plan, way: Way, rows: float, sizes: Sizes, shape: Shape | None) -> float:
@@ -138,7 +139,7 @@ def _cost(name: str, rows: float) -> float:
 
 
 def _kept(shape: Shape, sizes: Sizes) -> float:
-    """What it takes to join the subjects that are kept with the rest, and to group them."""
+    """The time to join the kept subjects with the rest, and to group them."""
     if not shape.rest:
         return 0.0
     scan, rest = shape.scan, [sizes.of(part) for part in shape.rest]

@@ -1,4 +1,4 @@
-"""How much comes in the streams of a query: told, measured, or assumed. `estimates` reads it."""
+"""Rates of the streams of a query: given, measured or assumed. `pattern_sizes` reads them."""
 
 from __future__ import annotations
 
@@ -15,51 +15,50 @@ from ...streams.time import SECOND
 
 
 @dataclass(frozen=True, slots=True)
-class Said:
-    """What a stream says with one predicate: triples a second, distinct subjects, and distinct
-    objects (None: not known, as of numbers)."""
+class PredicateRate:
+    """Triples of one predicate in a stream: triples a second, distinct subjects, and distinct
+    objects (None: not known, for example of numbers)."""
 
     rate: float
     subjects: float
     objects: float | None = None
 
 
-SILENCE = Said(0.0, 0.0, 0.0)
+SILENCE = PredicateRate(0.0, 0.0, 0.0)
 ASSUMED_RATE, ASSUMED_SUBJECTS = 1_000.0, 100.0
 
 
 @dataclass(frozen=True, slots=True)
 class Flow:
-    """What is known of one stream: samples a second, and how many subjects they are of (None: not
-    known, so assumed).
+    """Samples a second in one stream, and the number of their subjects (None: assumed).
 
-    ``predicates``: what was counted by predicate, by IRI. Where that is None a sample is taken to
-    say one triple of each predicate that a query asks for and the static side does not have.
+    ``predicates`` has the counts by predicate (IRI). Where it is None, each sample is assumed to
+    have one triple of each predicate that a query asks for and the static side does not have.
     ``seconds``: how long the stream has been read.
     """
 
     rate: float | None = None
     subjects: float | None = None
-    predicates: Mapping[str, Said] | None = None
+    predicates: Mapping[str, PredicateRate] | None = None
     seconds: float | None = None
 
-    def said(self, predicate: str) -> Said:
-        """What the stream says with ``predicate``."""
+    def rate_of(self, predicate: str) -> PredicateRate:
+        """The triples of ``predicate`` in the stream."""
         if self.predicates is not None:
             return self.predicates.get(predicate, SILENCE)
         return self.any
 
     @property
-    def any(self) -> Said:
-        """What it says in a sample."""
+    def any(self) -> PredicateRate:
+        """Samples, each assumed to have one triple of each predicate that was not counted."""
         rate = ASSUMED_RATE if self.rate is None else self.rate
-        return Said(rate, ASSUMED_SUBJECTS if self.subjects is None else self.subjects)
+        return PredicateRate(rate, ASSUMED_SUBJECTS if self.subjects is None else self.subjects)
 
     def __str__(self) -> str:
-        said = self.any
-        shown = f"{said.rate:.3g}" if said.rate < 100 else f"{said.rate:,.0f}"
+        usual = self.any
+        shown = f"{usual.rate:.3g}" if usual.rate < 100 else f"{usual.rate:,.0f}"
         rate = f"{shown} {'sample' if shown == '1' else 'samples'} a second"
-        subjects = f"{said.subjects:,.0f} {'subject' if said.subjects == 1 else 'subjects'}"
+        subjects = f"{usual.subjects:,.0f} {'subject' if usual.subjects == 1 else 'subjects'}"
         match self.rate, self.subjects:
             case None, None:
                 return f"{rate} of {subjects} (assumed)"
@@ -82,10 +81,10 @@ class _Counted:
 
 
 class Traffic:
-    """Counts what comes in one stream, whose terms are of one dictionary.
+    """Counts the triples of one stream, whose terms are of one dictionary.
 
     Cost: a sort of the ids of a table; memory: the distinct subjects and objects by predicate. It
-    holds their terms, so that none is counted twice.
+    holds their terms, so that it counts none twice.
     """
 
     def __init__(self) -> None:
@@ -98,7 +97,7 @@ class Traffic:
         self._counted: dict[int, _Counted] = {}
 
     def add(self, triples: TimedTriples) -> None:
-        """Rows that came."""
+        """Count new rows."""
         if self._dictionary is None:
             self._dictionary = triples.dictionary
             self._dictionary.hold(self)
@@ -131,22 +130,22 @@ class Traffic:
                 elif counted.objects is not None:
                     counted.objects |= set(np.unique(column.values[there]).tolist())
 
-    def held(self) -> Iterator[Sequence[int]]:
+    def held_ids(self) -> Iterator[Sequence[int]]:
         """See `dictionary.Holder`."""
         yield list(self._subjects)
         for predicate, counted in self._counted.items():
             yield [predicate, *counted.subjects, *(counted.objects or ())]
 
     def flow(self) -> Flow | None:
-        """What was counted; None before two moments have come, since that is no rate yet."""
+        """The rates so far; None before rows of two times have come."""
         dictionary = self._dictionary
         if dictionary is None or self._first is None or self._last == self._first:
             return None
         seconds = (self._last - self._first) / SECOND
-        # What comes at the last moment begins a stretch of which nothing else is seen.
+        # The rows of the last time begin an interval of which nothing else was read.
         share = (1 - self._at_last / self._rows) / seconds
         predicates = {
-            _iri(dictionary.term(id)): Said(
+            _iri(dictionary.term(id)): PredicateRate(
                 counted.triples * share,
                 len(counted.subjects),
                 None if counted.objects is None else len(counted.objects),

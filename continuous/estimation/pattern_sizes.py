@@ -1,6 +1,4 @@
-"""How many rows the patterns of a plan have: on the static side, counted, and in the windows, a
-rate times their length.
-"""
+"""Rows of the patterns of a plan: on the static side a count, in windows a rate times a length."""
 
 from __future__ import annotations
 
@@ -19,17 +17,17 @@ from ..columns.relation import key_codes
 from ..operators.executor import execute
 from ..operators.sources import EmptyWindows, StaticSide
 from ..windows.grid import InputWindow, Schedule
-from .input_rates import NOTHING_KNOWN, SILENCE, Flow, Said
+from .input_rates import NOTHING_KNOWN, SILENCE, Flow, PredicateRate
 
 UNKNOWN_V = 10.0
-"""V of objects that nobody has counted, such as numbers."""
+"""V of objects that were not counted, such as numbers."""
 ASSUMED_LANDMARK = 3600.0
-"""How long (s) a window since a landmark is, where its stream has not been read."""
+"""Seconds in a window since a landmark, where its stream has not been read."""
 
 
 @dataclass(frozen=True, slots=True)
 class Known:
-    """What is known of the data: ``flows`` by input; ``distinct``: equal triples count once."""
+    """The data to estimate from: ``flows`` by input; ``distinct``: equal triples count once."""
 
     schedule: Schedule
     static: StaticSide
@@ -39,7 +37,7 @@ class Known:
 
 @dataclass(frozen=True, slots=True)
 class Size:
-    """A relation as far as it is known: its rows and V, the distinct values by variable."""
+    """The estimated rows of a relation and V, its distinct values by variable."""
 
     rows: float
     distinct: Mapping[str, float]
@@ -52,7 +50,7 @@ NOTHING = Size(0.0, {})
 
 
 class PatternSizes:
-    """The sizes of patterns over what is known."""
+    """The estimated sizes of patterns."""
 
     def __init__(self, known: Known) -> None:
         self._known = known
@@ -60,17 +58,17 @@ class PatternSizes:
         self._source = EmptyWindows(known.static, self._named, False, None)
 
     def of(self, scan: AnyPattern) -> Size:
-        """In a window, the static side with it."""
-        return either((self._static(scan), self._told(scan)))
+        """The size in a window together with the static side."""
+        return either((self._static(scan), self._in_windows(scan)))
 
     def step(self, scan: AnyPattern) -> float:
-        """The rows of a pattern that come from one evaluation to the next."""
+        """The rows of a pattern that come between two evaluations."""
         ends = self._known.schedule.ends
         assert ends is not None
-        return self._told(scan, ends.step / SECOND).rows
+        return self._in_windows(scan, ends.step / SECOND).rows
 
     def _static(self, scan: AnyPattern) -> Size:
-        """What a pattern has of the static side: counted."""
+        """Count the rows of a pattern on the static side."""
         if scan.graph in self._named:
             return NOTHING
         terms = self._known.static.terms
@@ -82,8 +80,8 @@ class PatternSizes:
             v[name] = float(len(np.unique(codes)))
         return Size(float(found.rows), v)
 
-    def _told(self, scan: AnyPattern, seconds: float | None = None) -> Size:
-        """What a pattern has of the windows (None), or of so many seconds of their streams."""
+    def _in_windows(self, scan: AnyPattern, seconds: float | None = None) -> Size:
+        """The rows of a pattern in the windows (None), or in ``seconds`` of their streams."""
         found = NOTHING
         for window in self._known.schedule.windows:
             if window.graph == scan.graph:
@@ -94,15 +92,15 @@ class PatternSizes:
         self, before: Size, scan: AnyPattern, window: InputWindow, seconds: float | None
     ) -> Size:
         flow = self._known.flows.get(window.input, NOTHING_KNOWN)
-        said, length = self._said(scan, flow), _seconds(window, flow)
-        rows = said.rate * (length if seconds is None else min(seconds, length))
+        matching, length = self._matching(scan, flow), _seconds(window, flow)
+        rows = matching.rate * (length if seconds is None else min(seconds, length))
         if isinstance(window.window, CountWindow):
-            all_said = flow.any.rate
-            share = said.rate / all_said if all_said else 0.0
+            all_rows = flow.any.rate
+            share = matching.rate / all_rows if all_rows else 0.0
             rows = window.window.size * min(share, 1.0)
-        subjects = min(said.subjects, rows)
-        objects = UNKNOWN_V if said.objects is None else said.objects
-        once = self._known.distinct and said.objects is not None
+        subjects = min(matching.subjects, rows)
+        objects = UNKNOWN_V if matching.objects is None else matching.objects
+        once = self._known.distinct and matching.objects is not None
         if once or isinstance(scan, TypeScan):
             rows = min(rows, subjects * objects)
         v = {}
@@ -119,32 +117,32 @@ class PatternSizes:
         v |= named_in(scan.subject, subjects)
         if not isinstance(scan, TypeScan):
             v |= dict.fromkeys(scan.times.names, rows)
-        # Streams of one graph speak of the same objects, so far as anybody knows.
+        # Streams of one graph are assumed to have the same objects.
         v = {name: max(value, before.distinct.get(name, 0.0)) for name, value in v.items()}
         rows += before.rows
         return Size(rows, {name: min(value, rows) for name, value in v.items()})
 
-    def _said(self, scan: AnyPattern, flow: Flow) -> Said:
-        """What a stream says that could match."""
+    def _matching(self, scan: AnyPattern, flow: Flow) -> PredicateRate:
+        """The triples of a stream that could match."""
         match scan:
             case AnyScan() if flow.predicates is not None:
                 every = flow.predicates.values()
                 known = [one.objects for one in every if one.objects is not None]
                 objects = sum(known) if len(known) == len(every) else None
-                return Said(sum(one.rate for one in every), flow.any.subjects, objects)
+                return PredicateRate(sum(one.rate for one in every), flow.any.subjects, objects)
             case AnyScan():
                 return flow.any
             case Scan(_, predicate):
-                # A pattern that the static side knows nothing of is the one the stream is for.
+                # The stream is assumed to have the predicates that the static side has not.
                 if flow.predicates is None and self._known.static.background.has(predicate):
                     return SILENCE
-                return flow.said(predicate.value)
+                return flow.rate_of(predicate.value)
             case TypeScan():
                 if flow.predicates is None and self._static(scan).rows:
                     return SILENCE
                 if flow.predicates is None:
-                    return Said(flow.any.rate, flow.any.subjects, 1.0)
-                return flow.said(RDF_TYPE.value)
+                    return PredicateRate(flow.any.rate, flow.any.subjects, 1.0)
+                return flow.rate_of(RDF_TYPE.value)
             case _:
                 assert_never(scan)
 

@@ -30,7 +30,7 @@ from ..windows.grid import Schedule
 
 _OTHER_ANSWERS: Final = (
     "other answers there: integers beyond 64 bits, decimals beyond 18 places, overflowing sums, "
-    "MIN and MAX, COUNT of errors, MINUS in EXISTS (docs/semantics.md)"
+    "MIN and MAX, COUNT of errors, MINUS in EXISTS (docs/explanation/semantics.md)"
 )
 
 

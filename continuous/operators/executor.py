@@ -85,7 +85,7 @@ SUBJECT, PREDICATE, OBJECT = "\0s", "\0p", "\0o"
 
 def execute(plan: Plan, source: Source, terms: TermValues) -> Relation:
     """The solutions of ``plan``. Cost: that of sorting each join and group key once."""
-    terms.budget.pauses.breathe()
+    terms.budget.pauses.pause()
     profile = source.profile
     if profile is None:
         return _execute(plan, source, terms)

@@ -164,7 +164,7 @@ def _matched(
     rights = np.arange(right.rows) if at_right is None else at_right
     if not names:
         terms.budget.check(len(lefts) * len(rights), "a join without a common variable")
-        with terms.budget.pauses.apart():
+        with terms.budget.pauses.released():
             return np.repeat(lefts, len(rights)), np.tile(rights, len(lefts))
     pairs = []
     for name in names:
@@ -181,13 +181,13 @@ def _matched(
 
 def match_keys(left: Rows, right: Rows, budget: Budget) -> tuple[Rows, Rows]:
     """All pairs of rows with equal codes, as two index arrays."""
-    with budget.pauses.apart():
+    with budget.pauses.released():
         order = np.argsort(right, kind="stable")
         ordered = right[order]
         low = np.searchsorted(ordered, left, "left")
         count = np.searchsorted(ordered, left, "right") - low
     budget.check(int(count.sum()), "a join")
-    with budget.pauses.apart():
+    with budget.pauses.released():
         at_left = np.repeat(np.arange(len(left)), count)
         offset = np.arange(len(at_left)) - np.repeat(np.cumsum(count) - count, count)
         return at_left, order[np.repeat(low, count) + offset]
@@ -200,13 +200,13 @@ def _joined(
     columns: dict[str, ObjectColumn] = {}
     pauses = terms.budget.pauses
     for name, column in left.columns.items():
-        with pauses.apart():
+        with pauses.released():
             taken = column.take(at_left)
         if name in right.columns and taken.null is not None:
             taken = coalesce(taken, take_or_null(right.columns[name], at_right), terms.dictionary)
         columns[name] = taken
     for name, column in right.columns.items():
         if name not in columns:
-            with pauses.apart():
+            with pauses.released():
                 columns[name] = take_or_null(column, at_right)
     return Relation(columns, len(at_left))

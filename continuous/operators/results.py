@@ -30,10 +30,10 @@ class Solutions:
     def __len__(self) -> int:
         return self.length
 
-    def held(self) -> Iterator[NDArray[np.int32]]:
+    def held_ids(self) -> Iterator[NDArray[np.int32]]:
         """See `dictionary.Holder`."""
         for column in self.columns.values():
-            yield column.held
+            yield column.held_ids
 
     def take(self, rows: NDArray[np.int64]) -> Solutions:
         """The solutions at ``rows``."""
@@ -58,7 +58,7 @@ class WindowResult:
 
     Exactly one of ``solutions`` (SELECT), ``triples`` (CONSTRUCT, DESCRIBE; τ and valid time are
     ``end``) and ``answer`` (ASK) is there. ``merged``: the bag was asked for, the window held equal
-    triples, and they counted once (docs/semantics.md says where).
+    triples, and they counted once (docs/explanation/semantics.md says where).
     """
 
     start: int

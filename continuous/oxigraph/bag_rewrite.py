@@ -5,7 +5,8 @@ triple pattern P of the query becomes ``GRAPH ?g {P}`` with a variable of its ow
 a copy. `window_store` fills the copies; the default graph holds each triple once.
 
 What counts solutions as a set anyway stays as it is, on the default graph: ``?x a Sort`` (a set of
-facts, docs/semantics.md), FILTER with EXISTS, MINUS, and the paths ``p*``, ``p+`` and ``p?``.
+facts, docs/explanation/semantics.md), FILTER with EXISTS, MINUS, and the paths ``p*``, ``p+`` and
+``p?``.
 """
 
 from __future__ import annotations
@@ -95,6 +96,6 @@ def _counts(verb: ast.Path | Variable) -> bool:
     match verb:
         case NamedNode() | Variable():
             return verb != RDF_TYPE
-        case ast.Repeated(NamedNode(), _):
+        case ast.Repetition(NamedNode(), _):
             return False
     raise Unsupported("a property path")

@@ -41,7 +41,7 @@ READING = 200_000, 300
 """ns a step, and ns a sample, for a query by itself to read its streams (`bench/requests.py`: of
 1,000 samples 0.6 ms). Estimates of plans have only what their patterns select."""
 MOST_ALONE = 1_000_000_000
-"""Estimates have no end; numbers of queries have."""
+"""The greatest number of queries to return: estimates have no such bound."""
 _MOST_CONSTANTS = 128
 """Of a query that may share: what it might share is planned while everybody waits."""
 

@@ -1,7 +1,7 @@
-"""An Arrow IPC stream that comes in pieces, cut wherever: record batch by record batch.
+"""An Arrow IPC stream that arrives in pieces: record batch by record batch.
 
-Only where a message ends, and how large what it holds is, is read here (`sizes`); what it
-says pyarrow reads. Used by service/runtime/live_ingest.
+This module reads only the ends of messages and their declared sizes (`sizes`); pyarrow reads the
+rest. Used by service/runtime/live_ingest.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from .stream import failures, pyarrow_module
 
 
 class ArrowMessages:
-    """Takes bytes, gives a table for each record batch that is complete.
+    """Takes bytes and returns a table for each complete record batch.
 
-    After the end of a stream another one may begin. Law (tests/laws): the tables do not depend on
-    how the bytes were cut. Memory: the messages up to the next record batch, and the dictionaries.
+    Another stream may follow the end of one. Law (tests/laws): the tables do not depend on how the
+    bytes were cut. Memory: the messages up to the next record batch, and the dictionaries.
     """
 
     def __init__(self, limits: BatchLimits | None = None) -> None:
         self._limits = limits
-        """Of each record batch."""
+        """The limits of each record batch."""
         self._waiting = bytearray()
         self._message: Message | None = None
         self._source = _Source()
@@ -33,11 +33,11 @@ class ArrowMessages:
 
     @property
     def held(self) -> int:
-        """Bytes that no table has come of yet."""
+        """Bytes of incomplete record batches, and of dictionaries."""
         return len(self._waiting) + self._source.size
 
     def take(self, data: bytes) -> Iterator[Any]:
-        """The tables that are complete with ``data``. Raises `WireError`."""
+        """The tables that ``data`` completes. Raises `WireError`."""
         self._waiting += data
         while True:
             if self._message is None:
@@ -73,7 +73,7 @@ class ArrowMessages:
 
 
 class _Source(io.RawIOBase):
-    """The messages that pyarrow is to read: never asked for one that is not there."""
+    """The messages that pyarrow reads next. Contract: they are complete before it reads."""
 
     def __init__(self) -> None:
         super().__init__()

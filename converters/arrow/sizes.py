@@ -1,9 +1,9 @@
-"""How large an Arrow IPC message is, and what it holds: read before anything is decompressed.
+"""The declared size of an Arrow IPC message, read before pyarrow decompresses anything.
 
-A message is a length, a flatbuffer that tells its kind and how long its body is, and the body
-(Arrow columnar format, "Encapsulated message format"). A record batch says how many rows it has,
-and a compressed buffer how long it was: so a body of some hundred bytes that stands for gigabytes
-is refused by what it declares. Used by `stream` and `messages`.
+A message is a length, a flatbuffer with its kind and the length of its body, and the body (Arrow
+columnar format, "Encapsulated message format"). A record batch declares its rows, and a compressed
+buffer its original length. The service therefore refuses a body of some hundred bytes that would
+become gigabytes. Used by `stream` and `messages`.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 
-from ...streams.yield_points import STRAIGHT, Pauses
 from ..errors import WireError
 from ..wire import BatchLimits
 
@@ -19,21 +18,21 @@ SCHEMA, DICTIONARY, RECORDS = 1, 2, 3
 """Kinds of messages."""
 _CONTINUATION = 0xFFFFFFFF
 _HEADER_TYPE, _HEADER, _BODY_LENGTH = 1, 2, 3
-"""Places in the table `Message`, as in Message.fbs; below those of the other tables."""
+"""Places in the table `Message`, as in Message.fbs; the next lines have those of other tables."""
 _LENGTH, _NODES, _BUFFERS, _COMPRESSION = 0, 1, 2, 3
 _OF_DICTIONARY = 1
 _VALUE = 4
-"""Bytes that a value is reckoned with at least: a truth value is a bit in a message, a text of a
-dictionary may be a byte, but here they are columns as others are."""
+"""Bytes that a value counts at least. In a message a boolean may be a bit, and a text of a
+dictionary a byte; decoded columns are larger."""
 _FARTHEST = 2**62
-"""No message begins or ends beyond this, whatever it says: no memory has so many bytes."""
+"""The greatest plausible position of a message: no memory has as many bytes."""
 _EARLY_COMPRESSION = b"ARROW:experimental_compression"
-"""Before Arrow 1.0 it stood among the remarks of a message."""
+"""The key in a message's metadata that marked compression before Arrow 1.0."""
 
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """How many bytes it has, its kind (0 is the end of a stream), and where its body begins."""
+    """A message: its bytes, its kind (0 is the end of a stream), and the begin of its body."""
 
     size: int
     kind: int
@@ -42,8 +41,8 @@ class Message:
 
 @dataclass(frozen=True, slots=True)
 class Size:
-    """What a batch declares: its rows, and the bytes of its buffers once they are decompressed, or
-    of its values (`_VALUE`), if that is more."""
+    """The declared size of a batch: its rows, and the greater of the bytes of its decompressed
+    buffers and those of its values (`_VALUE`)."""
 
     rows: int
     bytes: int
@@ -52,7 +51,7 @@ class Size:
         return Size(self.rows + other.rows, self.bytes + other.bytes)
 
     def check(self, limits: BatchLimits) -> None:
-        """Raises `WireError` for more than a batch may have."""
+        """Raise `WireError` for a size beyond ``limits``."""
         limits.check_samples(self.rows)
         if self.bytes > limits.decoded:
             raise WireError(
@@ -63,8 +62,8 @@ class Size:
             )
 
 
-def check_sizes(data: bytes, limits: BatchLimits, pauses: Pauses = STRAIGHT) -> None:
-    """Raises `WireError` where the batches of an IPC stream have more than ``limits`` together.
+def check_sizes(data: bytes, limits: BatchLimits) -> None:
+    """Raise `WireError` if the batches of an IPC stream have more than ``limits`` together.
 
     Cost: O(buffers).
     """
@@ -74,13 +73,12 @@ def check_sizes(data: bytes, limits: BatchLimits, pauses: Pauses = STRAIGHT) -> 
             found += size_of(data, at)
             found.check(limits)
         at += message.size
-        pauses.breathe()
 
 
 def declares_more(data: bytes, most: int) -> bool:
-    """Whether the batches of an IPC stream declare more than so many bytes together, as one of
-    fewer bytes may: compressed, or with the same ones for many buffers. What is no such stream
-    declares nothing. Cost: O(buffers)."""
+    """Whether the batches of an IPC stream declare more than ``most`` bytes together. A shorter
+    body can do so by compression, or by buffers that share bytes. False for other bytes than an
+    IPC stream. Cost: O(buffers)."""
     total = at = 0
     try:
         while (message := message_at(data, at)) is not None and message.kind:
@@ -89,13 +87,13 @@ def declares_more(data: bytes, most: int) -> bool:
                 if total > most:
                     return True
             at += message.size
-    except WireError:  # told when it is decoded
+    except WireError:  # the decoder reports it
         return False
     return False
 
 
 def message_at(data: bytes | bytearray, at: int = 0) -> Message | None:
-    """The message that begins ``at``, None before its metadata is there. Raises `WireError`."""
+    """The message at ``at``, or None if its metadata is incomplete. Raises `WireError`."""
     try:
         prefix = 4
         (length,) = struct.unpack_from("<I", data, at)
@@ -124,8 +122,8 @@ def message_at(data: bytes | bytearray, at: int = 0) -> Message | None:
 
 
 def size_of(data: bytes | bytearray, at: int = 0) -> Size:
-    """What the record batch, or the dictionary, that begins ``at`` declares: a dictionary has no
-    rows. Raises `WireError`. Contract: its metadata is there, and of one of these kinds."""
+    """The declared size of the record batch or dictionary at ``at``; a dictionary has no rows.
+    Raises `WireError`. Contract: the metadata is complete, and of one of these kinds."""
     message = message_at(data, at)
     assert message is not None
     body = at + message.body
@@ -158,28 +156,28 @@ def size_of(data: bytes | bytearray, at: int = 0) -> Size:
 
 @dataclass(frozen=True, slots=True)
 class _Table:
-    """A table of a flatbuffer. Reading raises ``struct.error`` where there is none."""
+    """A table of a flatbuffer. Its methods raise ``struct.error`` for bytes that are none."""
 
     data: bytes
     at: int
 
     def has(self, place: int) -> bool:
-        """Whether the field is written."""
+        """Whether the field is present."""
         return bool(self._offset(place))
 
     def number(self, place: int, form: str) -> int:
-        """A number; what is not written is 0."""
+        """A number, 0 if absent."""
         offset = self._offset(place)
         return int(struct.unpack_from(form, self.data, self.at + offset)[0]) if offset else 0
 
     def table(self, place: int) -> _Table:
-        """A table within."""
+        """A nested table."""
         if not self.has(place):
             raise struct.error("no such table")
         return _Table(self.data, self._target(place))
 
     def vector(self, place: int) -> tuple[int, int]:
-        """Where the elements of a vector begin, and how many there are."""
+        """The begin of a vector's elements, and their number."""
         if not self.has(place):
             return 0, 0
         target = self._target(place)

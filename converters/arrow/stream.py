@@ -1,7 +1,7 @@
 """Samples as an Arrow IPC stream, ``application/vnd.apache.arrow.stream``.
 
 Columns: ``valid`` and, optionally, ``available`` (a timestamp of any unit, or int64 ns), and one a
-field. pyarrow is an extra of the installation: `ArrowMissing` says how to get it.
+field. pyarrow is an optional dependency: `ArrowMissing` names the command that installs it.
 """
 
 from __future__ import annotations
@@ -27,7 +27,6 @@ from ...streams.sample import (
 )
 from ...streams.string_pool import StringPool
 from ...streams.time import TIME_MAX, TIME_MIN
-from ...streams.yield_points import STRAIGHT, Pauses, slices
 from ..errors import WireError
 from ..inference import TIME_UNITS, TimeReader
 from ..rounding import rounded_rows
@@ -36,7 +35,6 @@ from ..wire import (
     BatchLimits,
     Incoming,
     check_names,
-    encoded,
     null_mask,
     pool_of,
     text_column,
@@ -58,19 +56,15 @@ def decode_arrow(
     schema: Schema,
     pools: dict[str, StringPool],
     limits: BatchLimits | None = None,
-    pauses: Pauses = STRAIGHT,
 ) -> Incoming:
-    """A batch from an IPC stream, taken whole or refused whole (`WireError`, lines are rows).
+    """Decode a batch from an IPC stream; an error refuses all of it (`WireError`, lines are rows).
 
-    Without fields in ``schema`` (an open stream) the table's columns decide them. What has more
-    than ``limits`` by what it declares is refused before it is read. Most of the work is pyarrow's
-    and done apart (``pauses``).
+    A ``schema`` without fields belongs to an open stream: the table's columns then decide them. A
+    body that declares more than ``limits`` is refused before pyarrow reads it.
     """
     if limits is not None:
-        check_sizes(data, limits, pauses)
-    with pauses.apart():
-        table = _read(data)
-    return samples_of_table(table, schema, pools, limits, pauses)
+        check_sizes(data, limits)
+    return samples_of_table(_read(data), schema, pools, limits)
 
 
 def samples_of_table(
@@ -78,9 +72,8 @@ def samples_of_table(
     schema: Schema,
     pools: dict[str, StringPool],
     limits: BatchLimits | None = None,
-    pauses: Pauses = STRAIGHT,
 ) -> Incoming:
-    """`decode_arrow` of a table that has been read; of ``limits`` those of texts and fields."""
+    """Decode as `decode_arrow`, from a table; checks the ``limits`` of texts and fields."""
     names = table.column_names
     times = Counter(names)
     if not schema.fields and len(times) == len(names):
@@ -101,34 +94,31 @@ def samples_of_table(
             raise WireError(None, f"column {name!r} is missing")
     if not table.num_rows:
         raise WireError(None, "the body holds no sample", "send at least one")
-    valid = times_from_arrow(table.column("valid"), "valid", TimeReader("ns"), pauses)
+    valid = times_from_arrow(table.column("valid"), "valid", TimeReader("ns"))
     stamped = "available" not in times
     available = (
         valid
         if stamped
-        else times_from_arrow(table.column("available"), "available", TimeReader("ns"), pauses)
+        else times_from_arrow(table.column("available"), "available", TimeReader("ns"))
     )
-    # Text last: the pools grow only when every other column is good.
+    # Text last: the pools grow only if every other column is good.
     text_last = sorted(schema.fields, key=lambda field: field.type is FieldType.STRING)
     given = {}
     for field in text_last:
         column = given[field.name] = table.column(field.name)
         _expect(field, column)
         if field.type is FieldType.STRING:
-            given[field.name] = _together(column, pauses)
+            given[field.name] = _together(column)
             if limits is not None:
-                _check_texts(field.name, given[field.name], limits, pauses)
-    found = {
-        field.name: column_from_arrow(field, given[field.name], pools, pauses)
-        for field in text_last
-    }
+                _check_texts(field.name, given[field.name], limits)
+    found = {field.name: column_from_arrow(field, given[field.name], pools) for field in text_last}
     columns = {name: found[name] for name in schema.names}
     batch = SampleBatch(available, valid, columns)
     return Incoming(batch, stamped, rounded_rows(given, batch))
 
 
 def joined(tables: Sequence[Any]) -> Any:
-    """Tables of the same columns as one."""
+    """Concatenate tables of the same columns."""
     return tables[0] if len(tables) == 1 else pyarrow_module().concat_tables(tables)
 
 
@@ -149,14 +139,14 @@ def encode_arrow(batch: SampleBatch) -> bytes:
 
 
 class ArrowWriter:
-    """Writes one IPC stream of several batches of the same fields, a record batch each."""
+    """Writes an IPC stream of batches of the same fields, one record batch each."""
 
     def __init__(self) -> None:
         self._sink = _Sink()
         self._writer: Any = None
 
     def write(self, batch: SampleBatch) -> bytes:
-        """The bytes that ``batch`` adds; the first one's begin with the schema."""
+        """The bytes of ``batch``; those of the first one begin with the schema."""
         table = table_of(batch)
         if self._writer is None:
             self._writer = pyarrow_module().ipc.new_stream(self._sink, table.schema)
@@ -164,13 +154,13 @@ class ArrowWriter:
         return self._sink.take()
 
     def close(self) -> bytes:
-        """What ends the stream. Contract: something was written."""
+        """The end of the stream. Contract: `write` was called."""
         self._writer.close()
         return self._sink.take()
 
 
 class _Sink(io.RawIOBase):
-    """What pyarrow has written and nobody has taken."""
+    """The bytes that pyarrow has written since the last `take`."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -195,7 +185,7 @@ class _Sink(io.RawIOBase):
 
 
 def table_of(batch: SampleBatch) -> Any:
-    """A batch as an Arrow table, texts as texts."""
+    """A batch as an Arrow table, texts as strings."""
     pa = pyarrow_module()
     zoned = pa.timestamp("ns", "UTC")
     arrays = {
@@ -229,7 +219,7 @@ def arrow_field_type(name: str, type: Any) -> FieldType:
     raise WireError(None, f"column {name!r} is {type}", "fields are numbers, booleans and strings")
 
 
-def times_from_arrow(column: Any, key: str, reader: TimeReader, pauses: Pauses = STRAIGHT) -> Times:
+def times_from_arrow(column: Any, key: str, reader: TimeReader) -> Times:
     """A column of times in ns; plain numbers are in the reader's unit."""
     pa = pyarrow_module()
     if column.null_count:
@@ -252,31 +242,20 @@ def times_from_arrow(column: Any, key: str, reader: TimeReader, pauses: Pauses =
                 )
         times: Times = counts * np.int64(scale)
         return times
-    read = []
-    for start in range(0, len(column), _SOME):
-        read.append(column.slice(start, _SOME).to_pylist())
-        reader.observe(read[-1])
-        pauses.breathe()
-    found = []
-    for number, values in enumerate(read):
-        first = 1 + number * _SOME
-        found.append(reader.read(values, range(first, first + len(values)), key))
-        pauses.breathe()
-    return np.concatenate(found) if found else np.empty(0, np.int64)
+    values = column.to_pylist()
+    reader.observe(values)
+    return reader.read(values, range(1, len(values) + 1), key)
 
 
-def column_from_arrow(
-    field: Field, column: Any, pools: dict[str, StringPool], pauses: Pauses = STRAIGHT
-) -> Column:
-    """A field's column; raises `WireError` with the row for a value that is none."""
+def column_from_arrow(field: Field, column: Any, pools: dict[str, StringPool]) -> Column:
+    """A field's column; raises `WireError` with the row of a bad value."""
     if field.type is FieldType.STRING:
-        return _text(field, column, pools, pauses)
-    with pauses.apart():
-        return _numbers(field, column)
+        return _text(field, column, pools)
+    return _numbers(field, column)
 
 
 def _numbers(field: Field, column: Any) -> Column:
-    """A column of what is no text."""
+    """A column of numbers or booleans."""
     pa = pyarrow_module()
     null = column.is_null().to_numpy() if column.null_count else None
     if field.type is FieldType.INTEGER and pa.types.is_uint64(column.type):
@@ -295,7 +274,7 @@ def _numbers(field: Field, column: Any) -> Column:
     filled = _as(column, target)
     if null is not None:
         filled = filled.fill_null(False if field.type is FieldType.BOOLEAN else 0)
-    # A view of the body where its bytes are the column's.
+    # A view of the body if that has the column's type.
     values = np.require(filled.to_numpy(), field.type.dtype, ("C", "A"))
     if field.type is FieldType.FLOAT and not np.isfinite(values).all():
         row = int(np.argmin(np.isfinite(values)))
@@ -308,27 +287,24 @@ def _numbers(field: Field, column: Any) -> Column:
 
 
 _FEW = 64
-"""Texts below this are encoded one by one: cheaper than the calls that spare it."""
-_SOME = 4096
-"""Values that become Python's between two moments for others."""
+"""Rows below which texts are encoded one by one, without a dictionary."""
 
 
-def _together(column: Any, pauses: Pauses) -> Any:
-    """A column of texts whose chunks are one, where they can be: each has a dictionary to read."""
+def _together(column: Any) -> Any:
+    """A column of texts in one chunk, if possible: each chunk has a dictionary to read."""
     pa = pyarrow_module()
     if column.num_chunks <= 1:
         return column
-    with pauses.apart():
-        try:
-            return pa.chunked_array([column.combine_chunks()])
-        except pa.ArrowNotImplementedError:  # dictionaries with an entry for null
-            return column
+    try:
+        return pa.chunked_array([column.combine_chunks()])
+    except pa.ArrowNotImplementedError:  # dictionaries with an entry for null
+        return column
 
 
-def _text(field: Field, column: Any, pools: dict[str, StringPool], pauses: Pauses) -> Column:
-    """Text in codes of the field's pool, which gets the texts of the rows in their order.
+def _text(field: Field, column: Any, pools: dict[str, StringPool]) -> Column:
+    """Encode text with the field's pool, which gets new texts in the order of the rows.
 
-    Cost: Python once a distinct text and chunk; a dictionary that came with the column is used.
+    Cost: Python once per distinct text and chunk. A dictionary column is not encoded again.
     """
     pa = pyarrow_module()
     pool = pool_of(field, pools)
@@ -336,9 +312,8 @@ def _text(field: Field, column: Any, pools: dict[str, StringPool], pauses: Pause
         values = _as(column, pa.string()).to_pylist()
         return text_column(values, pool, null_mask(values))
     if not pa.types.is_dictionary(column.type):
-        with pauses.apart():
-            column = column.dictionary_encode()
-    parts = [_codes(chunk, pool, pauses) for chunk in column.chunks if len(chunk)]
+        column = column.dictionary_encode()
+    parts = [_codes(chunk, pool) for chunk in column.chunks if len(chunk)]
     null = np.concatenate([absent for _, absent in parts])
     return Column(
         field.type,
@@ -348,9 +323,9 @@ def _text(field: Field, column: Any, pools: dict[str, StringPool], pauses: Pause
     )
 
 
-def _check_texts(name: str, column: Any, limits: BatchLimits, pauses: Pauses) -> None:
-    """Raises `WireError` with the row for a text that is too long. A dictionary's texts are looked
-    at once, however often they are used."""
+def _check_texts(name: str, column: Any, limits: BatchLimits) -> None:
+    """Raise `WireError` with the row of a text that is too long. Each text of a dictionary is
+    measured once."""
     pa = pyarrow_module()
     before = 0
     for chunk in column.chunks:
@@ -368,7 +343,6 @@ def _check_texts(name: str, column: Any, limits: BatchLimits, pauses: Pauses) ->
                 row = int(np.argmax(sizes > limits.text))
                 raise limits.too_long(before + row + 1, name, int(sizes[row]))
         before += len(chunk)
-        pauses.breathe()
 
 
 def _sizes(texts: Any) -> NDArray[np.int64]:
@@ -384,8 +358,8 @@ def _sizes(texts: Any) -> NDArray[np.int64]:
     return sizes
 
 
-def _codes(chunk: Any, pool: StringPool, pauses: Pauses) -> tuple[NDArray[np.int32], Mask]:
-    """Codes of a dictionary array's rows, and which have none (their code means nothing)."""
+def _codes(chunk: Any, pool: StringPool) -> tuple[NDArray[np.int32], Mask]:
+    """Codes of a dictionary array's rows, and which rows are null (their codes have no meaning)."""
     absent: Mask = chunk.indices.is_null().to_numpy(zero_copy_only=False)
     places = chunk.indices
     if places.null_count:
@@ -394,10 +368,9 @@ def _codes(chunk: Any, pool: StringPool, pauses: Pauses) -> tuple[NDArray[np.int
     texts = chunk.dictionary
     if not len(texts):
         return np.zeros(len(chunk), np.int32), absent
-    pauses.breathe()
     used = places[~absent] if chunk.indices.null_count else places
     first = np.full(len(texts), len(used), np.int64)
-    first[used[::-1]] = np.arange(len(used) - 1, -1, -1)  # of equal places the last one written
+    first[used[::-1]] = np.arange(len(used) - 1, -1, -1)  # numpy keeps the last of equal places
     met = np.flatnonzero(first < len(used))
     met = met[np.argsort(first[met])]
     if texts.null_count:  # a dictionary may have an entry for null
@@ -405,28 +378,23 @@ def _codes(chunk: Any, pool: StringPool, pauses: Pauses) -> tuple[NDArray[np.int
         met = met[~nothing[met]]
         absent = absent | nothing[places]
     codes = np.zeros(len(texts), np.int32)
-    pauses.breathe()
-    strings: list[str] = []
-    for places_met in slices(met, _SOME, pauses):
-        strings += texts.take(places_met).to_numpy(zero_copy_only=False).tolist()
-    codes[met] = encoded(strings, pool, pauses)
+    codes[met] = pool.encode(texts.take(met).to_numpy(zero_copy_only=False).tolist())
     return codes[places], absent
 
 
 def _as(column: Any, type: Any) -> Any:
-    """The column as ``type``: numbers wrap, what is there already stays."""
+    """The column cast to ``type``, where numbers wrap; unchanged if it has that type."""
     return column if column.type == type else column.cast(type, safe=False)
 
 
-def _expect(field: Field, column: Any) -> bool:
-    """True if the column can hold the field's values, by type alone; else raises `WireError`."""
+def _expect(field: Field, column: Any) -> None:
+    """Raise `WireError` unless the column's type can hold the field's values."""
     pa = pyarrow_module()
     if pa.types.is_null(column.type):
-        return True
+        return
     got = arrow_field_type(field.name, column.type)
     if got is not field.type and (got, field.type) != (FieldType.INTEGER, FieldType.FLOAT):
         raise WireError(None, f"field {field.name!r} is {field.type}, got {column.type}")
-    return True
 
 
 def _read(data: bytes) -> Any:
@@ -444,7 +412,7 @@ def _read(data: bytes) -> Any:
 
 
 def failures(pa: Any) -> tuple[type[Exception], ...]:
-    """What pyarrow raises for bytes that are no Arrow."""
+    """The exceptions that pyarrow raises for bytes that are no Arrow."""
     return (pa.ArrowException, OSError, ValueError, UnicodeDecodeError)
 
 
@@ -456,7 +424,7 @@ def _is_text(type: Any) -> bool:
 
 
 def pyarrow_module() -> Any:
-    """pyarrow, which may not be installed; raises `ArrowMissing`."""
+    """The module pyarrow; raises `ArrowMissing` if it is not installed."""
     try:
         import pyarrow
     except ImportError:

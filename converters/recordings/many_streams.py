@@ -1,6 +1,6 @@
 """Recordings of many streams: flight logs, lines that name their stream, folders, several files.
 
-Called by ``dyknow replay`` and by whoever reasons over recorded streams without a service.
+Called by ``dyknow replay`` and by programs that reason over recorded streams without a service.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from .names import valid_name
 from .recording import (
     Recording,
     ValueChunk,
-    decode_lines,
+    decode_rows,
     open_recording,
     open_rows,
     read_lines,
@@ -33,7 +33,7 @@ from .recording import (
 from .ulog import open_ulog
 
 STREAM: Final = "stream"
-"""The key of a line that says which stream the sample is of."""
+"""The key of a line that names the sample's stream."""
 _NDJSON: Final = (".ndjson", ".jsonl")
 _TABLES: Final = (".csv", *_NDJSON, ".arrow", ".arrows", ".feather")
 _LOG: Final = ".ulg"
@@ -47,7 +47,7 @@ class Recordings(Mapping[str, Recording]):
     """Recordings by the name of their stream, in the order of names.
 
     ``dropouts`` counts the gaps in which a flight recorder logged nothing, ``lost`` is their
-    length in ns; ``notes`` say what is not there as it was recorded.
+    length in ns; ``notes`` tell the differences from the recorded data.
     """
 
     _by_name: Mapping[str, Recording] = field(default_factory=dict)
@@ -75,18 +75,17 @@ def open_recordings(
     abstract_unit: str = "s",
     skip_empty: bool = False,
 ) -> Recordings:
-    """Look through all files of ``paths``; each stream has its own fields and string pools.
+    """Open all files of ``paths``; each stream has its own fields and string pools.
 
     A path is a flight log ``.ulg`` (a stream a topic), an NDJSON file whose lines carry
-    ``"stream": "name"`` (many streams), any other table (one stream, called like the file), a
+    ``"stream": "name"`` (many streams), any other table (one stream, named like the file), a
     folder of such files, or ``NAME=FILE`` for a table under another name. ``time_column``,
-    ``time_unit``, ``abstract_unit`` and ``types`` (by stream and field) are of tables, as for
-    `open_recording`; ``utc`` is of flight logs, as for `open_ulog`.
+    ``time_unit``, ``abstract_unit`` and ``types`` (by stream and field) apply to tables, as for
+    `open_recording`; ``utc`` applies to flight logs, as for `open_ulog`. A table without rows is an
+    error, or no stream with ``skip_empty``.
 
-    With ``skip_empty`` a table without rows is no stream, else an error.
-
-    Raises `WireError`, also when two files have a stream of one name; `OSError` when a file cannot
-    be read. Memory: a flight log is held whole, and so is the text of a file of many streams.
+    Raises `WireError`, also if two files have streams of one name; `OSError` if a file cannot be
+    read. Memory: the whole of a flight log, and the text of a file of many streams.
     """
     found: dict[str, Recording] = {}
     notes: list[str] = []
@@ -131,9 +130,9 @@ def in_order(
 ) -> Iterator[tuple[str, Incoming]]:
     """All samples of all streams in order of available time, as ``(stream, batch)``.
 
-    Time is cut at the multiples of ``step`` (ns): what is available in one slice comes before
-    what is in a later one; within a slice a batch of each stream, by its first available time,
-    then by name. The rows of each stream stay in their order. Deterministic.
+    The multiples of ``step`` (ns) cut time into slices, which come in order. A slice has one batch
+    of each stream, by first available time, then by name. The rows of each stream keep their order.
+    The result is deterministic.
 
     Cost: O(streams log streams) a slice, nothing per sample. Memory: a chunk of each stream.
     """
@@ -145,10 +144,10 @@ def in_order(
 
 
 def has_many_streams(path: Path) -> bool:
-    """Whether ``path`` is an NDJSON file whose first line says which stream it is of."""
+    """Whether ``path`` is an NDJSON file whose first line names its stream."""
     if not path.name.lower().removesuffix(".gz").endswith(_NDJSON):
         return False
-    for _, rows in decode_lines(islice(read_lines(path), 1)):
+    for _, rows in decode_rows(islice(read_lines(path), 1)):
         return isinstance(rows[0].get(STREAM), str)
     return False
 
@@ -156,10 +155,10 @@ def has_many_streams(path: Path) -> bool:
 def _slices(
     name: str, recording: Recording, step: int
 ) -> Iterator[tuple[tuple[int, int, str], Incoming]]:
-    """A stream in slices, each with what it is ordered by."""
+    """A stream in slices, each with its sort key."""
     reached = TIME_MIN
     for incoming in recording:
-        # A table's own available times may step back; such a row comes with those before it.
+        # A table's available times may step back; such a row comes with the rows before it.
         times = np.maximum(np.maximum.accumulate(incoming.batch.available), reached)
         reached = int(times[-1])
         slots = times // step
@@ -171,7 +170,7 @@ def _slices(
 
 
 def _files(paths: Sequence[Path | str]) -> Iterator[tuple[str | None, Path]]:
-    """Every file, with the name it was given."""
+    """Every file, with its given name."""
     for given in paths:
         named = _NAMED(given) if isinstance(given, str) and not Path(given).exists() else None
         path = Path(given if named is None else named[2])
@@ -204,7 +203,7 @@ def _open_many(
     """A recording for each stream that the lines of the file name."""
     texts: dict[str, list[tuple[int, bytes]]] = {}
     for number, line in read_lines(path):
-        for _, (row,) in decode_lines([(number, line)]):
+        for _, (row,) in decode_rows([(number, line)]):
             name = row.get(STREAM)
             if not isinstance(name, str):
                 raise WireError(
@@ -219,7 +218,7 @@ def _open_many(
                     "a name has letters, digits and _, and begins with a letter",
                 )
             texts.setdefault(name, []).append((number, line))
-    # The times of one file are in one unit: the greatest of all streams tells which.
+    # The times of one file are in one unit, which the greatest of all its streams decides.
     found: dict[str, Recording] = {}
     for name, numbered in texts.items():
         rows: Callable[[], Iterator[ValueChunk]] = partial(_rows, numbered)
@@ -228,7 +227,7 @@ def _open_many(
 
 
 def _rows(numbered: Sequence[tuple[int, bytes]]) -> Iterator[ValueChunk]:
-    for lines, rows in decode_lines(numbered):
+    for lines, rows in decode_rows(numbered):
         plain: list[dict[str, Any]] = [
             {key: value for key, value in row.items() if key != STREAM} for row in rows
         ]

@@ -1,4 +1,4 @@
-"""Names of streams and fields made of what files call them: letters, digits and ``_``."""
+"""Names of streams and fields from the names in files: letters, digits and ``_``."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Collection
 
 
 def valid_name(text: str, prefix: str) -> str:
-    """``text`` as a name of letters, digits and ``_``; ``prefix`` where it begins with no letter.
+    """``text`` as a name of letters, digits and ``_``; ``prefix`` unless it begins with a letter.
 
     ``q[0]`` is ``q_0``.
     """
@@ -16,7 +16,7 @@ def valid_name(text: str, prefix: str) -> str:
 
 
 def distinct(name: str, taken: Collection[str]) -> str:
-    """``name``, with ``_2``, ``_3`` … after it when it is ``taken``."""
+    """``name``, followed by ``_2``, ``_3`` … if it is ``taken``."""
     found, number = name, 1
     while found in taken:
         number += 1

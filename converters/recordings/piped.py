@@ -1,8 +1,8 @@
-"""A table that comes by a pipe: read once, as it comes, in its own order (``dyknow replay -``).
+"""A table from a pipe: read once, as it arrives, in its own order (``dyknow replay -``).
 
-What a file is read through for is decided by the head of the pipe: the types of the fields and the
-unit of times. Rows are given on as soon as the pipe has no whole line more. Rows that are out of
-order in time are counted, and nothing is sorted: that needs all rows.
+A file is read completely before the types of its fields and the unit of its times are fixed. For a
+pipe, its head fixes them. A chunk ends as soon as the pipe has no further whole line. Rows out of
+order in time are counted but not sorted, because sorting needs all rows.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from ..errors import EmptyTable, WireError
 from ..inference import TimeReader, time_column
 from ..wire import BOM
 from .many_streams import STREAM
-from .recording import Recording, ValueChunk, decode_lines, open_cells, open_rows
+from .recording import Recording, ValueChunk, decode_rows, open_cells, open_rows
 
 HEAD: Final = 1000
-"""So many rows decide what the fields of a stream are that is not declared yet."""
+"""Rows that decide the fields of a stream that is not declared."""
 LONGEST_LINE: Final = 1 << 24
-"""Bytes of a line, at most: without line feeds there would be no end."""
+"""Most bytes of a line, which bounds memory for input without line feeds."""
 _READ: Final = 1 << 18
 _SAVE: Final = "write it to a file and replay that"
 _GZIP: Final = b"\x1f\x8b"
@@ -37,16 +37,16 @@ _ULOG: Final = b"ULog"
 
 
 class Readable(Protocol):
-    """A binary file of which `read1` gives what is there, and nothing at the end."""
+    """A binary file: `read1` returns the bytes that have arrived, and none at the end."""
 
     def read1(self, size: int, /) -> bytes: ...
 
 
 @dataclass(slots=True)
 class Piped:
-    """A table that is being read. `recording` gives its rows once; meanwhile ``rows`` and
-    ``out_of_order`` count those so far, and ``last`` is their greatest available time (ns).
-    ``first`` is that of the first row."""
+    """A table during its reading. `recording` returns its rows once. ``rows`` and ``out_of_order``
+    count those so far, ``last`` is their greatest available time (ns), ``first`` that of the first
+    row."""
 
     recording: Recording
     first: int
@@ -56,7 +56,7 @@ class Piped:
 
     @property
     def note(self) -> str | None:
-        """What a user has to know of the order of the rows; None where all are in order."""
+        """A message for the user about rows out of order; None if all are in order."""
         if not self.out_of_order:
             return None
         return (
@@ -67,7 +67,7 @@ class Piped:
         )
 
     def count(self, batch: SampleBatch) -> SampleBatch:
-        """Note further rows, which are given back."""
+        """Count the rows of ``batch`` and return it."""
         if len(batch):
             highest = np.maximum.accumulate(np.maximum(batch.available, self.last))
             self.out_of_order += int(np.count_nonzero(batch.available < highest))
@@ -82,14 +82,14 @@ def open_pipe(
     time_unit: str | None = None,
     types: Mapping[str, FieldType] | None = None,
 ) -> Piped:
-    """Look at the head of the CSV or NDJSON table that ``file`` gives.
+    """Read the head of the CSV or NDJSON table in ``file``.
 
-    ``types`` are those of a stream that is declared. If it has all fields of the first row, that
-    row is enough; else up to `HEAD` rows are waited for. ``wanted`` is the time column, else found
-    by its name, and ``time_unit`` as of `open_recording`.
+    ``types`` are those of a declared stream. If they have all fields of the first row, the head is
+    that row; else it is up to `HEAD` rows, and the function waits for them. ``wanted`` is the time
+    column, default by its name; ``time_unit`` as for `open_recording`.
 
-    Raises `WireError`, also while the recording is read, where a row does not fit the head.
-    Memory: the head, and what the pipe had at one reading.
+    Raises `WireError`; iteration of the recording raises it for a row that does not fit the head.
+    Memory: the head, and the bytes of one ``read1``.
     """
     lines, known = _Lines(file), types or {}
     pace, leading = _Pace(lines), _leading(lines)
@@ -111,13 +111,13 @@ def open_pipe(
     first = int(next(recording.read()).available[0])
     source.go_on(wanted)
     piped = Piped(recording, first, first)
-    # What is read is counted: the batches before `Recording` moves their times.
+    # Count the batches before `Recording` moves their times.
     piped.recording = replace(recording, rows=0, read=lambda: map(piped.count, recording.read()))
     return piped
 
 
 class _Lines:
-    """The lines of a pipe, each as soon as it is there."""
+    """The lines of a pipe, each as soon as it is complete."""
 
     def __init__(self, file: Readable) -> None:
         self._file = file
@@ -126,7 +126,7 @@ class _Lines:
 
     @property
     def is_empty(self) -> bool:
-        """Whether the next line has to be waited for."""
+        """Whether the next line requires a read."""
         return not self._whole
 
     def __iter__(self) -> Iterator[bytes]:
@@ -146,7 +146,7 @@ class _Lines:
 
 
 class _Pace:
-    """Ends chunks: first after ``head`` rows, then where the pipe has no whole line more."""
+    """Ends chunks: first after ``head`` rows, then whenever the pipe has no further whole line."""
 
     def __init__(self, lines: _Lines) -> None:
         self.head = 1
@@ -154,7 +154,7 @@ class _Pace:
         self._lines = lines
 
     def ends(self, rows: int = 1) -> bool:
-        """Whether a chunk ends here, ``rows`` after the last time."""
+        """Whether a chunk ends here, ``rows`` rows after the last call."""
         before, self._rows = self._rows, self._rows + rows
         return before < self.head <= self._rows or (
             self._rows >= self.head and self._lines.is_empty
@@ -162,7 +162,7 @@ class _Pace:
 
 
 class _Csv:
-    """Cells of a pipe: those of the head again and again, and then once all of them."""
+    """Cells of a pipe: those of the head any number of times, then all cells once."""
 
     def __init__(self, lines: Iterable[bytes], pace: _Pace) -> None:
         texts = (line.decode("utf-8-sig" if n == 0 else "utf-8") for n, line in enumerate(lines))
@@ -171,7 +171,7 @@ class _Csv:
         self._again: Callable[[], Iterator[TextChunk]] = lambda: iter(self._head)
 
     def look(self) -> None:
-        """Read on in the head, up to a chunk that has rows."""
+        """Extend the head by chunks up to one that has rows."""
         for chunk in self._rest:
             self._head.append(chunk)
             if chunk[0]:
@@ -185,7 +185,7 @@ class _Csv:
         return list(self._head[0][1])
 
     def expect(self, known: Mapping[str, FieldType]) -> None:
-        """The header has all columns."""
+        """Do nothing: the header has all columns."""
 
     def open(
         self, wanted: str | None, times: TimeReader, types: Mapping[str, FieldType]
@@ -199,7 +199,7 @@ class _Csv:
 
 
 class _Ndjson:
-    """Rows of a pipe, as `_Csv`. A field that the head does not have is refused."""
+    """Rows of a pipe, as `_Csv`. Later rows have no other fields than the head."""
 
     def __init__(self, lines: Iterable[bytes], pace: _Pace) -> None:
         self._rest = _decoded(lines, pace)
@@ -207,7 +207,7 @@ class _Ndjson:
         self._again: Callable[[], Iterator[ValueChunk]] = lambda: iter(self._head)
 
     def look(self) -> None:
-        """Read on in the head."""
+        """Extend the head by a chunk."""
         self._head += islice(self._rest, 1)
         if isinstance(self._head[0][1][0].get(STREAM), str):
             raise WireError(
@@ -216,11 +216,11 @@ class _Ndjson:
 
     @property
     def names(self) -> list[str]:
-        """The fields that samples of the head have."""
+        """The fields of the rows in the head."""
         return list(dict.fromkeys(name for _, rows in self._head for row in rows for name in row))
 
     def expect(self, known: Mapping[str, FieldType]) -> None:
-        """Later rows may have any field that is ``known``."""
+        """Let later rows have any field of ``known``."""
         first = self._head[0][1][0]
         first.update(dict.fromkeys(known.keys() - first.keys()))
 
@@ -247,13 +247,14 @@ def _decoded(lines: Iterable[bytes], pace: _Pace) -> Iterator[ValueChunk]:
             numbered.append((number, line))
         is_row = bool(numbered) and numbered[-1][0] == number
         if numbered and (pace.ends(int(is_row)) or len(numbered) == CHUNK):
-            yield from decode_lines(numbered)
+            yield from decode_rows(numbered)
             numbered = []
-    yield from decode_lines(numbered)
+    yield from decode_rows(numbered)
 
 
 def _checked(names: AbstractSet[str], always: AbstractSet[str], chunk: ValueChunk) -> ValueChunk:
-    """A chunk after the head; raises `WireError` for fields that its rows lack or alone have."""
+    """A chunk after the head; raises `WireError` for a field beyond ``names``, or without one of
+    ``always``."""
     for line, row in zip(*chunk, strict=True):
         for name in row.keys() - names:
             raise WireError(
@@ -267,8 +268,8 @@ def _checked(names: AbstractSet[str], always: AbstractSet[str], chunk: ValueChun
 
 
 def _leading(lines: Iterable[bytes]) -> list[bytes]:
-    """The first line that is not blank, and those before it. Raises `WireError` for another format
-    than CSV and NDJSON of one stream."""
+    """The first line that is not blank, and those before it. Raises `WireError` for other formats
+    than CSV and NDJSON."""
     found = []
     for line in lines:
         found.append(line)
@@ -278,7 +279,9 @@ def _leading(lines: Iterable[bytes]) -> list[bytes]:
         raise EmptyTable(1, "the table is empty")
     first = found[0]
     if first.startswith(_GZIP):
-        raise WireError(None, "what the pipe gives is packed", "unpack it: gzip -dc FILE | …")
+        raise WireError(
+            None, "the data from the pipe is compressed", "decompress it: gzip -dc FILE | …"
+        )
     if first.startswith((*_ARROW, _ULOG)):
-        raise WireError(None, "a pipe gives CSV or NDJSON, this is neither", _SAVE)
+        raise WireError(None, "a pipe takes CSV or NDJSON only", _SAVE)
     return found

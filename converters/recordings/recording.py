@@ -1,8 +1,8 @@
 """Recorded tables as streams: CSV, packed CSV, NDJSON and Arrow, for ``dyknow replay``.
 
 The valid time is the time column. The available time is the ``available`` column if there is one,
-else the valid time. A row with a step back becomes available with the row before it; rows of one
-time are one instant (SPEC §1).
+else the valid time. A row that steps back in time becomes available with the row before it; rows of
+one time are one instant (SPEC §1).
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ import gzip
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import NoneType
 from typing import Any, Final
 
 import msgspec
@@ -38,27 +37,28 @@ from ..arrow.stream import (
 from ..csv_table import CHUNK, TextChunk, column_from_cells, read_csv
 from ..errors import EmptyTable, WireError
 from ..inference import TextColumnType, TimeReader, time_column
+from ..ndjson_errors import object_of
+from ..ndjson_lines import json_type
 from ..rounding import EXACT, Spelled, Tally, has_small, rounded_rows
-from ..wire import BOM, Incoming, not_json
+from ..wire import BOM, Incoming
 
 ValueChunk = tuple[list[int], list[dict[str, Any]]]
-_PLAIN: Final = msgspec.json.Decoder()
-_SPELLED: Final = msgspec.json.Decoder(float_hook=Spelled.read)
+_SPELLED: Final = msgspec.json.Decoder(dict[str, Any], float_hook=Spelled.read)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:
-    """A table that was looked through once: its fields, how many rows, and the way to read them.
+    """A table after a first pass: its fields, its number of rows, and the function that reads it.
 
-    Iterating reads it again from the start, in chunks, in the table's order; the text columns of
-    all chunks share ``pools``. Raises `WireError` with the line.
+    Iteration reads the table from the start, in chunks, in the table's order; the text columns of
+    all chunks share ``pools``. It raises `WireError` with the line.
     """
 
     schema: Schema
     rows: int
     pools: dict[str, StringPool]
     read: Callable[[], Iterator[SampleBatch]] = field(repr=False)
-    """The rows with the times that stand in the table; the valid time where there is one only."""
+    """Read the rows with the times of the table, valid times in place of missing available ones."""
     _has_available: bool = False
     rounding: Tally = field(default_factory=Tally, repr=False)
     """Which numbers float fields have rounded, as far as it was read."""
@@ -81,15 +81,15 @@ def open_recording(
     pools: dict[str, StringPool] | None = None,
     abstract_unit: str = "s",
 ) -> Recording:
-    """Look through the table at ``path``: ``.csv .csv.gz .ndjson .ndjson.gz .arrow``.
+    """Infer fields and times of the table at ``path``: ``.csv .csv.gz .ndjson .ndjson.gz .arrow``.
 
-    ``time_column``: else ``valid``, ``timestamp``, ``time`` or ``t``. ``time_unit`` of numeric
-    times: ``s ms us ns``, else by their magnitude; ``abstract_unit`` where they are small.
-    ``types`` of fields: else by their values (CSV: columns named like identifiers stay text).
-    ``pools`` to encode text with.
+    ``time_column``: default ``valid``, ``timestamp``, ``time`` or ``t``. ``time_unit`` of numeric
+    times: ``s ms us ns``, default by their magnitude; ``abstract_unit`` if they are small.
+    ``types`` of fields: default by their values (CSV: columns named like identifiers stay text).
+    ``pools`` encode text.
 
-    Raises `WireError` with the line, `OSError` when the file cannot be read.
-    Cost: the file is read twice. Memory: a chunk of rows, and every distinct text (Arrow: all).
+    Raises `WireError` with the line, `OSError` if the file cannot be read.
+    Cost: it reads the file twice. Memory: a chunk of rows, and every distinct text (Arrow: all).
     """
     path = Path(path)
     name = path.name.lower().removesuffix(".gz")
@@ -104,7 +104,7 @@ def open_recording(
     if name.endswith(".csv"):
         return open_cells(lambda: read_csv(path), time_column, times, types or {}, pools)
     if name.endswith((".ndjson", ".jsonl")):
-        return open_rows(lambda: decode_lines(read_lines(path)), time_column, times, types, pools)
+        return open_rows(lambda: decode_rows(read_lines(path)), time_column, times, types, pools)
     if name.endswith((".arrow", ".arrows", ".feather")) and name == path.name.lower():
         return _open_arrow(path, time_column, times, types or {}, pools)
     raise WireError(
@@ -121,7 +121,7 @@ def open_cells(
     types: Mapping[str, FieldType],
     pools: dict[str, StringPool],
 ) -> Recording:
-    """Look through the cells of a table, which ``cells_again`` gives each time it is called.
+    """The recording of a table's cells; each call of ``cells_again`` returns them from the start.
 
     Other arguments and errors as for `open_recording`, with one unit of time.
     """
@@ -171,10 +171,11 @@ def open_rows(
     types: Mapping[str, FieldType] | None,
     pools: dict[str, StringPool],
 ) -> Recording:
-    """Look through rows of named values, which ``rows_again`` gives each time it is called.
+    """The recording of rows of named values; each call of ``rows_again`` returns them from the
+    start.
 
-    ``times`` has its unit when the recording is iterated: tables of one file may share it.
-    Raises `WireError` with the line.
+    Tables of one file may share ``times``, which fixes its unit at the first iteration. Raises
+    `WireError` with the line.
     """
     seen: dict[str, set[type]] = {}
     with_available = count = 0
@@ -194,7 +195,8 @@ def open_rows(
     for _, rows in rows_again():
         for clock in clocks:
             times.observe(row.get(clock) for row in rows)
-    schema = _schema([(n, _json_type(t)) for n, t in seen.items() if n not in clocks], types or {})
+    kinds = {n: {float if kind is Spelled else kind for kind in t} for n, t in seen.items()}
+    schema = _schema([(n, json_type(t)) for n, t in kinds.items() if n not in clocks], types or {})
     _make_pools(schema, pools)
 
     tally = Tally()
@@ -263,7 +265,7 @@ def read_lines(path: Path) -> Iterator[tuple[int, bytes]]:
                 yield number, line
 
 
-def decode_lines(numbered: Iterable[tuple[int, bytes]]) -> Iterator[ValueChunk]:
+def decode_rows(numbered: Iterable[tuple[int, bytes]]) -> Iterator[ValueChunk]:
     """Line numbers and objects in chunks; raises `WireError` with the line."""
     lines: list[int] = []
     rows: list[dict[str, Any]] = []
@@ -278,35 +280,14 @@ def decode_lines(numbered: Iterable[tuple[int, bytes]]) -> Iterator[ValueChunk]:
 
 
 def _decode_line(number: int, line: bytes) -> dict[str, Any]:
-    try:
-        row = (_SPELLED if has_small(line) else _PLAIN).decode(line)
-    except RecursionError:
-        raise WireError(
-            number, "the value is nested too deeply", "values of a sample are plain"
-        ) from None
-    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
-        raise WireError(number, not_json(error)) from None
-    if not isinstance(row, dict):
-        raise WireError(number, f"a sample is a JSON object, got {type(row).__name__}")
-    has_large = False
+    row = object_of(line, number)
+    may_be_rounded = has_small(line)
     for name, value in row.items():
-        if isinstance(value, list | dict):
+        if isinstance(value, list | dict | msgspec.Raw):
             raise WireError(number, f"field {name!r} is nested: values are plain")
         if type(value) is float and not -EXACT < value < EXACT:
-            has_large = True
-    return _SPELLED.decode(line) if has_large else row
-
-
-def _json_type(types: set[type]) -> FieldType:
-    """One type for all values of a field; a mixture is text."""
-    present = {float if type is Spelled else type for type in types} - {NoneType}
-    if present == {bool}:
-        return FieldType.BOOLEAN
-    if present == {int}:
-        return FieldType.INTEGER
-    if present and present <= {int, float}:
-        return FieldType.FLOAT
-    return FieldType.STRING
+            may_be_rounded = True
+    return _SPELLED.decode(line) if may_be_rounded else row
 
 
 def _json_column(
@@ -340,5 +321,5 @@ def _make_pools(schema: Schema, pools: dict[str, StringPool]) -> None:
 
 
 def running_maximum(times: Times, last: int) -> Times:
-    """``max(time, one before)`` for each: the least times from ``last`` on that do not decrease."""
+    """The running maximum of ``times``, from ``last`` on."""
     return np.maximum.accumulate(np.maximum(times, last))

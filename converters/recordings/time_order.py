@@ -1,8 +1,8 @@
-"""The rows of a recording in order of time: counted, and sorted in bounded memory (SPEC §1).
+"""The rows of a recording in order of time, sorted in bounded memory (SPEC §1).
 
 A recording without available times gets them from its valid times in the order of its rows
-(`recording`). Rows that step back in time would then become available together, just after the
-greatest time before them, and fall into one window. `dyknow replay` and `dyknow run` sort first.
+(`recording`). Rows that step back in time would then become available together, with the greatest
+time before them, and fall into one window. `dyknow replay` and `dyknow run` sort first.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from ..csv_table import CHUNK
 from .recording import Recording
 
 RUN: Final = 1_000_000
-"""So many rows are held at once: a table of k runs is read k times."""
+"""Rows that are held at once: a table of k runs is read k times."""
 RUNS: Final = 10
-"""A table of more runs is sorted only on demand."""
+"""A longer table is sorted only on demand."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TimeOrder:
-    """How the rows of a recording stand in time.
+    """A recording in the order in which its rows are taken.
 
-    ``out_of_order`` of them have a time before the greatest of the rows above. ``recording`` gives
-    its rows as they are to be taken; ``is_sorted`` tells whether their order was changed.
+    ``out_of_order`` counts the rows with a time before the greatest of the rows above, in the
+    original order; ``is_sorted`` tells whether ``recording`` has another order.
     """
 
     recording: Recording
@@ -38,7 +38,7 @@ class TimeOrder:
 
     @property
     def note(self) -> str | None:
-        """What a user has to know of it; None where all rows are in order."""
+        """A message for the user about rows out of order; None if all are in order."""
         if not self.out_of_order:
             return None
         said = f"{self.out_of_order:,} of {self.recording.rows:,} rows were out of order"
@@ -51,13 +51,13 @@ class TimeOrder:
 
 
 def in_time_order(recording: Recording, sort: bool | None = None) -> TimeOrder:
-    """Count the rows that are out of order, and sort them by available time (valid time where the
-    recording has no other); rows of one time keep their order.
+    """Count the rows out of order, and sort all rows by available time (valid time if the recording
+    has no other); rows of one time keep their order.
 
-    ``sort`` False only counts, True sorts whatever the size; None sorts up to `RUNS` runs.
+    ``sort`` False only counts, True sorts any table, None sorts tables up to `RUNS` runs.
 
-    Cost: one more reading of the recording; where it is sorted, one reading a run, O(n log n).
-    Memory: 16 bytes a row, and one run of rows.
+    Cost: one more pass over the recording; sorting adds one per run, O(n log n). Memory: 16 bytes a
+    row, and one run of rows.
     """
     parts = [batch.available for batch in recording.read()]
     times = np.concatenate(parts) if parts else np.empty(0, np.int64)
@@ -74,7 +74,7 @@ def in_time_order(recording: Recording, sort: bool | None = None) -> TimeOrder:
 
 
 def _read_sorted(read: Callable[[], Iterator[SampleBatch]], place: Times) -> Iterator[SampleBatch]:
-    """The rows that ``read`` gives, each at its ``place``, in chunks."""
+    """The rows of ``read``, each at its ``place``, in chunks."""
     for first in range(0, len(place), RUN):
         run = _run(read, place, first)
         for start in range(0, len(run), CHUNK):

@@ -1,10 +1,10 @@
 """PX4 flight logs (``.ulg``) as recordings: a stream for each topic instance. Read by pyulog.
 
-Called by `many_streams.open_recordings`. A sample's valid time is ``timestamp_sample``, when it was
-sensed, where the topic tells it, else ``timestamp``; its available time is ``timestamp``, when it
-was published: the two times of [DyKnow10 Def. 5.3]. A message that does not tell when it was
-published (its timestamp is 0, stands still, or is before the log began) became available when it
-was logged: at the greatest timestamp of all messages before it. The rest of a message are fields.
+Called by `many_streams.open_recordings`. A sample has the two times of [DyKnow10 Def. 5.3]: its
+valid time is ``timestamp_sample`` (sensing) if the topic has it, else ``timestamp``; its available
+time is ``timestamp`` (publication). A timestamp of publication is unusable if it is 0, does not
+increase, or is before the begin of the log. Such a message becomes available when it was logged: at
+the greatest timestamp of all messages up to it. The other members of a message are fields.
 """
 
 from __future__ import annotations
@@ -38,17 +38,17 @@ _TIMES: Final = ("timestamp", "timestamp_sample")
 _MAGIC: Final = b"ULog\x01\x12\x35"
 _HEADER: Final = 16
 _APPENDED: Final = 3 + 8
-"""Where the incompatible flags stand in the flag message, with the bit for appended data."""
+"""Place of the incompatible flags, with the bit for appended data, in the flag message."""
 _SATELLITES: Final = ("vehicle_gps_position", "sensor_gps")
 _MOST: Final = (TIME_MAX // 2) // MICROSECOND
 
 
 @dataclass(frozen=True, slots=True)
 class FlightLog:
-    """What a log holds: a recording for each topic instance, and what the logger lost.
+    """A log: a recording for each topic instance, and the losses of the logger.
 
     ``dropouts`` counts the gaps in which nothing was logged, ``lost`` is their length in ns;
-    ``notes`` say what is not there as it was logged.
+    ``notes`` tell the differences from the logged data.
     """
 
     recordings: Mapping[str, Recording]
@@ -60,13 +60,13 @@ class FlightLog:
 def open_ulog(path: Path | str, *, utc: bool = False) -> FlightLog:
     """Read the log at ``path``. Times count from the boot of the vehicle.
 
-    With ``utc`` they are moved to UTC by the first time that a satellite receiver told. Streams
-    are called by their topic, further instances by ``topic_1``, ``topic_2`` …; elements of arrays
-    are fields ``q_0``, ``q_1`` …. What is not finite is no_value. A topic's available times do
-    not decrease, as those of a table.
+    With ``utc`` the first time of a satellite receiver shifts them to UTC. Streams have the name of
+    their topic, further instances ``topic_1``, ``topic_2`` …; elements of arrays are fields
+    ``q_0``, ``q_1`` …. A number that is not finite is no_value. A topic's available times do not
+    decrease, as those of a table.
 
-    Raises `WireError` for what is no log, damaged or cut off, or when pyulog is not installed;
-    `OSError` when the file cannot be read. Memory: the whole log, twice.
+    Raises `WireError` for a file that is no log, damaged or cut off, or without pyulog; `OSError`
+    if the file cannot be read. Memory: the whole log, twice.
     """
     path = Path(path)
     data = path.read_bytes()
@@ -95,7 +95,7 @@ def open_ulog(path: Path | str, *, utc: bool = False) -> FlightLog:
 
 
 def _check_whole(name: str, data: bytes) -> list[int]:
-    """Follow the messages' lengths to the end of the file: pyulog is silent about a cut log.
+    """Follow the messages' lengths to the end of the file: pyulog does not report a cut log.
 
     Returns the topics' numbers of all data messages, in the order of the log.
     """
@@ -108,7 +108,7 @@ def _check_whole(name: str, data: bytes) -> list[int]:
         length, kind = header.unpack_from(data, place)
         flags = place + _APPENDED
         if kind == ord("B") and flags < len(data) and data[flags] & 1:
-            return []  # what was appended after a crash begins in the middle of a message
+            return []  # data appended after a crash begins in the middle of a message
         if kind == ord("D") and length >= 2 and place + 5 <= len(data):
             order.append(data[place + 3] | data[place + 4] << 8)
         place += header.size + length
@@ -124,14 +124,14 @@ def _check_whole(name: str, data: bytes) -> list[int]:
 
 def _parse(name: str, data: bytes) -> Any:
     try:
-        from pyulog import ULog  # an extra: only those with logs need it
+        from pyulog import ULog  # an optional dependency
         from pyulog.exceptions import ULogException
     except ImportError:
         raise WireError(
             None, f"{name}: reading PX4 logs needs pyulog", "pip install dyknow[px4]"
         ) from None
     try:
-        # It prints warnings; what they warn of is told by `file_corruption`.
+        # It prints warnings; `file_corruption` has the same information.
         with redirect_stdout(io.StringIO()):
             log = ULog(io.BytesIO(data))
     except (
@@ -158,7 +158,7 @@ def _parse(name: str, data: bytes) -> Any:
 def _logged(log: Any, order: list[int]) -> dict[int, Times]:
     """The greatest timestamp (µs) in the log up to each message of a topic, by its number.
 
-    Lacks the topics whose messages' order is not known.
+    It lacks topics with another number of messages than in ``order``.
     """
     numbers = np.array(order, np.int64)
     begin = min(int(log.start_timestamp), _MOST)
@@ -175,7 +175,7 @@ def _logged(log: Any, order: list[int]) -> dict[int, Times]:
 
 
 def _utc_shift(log: Any) -> int:
-    """What must be added to times since boot, in ns."""
+    """The offset from times since boot to UTC, in ns."""
     for topic in log.data_list:
         told = topic.data.get("time_utc_usec") if topic.name in _SATELLITES else None
         if told is not None and told.any():
@@ -194,7 +194,7 @@ def _batch(
 ) -> SampleBatch:
     """All messages of a topic as samples.
 
-    ``begin`` (µs) is when the log began, ``logged`` how far it had come at each message.
+    ``begin`` (µs) is the begin of the log, ``logged`` the greatest timestamp up to each message.
     """
     told = topic.data["timestamp"]
     published = _times(name, told, shift)
@@ -204,7 +204,7 @@ def _batch(
     valid = np.where(told == 0, available, published)
     if "timestamp_sample" in topic.data:
         sensed = topic.data["timestamp_sample"]
-        # Zero is what PX4 writes where nobody told.
+        # PX4 writes zero for an unknown time.
         valid = np.where(sensed == 0, valid, _times(name, sensed, shift))
     truths = {field.field_name for field in topic.field_data if field.type_str == "bool"}
     columns: dict[str, Column] = {}

@@ -19,8 +19,8 @@ from ...languages.ssl.annotation import StreamAnnotation
 from ...rdf.namespaces import DYKNOW
 from ...streams.generator import StreamGenerator
 from ...streams.history import Retention
-from ...streams.rules import Rules
 from ...streams.sample import FieldType, Schema
+from ...streams.stream_rules import Rules
 from ...streams.string_pool import StringPool
 from ...streams.time import HOUR
 from ..model.beginning import Beginning
@@ -29,7 +29,7 @@ from ..model.process_reports import Report
 from ..model.status_changes import Change, ChangeKind
 from ..model.status_stream import STATUS
 from ..model.views import Since
-from ..units.backlog import Behind
+from ..units.backlog import Backlog
 from ..units.base import ComputationalUnit
 from ..units.late_streams import LateStreams
 from ..units.policy import AdaptationUnit, PolicyUnit
@@ -94,7 +94,7 @@ class Configuration:
         on_change: Callable[[Change], None],
         first_reserved: int = 1,
         busy_time: BusyTime | None = None,
-        behind: Behind | None = None,
+        backlog: Backlog | None = None,
     ) -> None:
         self.rules = Rules()
         """Those of all its streams."""
@@ -116,7 +116,7 @@ class Configuration:
         """Told of a stream that came into being by being asked for."""
         self._on_change = on_change
         self._busy_time = busy_time
-        self._behind = Behind() if behind is None else behind
+        self._backlog = Backlog() if backlog is None else backlog
         self._next_reserved = first_reserved
         self._next_unit = 1
         self._removed: OrderedDict[str, int] = OrderedDict()
@@ -494,7 +494,7 @@ class Configuration:
     ) -> None:
         """Connect a unit to its inputs, and tell; see `ComputationalUnit.start`."""
         self.units[unit.output.name] = unit
-        unit.busy_time, unit.behind = self._busy_time, self._behind
+        unit.busy_time, unit.backlog = self._busy_time, self._backlog
         self._use(unit.inputs)
         text = ", ".join(f"{key}={value}" for key, value in unit.parameters.items())
         specification = self._specified[1] or specification or f"{unit.transformation}({text})"

@@ -1,4 +1,5 @@
-"""Which streams have fallen idle, by the clock of the engine (docs/semantics.md, "Idle streams").
+"""Which streams have fallen idle, by the clock of the engine (docs/explanation/semantics.md, "Idle
+streams").
 
 Nobody waits for a stream that was declared with ``idle`` and has brought nothing for so long: the
 windows of whoever reads others too go on without it. (`silent_objects` asks another thing: whether

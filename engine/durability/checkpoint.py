@@ -1,5 +1,5 @@
 """The whole state of an engine as bytes, and an engine out of them
-(docs/design/0007-the-journal.md).
+(docs/explanation/design/0007-the-journal.md).
 
 An engine is a graph of objects; this is its pickle, with what pickle cannot do by itself: functions
 within functions, compiled loops, stores, locks. It is for the very program that wrote it: who keeps
@@ -30,7 +30,7 @@ import numpy as np
 from pyoxigraph import Store
 
 from ...continuous.columns.budget import UNLIMITED, Budget
-from ...matching.uncollected import uncollected
+from ...matching.gc_pause import gc_paused
 from ...ontology.quad_store import quads_of, store_of
 from ..engine import Engine
 from ..processes.registry import Processes
@@ -41,7 +41,7 @@ from .process_state import REMEMBERING, Unkept, kept_of
 
 T = TypeVar("T")
 
-_ROOT = Path(__file__).parent.parent
+_ROOT = Path(__file__).parents[2]
 _DEEP = 100_000
 """Frames: units that read each other's streams are a chain of objects as long as their chain."""
 _STACK = 512 << 20
@@ -161,7 +161,7 @@ def state_of(engine: Engine, more: object, outside: Outside) -> State:
 def _written(graph: object, names: dict[int, str], unkept: list[Unkept] | None) -> State:
     target = io.BytesIO()
     writer = _Writer(target, names, unkept)
-    with uncollected():
+    with gc_paused():
         _deep(lambda: writer.dump(graph))
     return State(target.getvalue(), tuple(unkept or ()))
 
@@ -173,7 +173,7 @@ def engine_of(state: bytes, outside: Outside) -> tuple[Engine, Any]:
     Raises `CheckpointError` for what cannot be read.
     """
     try:
-        with uncollected():
+        with gc_paused():
             engine, more = _deep(lambda: _Reader(io.BytesIO(state), outside).load())
     except Exception as error:  # a pickle that is not whole may raise whatever it names
         raise CheckpointError(f"the state cannot be read: {error}") from error

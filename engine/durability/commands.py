@@ -2,8 +2,8 @@
 
 An engine is a function of its commands: the same ones in the same order make the same streams with
 the same samples under the same numbers, in another process, too. That is what the journal rests on
-(docs/design/0007-the-journal.md). So a command holds all that it depends on, time included, in the
-forms in which people say it: texts, and batches as they came.
+(docs/explanation/design/0007-the-journal.md). So a command holds all that it depends on, time
+included, in the forms in which people say it: texts, and batches as they came.
 
 The written form (MessagePack, a map with the member ``do``) is a promise: members are added with
 defaults, and never change their meaning. tests/cases/journal has one of each.
@@ -12,6 +12,7 @@ defaults, and never change their meaning. tests/cases/journal has one of each.
 from __future__ import annotations
 
 import hashlib
+from itertools import islice
 from typing import Any, Final, Literal, TypeAlias
 
 import msgspec
@@ -21,8 +22,8 @@ from ...continuous.algebra.options import Bounds, Report, Semantics
 from ...converters.arrow.sizes import declares_more
 from ...converters.arrow.stream import decode_arrow
 from ...converters.errors import AheadOfClock, ConversionError
-from ...converters.lines import Part
 from ...converters.ndjson import decode_ndjson
+from ...converters.ndjson_lines import sample_lines
 from ...converters.wire import BatchLimits, Incoming
 from ...languages.errors import LanguageError
 from ...languages.specification import Specification
@@ -30,12 +31,12 @@ from ...languages.ssl.annotation import CheckedAnnotation
 from ...ontology.errors import OntologyError, QueryRefused
 from ...ontology.ontology import PreparedOntology
 from ...ontology.reading import TextFormat
-from ...streams.recall import Forgotten
-from ...streams.rules import UNIQUE_TIMES
+from ...streams.history import FluentStream
+from ...streams.past_queries import Forgotten
 from ...streams.sample import Schema
+from ...streams.stream_rules import UNIQUE_TIMES
 from ...streams.string_pool import StringPool
 from ...streams.time import SECOND, TIME_MAX, format_duration, format_time
-from ...streams.yield_points import STRAIGHT, Pauses
 from ..catalog.iri_annotations import DescribedStream, DescribedTransformation
 from ..catalog.registered_transformations import TransformationView
 from ..engine import Engine
@@ -52,7 +53,7 @@ from ..model.views import (
     TemplateView,
 )
 from ..processes.external_io import Outcome, Reading
-from ..units.backlog import Went
+from ..units.backlog import TurnRecord
 
 BatchKind: TypeAlias = Literal["ndjson", "arrow"]
 
@@ -111,28 +112,26 @@ class Publish(Command, frozen=True, tag="publish"):
         """The batch, by the fields that the stream has now. Raises `WireError`, also for more than
         ``limits``: what is done again has none, for it was taken."""
         generator = engine.accepting(self.stream)
-        return self._decode(generator.schema, generator.stream.pools, limits, STRAIGHT)
+        return self._decode(generator.schema, generator.stream.pools, limits)
 
-    def decode_apart(self, engine: Engine, limits: BatchLimits, pauses: Pauses) -> Incoming | None:
-        """`decode` with moments for others, or None: the stream has other fields than when it
-        began. It changes nothing: texts get codes of their own, and those of the stream when it
-        takes the batch, so that they are the same when all is done again."""
-        schema = engine.accepting(self.stream).schema
-        incoming = self._decode(schema, {}, limits, pauses)
-        generator = engine.accepting(self.stream)
-        if generator.schema == schema:
-            generator.stream.find_places(incoming.batch, pauses)
-        return incoming if engine.accepting(self.stream).schema == schema else None
+    def decode_beside(self, stream: FluentStream, schema: Schema, limits: BatchLimits) -> Incoming:
+        """Decode the batch by ``schema`` in another thread than the engine's.
+
+        It changes nothing that the engine's thread reads: texts get codes of pools of their own.
+        The stream gives them its codes when it takes the batch, so a replay gives the same codes.
+        """
+        incoming = self._decode(schema, {}, limits)
+        stream.find_places(incoming.batch)
+        return incoming
 
     def _decode(
         self,
         schema: Schema,
         pools: dict[str, StringPool],
         limits: BatchLimits | None,
-        pauses: Pauses,
     ) -> Incoming:
         decode = decode_ndjson if self.kind == "ndjson" else decode_arrow
-        return decode(self.body, schema, pools, limits, pauses)
+        return decode(self.body, schema, pools, limits)
 
     def check_ahead(self, engine: Engine, incoming: Incoming) -> None:
         """Raise `AheadOfClock` where a sample is stamped further ahead of the clock, ``now``, than
@@ -150,8 +149,11 @@ class Publish(Command, frozen=True, tag="publish"):
             return
         row = int(np.argmax(available > latest))
         time = int(available[row])
+        line = row + 1
+        if self.kind == "ndjson":
+            line, _ = next(islice(sample_lines(self.body), row, None))
         raise AheadOfClock(
-            row + 1 if self.kind == "arrow" else Part(self.body, 1).number(row),
+            line,
             f"'available' is {format_time(time)}, {format_duration(time - self.now)} ahead of the "
             f"clock; stream {self.stream!r} takes {format_duration(generator.ahead)} at most",
             'correct the time; declare the stream of a simulation with "ahead": "oo"',
@@ -197,13 +199,13 @@ class Refused(Command, frozen=True, tag="refused"):
             return
 
 
-class GoOn(Command, frozen=True, tag="go on"):
-    """Close windows of units that are behind: those that were ``done``."""
+class WorkBacklog(Command, frozen=True, tag="go on"):
+    """Close the windows of the backlog that were ``done``."""
 
-    done: tuple[Went, ...] = ()
+    done: tuple[TurnRecord, ...] = ()
 
     def apply(self, engine: Engine) -> None:
-        engine.go_on_again(self.done)
+        engine.replay_turns(self.done)
 
 
 class HearOfSinks(Command, frozen=True, tag="sinks"):
@@ -496,7 +498,7 @@ AnyCommand: TypeAlias = (
     | TellUnkept
     | Tick
     | Publish
-    | GoOn
+    | WorkBacklog
     | HearOfSinks
     | EndStream
     | DeclareStream

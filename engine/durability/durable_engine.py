@@ -1,5 +1,5 @@
 """An engine whose commands are written down before they are done, and done again at the next start
-(docs/design/0007-the-journal.md).
+(docs/explanation/design/0007-the-journal.md).
 
 A data directory holds the log of commands, and checkpoints of the engine between them. At a start
 the engine of the newest checkpoint does again what the log has after it. What comes of it are the
@@ -34,7 +34,6 @@ from .checkpoint import CheckpointError, Outside, program, state_of
 from .commands import (
     REFUSALS,
     Command,
-    GoOn,
     HearOfSinks,
     OpenStream,
     Publish,
@@ -42,6 +41,7 @@ from .commands import (
     Refused,
     RegisterQuery,
     Tick,
+    WorkBacklog,
     written,
 )
 from .missing_processes import origins
@@ -201,8 +201,8 @@ class RecordedEngine:
         self._hear_if_there_is_room()
         return found
 
-    def go_on(self, *, new: bool = False, begins: bool = True) -> None:
-        """Close windows of units that are behind, see `Behind.go_on`, and write down which.
+    def work_backlog(self, *, new: bool = False, begins: bool = True) -> None:
+        """Close windows that are due (`Backlog.work`), and log which.
 
         Raises `JournalFull` and `JournalBroken`: nothing is done then.
         """
@@ -211,9 +211,9 @@ class RecordedEngine:
         self._within = True
         try:
             self.log.check_room(_WINDOWS)
-            with self.log.entry(written(GoOn())) as entry:
-                done = self.engine.go_on(new=new, begins=begins)
-                entry.payload = written(GoOn(done)) if done else b""
+            with self.log.entry(written(WorkBacklog())) as entry:
+                done = self.engine.work_backlog(new=new, begins=begins)
+                entry.payload = written(WorkBacklog(done)) if done else b""
         except JournalError:
             raise
         except Exception as error:
@@ -236,7 +236,7 @@ class RecordedEngine:
     def checkpoint(self, aside: Aside | None = None) -> Unwritten:
         """The state as it is now, to be written by `Unwritten.write`, in any thread.
 
-        Contract: no window is half done (`Behind.is_within`). Raises `CheckpointError` where
+        Contract: no window is half done (`Backlog.is_mid_window`). Raises `CheckpointError` where
         something cannot be written down; with ``aside``, which finds the state later, `write` does.
         Cost: O(state), or what ``aside`` takes.
         """

@@ -16,7 +16,6 @@ import numpy as np
 
 from ...ontology.ontology import Ontology
 from ...streams.generator import Counters, StreamGenerator
-from ...streams.rules import UNIQUE_TIMES
 from ...streams.sample import (
     Column,
     Field,
@@ -25,6 +24,7 @@ from ...streams.sample import (
     Schema,
     concatenate,
 )
+from ...streams.stream_rules import UNIQUE_TIMES
 from ...streams.string_pool import StringPool
 from ..configuration.configuration import after_reserved
 from ..configuration.ingest import UsedKey
@@ -102,7 +102,7 @@ def portable_of(
 ) -> Portable:
     """What of ``engine`` any version understands. Cost: O(samples kept)."""
     kept = [each for each in engine.published() if each.schema.fields]
-    named = engine.ontology.registered.queries()
+    named = dict(engine.ontology.registered.queries)
     unnamed: dict[str, Command] = {}
     waiting: list[tuple[str, int, Command]] = []
     for key, asked in standing.all():
@@ -139,7 +139,7 @@ def engine_from(
     engine = Engine(
         now=max(now, portable.now),
         first_reserved=max(first_reserved, after_reserved((*portable.ids, *portable.waiting_ids))),
-        ontology=Ontology.of_quads(portable.quads),
+        ontology=Ontology.from_quads(portable.quads),
         rules=portable.rules,
         **outside.given(),
     )
@@ -177,7 +177,7 @@ def engine_from(
 
 def _query_streams(engine: Engine) -> list[str]:
     """The streams of queries that the text names, which are called like these."""
-    named = engine.ontology.registered.queries()
+    named = dict(engine.ontology.registered.queries)
     streams = (view.stream for view in engine.queries.views() if view.name in named)
     return [name for name in streams if name is not None]
 

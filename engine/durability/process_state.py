@@ -1,5 +1,5 @@
 """What user-written processes remember, and which of it cannot be written down
-(docs/processes.md).
+(docs/how-to/write-a-process.md).
 
 A process remembers by its instance, and by the state that it gives back for its next call. What of
 that cannot be pickled is left out of a checkpoint: the process begins without it at the next start.

@@ -1,5 +1,5 @@
 """What a start does: an engine out of the newest sound checkpoint and the log after it
-(docs/design/0007-the-journal.md).
+(docs/explanation/design/0007-the-journal.md).
 
 What cannot be had again is told, and kept for another start; then numbers and ids begin anew.
 """
@@ -19,7 +19,7 @@ from ...journal.directory import DataDirectory
 from ...journal.errors import JournalDamaged
 from ...journal.log import Log
 from ...ontology.ontology import Ontology
-from ...streams.rules import INSTANTS
+from ...streams.stream_rules import INSTANTS
 from ..configuration.configuration import after_reserved
 from ..engine import Engine
 from ..processes.external_io import Tape
@@ -32,12 +32,12 @@ from .commands import (
     AddKpl,
     Begin,
     Command,
-    GoOn,
     Publish,
     Refused,
     RegisterQuery,
     RemoveKpl,
     Tick,
+    WorkBacklog,
     read,
     written,
 )
@@ -181,7 +181,7 @@ class Recovering:
         """The engine where there is no checkpoint, and the position after which commands are to be
         done."""
         store = self._directory.old_store
-        ontology = None if store is None else Ontology.copied(store)
+        ontology = None if store is None else Ontology.open_copy(store)
         if not self._log.position:
             known = origins(self._outside.processes)
             begin = Begin(secrets.token_hex(4), now, self._program, known, INSTANTS)
@@ -274,7 +274,7 @@ class Recovering:
                 self._unplaced[f"{stream}: {error}"] += 1
                 self.found.is_continued = False
                 return
-            case GoOn() if not self.found.is_continued:
+            case WorkBacklog() if not self.found.is_continued:
                 # Of another program other windows are due; they close when it is their turn.
                 return
             case AddKpl(text=text, unit=unit):

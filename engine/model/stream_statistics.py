@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from ...continuous.estimation.input_rates import ASSUMED_SUBJECTS, Flow, Said
+from ...continuous.estimation.input_rates import ASSUMED_SUBJECTS, Flow, PredicateRate
 from ...languages.ssl.annotation import StreamAnnotation
 from ...rdf.namespaces import RDF_TYPE
 from ...streams.generator import StreamGenerator
@@ -76,12 +76,12 @@ def flow_of(generator: StreamGenerator, annotations: Iterable[StreamAnnotation])
     rate = rate_of(generator)
     if not rate:
         return None
-    said: dict[str, Said] = {}
+    said: dict[str, PredicateRate] = {}
     for content in (content for one in annotations for content in one.contents):
         subject = content.roles[0] if content.roles else None
         of_sort = subject is not None and subject.sort is not None
-        said[content.feature] = Said(rate, ASSUMED_SUBJECTS if of_sort else 1.0)
+        said[content.feature] = PredicateRate(rate, ASSUMED_SUBJECTS if of_sort else 1.0)
         if of_sort:
-            said[RDF_TYPE.value] = Said(rate, ASSUMED_SUBJECTS, 1.0)
+            said[RDF_TYPE.value] = PredicateRate(rate, ASSUMED_SUBJECTS, 1.0)
     subjects = None if RDF_TYPE.value in said or not said else 1.0
     return Flow(rate, subjects, said or None)

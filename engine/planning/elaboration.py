@@ -363,7 +363,9 @@ class Elaboration:
                 return annotated_contents(self._configuration, generator.name)
 
     def _error(self, span: Span, message: str, hint: str = "") -> LanguageError:
-        return LanguageError(message, self._source, span, hint or "see docs/specifications.md")
+        return LanguageError(
+            message, self._source, span, hint or "see docs/reference/specifications.md"
+        )
 
 
 def policy_of(piece: Piece) -> Policy | None:

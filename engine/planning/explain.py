@@ -26,10 +26,10 @@ from ...languages.csparql.ast import (
 from ...languages.ssl.annotation import StreamAnnotation
 from ...matching.match import Match
 from ...matching.plan import Node, streams_of
+from ...matching.plan_value import cost_of, quality_of
 from ...matching.render import render
 from ...matching.space import StreamSpace
 from ...matching.tree import Alternative, Outcome
-from ...matching.valuing import cost_of, quality_of
 from ...matching.want import Want
 from ...ontology.ontology import Ontology
 from ...ontology.units import Conversion, UnitError, conversion

@@ -35,10 +35,10 @@ from ...matching.plan import (
 from ...matching.space import StreamSpace
 from ...matching.want import Want
 from ...ontology.ontology import Ontology
-from ...rdf.dictionary import Named, TermDictionary
+from ...rdf.dictionary import HeldTerms, TermDictionary
 from ...rdf.namespaces import DYKNOW, shorten
 from ...streams.generator import StreamGenerator
-from ...streams.recall import Moment
+from ...streams.past_queries import Moment
 from ...streams.sample import Field, FieldType, Schema
 from ...streams.string_pool import StringPool
 from ...streams.time import TIME_MIN
@@ -317,7 +317,7 @@ class Plans:
         return SelectionUnit(
             *self._configuration.identity(SELECT_OBJECT, [source], output, parameters),
             id_field=id_field,
-            object=Named(self._dictionary, [NamedNode(object)]),
+            object=HeldTerms(self._dictionary, [NamedNode(object)]),
             objects=ObjectTable(self._dictionary, namespace),
         )
 

@@ -13,13 +13,6 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from ...languages.ssl.annotation import Content, PortAnnotation
-from ...matching.building import (
-    computed,
-    gathered,
-    many_roles,
-    numbered,
-    synchronized,
-)
 from ...matching.plan import (
     Compute,
     Edge,
@@ -28,6 +21,13 @@ from ...matching.plan import (
     SelectObject,
     Synchronize,
     UseStream,
+)
+from ...matching.plan_builder import (
+    computed,
+    gathered,
+    many_roles,
+    numbered,
+    synchronized,
 )
 from ...matching.space import TransformationDescription
 from ...matching.subject import Roles, Sorts

@@ -57,7 +57,7 @@ class UnitImplementation(Implementation):
     """``compunit output name(inputs)`` (Def. 5.16).
 
     ``code(time, samples, state) -> (sample, state)``, or with ``batch``
-    ``code(tuples, state) -> (samples, state)``; see docs/processes.md.
+    ``code(tuples, state) -> (samples, state)``; see docs/how-to/write-a-process.md.
     """
 
     output: str

@@ -8,7 +8,7 @@ from typing import TypeVar
 from ...streams.generator import StreamGenerator
 from ..configuration.configuration import Configuration
 from ..model.views import EvaluationView, FailureView
-from ..units.backlog import Behind
+from ..units.backlog import Backlog
 from ..units.base import ComputationalUnit
 from ..units.windowed import WindowUnit
 from .continuous_queries import RegisteredQueries
@@ -24,18 +24,18 @@ class Evaluation:
     def __init__(
         self,
         configuration: Configuration,
-        behind: Behind,
+        backlog: Backlog,
         requests: EventRequests,
         queries: RegisteredQueries,
         subscriptions: Subscriptions,
     ) -> None:
         self._configuration = configuration
-        self._behind = behind
+        self._backlog = backlog
         self._asking = (requests, queries, subscriptions)
 
-    def behind(self, stream: str) -> tuple[WindowUnit, ...]:
-        """The units that are behind and read ``stream``, themselves or through other units."""
-        units = [unit for unit in self._behind.units if isinstance(unit, WindowUnit)]
+    def backlog_of(self, stream: str) -> tuple[WindowUnit, ...]:
+        """The units of the backlog that read ``stream``, themselves or through other units."""
+        units = [unit for unit in self._backlog.units if isinstance(unit, WindowUnit)]
         return self._readers(units, stream)
 
     def failure(self, generator: StreamGenerator) -> str | None:
@@ -55,7 +55,7 @@ class Evaluation:
         generator = self._configuration.stream(name)
         stream, evaluated = generator.stream, generator.stream.last_number
         readers = self._readers(self._configuration.units.values(), generator.name)
-        for unit in self.behind(generator.name):
+        for unit in self.backlog_of(generator.name):
             through = unit.output.watermark
             number = 0 if through is None else stream.number_before(through)
             evaluated = min(evaluated, number, stream.last_number - 1)

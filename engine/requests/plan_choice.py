@@ -17,12 +17,12 @@ from ...matching.plan import (
     expanded,
     nodes_of,
 )
-from ...matching.reach import Reach
+from ...matching.plan_value import quality_of, weight_of
+from ...matching.reachability import Reachability
 from ...matching.space import StreamSpace
 from ...matching.strategy import Kind, Strategy
 from ...matching.subject import Sorts, Subject
 from ...matching.tree import Match
-from ...matching.valuing import quality_of, weight_of
 from ...matching.want import Want
 from ...ontology.ontology import Ontology
 from ..configuration.configuration import Configuration
@@ -49,7 +49,7 @@ class Choosing:
         self._plans = plans
         self._space = space
         self._silences = silences
-        self._reach = Reach(space)
+        self._reach = Reachability(space)
 
     def forget(self) -> None:
         """Transformations or the ontology have changed, and what leads to a feature with them."""

@@ -1,12 +1,11 @@
-"""Units whose windows or batches take long: they fall behind, and catch up a little at a time.
+"""The backlog: units that have windows to close or parts of large batches to take.
 
-A query's windows are closed by `Behind.go_on`, not by who publishes, and so are large batches
-taken: so whoever runs the engine can do other things in between, and nobody waits for a query that
-is none of theirs. A unit that is behind puts by what its inputs say, in order, so that its stream
-says what it would say had it never been behind, only later.
+A command makes windows due; `Backlog.work` closes them later, a little at a time, so a request does
+not wait for the windows of another request's query. Meanwhile a unit defers what its inputs bring,
+in order. Its output stream is therefore the same as without a backlog, only later.
 
-What a window takes may depend on the machine; what comes of it must not. So `go_on` tells what it
-did, and `again` does that once more.
+How many windows one call of `work` closes depends on the machine; the results must not. So `work`
+returns what it did, the journal records that, and `replay` does the same again.
 """
 
 from __future__ import annotations
@@ -18,10 +17,13 @@ from typing import Protocol
 import msgspec
 
 
-class Went(msgspec.Struct, frozen=True, array_like=True, omit_defaults=True):
-    """So many windows of ``unit`` closed, and then so many parts of batches were taken.
+class TurnRecord(msgspec.Struct, frozen=True, array_like=True, omit_defaults=True):
+    """What ``unit`` did in its turn: it closed ``windows`` windows, then took ``parts`` parts of
+    batches. The journal contains such records.
+
     ``stopped``: why the last window has no result, where that depended on the machine; with no
-    windows, why the unit was cut off."""
+    windows, why the unit was cut off.
+    """
 
     unit: str
     windows: int
@@ -30,54 +32,53 @@ class Went(msgspec.Struct, frozen=True, array_like=True, omit_defaults=True):
 
 
 class Overwhelmed(Exception):
-    """A unit cannot keep up with what comes, and is cut off."""
+    """A unit cannot keep up with its input and is cut off."""
 
 
 class Task(Protocol):
-    """Windows of one unit that are being closed."""
+    """Closes windows of one unit."""
 
     @property
     def spent(self) -> float:
-        """Seconds of work that it took so far."""
+        """Seconds of work by now."""
 
     @property
     def is_ready(self) -> bool:
-        """Whether it can go on now; else it does something apart, or waits for it."""
+        """Whether it can go on now, rather than work without the turn."""
 
-    def end(self) -> None:
+    def stop_early(self) -> None:
         """Begin no further window."""
 
-    def go_on(self, *, to_end: bool = False) -> bool:
-        """Work until the time is over, or the windows are; whether no window is half done. Raises
-        what they do.
+    def run(self, *, to_end: bool = False) -> bool:
+        """Work until the time is over or no window is due; return whether no window is half done.
+        Raises what closing a window raises.
 
-        ``to_end``: until the present window has closed, however long that takes; then no other is
-        begun.
+        ``to_end``: work until the present window has closed, whatever the time, and begin no other.
         """
 
 
 class Turns(Protocol):
-    """Whoever has the time: it says how much there is for closing windows, and how.
+    """The time that the caller of `Backlog.work` grants.
 
-    ``most``: a unit that has worked for so many seconds and is still behind is cut off.
+    ``limit``: seconds of work after which a unit that has not caught up is cut off.
     """
 
-    most: float
+    limit: float
 
     @property
     def is_over(self) -> bool:
         """Whether the time is over."""
 
-    def begin(self, close_next: Callable[[], bool], telling: float = 0.0) -> Task:
-        """Close windows until there are no more. What each of them gives is told afterwards, which
-        takes ``telling`` seconds of the same time."""
+    def start(self, close_next: Callable[[], bool], emitting: float = 0.0) -> Task:
+        """Make a task that closes windows until none is due. To emit the results of each takes
+        ``emitting`` further seconds of the same time."""
 
-    def timed(self, what: Callable[[], None]) -> float:
-        """Do ``what``; gives the seconds that it took."""
+    def time(self, work: Callable[[], None]) -> float:
+        """Do ``work`` and return the seconds that it took."""
 
 
 class Backlogged(Protocol):
-    """A unit that may be behind (`WindowUnit`)."""
+    """A unit that may be in the backlog (`WindowUnit`)."""
 
     @property
     def name(self) -> str:
@@ -85,26 +86,26 @@ class Backlogged(Protocol):
 
     @property
     def is_ready(self) -> bool:
-        """Whether it can go on now; else it waits for something that is done apart."""
+        """Whether it can go on now."""
 
     @property
-    def is_within(self) -> bool:
-        """Whether a window is half done, or what it gave is not told."""
+    def is_mid_window(self) -> bool:
+        """Whether a window is half done, or its results are not emitted."""
 
-    def go_on(self, turns: Turns, *, begins: bool = True) -> list[Went]:
-        """Close windows, and take batches, while there is time; gives what was done."""
+    def work(self, turns: Turns, *, begins: bool = True) -> list[TurnRecord]:
+        """Close windows and take parts of batches while there is time; return what was done."""
 
     def finish_window(self) -> None:
         """Close the window that is half done."""
 
-    def again(self, turn: Sequence[Went]) -> None:
-        """Do what one turn did."""
+    def replay(self, turn: Sequence[TurnRecord]) -> None:
+        """Do what one call of `work` did."""
 
 
-class Behind:
-    """The units of an engine that are behind, in the order of their turns.
+class Backlog:
+    """The units of an engine that have work to do, in the order of their turns.
 
-    ``turns`` None: windows close at once, and nobody is ever behind.
+    Without ``turns`` windows close at once, and the backlog stays empty.
     """
 
     def __init__(self, turns: Turns | None = None) -> None:
@@ -118,69 +119,69 @@ class Behind:
 
     @property
     def units(self) -> Sequence[Backlogged]:
-        """Those that are behind."""
+        """The units, in the order of their turns."""
         return tuple(self._units)
 
     @property
     def is_waiting(self) -> bool:
-        """Whether all of them wait for something that is done apart."""
+        """Whether all units work without the turn."""
         return all(not unit.is_ready for unit in self._units)
 
     @property
-    def is_within(self) -> bool:
-        """Whether a window is half done, or what it gave is not told."""
-        return any(unit.is_within for unit in self._units)
+    def is_mid_window(self) -> bool:
+        """Whether a window is half done, or its results are not emitted."""
+        return any(unit.is_mid_window for unit in self._units)
 
     @property
     def has_new(self) -> bool:
         """Whether there are units that have had no turn yet."""
         return bool(self._new)
 
-    def fell(self, unit: Backlogged) -> None:
-        """``unit`` has windows to close, or parts of a batch to take."""
+    def add(self, unit: Backlogged) -> None:
+        """Add ``unit``, which has work to do; without effect if it is there."""
         if unit not in self._units:
             self._units.append(unit)
             self._new.append(unit)
 
-    def left(self, unit: Backlogged) -> None:
-        """``unit`` has caught up, or is no more."""
+    def discard(self, unit: Backlogged) -> None:
+        """Remove ``unit``, which has caught up or stopped."""
         for units in (self._units, self._new):
             if unit in units:
                 units.remove(unit)
 
-    def go_on(self, *, new: bool = False, begins: bool = True) -> list[Went]:
-        """Close windows, and take batches, for as long as there is time; gives what was done.
+    def work(self, *, new: bool = False, begins: bool = True) -> list[TurnRecord]:
+        """Give each unit a turn while there is time; return what they did.
 
-        ``new``: only of units that have had no turn yet: most are done with one. Not ``begins``:
-        only those that are half done.
+        ``new``: only units that have had no turn yet, since most are done with one. Not ``begins``:
+        only windows that are half done.
         """
         assert self.turns is not None
-        done: list[Went] = []
+        done: list[TurnRecord] = []
         for unit in tuple(self._new) if new else self.units:
-            if (begins or unit.is_within) and unit.is_ready:
-                done += unit.go_on(self.turns, begins=begins)
-                self._had_its_turn(unit)
+            if (begins or unit.is_mid_window) and unit.is_ready:
+                done += unit.work(self.turns, begins=begins)
+                self._rotate(unit)
             if begins and self.turns.is_over:
                 break
         return done
 
-    def finish(self) -> None:
-        """Close the windows that are half done, however long that takes. What they give is told,
-        and counts as done, when it is the turn of their units."""
+    def finish_windows(self) -> None:
+        """Close the windows that are half done, however long that takes. Their units emit and
+        record the results in their next turns."""
         for unit in self.units:
             unit.finish_window()
 
-    def again(self, done: Iterable[Went]) -> None:
-        """Do what `go_on` did. Raises ``ValueError`` where there is no such thing to do."""
+    def replay(self, done: Iterable[TurnRecord]) -> None:
+        """Do what `work` did. Raises ``ValueError`` where there is no such work to do."""
         for name, turn in groupby(done, lambda each: each.unit):
             unit = next((one for one in self._units if one.name == name), None)
             if unit is None:
-                raise ValueError(f"{name} is not behind")
-            unit.again(tuple(turn))
-            self._had_its_turn(unit)
+                raise ValueError(f"{name} is not in the backlog")
+            unit.replay(tuple(turn))
+            self._rotate(unit)
 
-    def _had_its_turn(self, unit: Backlogged) -> None:
-        """Its next one comes after those of the others."""
+    def _rotate(self, unit: Backlogged) -> None:
+        """Put ``unit`` behind the others after its turn, if it has more to do."""
         if unit in self._new:
             self._new.remove(unit)
         if unit in self._units:

@@ -14,14 +14,14 @@ from typing import ClassVar
 import numpy as np
 
 from ...streams.generator import StreamGenerator
-from ...streams.recall import Moment
+from ...streams.past_queries import Moment
 from ...streams.sample import SampleBatch
 from ...streams.time import TIME_MAX, TIME_MIN
 from ..model.beginning import Beginning, last_before
 from ..model.status_changes import Role
 from ..model.views import Since
 from ..processes.supervision import ErrorCounters
-from .backlog import Behind
+from .backlog import Backlog
 from .work_time import BusyTime
 
 
@@ -67,7 +67,7 @@ class ComputationalUnit(ABC):
         self.busy = 0
         """How long it has worked (ns), if somebody measures it: without those it sets to work."""
         self.busy_time: BusyTime | None = None
-        self.behind = Behind()
+        self.backlog = Backlog()
         """Who closes its windows, if it has any."""
         self.windows = 0
         """How many windows it has evaluated."""

@@ -1,4 +1,4 @@
-"""Late samples as streams of their own (docs/semantics.md, "Late samples").
+"""Late samples as streams of their own (docs/explanation/semantics.md, "Late samples").
 
 ``NAME_late`` has the samples that came too late for stream NAME, ``NAME_late_INPUT`` those of
 stream INPUT that came too late for the unit that makes NAME: it had decided without them. Such a

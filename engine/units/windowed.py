@@ -1,8 +1,8 @@
-"""Units that evaluate windows, a little at a time (docs/design/0010-turns.md).
+"""Units that evaluate windows (docs/explanation/design/0010-turns.md).
 
-What makes windows due does not close them, and a large batch is taken in parts. A unit that has
-windows to close or parts to take is *behind*: it puts by what its inputs say until it has caught
-up, so that its stream says what it would have said at once, only later.
+A command that makes windows due does not close them, and a large batch is taken in parts. While a
+unit has windows to close or parts to take it is in the engine's backlog and defers what its inputs
+bring. Its output stream is the same as if it had closed the windows at once, only later.
 """
 
 from __future__ import annotations
@@ -25,21 +25,21 @@ from ...streams.time import format_time
 from ..model.beginning import Beginning
 from ..model.stream_statistics import flow_of
 from ..model.views import Since
-from .backlog import Overwhelmed, Task, Turns, Went
+from .backlog import Overwhelmed, Task, TurnRecord, Turns
 from .base import ComputationalUnit
 
 T = TypeVar("T")
 
 _PART: Final = 4096
-"""Samples that are taken at once, of a batch of more than twice as many: some milliseconds, where
-all of their objects are new."""
+"""Samples of one part. A batch of more than twice as many is taken in parts, each of which takes
+some milliseconds where all of its objects are new."""
 _TAKE: Final = "take"
 
 
 class WindowUnit(ComputationalUnit):
-    """A unit that evaluates windows: the samples of its inputs, converted to timed triples, go to
-    ``evaluator``; those that are too late for every window are left out before. Texts become terms
-    on the way."""
+    """A unit that evaluates windows: it converts the samples of its inputs to timed triples and
+    pushes them to ``evaluator``. It drops samples that are too late for every window before it
+    makes terms of their texts."""
 
     def __init__(
         self,
@@ -51,25 +51,26 @@ class WindowUnit(ComputationalUnit):
         self.evaluator = evaluator
         self._converters = converters
         self.samples = 0
-        """How many samples it has read."""
+        """Samples read by now."""
         self.triples = 0
-        """How many triples these stood for."""
+        """Triples made of them."""
         self._places: dict[StreamGenerator, Places] = {}
-        """Of the inputs whose samples are nodes in RDF."""
-        self._put_by: deque[tuple[str, tuple[Any, ...]]] = deque()
-        """What inputs have said since the unit is behind."""
+        """By input whose samples are nodes in RDF."""
+        self._deferred: deque[tuple[str, tuple[Any, ...]]] = deque()
+        """Calls of the inputs that wait until the windows before them have closed."""
         self._task: Task | None = None
         self._error: Exception | None = None
-        self._is_behind = False
+        """Raised by the last window, and to be raised in the unit's next turn."""
+        self._has_due_windows = False
         self._spent = 0.0
-        """Seconds that its windows took since it fell behind."""
-        self._telling = 0.0
-        """Seconds that the results of a window took to be told, the last time."""
-        self._told = 0
-        """Of so many windows the results are told."""
-        self._has_to_end = False
-        self._has_to_be_idle: bool | None = None
-        """What is to be told when it has caught up."""
+        """Seconds of work since the unit entered the backlog."""
+        self._emitting = 0.0
+        """Seconds to emit the results of one window, by the last turn."""
+        self._emitted = 0
+        """Windows whose results were emitted."""
+        self._pending_end = False
+        self._pending_idle: bool | None = None
+        """What the output is to hear once the unit has caught up."""
 
     @property
     def is_quarantined(self) -> bool:
@@ -77,17 +78,17 @@ class WindowUnit(ComputationalUnit):
 
     @property
     def reads(self) -> Sequence[StreamGenerator]:
-        """The streams whose samples are in the windows."""
+        """The streams whose samples the windows hold."""
         return self.inputs
 
     @property
     def contents(self) -> tuple[Content, ...]:
-        """What the inputs contain, as their samples are converted."""
+        """The contents that the conversion of the inputs yields."""
         several = (each for converters in self._converters.values() for each in converters)
         return tuple(content for each in several for content in each.annotation.contents)
 
     def flows(self) -> dict[str, Flow]:
-        """What may be expected of the inputs, by name."""
+        """The rates to expect of the inputs, by name."""
         flows = {}
         for source in self.sources:
             read = (converter.annotation for converter in self._converters[source.name])
@@ -99,32 +100,32 @@ class WindowUnit(ComputationalUnit):
     def start(
         self, since: Beginning = Since.NOW, after: int | None = None, until: int | None = None
     ) -> None:
-        self.evaluator.defers = self.behind.turns is not None
+        self.evaluator.defers = self.backlog.turns is not None
         super().start(since, after, until)
 
     def receive(self, source: StreamGenerator, batch: SampleBatch) -> None:
-        if len(batch) > 2 * _PART and self.behind.turns is not None:
+        if len(batch) > 2 * _PART and self.backlog.turns is not None:
             for start in range(0, len(batch), _PART):
                 part = batch.take(slice(start, start + _PART))
-                self._put_by.append((_TAKE, (source, part)))
-            self.behind.fell(self)
-        elif not self._puts_by("receive", source, batch):
+                self._deferred.append((_TAKE, (source, part)))
+            self.backlog.add(self)
+        elif not self._defers("receive", source, batch):
             super().receive(source, batch)
 
     def advance(self, source: StreamGenerator, watermark: int) -> None:
-        if not self._puts_by("advance", source, watermark):
+        if not self._defers("advance", source, watermark):
             super().advance(source, watermark)
 
     def ended(self, source: StreamGenerator) -> None:
-        if not self._puts_by("ended", source):
+        if not self._defers("ended", source):
             super().ended(source)
 
     def resumed(self, source: StreamGenerator) -> None:
-        if not self._puts_by("resumed", source):
+        if not self._defers("resumed", source):
             super().resumed(source)
 
     def idleness_changed(self, source: StreamGenerator) -> None:
-        if not self._puts_by("idleness_changed", source):
+        if not self._defers("idleness_changed", source):
             super().idleness_changed(source)
 
     def process(self, source: StreamGenerator, batch: SampleBatch) -> None:
@@ -145,12 +146,12 @@ class WindowUnit(ComputationalUnit):
 
     def progress(self, source: StreamGenerator, watermark: int) -> None:
         self.emit(self.evaluator.advance(source.name, watermark))
-        self._tell_time()
+        self._advance_output()
 
     def finish(self, source: StreamGenerator) -> None:
-        self._has_to_end = True
+        self._pending_end = True
         self.emit(self.evaluator.end(source.name))
-        self._tell_time()
+        self._advance_output()
 
     def resume(self, source: StreamGenerator) -> None:
         super().resume(source)
@@ -158,40 +159,40 @@ class WindowUnit(ComputationalUnit):
 
     @abstractmethod
     def emit(self, results: Sequence[Any]) -> None:
-        """Tell the results of windows, in their order."""
+        """Emit the results of windows, in their order."""
 
     def advance_output(self, watermark: int) -> None:
-        """Promise that nothing comes before ``watermark`` any more."""
+        """Promise that the output brings nothing before ``watermark`` any more."""
         self.output.advance(watermark)
 
     def tell_idle(self, is_idle: bool) -> None:
-        if self._is_behind:
-            self._has_to_be_idle = is_idle
+        if self._has_due_windows:
+            self._pending_idle = is_idle
         else:
             super().tell_idle(is_idle)
 
-    def _tell_time(self) -> None:
-        """Say how far the output is, unless windows have to close before."""
-        self.judge()
+    def _advance_output(self) -> None:
+        """Advance the output to the inputs' watermark, unless windows have to close before."""
+        self.report_overruns()
         if self.evaluator.is_due:
-            self._is_behind = True
-            self.behind.fell(self)
+            self._has_due_windows = True
+            self.backlog.add(self)
             return
-        self._is_behind = False
+        self._has_due_windows = False
         least = self.least_watermark
         if least is not None:
             # A window that is still open ends at ``least`` or later; its results come after it.
             self.advance_output(least + 1)
-        if self._has_to_end:
-            self._has_to_end = False
+        if self._pending_end:
+            self._pending_end = False
             self.end_output()
-        if self._has_to_be_idle is not None:
-            is_idle, self._has_to_be_idle = self._has_to_be_idle, None
+        if self._pending_idle is not None:
+            is_idle, self._pending_idle = self._pending_idle, None
             self.tell_idle(is_idle)
 
-    def judge(self) -> None:
-        """Tell of windows that needed more than they may. Raises `Quarantined` for too many of
-        them: then no more are evaluated, and the unit is cut off."""
+    def report_overruns(self) -> None:
+        """Report windows that exceeded their budget. Raises `Quarantined` for too many in a row:
+        the evaluator evaluates no more, and the unit is cut off."""
         overruns, self.evaluator.overruns = self.evaluator.overruns, []
         self.overruns += len(overruns)
         for overrun in overruns:
@@ -201,160 +202,164 @@ class WindowUnit(ComputationalUnit):
         if self.evaluator.quarantine:
             raise Quarantined(self.evaluator.quarantine)
 
-    # -- behind ------------------------------------------------------------------------------
+    # -- backlog -----------------------------------------------------------------------------
 
     @property
-    def is_within(self) -> bool:
-        """Whether a window is half done, or what it gave is not told."""
+    def is_mid_window(self) -> bool:
+        """See `Backlogged`."""
         return (
             self._task is not None
-            or self.evaluator.closed > self._told
+            or self.evaluator.closed > self._emitted
             or (self._error is not None and self.failure is None)
         )
 
     @property
     def is_ready(self) -> bool:
-        """Whether it can go on now."""
+        """See `Backlogged`."""
         return self._task is None or self._task.is_ready
 
-    def go_on(self, turns: Turns, *, begins: bool = True) -> list[Went]:
-        """Close windows for as long as ``turns`` has time, tell their results, and take what was
-        put by; gives what was done. Not ``begins``: none but the one that is half done."""
-        done: list[Went] = []
-        self._guarded(lambda: self._go_on(turns, done, begins=begins))
+    def work(self, turns: Turns, *, begins: bool = True) -> list[TurnRecord]:
+        """Close windows while ``turns`` has time, emit their results, and take what was deferred;
+        return what was done. Not ``begins``: only the window that is half done."""
+        done: list[TurnRecord] = []
+        self._guarded(lambda: self._close_windows(turns, done, begins=begins))
         self._catch_up()
         parts = 0
-        while begins and self.is_taking and not turns.is_over:
+        while begins and self.is_taking_parts and not turns.is_over:
             self._take_part()
             parts += 1
         if parts:
-            done.append(Went(self.name, 0, parts=parts))
+            done.append(TurnRecord(self.name, 0, parts=parts))
         return done
 
-    def again(self, turn: Sequence[Went]) -> None:
-        """Do what `go_on` did. Raises ``ValueError`` where there is no such thing to do."""
-        self._guarded(lambda: self._again(turn))
+    def replay(self, turn: Sequence[TurnRecord]) -> None:
+        """Do what `work` did. Raises ``ValueError`` where there is no such work to do."""
+        self._guarded(lambda: self._replay_windows(turn))
         self._catch_up()
         for _ in range(turn[-1].parts):
-            if not self.is_taking:
+            if not self.is_taking_parts:
                 raise ValueError(f"{self.name} has no part of a batch to take")
             self._take_part()
 
     @property
     def spent(self) -> float:
-        """Seconds of work since it fell behind."""
+        """Seconds of work since the unit entered the backlog."""
         return self._spent
 
     @property
-    def is_taking(self) -> bool:
-        """Whether part of a batch comes next, and no window before it."""
-        has_part = bool(self._put_by) and self._put_by[0][0] == _TAKE
-        return has_part and not self.is_within and not self.evaluator.is_due
+    def is_taking_parts(self) -> bool:
+        """Whether a part of a batch comes next, and no window before it."""
+        has_part = bool(self._deferred) and self._deferred[0][0] == _TAKE
+        return has_part and not self.is_mid_window and not self.evaluator.is_due
 
     def _take_part(self) -> None:
-        _, given = self._put_by.popleft()
+        _, given = self._deferred.popleft()
         super().receive(*given)
         self._catch_up()
 
     def between_windows(self, change: Callable[[], T]) -> T:
-        """Do what changes the evaluator from without: not in the middle of a window."""
+        """Do ``change``, which changes the evaluator, after the window that is half done."""
         self.finish_window()
         return change()
 
     def finish_window(self) -> None:
-        """Close the window that is half done, however long that takes; what it gives is told in the
-        unit's next turn, and what it raises, too."""
+        """Close the window that is half done, however long that takes. The unit emits its results,
+        or raises its error, in its next turn."""
         if self._task is None:
             return
         task, self._task = self._task, None
         before = task.spent
         try:
-            task.go_on(to_end=True)
-        except Exception as error:  # noqa: BLE001  raised in its turn
+            task.run(to_end=True)
+        except Exception as error:  # noqa: BLE001  raised in its next turn
             self._error = error
         self._spent += task.spent - before
 
-    def _go_on(self, turns: Turns, done: list[Went], *, begins: bool) -> None:
+    def _close_windows(self, turns: Turns, done: list[TurnRecord], *, begins: bool) -> None:
         task, is_done = self._task, True
         if task is None and begins and self.evaluator.is_due:
-            task = turns.begin(self.evaluator.close_next, self._telling)
-        if task is not None and (not begins or self._spent > turns.most):
-            task.end()
+            task = turns.start(self.evaluator.close_next, self._emitting)
+        if task is not None and (not begins or self._spent > turns.limit):
+            task.stop_early()
         before = 0.0 if task is None else task.spent
         try:
             if self._error is not None:
                 raise self._error
             if task is not None:
-                is_done = task.go_on()
+                is_done = task.run()
         finally:
-            # Those before one that fails have closed nevertheless.
+            # The windows before one that fails have closed: emit their results all the same.
             self._task = None if is_done else task
             self._spent += 0.0 if task is None else task.spent - before
-            went = self._went()
-            done += went
-            took = turns.timed(lambda: self.emit(self.evaluator.taken()))
-            if count := sum(each.windows for each in went):
-                self._telling = took / count
-        self.judge()
-        # What waits for it may be one window now, and one with each message that was put by.
-        if is_done and self._spent > turns.most and (self.evaluator.is_due or self._put_by):
+            closed = self._newly_closed()
+            done += closed
+            took = turns.time(lambda: self.emit(self.evaluator.taken()))
+            if count := sum(each.windows for each in closed):
+                self._emitting = took / count
+        self.report_overruns()
+        # A deferred call may make further windows due, so an empty schedule alone does not say
+        # that the unit has caught up.
+        if is_done and self._spent > turns.limit and (self.evaluator.is_due or self._deferred):
             text = f"its windows took {self._spent:.0f} s, and more of them wait"
-            done.append(Went(self.name, 0, text))
+            done.append(TurnRecord(self.name, 0, text))
             raise Overwhelmed(text)
 
-    def _went(self) -> list[Went]:
-        """The windows that have closed since this was asked last; one that was stopped is the last
-        of its kind."""
+    def _newly_closed(self) -> list[TurnRecord]:
+        """Records of the windows that have closed since the last call; a record ends with a window
+        that was stopped."""
         found, closed = [], self.evaluator.closed
         for overrun in self.evaluator.overruns:
             if overrun.is_stopped:
-                found.append(Went(self.name, overrun.number + 1 - self._told, overrun.reason))
-                self._told = overrun.number + 1
-        if closed > self._told:
-            found.append(Went(self.name, closed - self._told))
-            self._told = closed
+                found.append(
+                    TurnRecord(self.name, overrun.number + 1 - self._emitted, overrun.reason)
+                )
+                self._emitted = overrun.number + 1
+        if closed > self._emitted:
+            found.append(TurnRecord(self.name, closed - self._emitted))
+            self._emitted = closed
         return found
 
-    def _again(self, turn: Sequence[Went]) -> None:
+    def _replay_windows(self, turn: Sequence[TurnRecord]) -> None:
         try:
-            for went in turn:
-                self._told += went.windows
-                # One that was half done at a checkpoint has closed before it, and is told now.
-                while self.evaluator.closed < self._told:
-                    is_last = self.evaluator.closed == self._told - 1
-                    if not self.evaluator.close_next(went.stopped if is_last else ""):
+            for closed in turn:
+                self._emitted += closed.windows
+                # A window that was half done at a checkpoint closed before it: only emit it now.
+                while self.evaluator.closed < self._emitted:
+                    is_last = self.evaluator.closed == self._emitted - 1
+                    if not self.evaluator.close_next(closed.stopped if is_last else ""):
                         raise ValueError(f"{self.name} has no window to close")
             if self._error is not None:
                 raise self._error
         finally:
             self.emit(self.evaluator.taken())
-        self.judge()
+        self.report_overruns()
         if turn[-1].stopped and not turn[-1].windows:
             raise Overwhelmed(turn[-1].stopped)
 
-    def _puts_by(self, what: str, *given: Any) -> bool:
-        """Whether this is for later: windows have to close before, or parts are to be taken."""
-        if not self._is_behind and not self._put_by:
+    def _defers(self, what: str, *given: Any) -> bool:
+        """Defer the call ``what`` if windows have to close or parts to be taken before it; return
+        whether."""
+        if not self._has_due_windows and not self._deferred:
             return False
-        self._put_by.append((what, given))
+        self._deferred.append((what, given))
         return True
 
     def _catch_up(self) -> None:
-        """Say and take what had to wait for windows that have closed."""
-        while self.failure is None and not self.is_within and not self.evaluator.is_due:
-            self._guarded(self._tell_time)
-            if not self._put_by or self._put_by[0][0] == _TAKE:
+        """Do the deferred calls whose windows have closed."""
+        while self.failure is None and not self.is_mid_window and not self.evaluator.is_due:
+            self._guarded(self._advance_output)
+            if not self._deferred or self._deferred[0][0] == _TAKE:
                 break
-            what, given = self._put_by.popleft()
+            what, given = self._deferred.popleft()
             getattr(super(), what)(*given)
-        if not self._is_behind and not self._put_by:
+        if not self._has_due_windows and not self._deferred:
             self._spent = 0.0
-            self.behind.left(self)
+            self.backlog.discard(self)
 
     def _leave_inputs(self) -> None:
-        # Else its thread would wait for ever.
+        # The task's thread would wait for its turn for ever.
         self.finish_window()
-        self._put_by.clear()
-        self._is_behind = False
-        self.behind.left(self)
+        self._deferred.clear()
+        self._has_due_windows = False
+        self.backlog.discard(self)
         super()._leave_inputs()

@@ -1,8 +1,8 @@
 """The plan of the best quality (the strategy *quality* of [Introspection15 §4.3]).
 
 The quality of a goal under a plan is that of its producer times the least quality of its inputs (1
-if it has none). Better inputs never make it worse, so the best of every goal is found at once, and
-one plan has them all (`knuth`).
+if it has none). Better inputs never make it worse, so Knuth's algorithm finds the best quality of
+every goal, and one plan has them all.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from .knuth import qualities, trees, used
 
 
 def best_quality(graph: Hypergraph, roots: Sequence[int]) -> Choice | None:
-    """A plan in which every root, and every goal used, has the best quality it has in any plan.
+    """A plan that gives every root, and every goal it uses, its best quality in any plan.
 
     None if a root cannot be derived. Exact in the arithmetic of floats (the same products, in the
     same order, as in the definition); always proven. Of the producers that keep every goal at its
-    best, each goal takes the one with the least tree weight (what is shared counts each time it is
-    used), then the lowest, as far as `trees` promises. Cost: O((m + k) log m).
+    best, each goal takes the one with the least tree weight (a shared goal counts at each use),
+    then the lowest, as far as `trees` promises. Cost: O((m + k) log m).
     """
     net, wanted = net_of(graph), checked_roots(graph, roots)
     quality = np.array(graph.qualities, np.float64)

@@ -1,19 +1,19 @@
 """Goals and producers: the transformation tree as an AND/OR hypergraph ([Introspection15 §4.3]).
 
-A *goal* is something wanted somewhere in the tree, a *producer* one way to get it from other goals:
-a goal has its producers as alternatives, a producer its inputs as a conjunction. A *plan* for some
-roots picks exactly one producer for each goal it uses (the roots, and the inputs of what it picks)
-such that no goal is got from itself. `least_weight` and `best_quality` find plans.
+A *goal* is a node of the tree, a *producer* one way to derive it from other goals, its inputs. The
+producers of a goal are alternatives; a producer needs all its inputs. A *plan* for some roots picks
+exactly one producer for each goal that it uses (the roots, and the inputs of picked producers), in
+such a way that no goal is derived from itself. `least_weight` and `best_quality` find plans.
 
-`Net` is the form that both walk: indexed from goals to producers in both directions, with each
-input of a producer once.
+`Net` is the form that both walk: it is indexed from goals to producers in both directions, and
+names each input of a producer once.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,7 @@ Integers: TypeAlias = NDArray[np.int64]
 Arrays: TypeAlias = tuple[Ids, Ids, Ids, Ids, Ids, Ids, Ids]
 
 NEAR = 1e-9
-"""How near, relatively, a bound comes to the value it proves: weights are added as floats."""
+"""The relative difference that rounding may make between a value and the bound that proves it."""
 
 
 class HypergraphError(ValueError):
@@ -42,7 +42,7 @@ class Hypergraph:
     starts: Ids
     """m + 1 places: the inputs of producer p are ``inputs[starts[p]:starts[p + 1]]``."""
     inputs: Ids
-    """Goals; repeating one within a producer means nothing more than naming it once."""
+    """Goals; repeating one within a producer has no effect."""
     weights: Floats
     """Of each producer, at least 0; their sum is finite."""
     qualities: Floats
@@ -80,7 +80,7 @@ class Choice:
 
     @property
     def proven(self) -> bool:
-        """No plan is better, but for rounding."""
+        """Whether no plan is better, except by rounding."""
         return self.bound >= self.value - NEAR * abs(self.value)
 
 
@@ -91,7 +91,7 @@ class Net:
     goals: int
     arrays: Arrays
     """derives, starts, inputs (as in a `Hypergraph`, but sorted and distinct), then by_starts, by
-    (the producers of a goal, ascending) and use_starts, use (those that have it as an input)."""
+    (the producers of a goal, ascending) and use_starts, use (the producers that need it)."""
 
     @property
     def derives(self) -> Ids:
@@ -109,6 +109,11 @@ class Net:
     def size(self) -> int:
         """The number of producers."""
         return len(self.arrays[0])
+
+    @property
+    def pass_steps(self) -> int:
+        """The cost of one pass of `knuth`, in steps of search."""
+        return self.size + 8 * self.goals
 
     def inputs_of(self, producer: int) -> Ids:
         return self.inputs[self.starts[producer] : self.starts[producer + 1]]
@@ -130,7 +135,7 @@ def net_of(graph: Hypergraph) -> Net:
 def restricted(net: Net, keep: Flags, given: Flags) -> tuple[Net, Integers, Integers]:
     """The net of the producers to ``keep`` and the goals they name, but for the ``given`` goals.
 
-    Also the old number of each new producer, and the new one of each old goal (-1: gone).
+    Returns also the old number of each new producer, and the new one of each old goal (-1: none).
     """
     owners = np.repeat(np.arange(net.size), np.diff(net.starts))
     kept = keep[owners] & ~given[net.inputs]
@@ -162,7 +167,7 @@ def _falls(starts: Ids) -> bool:
 
 
 def _indexed(goals: int, derives: Ids, owners: Integers, inputs: Integers) -> Net:
-    """``owners`` ascend: the producer of each input."""
+    """Index a net; ``owners``, ascending, are the producers of the inputs."""
     numbers = np.arange(len(derives), dtype=np.int32)
     starts = np.zeros(len(derives) + 1, np.int32)
     np.cumsum(np.bincount(owners, minlength=len(derives)), out=starts[1:])
@@ -177,3 +182,26 @@ def _grouped(keys: NDArray[np.integer], items: Ids, groups: int) -> tuple[Ids, I
     starts = np.zeros(groups + 1, np.int32)
     np.cumsum(np.bincount(keys, minlength=groups), out=starts[1:])
     return starts, items[np.argsort(keys, kind="stable")]
+
+
+def signature(result: str, *arguments: str) -> Callable[[], Any]:
+    """The numba signature of a loop over a net (`jit.Kernel`)."""
+
+    def types_of() -> Any:
+        from numba import types
+
+        tuple_of: Any = types.UniTuple
+        kinds = {
+            "net": tuple_of(types.int32[::1], 7),
+            "flags": types.boolean[::1],
+            "ids": types.int32[::1],
+            "floats": types.float64[::1],
+            "float": types.float64,
+            "int": types.int64,
+            "truth": types.boolean,
+            "void": types.void,
+            "pair": tuple_of(types.float64, 2),
+        }
+        return kinds[result](*(kinds[name] for name in arguments))
+
+    return types_of

@@ -1,13 +1,16 @@
 """Knuth's generalisation of Dijkstra's algorithm (Information Processing Letters 6, 1977).
 
-Where the value of a producer never is better than that of any of its inputs, and never gets better
-when one of them gets worse, the best value of every goal is found in one pass, best first: once a
-goal is taken from the heap, its value is final. What the goal takes its value from was final
-before, so the producers picked are never a cycle, whatever the weights.
+A cost is *superior* if a producer never costs less than one of its inputs, and never costs less
+when an input costs more. The cheapest goal that is not final can then be made final in each step,
+so one pass finds the least cost of every goal. The inputs of a picked producer were final before
+its goal, so the picks never form a cycle.
 
-`trees` adds (the weight of the tree under a producer, where a shared goal counts each time);
-`qualities` multiplies with the least of the inputs. Both cost O((m + k) log m) for m producers with
-k inputs in all, and 24 bytes a producer and a goal.
+One loop serves three costs, in O((m + k) log m) for m producers with k inputs in all:
+
+- `trees` adds: the weight of the tree below a goal, where a shared goal counts at each use. No plan
+  of one goal weighs more than its tree, so this gives a plan and an upper bound.
+- `distances` adds the costliest input only: a lower bound of every plan (h_max in planning).
+- `qualities` multiplies with the worst input; qualities are negated, so that the best is the least.
 """
 
 from __future__ import annotations
@@ -18,27 +21,29 @@ from typing import Any
 import numpy as np
 
 from ...streams.jit import JIT, Kernel
-from .hypergraph import Flags, Floats, Ids, Integers, Net
+from .hypergraph import Flags, Floats, Ids, Integers, Net, signature
+
+SUM, MAXIMUM, PRODUCT = 0, 1, 2
 
 
-def _trees(net: Any, alive: Any, cost: Any, value: Any, picks: Any) -> None:
+def _knuth(net: Any, alive: Any, own: Any, kind: int, value: Any, picks: Any) -> None:
     derives, starts, _, _, _, use_starts, use = net
     value[:] = np.inf
     picks[:] = -1
     final = np.zeros(value.shape[0], np.bool_)
-    total = cost.copy()
-    left = np.empty(derives.shape[0], np.int32)
+    total = -own if kind == PRODUCT else own.copy()
+    left = starts[1:] - starts[:-1]
     heap = [(0.0, np.int64(0))]
     heap.pop()
     for producer in range(derives.shape[0]):
-        left[producer] = starts[producer + 1] - starts[producer]
-        if left[producer] == 0 and alive[producer]:
-            goal = derives[producer]
-            # Producers ascend, so that the first of equals is the lowest.
-            if picks[goal] < 0 or total[producer] < value[goal]:
-                value[goal] = total[producer]
-                picks[goal] = producer
-                heapq.heappush(heap, (float(total[producer]), np.int64(goal)))
+        if left[producer] > 0 or not alive[producer]:
+            continue
+        goal = derives[producer]
+        # Producers ascend, so that the first of equals is the lowest.
+        if picks[goal] < 0 or total[producer] < value[goal]:
+            value[goal] = total[producer]
+            picks[goal] = producer
+            heapq.heappush(heap, (float(total[producer]), np.int64(goal)))
     while heap:
         _, goal = heapq.heappop(heap)
         if final[goal]:
@@ -47,9 +52,16 @@ def _trees(net: Any, alive: Any, cost: Any, value: Any, picks: Any) -> None:
         for place in range(use_starts[goal], use_starts[goal + 1]):
             producer = use[place]
             left[producer] -= 1
-            total[producer] += value[goal]
+            if kind == SUM:
+                total[producer] += value[goal]
+            elif left[producer] == 0:
+                # The last input to be final is the costliest.
+                if kind == MAXIMUM:
+                    total[producer] += value[goal]
+                else:
+                    total[producer] = own[producer] * value[goal]
             target = derives[producer]
-            # Asking for `picks` first: a tree can be too heavy for a float, and still be the only.
+            # `picks` first: the weight of the only tree may be infinite in floats.
             if (
                 left[producer] == 0
                 and alive[producer]
@@ -63,34 +75,6 @@ def _trees(net: Any, alive: Any, cost: Any, value: Any, picks: Any) -> None:
                 value[target] = total[producer]
                 picks[target] = producer
                 heapq.heappush(heap, (float(total[producer]), np.int64(target)))
-
-
-def _qualities(net: Any, alive: Any, quality: Any, value: Any) -> None:
-    derives, starts, _, _, _, use_starts, use = net
-    value[:] = -1.0
-    final = np.zeros(value.shape[0], np.bool_)
-    left = np.empty(derives.shape[0], np.int32)
-    heap = [(0.0, np.int64(0))]
-    heap.pop()
-    for producer in range(derives.shape[0]):
-        left[producer] = starts[producer + 1] - starts[producer]
-        if left[producer] == 0 and alive[producer] and quality[producer] > value[derives[producer]]:
-            value[derives[producer]] = quality[producer]
-            heapq.heappush(heap, (-float(quality[producer]), np.int64(derives[producer])))
-    while heap:
-        _, goal = heapq.heappop(heap)
-        if final[goal]:
-            continue
-        final[goal] = True
-        for place in range(use_starts[goal], use_starts[goal + 1]):
-            producer = use[place]
-            left[producer] -= 1
-            # The last input to be final is the worst.
-            reached = quality[producer] * value[goal]
-            target = derives[producer]
-            if left[producer] == 0 and alive[producer] and reached > value[target]:
-                value[target] = reached
-                heapq.heappush(heap, (-float(reached), np.int64(target)))
 
 
 def _used(net: Any, picks: Any, roots: Any, flags: Any) -> None:
@@ -113,53 +97,29 @@ def _used(net: Any, picks: Any, roots: Any, flags: Any) -> None:
                 size += 1
 
 
-def _trees_types() -> Any:
-    from numba import types
-
-    tuple_of: Any = types.UniTuple
-    floats, ids = types.float64[::1], types.int32[::1]
-    return types.void(tuple_of(ids, 7), types.boolean[::1], floats, floats, ids)
+_knuth_kernel = Kernel(_knuth, signature("void", "net", "flags", "floats", "int", "floats", "ids"))
+_used_kernel = Kernel(_used, signature("void", "net", "ids", "ids", "flags"))
 
 
-def _qualities_types() -> Any:
-    from numba import types
-
-    tuple_of: Any = types.UniTuple
-    floats, ids = types.float64[::1], types.int32[::1]
-    return types.void(tuple_of(ids, 7), types.boolean[::1], floats, floats)
-
-
-def _used_types() -> Any:
-    from numba import types
-
-    tuple_of: Any = types.UniTuple
-    ids = types.int32[::1]
-    return types.void(tuple_of(ids, 7), ids, ids, types.boolean[::1])
-
-
-_trees_kernel = Kernel(_trees, _trees_types)
-_qualities_kernel = Kernel(_qualities, _qualities_types)
-_used_kernel = Kernel(_used, _used_types)
-
-
-def trees(net: Net, alive: Flags, cost: Floats) -> tuple[Floats, Ids]:
+def trees(net: Net, alive: Flags, weights: Floats) -> tuple[Floats, Ids]:
     """The least tree weight of each goal by ``alive`` producers, and the producer it comes from.
 
-    Infinite and -1 where there is none. Equals: the lowest producer of those whose inputs were
-    final before the goal was (with weights of 0 an equal one can come too late).
+    Infinite and -1 for a goal without one. Of equal producers it takes the lowest whose inputs were
+    final before the goal (with weights of 0 an equal one can come too late).
     """
-    value, picks = np.empty(net.goals), np.empty(net.goals, np.int32)
-    run = _trees_kernel if JIT else _trees
-    run(net.arrays, alive, cost, value, picks)
-    return value, picks
+    return _least(net, alive, weights, SUM)
+
+
+def distances(net: Net, alive: Flags, costs: Floats) -> Floats:
+    """The least cost of each goal, counting only the costliest input of each producer; infinite for
+    a goal that cannot be derived."""
+    return _least(net, alive, costs, MAXIMUM)[0]
 
 
 def qualities(net: Net, alive: Flags, quality: Floats) -> Floats:
-    """The best quality of each goal by ``alive`` producers; -1 where there is none."""
-    value = np.empty(net.goals)
-    run = _qualities_kernel if JIT else _qualities
-    run(net.arrays, alive, quality, value)
-    return value
+    """The best quality of each goal by ``alive`` producers; -1 for a goal without one."""
+    value, picks = _least(net, alive, quality, PRODUCT)
+    return np.where(picks < 0, -1.0, -value)
 
 
 def used(net: Net, picks: Ids, roots: Ids) -> Integers:
@@ -168,3 +128,10 @@ def used(net: Net, picks: Ids, roots: Ids) -> Integers:
     run = _used_kernel if JIT else _used
     run(net.arrays, picks, roots, flags)
     return np.flatnonzero(flags)
+
+
+def _least(net: Net, alive: Flags, own: Floats, kind: int) -> tuple[Floats, Ids]:
+    value, picks = np.empty(net.goals), np.empty(net.goals, np.int32)
+    run = _knuth_kernel if JIT else _knuth
+    run(net.arrays, alive, own, kind, value, picks)
+    return value, picks

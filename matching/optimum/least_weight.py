@@ -1,19 +1,15 @@
-"""The plan of the least weight, where what is shared counts once.
+"""The plan of the least weight, in which a shared unit counts once.
 
-The strategy *cost* of [Introspection15 §4.3]. As a problem: the cheapest AND/OR directed acyclic
-graph, or optimal delete-free planning (h+). NP-hard, so this is branch and bound:
+The strategy *cost* of [Introspection15 §4.3]. The problem is that of the cheapest AND/OR directed
+acyclic graph, or of optimal delete-free planning (h+), and is NP-hard.
 
-1. A plan to begin with: the least tree weights (`knuth`), then exchanges of one producer.
-2. A bound from landmarks (`landmark_cuts`), and what it says no better plan can use is struck off.
-   What is left is numbered anew, and again, while that helps.
-3. The least bound first: a node is the producers left and the goals known to be necessary. It is
-   split at a necessary goal that has alternatives, into the plans with one of them and without it.
-   Bounds are found from scratch at each node, which proves far more than going on from its
-   parent's. A split is chosen by looking at both sides of a few.
+1. Knuth's algorithm gives a first plan: the least trees, which count a shared unit at each use.
+2. Distances strike off the producers that no better plan can use.
+3. Branch and bound searches the rest, with bounds from landmarks.
 
-Weights become integers, in units of about 2^-50 of the first plan's weight and rounded down, so
-that bounds add up exactly and stay bounds. A plan of n producers is heavier than its integers say
-by n units at most; `Choice.proven` compares the bound with the true weight. Where all weights are
+Weights become whole numbers, in units of about 2^-50 of the first plan's weight and rounded down,
+so that floats add them exactly. A plan of n producers is at most n units heavier than its whole
+weights say; `Choice.proven` compares the bound with the true weight. Where all weights are
 multiples of one step (whole numbers, say), a bound within a step of the best plan is enough.
 """
 
@@ -24,22 +20,20 @@ from math import frexp, fsum, ldexp
 
 import numpy as np
 
-from .branching import Search, whole_part
+from .branch_and_bound import Search, whole_part
 from .hypergraph import (
     Choice,
     Floats,
     Hypergraph,
-    Integers,
     checked_roots,
     net_of,
     restricted,
 )
-from .knuth import trees, used
-from .landmark_cuts import owed
+from .knuth import distances, trees, used
 from .reductions import spared
 
 DEFAULT = 4_000_000
-"""Steps of search: about a tenth of a second."""
+"""Steps of search: about 0.05 s."""
 BITS = 50
 """Of the integer weight of the first plan."""
 
@@ -61,17 +55,17 @@ def least_weight(graph: Hypergraph, roots: Sequence[int], effort: int = DEFAULT)
         return None
     first = picks[used(net, picks, wanted)]
     whole, unit = _whole(weights, fsum(weights[first].tolist()))
-    # What comes for nothing, and what no plan can use that weighs no more than the first one.
-    _, far, _ = owed(net, everything, wanted, whole.copy(), 0, 1, 0)
+    # Strike off the goals that cost nothing, and producers in no plan as good as the first one.
+    far = distances(net, everything, whole)
     given = far == 0
     if tree[given].any():
-        # They weigh something, but too little to count: what they are got from must not count too.
-        picks[given] = trees(net, everything, whole.astype(np.float64))[1][given]
+        # Their trees weigh something, but their whole weights are 0: take trees of such producers.
+        picks[given] = trees(net, everything, whole)[1][given]
     keep = ~given[net.derives]
-    spared(net, keep, wanted, whole, far, int(whole[first].sum()) + 1)
+    spared(net, keep, wanted, whole, far, whole[first].sum() + 1)
     part, numbers, goals = restricted(net, keep, given)
     needed = goals[wanted[~given[wanted]]]
-    bound = int(far[wanted].max(initial=0))
+    bound = far[wanted].max(initial=0)
     search = Search(whole_part(part, whole[numbers], needed, bound), effort)
     search.offer(np.searchsorted(numbers, first[keep[first]]))
     bound = search.run()
@@ -80,16 +74,16 @@ def least_weight(graph: Hypergraph, roots: Sequence[int], effort: int = DEFAULT)
     chosen = used(net, picks, wanted)
     value = fsum(weights[picks[chosen]].tolist())
     plan = dict(zip(chosen.tolist(), picks[chosen].tolist(), strict=True))
-    return Choice(plan, value, min(value, ldexp(float(bound), unit)))
+    return Choice(plan, value, min(value, ldexp(bound, unit)))
 
 
-def _whole(weights: Floats, total: float) -> tuple[Integers, int]:
+def _whole(weights: Floats, total: float) -> tuple[Floats, int]:
     """Weights in units of 2^unit, rounded down; ``total`` is less than 2^BITS of them.
 
-    What weighs more than that is in no best plan, and gets just that.
+    A producer that weighs more is in no best plan; its weight becomes 2^BITS.
     """
     unit = frexp(total)[1] - BITS
     most = ldexp(1.0, BITS)
     with np.errstate(over="ignore"):
         scaled = np.minimum(np.ldexp(weights, -unit), most)
-    return np.floor(scaled).astype(np.int64), unit
+    return np.floor(scaled), unit

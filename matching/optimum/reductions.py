@@ -1,7 +1,7 @@
-"""What can be left out of a hypergraph without losing its best plan, and what every plan uses.
+"""Producers that the best plan does not need, and goals that every plan uses.
 
-`spared` is what reduced costs are for linear programs: what a bound left over says of each
-producer. `dominated` compares the alternatives of a goal, `necessary` finds what they share.
+`spared` corresponds to reduced costs in linear programs: it uses the costs that a bound left over.
+`dominated` compares the alternatives of a goal, `necessary` finds the inputs that they share.
 """
 
 from __future__ import annotations
@@ -12,27 +12,26 @@ from typing import Any
 import numpy as np
 
 from ...streams.jit import JIT, Kernel
-from .hypergraph import Flags, Ids, Integers, Net
-from .landmark_cuts import INFINITE
+from .hypergraph import Flags, Floats, Ids, Net, signature
 
 MANY = 32
-"""The producers of a goal with more are not compared with one another: it takes their square."""
+"""`dominated` skips goals with more producers, as it takes time in their square."""
 
 
-def _spared(net: Any, alive: Any, wanted: Any, cost: Any, far: Any, room: int) -> int:
+def _spared(net: Any, alive: Any, wanted: Any, cost: Any, far: Any, room: float) -> int:
     derives, starts, inputs, by_starts, by, _, _ = net
-    up = np.full(far.shape[0], INFINITE, np.int64)
-    through = np.zeros(derives.shape[0], np.int64)
+    up = np.full(far.shape[0], np.inf)
+    through = cost.copy()
     for producer in range(derives.shape[0]):
-        below = 0
+        below = 0.0
         for place in range(starts[producer], starts[producer + 1]):
             below = max(below, far[inputs[place]])
-        through[producer] = min(below + cost[producer], INFINITE)
-    heap = [(np.int64(0), np.int64(0))]
+        through[producer] += below
+    heap = [(0.0, np.int64(0))]
     heap.pop()
     for place in range(wanted.shape[0]):
         up[wanted[place]] = 0
-        heapq.heappush(heap, (np.int64(0), np.int64(wanted[place])))
+        heapq.heappush(heap, (0.0, np.int64(wanted[place])))
     while heap:
         above, goal = heapq.heappop(heap)
         if above > up[goal]:
@@ -45,7 +44,7 @@ def _spared(net: Any, alive: Any, wanted: Any, cost: Any, far: Any, room: int) -
             for other in range(starts[producer], starts[producer + 1]):
                 if reached < up[inputs[other]]:
                     up[inputs[other]] = reached
-                    heapq.heappush(heap, (np.int64(reached), np.int64(inputs[other])))
+                    heapq.heappush(heap, (float(reached), np.int64(inputs[other])))
     count = 0
     for producer in range(derives.shape[0]):
         if alive[producer] and up[derives[producer]] + through[producer] >= room:
@@ -118,45 +117,27 @@ def _dominated(net: Any, alive: Any, weights: Any) -> int:
     return count
 
 
-def _types(*names: str) -> Any:
-    def signature() -> Any:
-        from numba import types
-
-        tuple_of: Any = types.UniTuple
-        kinds = {
-            "net": tuple_of(types.int32[::1], 7),
-            "flags": types.boolean[::1],
-            "ids": types.int32[::1],
-            "integers": types.int64[::1],
-            "integer": types.int64,
-            "truth": types.boolean,
-        }
-        result, *arguments = (kinds[name] for name in names)
-        return result(*arguments)
-
-    return signature
-
-
 _spared_kernel = Kernel(
-    _spared, _types("integer", "net", "flags", "ids", "integers", "integers", "integer")
+    _spared, signature("int", "net", "flags", "ids", "floats", "floats", "float")
 )
-_necessary_kernel = Kernel(_necessary, _types("truth", "net", "flags", "ids", "flags"))
-_dominated_kernel = Kernel(_dominated, _types("integer", "net", "flags", "integers"))
+_necessary_kernel = Kernel(_necessary, signature("truth", "net", "flags", "ids", "flags"))
+_dominated_kernel = Kernel(_dominated, signature("int", "net", "flags", "floats"))
 
 
-def spared(net: Net, alive: Flags, wanted: Ids, cost: Integers, far: Integers, room: int) -> int:
-    """Strike off ``alive``, in place, what no plan with less than ``room`` of ``cost`` can use.
+def spared(net: Net, alive: Flags, wanted: Ids, cost: Floats, far: Floats, room: float) -> int:
+    """Strike off ``alive``, in place, the producers in no plan with less than ``room`` of ``cost``.
 
-    A plan with some producer has all producers on a way down from a wanted goal to it, itself, and
-    what its furthest input costs: distinct ones, as a plan has no cycle. Returns how many were
-    struck. ``far``: distances under ``cost``. O((m + k) log m).
+    A plan with some producer has also the producers on a way from a wanted goal down to it, and
+    those that its furthest input needs. All are distinct, as a plan has no cycle. ``far`` holds the
+    distances under ``cost``. Returns the number of producers struck off. O((m + k) log m).
     """
     run = _spared_kernel if JIT else _spared
     return int(run(net.arrays, alive, wanted, cost, far, room))
 
 
 def necessary(net: Net, alive: Flags, wanted: Ids) -> Ids | None:
-    """``wanted`` and what all alternatives of a necessary goal need; None if one has none. O(k)."""
+    """``wanted``, and the goals that all alternatives of a necessary goal need; None if a necessary
+    goal has no alternative. O(k)."""
     flags = np.empty(net.goals, np.bool_)
     run = _necessary_kernel if JIT else _necessary
     if not run(net.arrays, alive, wanted, flags):
@@ -164,11 +145,11 @@ def necessary(net: Net, alive: Flags, wanted: Ids) -> Ids | None:
     return np.flatnonzero(flags).astype(np.int32)
 
 
-def dominated(net: Net, alive: Flags, weights: Integers) -> int:
-    """Strike off ``alive``, in place, what another producer of the same goal is as good as.
+def dominated(net: Net, alive: Flags, weights: Floats) -> int:
+    """Strike off ``alive``, in place, each producer for which another one of its goal can stand in.
 
-    That one weighs no more and has no other inputs, so it can stand in for it in any plan. Returns
-    how many were struck. O(k * MANY).
+    The other one weighs no more and has no further inputs. Returns the number of producers struck
+    off. O(k * MANY).
     """
     run = _dominated_kernel if JIT else _dominated
     return int(run(net.arrays, alive, weights))

@@ -1,1 +1,1 @@
-"""Who may ask for what, and how much of it."""
+"""Access control: tokens, scopes, origins, quotas, the memory limit."""

@@ -1,9 +1,8 @@
-"""Who may do what: the layer that every request passes before anything of it is read.
+"""Access control: the ASGI layer that checks each request before the service reads its body.
 
-In this order: a host that is ours, no page from elsewhere (service/admission/origins), a token or
-session with the scope that the route needs (service/admission/tokens, service/admission/scopes),
-room within the quotas and in memory (service/admission/quotas, service/admission/memory_limit). A
-pure ASGI layer: a small batch of samples must stay cheap.
+It checks, in this order: Host and Origin (origins), a token or session with the scope of the route
+(tokens, sessions, scopes), quotas and memory (quotas, memory_limit). A pure ASGI layer costs less
+than a middleware or dependency of the framework, which matters for small batches.
 """
 
 from __future__ import annotations
@@ -19,14 +18,14 @@ from ..config.settings import Settings
 from ..http.client_address import address_of
 from ..http.problems import REQUEST_ID, Problem
 from .memory_limit import Memory
-from .origins import FetchMetadata, Hosts, Origins, Place, is_same
+from .origins import Headers, Hosts, Origins, Place, is_own_page
 from .quotas import Quotas
 from .scopes import Rule, Rules
 from .sessions import Sessions
 from .tokens import Caller, Tokens
 
 CALLER = "dyknow.caller"
-"""In the scope of a request: the `Caller`; not there where nobody has said who asks."""
+"""In the scope of a request: its `Caller`, if tokens are required."""
 CHALLENGE = 'Bearer realm="dyknow"'
 ALLOWED_METHODS = "GET, HEAD, POST, PUT, PATCH, DELETE"
 ALLOWED_HEADERS = (
@@ -37,7 +36,7 @@ EXPOSED_HEADERS = (
     "Dyknow-Position, Dyknow-Window-End, ETag, Location, Retry-After, WWW-Authenticate"
 )
 PREFLIGHT_LASTS = 600
-"""Seconds for which a browser need not ask again."""
+"""Seconds for which a browser caches a preflight."""
 
 _READ = frozenset(
     (
@@ -50,12 +49,11 @@ _READ = frozenset(
         b"sec-fetch-dest",
     )
 )
-_Headers = dict[bytes, list[bytes]]
 
 
 @dataclass(frozen=True, slots=True)
 class Gate:
-    """What decides: whom the service knows, which pages it trusts, how much there may be."""
+    """The parts that decide on a request."""
 
     tokens: Tokens
     sessions: Sessions
@@ -72,27 +70,21 @@ class Gate:
         """The gate of a service with these settings."""
         return cls(tokens, sessions, quotas, memory, Rules(), Hosts(settings), Origins(settings))
 
-    def check_page(self, scope: Scope, headers: _Headers) -> Place:
-        """Raises a `Problem` for a request to another host, or from a page elsewhere."""
+    def check_page(self, scope: Scope, headers: Headers) -> Place:
+        """Check Host and Origin. Raises a `Problem` for another host or an untrusted origin."""
         server = scope.get("server") or ("",)
         place = self.hosts.check(headers.get(b"host", []), server[0])
         if len(headers) > 1:
-            self.origins.check(
-                headers.get(b"origin", []),
-                scope["scheme"],
-                place,
-                _fetch_metadata(headers),
-                scope["method"],
-            )
+            self.origins.check(headers, scope["scheme"], place, scope["method"])
         return place
 
-    def check_caller(self, scope: Scope, headers: _Headers, place: Place) -> None:
-        """Raises a `Problem` where the caller may not do this, or there is no room for it."""
+    def check_caller(self, scope: Scope, headers: Headers, place: Place) -> None:
+        """Check token, quotas and memory. Raises a `Problem`."""
         rule, parameters = self.rules.find(scope["method"], scope["path"])
         if self.tokens.required and rule.scope is not None:
             caller = self._caller(scope, headers, place)
             if caller is None:
-                raise _unknown(401, "this service wants a token")
+                raise _unknown(401, "this service requires a token")
             scope[CALLER] = caller
             if not caller.may(rule.scope):
                 raise _lacking(caller, rule)
@@ -100,19 +92,19 @@ class Gate:
         self.memory.check_route(rule.route)
 
     def who(self, scope: Scope) -> Caller | None:
-        """Who sends a request that has passed; None if it does not say. Raises a `Problem` for a
-        token that is not known."""
+        """The caller of an admitted request; None without a token or session. Raises a `Problem`
+        for an unknown token."""
         headers = _wanted(scope)
         return self._caller(scope, headers, self.check_page(scope, headers))
 
     def known(self, token: bytes) -> Caller:
-        """Whose ``token`` it is. Raises a 401 `Problem` if nobody's."""
+        """The caller with ``token``. Raises a 401 `Problem` if there is none."""
         caller = self.tokens.caller(token)
         if caller is None:
-            raise _unknown(401, "the token is not known here", 'error="invalid_token"')
+            raise _unknown(401, "the service does not know the token", 'error="invalid_token"')
         return caller
 
-    def _caller(self, scope: Scope, headers: _Headers, place: Place) -> Caller | None:
+    def _caller(self, scope: Scope, headers: Headers, place: Place) -> Caller | None:
         given = headers.get(b"authorization", [])
         if len(given) > 1:
             raise _unknown(
@@ -121,32 +113,26 @@ class Gate:
         kind, _, token = given[0].partition(b" ") if given else (b"", b"", b"")
         if kind.lower() == b"bearer":
             return self.known(token.strip())
-        if not given and b"cookie" in headers and self._is_own_page(scope, headers, place):
+        if not given and b"cookie" in headers and is_own_page(headers, scope["scheme"], place):
             found = self.sessions.caller(b";".join(headers[b"cookie"]))
             # A session ends with its token, and has the scopes that this has now.
             return None if found is None else self.tokens.current(found)
         return None
 
-    def _is_own_page(self, scope: Scope, headers: _Headers, place: Place) -> bool:
-        """Whether a cookie counts: the browser says that it is not another page that asks."""
-        if origins := headers.get(b"origin"):
-            return is_same(origins[0], scope["scheme"], place)
-        return _fetch_metadata(headers).is_own
-
 
 def revoked() -> Problem:
-    """The end of a request whose token is not accepted any more."""
-    return _unknown(401, "the token was accepted, and is no more", 'error="invalid_token"')
+    """The problem that ends a request whose token was removed."""
+    return _unknown(401, "the token is no longer valid", 'error="invalid_token"')
 
 
 def client_key(request: Request) -> str:
-    """Who a request's event stream is counted with: the token's, else those of the address."""
+    """The key under which a request's streams and answers count: its token, else its address."""
     caller: Caller | None = request.scope.get(CALLER)
     return address_of(request) if caller is None else f"token {caller.name}"
 
 
 class Access:
-    """The layer. ``refused`` counts refusals by their title."""
+    """The ASGI layer. ``refused`` counts refusals by their title."""
 
     def __init__(self, app: ASGIApp, gate: Gate, refused: Callable[[str], None]) -> None:
         self._app = app
@@ -156,7 +142,7 @@ class Access:
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] != "http":
             if scope["type"] == "websocket":
-                await send({"type": "websocket.close", "code": 1008})  # nothing speaks it here
+                await send({"type": "websocket.close", "code": 1008})  # no route takes it
                 return
             await self._app(scope, receive, send)
             return
@@ -179,32 +165,24 @@ class Access:
         await self._app(scope, receive, send)
 
 
-def _wanted(scope: Scope) -> _Headers:
-    """The headers that are looked at here; each may be there several times."""
-    headers: _Headers = {}
+def _wanted(scope: Scope) -> Headers:
+    """The values of the headers that the checks read; a header may have several."""
+    headers: dict[bytes, list[bytes]] = {}
     for name, value in scope["headers"]:
         if name in _READ:
             headers.setdefault(name, []).append(value)
     return headers
 
 
-def _fetch_metadata(headers: _Headers) -> FetchMetadata:
-    site, mode, destination = (
-        headers.get(name, [b""])[0].lower()
-        for name in (b"sec-fetch-site", b"sec-fetch-mode", b"sec-fetch-dest")
-    )
-    return FetchMetadata(site, mode, destination)
-
-
 def _unknown(status: int, detail: str, error: str = "") -> Problem:
-    """401, or 400 for a request that says in several ways who asks (RFC 6750, section 3)."""
+    """A 401, or 400 for a request with several tokens (RFC 6750, section 3)."""
     challenge = f"{CHALLENGE}, {error}" if error else CHALLENGE
     return Problem(
         status,
         "not authenticated",
         detail,
         hint="send one header Authorization: Bearer <token>; "
-        "who runs the service makes tokens: dyknow token --help",
+        "its operator makes tokens: dyknow token --help",
         headers={"WWW-Authenticate": challenge},
     )
 
@@ -215,7 +193,7 @@ def _lacking(caller: Caller, rule: Rule) -> Problem:
         403,
         "scope missing",
         f"this needs scope {rule.scope}; the token of {caller.name} has {scopes}",
-        hint="ask who runs the service for a token with that scope",
+        hint="ask the operator of the service for a token with that scope",
         headers={
             "WWW-Authenticate": f'{CHALLENGE}, error="insufficient_scope", scope="{rule.scope}"'
         },
@@ -223,7 +201,8 @@ def _lacking(caller: Caller, rule: Rule) -> Problem:
 
 
 def _cors(origin: bytes) -> list[tuple[bytes, bytes]]:
-    """What lets a page of a trusted origin read the answer. No cookies: those are our pages'."""
+    """The headers that let a page of a trusted origin read the answer. Without credentials: cookies
+    are for pages of this service."""
     return [
         (b"access-control-allow-origin", origin),
         (b"access-control-expose-headers", EXPOSED_HEADERS.encode()),
@@ -241,7 +220,7 @@ def _with_headers(send: Send, headers: list[tuple[bytes, bytes]]) -> Send:
 
 
 async def _preflight(scope: Scope, receive: Receive, send: Send) -> None:
-    """Tell a browser what a page of a trusted origin may send."""
+    """Answer the preflight of a page of a trusted origin."""
     headers = {
         "Access-Control-Allow-Methods": ALLOWED_METHODS,
         "Access-Control-Allow-Headers": ALLOWED_HEADERS,

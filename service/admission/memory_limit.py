@@ -1,16 +1,17 @@
-"""How much memory the service may take; what would make it grow is refused beyond.
+"""The memory limit of the service: above it, requests that need more memory get 503.
 
-Every kind of thing has bounds of its own (quotas, retention, windows), and none of these knows how
-much the machine has. This does: while the process is larger than its limit, what makes something
-(`GROWS`) is answered with 503, and so are samples and ontologies, once they are there
-(`Keeper.check_room`): who sends megabytes hears of a refusal at their end only. Reading, event
-streams and what removes something go on, so that there is a way back.
+Quotas, retention and windows limit each kind of thing, but know nothing of the machine. While the
+process is larger than its limit, the gate refuses the routes that create something (`GROWS`);
+`Keeper.check_room` refuses samples and ontologies when their body has arrived, since a client
+reads an answer only after sending it. Reading, event streams and removal go on, so that a user can
+free memory.
 """
 
 from __future__ import annotations
 
 import ctypes
 import os
+import resource
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -24,37 +25,37 @@ from ..http.problems import Problem
 from .scopes import ADMIN
 
 CAN: Final = sys.platform == "linux"
-"""Elsewhere nothing tells at this price how large the process is, and there is no limit."""
+"""Other systems have no such cheap measure of the process, and there is no limit."""
 GROWS: Final = frozenset(route for route in ADMIN if not route.startswith("DELETE ")) - {
-    # It may say that a stream is to keep less; one without samples takes next to nothing.
+    # It may reduce the retention of a stream; a stream without samples takes little memory.
     "PUT /streams/{name}",
-    # It may only remove units; whether it does stands in its text.
+    # It may only remove units; only its text shows that.
     "POST /specifications",
-    # Its bodies may be long.
+    # Its bodies may be long: `Keeper.check_room` refuses them.
     "POST /ontologies",
 }
-"""Routes after which there is more than before, whose bodies are short."""
+"""Routes with short bodies that create something."""
 _LEAST: Final = 512 * MEBIBYTE
-"""Nothing is set to less by itself: a service takes 0.4 GiB that has nothing in it, where it has
-compiled its loops itself (0.25 where not), and would refuse the first sample."""
+"""The least default limit: an empty service takes 0.4 GiB after compiling its loops (0.25 if they
+were cached), and would refuse the first sample."""
 _LOOK: Final = 0.02
-"""Seconds for which a look at the size of the process holds."""
+"""Seconds for which the measured size of the process is used."""
 _NEAR: Final = 0.9
-"""From this part of the limit on, what is free in the heap is given back."""
+"""The part of the limit from which free heap memory is returned to the system."""
 _SHARE: Final = 0.01
-"""Of the time, that giving back may take."""
+"""The part of the time that this may take."""
 _APART: Final = 1.0
-"""Seconds between two times, at least."""
+"""Seconds from one time to the next, at least."""
+_PAGE: Final = resource.getpagesize()
 _PATIENCE: Final = "5"
-"""Seconds after which to try again."""
+"""Seconds after which a refused client should try again."""
 
 
 class Memory:
-    """The bound on the size of the process. ``limit`` in bytes, 0: there is none; ``used`` tells
-    the size (`resident`), ``give_back`` lets the system have what is free in the heap; ``clock``
-    in seconds.
+    """The limit on the size of the process. ``limit`` in bytes, 0: none; ``used`` returns the size
+    (`resident`), ``give_back`` returns free heap memory to the system; ``clock`` in seconds.
 
-    Cost: a look at the clock; 50 times a second 10 µs.
+    Cost: a call of the clock; 50 times a second 10 µs.
     """
 
     def __init__(
@@ -71,13 +72,13 @@ class Memory:
         self._looked = self._due = float("-inf")
         self.limit = limit if limit and self._can() else 0
         self.refused = 0
-        """How often something was."""
+        """Refused requests."""
 
     @classmethod
     def of(cls, settings: Settings) -> Memory:
-        """As the settings say, or else as large as the machine allows (`limit_of`)."""
-        machine, given = there_is(), settings.memory_limit
-        memory = cls(limit_of(machine) if given is None else given)
+        """The limit of the settings, or else by the memory of the machine (`default_limit`)."""
+        machine, given = available_memory(), settings.memory_limit
+        memory = cls(default_limit(machine) if given is None else given)
         if 0 < memory.limit < _LEAST or 0 < machine < 2 * _LEAST:
             log().warning(
                 "there is little memory for a service",
@@ -86,13 +87,13 @@ class Memory:
                 hint="it takes 0.4 GiB without streams after its first start, its workers theirs",
             )
         if memory.limit:
-            # Arrow's own heap keeps what is free for half a minute in each thread, and gives
-            # nothing back when told to. It is asked once, when Arrow is loaded.
+            # Arrow's own heap keeps free memory for half a minute in each thread, even when asked
+            # to release it. Arrow reads this variable once, when it is loaded.
             os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")
         return memory
 
     def _can(self) -> bool:
-        """Whether anybody tells how large the process is."""
+        """Whether the size of the process can be read."""
         if self._used is resident and not CAN:
             return False
         try:
@@ -108,9 +109,9 @@ class Memory:
 
     @property
     def used(self) -> int:
-        """Bytes that the process takes; 0 without a limit, when nobody looks."""
+        """Bytes that the process takes; 0 without a limit, when it is not measured."""
         if self.limit and (now := self._clock()) - self._looked >= _LOOK:
-            with suppress(OSError):  # no file can be opened just now: as large as it was
+            with suppress(OSError):  # no free file descriptor: keep the last size
                 self._seen = self._used()
             self._looked = now
         return self._seen
@@ -121,26 +122,26 @@ class Memory:
         return self.limit > 0 and self.used >= self.limit
 
     def check(self) -> None:
-        """Before there is more. Raises a 503 `Problem` while the limit is reached."""
+        """Raises a 503 `Problem` while the limit is reached."""
         if self.is_short:
             self.refused += 1
             raise Problem(
                 503,
                 "memory is short",
-                self._told(),
+                self._detail(),
                 headers={"Retry-After": _PATIENCE},
             )
 
     def check_route(self, route: str) -> None:
-        """The same, if there is more after ``route``."""
+        """`check`, if ``route`` creates something."""
         if self.limit and route in GROWS:
             self.check()
 
     def review(self) -> None:
-        """Now and then: near the limit, give back what is free.
+        """Near the limit, return free heap memory to the system. Called by `Service.tick`.
 
-        What was removed is free in the heap, and the process stays as large: the C library keeps
-        it for the next who asks, and does not know of the limit.
+        The C library keeps freed memory for later allocations, and does not know of the limit; so
+        the process would stay as large after a removal.
         """
         if not self.limit or self.used < _NEAR * self.limit or self._clock() < self._due:
             return
@@ -151,43 +152,39 @@ class Memory:
         self._looked = float("-inf")
 
     def reasons(self) -> list[str]:
-        """Why the service is not ready: nothing if there is room."""
-        return [f"memory: {self._told()}"] if self.is_short else []
+        """Why the service is not ready: nothing below the limit."""
+        return [f"memory: {self._detail()}"] if self.is_short else []
 
-    def _told(self) -> str:
+    def _detail(self) -> str:
         return (
             f"the service takes {self._seen // MEBIBYTE:,} MiB of memory; "
             f"it may have {self.limit // MEBIBYTE:,}"
         )
 
 
-def limit_of(machine: int) -> int:
-    """What the service takes for its limit on a machine, or in a container, with so many bytes.
+def default_limit(machine: int) -> int:
+    """The default limit on a machine, or in a container, with ``machine`` bytes: half of them.
 
-    Half of it: a copy of the process writes checkpoints, and takes as much again in the worst case;
-    workers have theirs. Never less than a service needs that has next to nothing in it.
+    The copy of the process that writes checkpoints may take as much again, and workers take theirs.
     """
     return max(machine // 2, _LEAST) if machine else 0
 
 
 def resident() -> int:
-    """Bytes of memory that this process takes at present (Linux)."""
+    """Bytes of memory that this process takes now (Linux)."""
     with open("/proc/self/statm", "rb") as file:
         return int(file.read().split()[1]) * _PAGE
 
 
-def there_is(proc: Path = Path("/proc"), groups: Path = Path("/sys/fs/cgroup")) -> int:
-    """Bytes of memory that this process may come to: those of the machine, or of the control group
-    (container, systemd unit) that bounds it. 0 where nothing tells."""
-    try:
-        machine = int(_PAGE * os.sysconf("SC_PHYS_PAGES"))
-    except (ValueError, OSError, AttributeError):
-        machine = 0
+def available_memory(proc: Path = Path("/proc"), groups: Path = Path("/sys/fs/cgroup")) -> int:
+    """Bytes of memory that are available to this process: those of the machine, or of the control
+    group (container, systemd unit) that limits it. 0 if unknown."""
+    machine = _PAGE * os.sysconf("SC_PHYS_PAGES")
     return min((each for each in (machine, *_limits(proc, groups)) if each > 0), default=0)
 
 
 def _limits(proc: Path, groups: Path) -> Iterator[int]:
-    """The limits of the control groups that the process is in, of both versions of them."""
+    """The limits of the control groups of the process, in version 1 and 2."""
     try:
         lines = (proc / "self" / "cgroup").read_text().splitlines()
     except OSError:
@@ -200,8 +197,8 @@ def _limits(proc: Path, groups: Path) -> Iterator[int]:
             folder, name = groups / "memory", "memory.limit_in_bytes"
         else:
             continue
-        # Each group within another has that one's limit, too. In a container the path may be one of
-        # the host's, and what can be seen is the container's own.
+        # A group is limited by its ancestors, too. In a container the path may be the host's, which
+        # does not exist here; then the root has the container's limit.
         parts = [part for part in path.split("/") if part not in ("", "..")]
         for count in range(len(parts), -1, -1):
             try:
@@ -212,18 +209,8 @@ def _limits(proc: Path, groups: Path) -> Iterator[int]:
                 yield int(text)
 
 
-def _pages() -> int:
-    try:
-        return int(os.sysconf("SC_PAGE_SIZE"))
-    except (ValueError, OSError, AttributeError):
-        return 4096
-
-
-_PAGE: Final = _pages()
-
-
 def _trim() -> None:
-    """Give back what is free in the heap of the C library, if it can."""
+    """Return the free memory of the C library's heap to the system, if it can."""
     trim: Any = getattr(ctypes.CDLL(None), "malloc_trim", None)
     if trim is not None:
         trim(0)

@@ -1,15 +1,17 @@
-"""Which host a request may name, and which pages may send one: what a browser of somebody who
-visits a hostile page must not be used for (docs/access.md, "Browsers").
+"""Checks of the Host and Origin headers, against hostile pages in a browser
+(docs/reference/access.md, "Browsers").
 
-A page whose name is made to point at this machine (DNS rebinding) sends its own name as Host; a
-page elsewhere sends its Origin, or the browser says ``Sec-Fetch-Site``. Programs send neither.
+With DNS rebinding a page makes its name resolve to this machine; its requests have that name as
+Host. A page of another origin sends Origin, or its browser sends ``Sec-Fetch-Site``; programs send
+neither. Starlette's middlewares do not replace these checks
+(docs/explanation/design/0009-access.md).
 """
 
 from __future__ import annotations
 
 import ipaddress
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from ..config.settings import Settings
@@ -22,21 +24,23 @@ _HOST_HINT = "send one header Host with the name or address of the service: Host
 _PORTS = {"http": 80, "https": 443}
 _WILDCARDS = ("", "0.0.0.0", "::")
 _FOREIGN = (b"cross-site", b"same-site")
-"""What ``Sec-Fetch-Site`` says of pages of another origin: another port is the same site."""
+"""``Sec-Fetch-Site`` of pages of another origin: another port is the same site."""
+Headers = Mapping[bytes, list[bytes]]
+"""The values of each header of a request."""
 LISTED = 1000
-"""So many spellings of a Host header are remembered."""
+"""Values of Host headers that are cached, at most."""
 
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """A host, in one spelling (no dot at its end, addresses without brackets), and a port."""
+    """A host in its normal form (no dot at its end, addresses without brackets), and a port."""
 
     host: str
     port: int | None
 
     @classmethod
     def of(cls, text: str) -> Place | None:
-        """``host``, ``host:port``, ``[::1]:port``; None for what is none."""
+        """Parse ``host``, ``host:port`` or ``[::1]:port``; None for another text."""
         match = _HOST.fullmatch(text.lower())
         if match is None:
             return None
@@ -54,9 +58,8 @@ class Place:
 
 
 class Hosts:
-    """The names of this service: those of the loopback, the address it listens at, and those that
-    the settings list. Where it listens at all addresses every address is one, too: a hostile page
-    has a name, never the address itself."""
+    """The hosts of this service: loopback, the address it listens at, and those of the settings. If
+    it listens at all addresses, every address is one: DNS rebinding needs a name."""
 
     def __init__(self, settings: Settings) -> None:
         listed = {name.lower() for name in _names(settings.trusted_hosts)}
@@ -68,11 +71,11 @@ class Hosts:
         self._known: dict[bytes, Place] = {}
 
     def check(self, values: list[bytes], reached: str) -> Place:
-        """The place that a request is for, by the values of its Host headers. ``reached`` is the
-        address of ours that it came to.
+        """Check the values of a request's Host headers. ``reached`` is the local address of its
+        connection.
 
-        Raises a `Problem`: 400 for none (also in HTTP/1.0), several, or what is no host, 421 for
-        another one.
+        Raises a `Problem`: 400 for no header (also in HTTP/1.0), several, or a malformed one, 421
+        for another host.
         """
         if len(values) == 1:
             known = self._known.get(values[0])
@@ -88,14 +91,17 @@ class Hosts:
         place = Place.of(value.decode("latin-1"))
         if place is None:
             raise Problem(
-                400, "bad Host header", "it is no host, or host and port", hint=_HOST_HINT
+                400,
+                "bad Host header",
+                "its value is neither a host nor a host and port",
+                hint=_HOST_HINT,
             )
         if not (self._is_ours(place.host) or place.host == reached):
             raise Problem(
                 421,
                 "wrong host",
-                f"this service is not called {place.host}",
-                hint=f"if it is: DYKNOW_TRUSTED_HOSTS={place.host} (docs/access.md)",
+                f"this service has no host {place.host}",
+                hint=f"if it should: DYKNOW_TRUSTED_HOSTS={place.host} (docs/reference/access.md)",
             )
         if len(self._known) < LISTED:
             self._known[value] = place
@@ -108,64 +114,54 @@ class Hosts:
 
 
 class Origins:
-    """Which pages may send requests: those of this service, and those that the settings list."""
+    """The origins of pages that may send requests: this service, and those of the settings."""
 
     def __init__(self, settings: Settings) -> None:
         self._trusted = {origin.lower().rstrip("/") for origin in _names(settings.trusted_origins)}
 
     @property
     def any_trusted(self) -> bool:
-        """Whether answers differ by Origin."""
+        """Whether the settings list an origin, so that answers depend on Origin."""
         return bool(self._trusted)
 
     def is_trusted(self, origin: bytes) -> bool:
         """Whether the settings list ``origin``: its pages may read answers (CORS)."""
         return origin.decode("latin-1").lower() in self._trusted
 
-    def check(
-        self,
-        origins: list[bytes],
-        scheme: str,
-        place: Place,
-        fetch: FetchMetadata,
-        method: str,
-    ) -> None:
-        """Raises a 403 `Problem` for a request that a page elsewhere has sent."""
+    def check(self, headers: Headers, scheme: str, place: Place, method: str) -> None:
+        """Raises a 403 `Problem` for a request from a page of an origin that is not trusted."""
+        origins = headers.get(b"origin")
         if origins:
             if len(origins) > 1 or not (
                 self.is_trusted(origins[0]) or is_same(origins[0], scheme, place)
             ):
                 raise _foreign(origins[0].decode("latin-1")[:200])
-        elif fetch.is_foreign and not (fetch.opens_a_page and method in ("GET", "HEAD")):
+        elif _fetch(headers, b"site") in _FOREIGN and not (
+            method in ("GET", "HEAD") and _follows_link(headers)
+        ):
             raise _foreign("another page")
 
 
-@dataclass(slots=True)
-class FetchMetadata:
-    """What a browser says of who asks, and for what (``Sec-Fetch-Site``, ``-Mode``, ``-Dest``)."""
+def is_own_page(headers: Headers, scheme: str, place: Place) -> bool:
+    """Whether a browser confirms that a page of this service sends a request, or the user: then
+    cookies count."""
+    if origins := headers.get(b"origin"):
+        return is_same(origins[0], scheme, place)
+    return _fetch(headers, b"site") in (b"same-origin", b"none")
 
-    site: bytes = b""
-    mode: bytes = b""
-    destination: bytes = b""
 
-    @property
-    def is_foreign(self) -> bool:
-        """A page of another origin asks."""
-        return self.site in _FOREIGN
+def _follows_link(headers: Headers) -> bool:
+    """Whether the user follows a link: the page with the link cannot read the answer."""
+    destination = _fetch(headers, b"dest")
+    return _fetch(headers, b"mode") == b"navigate" and destination in (b"", b"document")
 
-    @property
-    def is_own(self) -> bool:
-        """A page of this service asks, or the person in front of the browser."""
-        return self.site in (b"same-origin", b"none")
 
-    @property
-    def opens_a_page(self) -> bool:
-        """Somebody has followed a link: the answer is shown in a window, and not to the page."""
-        return self.mode == b"navigate" and self.destination in (b"", b"document")
+def _fetch(headers: Headers, name: bytes) -> bytes:
+    return headers.get(b"sec-fetch-" + name, [b""])[0].lower()
 
 
 def is_same(origin: bytes, scheme: str, place: Place) -> bool:
-    """Whether ``origin`` is that of this service itself: scheme, host and port."""
+    """Whether ``origin`` is this service: scheme, host and port."""
     match = _ORIGIN.fullmatch(origin.decode("latin-1").lower())
     if match is None or match[1] != scheme:
         return False
@@ -181,7 +177,7 @@ def _foreign(whose: str) -> Problem:
         403,
         "foreign origin",
         f"{whose} may not use this service from a browser",
-        hint="DYKNOW_TRUSTED_ORIGINS lists the pages that may (docs/access.md)",
+        hint="DYKNOW_TRUSTED_ORIGINS lists the pages that may (docs/reference/access.md)",
     )
 
 

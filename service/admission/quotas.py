@@ -1,8 +1,8 @@
-"""How much of each kind there may be: looked at here, before the engine is called.
+"""Quotas of streams, templates, requests and so on, checked before the engine is called.
 
-What is there already may be changed while a quota is reached; only what makes more is refused,
-with 403: waiting does not help, as it would after 429, and there is room on the disk, as there is
-not at 507. A text that makes several things may pass a quota by what it makes, once.
+While a quota is reached, the service refuses requests that create something, but not changes. The
+status is 403: waiting does not help, as after 429, and the disk is not full, as at 507. A text that
+creates several things may exceed a quota by these, once.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from ..http.problems import Problem
 
 @dataclass(frozen=True, slots=True)
 class Quota:
-    """One kind of things: the setting that bounds it, and how to make room."""
+    """The limit of one kind: its setting, its name in messages, and the way to make room."""
 
     setting: str
     things: str
@@ -51,12 +51,12 @@ MAKES: Mapping[str, Collection[Quota]] = {
     "POST /transformations": (TRANSFORMATIONS,),
     "PUT /transformations/{name}": (TRANSFORMATIONS,),
 }
-"""What each route may make; POST /annotations, /transformations and /ontologies ask with the names
-that they have read."""
+"""The kinds that each route may create. POST /annotations, /transformations and /ontologies call
+`Quotas` themselves, with the names in their bodies."""
 
 
 class Quotas:
-    """Refuses what would make more than the settings allow."""
+    """Refuses requests that would create more than the settings allow."""
 
     def __init__(self, engine: Engine, settings: Settings) -> None:
         self._engine = engine
@@ -69,7 +69,7 @@ class Quotas:
         }
 
     def check(self, route: str, parameters: Mapping[str, str]) -> None:
-        """Raises a 403 `Problem` if ``route`` would make one thing too many."""
+        """Raises a 403 `Problem` if ``route`` would exceed a quota."""
         for quota in MAKES.get(route, ()):
             if self._is_full(quota):
                 there = self._there.get(route)
@@ -77,22 +77,22 @@ class Quotas:
                     raise self._reached(quota)
 
     def check_demand(self) -> None:
-        """Raises a 403 `Problem` if there may be no further stream. The engine asks, before it
-        makes one because a name means late samples or violations: names stand in many texts."""
+        """Raises a 403 `Problem` if the quota of streams is reached. The engine calls it before it
+        creates a stream of late samples or violations, which any text may name."""
         if self._is_full(STREAMS):
             raise self._reached(STREAMS)
 
     def check_streams(self, names: Collection[str]) -> None:
-        """Raises a 403 `Problem` if streams of these names would be too many."""
+        """Raises a 403 `Problem` if new streams of these names would exceed the quota."""
         self._check_new(STREAMS, names, self._engine.has_stream)
 
     def check_transformations(self, names: Collection[str]) -> None:
-        """The same of transformations."""
+        """The same check for transformations."""
         self._check_new(TRANSFORMATIONS, names, self._has_transformation)
 
     def check_ontology(self, name: str) -> None:
-        """The same of an ontology; one of this name is replaced."""
-        self._check_new(ONTOLOGIES, [name], self._engine.ontology.static_graph)
+        """The same check for an ontology, which replaces one of its name."""
+        self._check_new(ONTOLOGIES, [name], self._engine.ontology.has_ontology)
 
     def _check_new(
         self, quota: Quota, names: Collection[str], is_there: Callable[[str], bool]

@@ -1,7 +1,7 @@
-"""Which scope each route needs: the one place that says so (docs/access.md, "Scopes").
+"""The scope that each route needs (docs/reference/access.md, "Scopes").
 
-A route that stands nowhere here needs ``admin``; a test walks all routes of the application.
-Everything that makes, changes or removes streams, units, templates or requests is ``admin``.
+A route without an entry needs ``admin``; a test compares the table with the application's routes.
+Creating, changing and removing streams, units, templates and requests is ``admin``.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from starlette.routing import compile_path
 from .tokens import Scope
 
 OPEN = (
-    # Whether it lives is asked by what has no token: an orchestrator, a load balancer.
+    # Orchestrators and load balancers have no token.
     "GET /healthz",
     "GET /readyz",
-    # The page and the schema say nothing of what runs here, and people log in on the page.
+    # The page and the schema contain nothing of the running system, and users log in on the page.
     "GET /",
     "GET /docs",
     "GET /static/{name}",
@@ -27,7 +27,7 @@ OPEN = (
     "POST /session",
     "DELETE /session",
 )
-"""Routes for everybody."""
+"""Routes without a token."""
 
 READ = (
     "GET /streams",
@@ -67,7 +67,7 @@ READ = (
 )
 
 PUBLISH = (
-    # What a source says of its own stream: its samples, that they have ended, how good they are.
+    # The statements of a source on its own stream: samples, their end, their quality.
     "POST /streams/{name}/samples",
     "POST /streams/{name}/samples/live",
     "POST /streams/{name}/end",
@@ -103,7 +103,7 @@ NEEDED: Mapping[str, Scope | None] = (
     | dict.fromkeys(PUBLISH, Scope.PUBLISH)
     | dict.fromkeys(ADMIN, Scope.ADMIN)
 )
-"""The scope of each route; None for those that are open."""
+"""The scope of each route; None for an open one."""
 
 
 _BY_FORMAT = {route.replace(":path}", "}"): scope for route, scope in NEEDED.items()}
@@ -123,15 +123,15 @@ class Rule:
 
 
 UNKNOWN = Rule("", Scope.ADMIN)
-"""What holds for an address that is none, or a route that nobody has thought of."""
+"""The rule for a path without a route, and for a route without an entry."""
 
 
 class Rules:
-    """Finds the rule for a request, as the router finds its route: by the same expressions on the
-    same decoded path, so that no spelling of an address means one thing here and another there
-    (tests/laws/service/test_scopes.py).
+    """Finds the rule for a request as the router finds its route: by the same expressions on the
+    same decoded path. Otherwise a spelling of a path could match an open rule here and another
+    route there (tests/laws/service/test_scopes.py).
 
-    Cost: a look-up where the address has no parameters, else one expression a route of the method.
+    Cost: a look-up for a path without parameters, else one expression a route of the method.
     """
 
     def __init__(self, needed: Mapping[str, Scope | None] = NEEDED) -> None:
@@ -159,5 +159,5 @@ class Rules:
 def _most_frequent_first(
     needed: Iterable[tuple[str, Scope | None]],
 ) -> list[tuple[str, Scope | None]]:
-    """Batches of samples are the most frequent requests."""
+    """The rules of publishing first: most requests are batches of samples."""
     return sorted(needed, key=lambda each: each[1] is not Scope.PUBLISH)

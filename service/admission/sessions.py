@@ -1,7 +1,7 @@
-"""Sessions of browsers: a cookie in place of a token, which a page's EventSource cannot send.
+"""Sessions of browsers: a cookie instead of a token, which a page's EventSource cannot send.
 
-The cookie is no token: a number of its own, kept as a hash, in memory, for half a day. What it is
-worth is decided in service/admission/gate: it counts only from pages of this service.
+A cookie has a random value of its own; memory keeps its hash for half a day. The gate accepts it
+only from pages of this service.
 """
 
 from __future__ import annotations
@@ -14,22 +14,22 @@ from .tokens import Caller, digest_of
 
 COOKIE = "dyknow_session"
 LASTS = 12 * HOUR
-"""After this time (ns) people log in again."""
+"""The duration of a session (ns); then the user logs in again."""
 MOST = 1_000
-"""The oldest session ends when there would be more."""
+"""Sessions at most; a further one ends the oldest."""
 MOST_OF_ONE = 100
-"""Of one caller its own oldest one does: nobody logs others out."""
+"""Sessions of one caller; a further one ends its own oldest, so no caller logs others out."""
 
 
 class Sessions:
-    """Who has logged in. ``clock`` tells the time in ns."""
+    """The sessions that have begun. ``clock`` returns the time in ns."""
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
         self._sessions: OrderedDict[bytes, tuple[Caller, int]] = OrderedDict()
 
     def begin(self, caller: Caller) -> str:
-        """A new session; gives the value of its cookie."""
+        """Begin a session, and return the value of its cookie."""
         own = [each for each, (whose, _) in self._sessions.items() if whose.name == caller.name]
         if len(own) >= MOST_OF_ONE:
             del self._sessions[own[0]]
@@ -40,7 +40,7 @@ class Sessions:
         return value
 
     def caller(self, cookies: bytes) -> Caller | None:
-        """Whose session a Cookie header names; None if nobody's, or it has ended."""
+        """The caller of the session in a Cookie header; None without one, or after its end."""
         for value in _values(cookies):
             digest = digest_of(value)
             found = self._sessions.get(digest)
@@ -52,15 +52,15 @@ class Sessions:
         return None
 
     def end(self, cookies: bytes) -> None:
-        """Forget the session that a Cookie header names."""
+        """End the session in a Cookie header."""
         for value in _values(cookies):
             self._sessions.pop(digest_of(value), None)
 
 
 def set_cookie(value: str, *, secure: bool) -> str:
-    """The Set-Cookie header of a session that begins; of one that ends for an empty value.
+    """The Set-Cookie header that begins a session, or ends it with an empty ``value``.
 
-    Scripts do not see it, and requests that begin on another site do not carry it.
+    Scripts cannot read the cookie, and browsers do not send it with requests from another site.
     """
     lasts = LASTS // SECOND if value else 0
     header = f"{COOKIE}={value}; Path=/; Max-Age={lasts}; HttpOnly; SameSite=Strict"
@@ -68,6 +68,6 @@ def set_cookie(value: str, *, secure: bool) -> str:
 
 
 def _values(cookies: bytes) -> list[bytes]:
-    """The values of our cookie; there may be several, of services on other ports of this host."""
+    """The values of the session cookie; services on other ports of this host may have set some."""
     pairs = (cookie.strip().partition(b"=") for cookie in cookies.split(b";"))
     return [value for name, _, value in pairs if name == COOKIE.encode()]

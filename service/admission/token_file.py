@@ -1,7 +1,7 @@
-"""Tokens that change while the service runs: their file is read again when it is another, or when
-somebody asks (SIGHUP); who came with a token that is not accepted any more goes.
+"""The file of tokens, read again when it changes and on SIGHUP, while the service runs.
 
-A file that cannot be used changes nothing: the old tokens hold, and the log says why.
+Event streams and live bodies of removed tokens end. A file with an error changes nothing: the old
+tokens stay valid, and the log has the reason.
 """
 
 from __future__ import annotations
@@ -18,13 +18,14 @@ from ..config.settings import Settings
 from .tokens import Stamp, Tokens, TokensError
 
 EVERY = 1.0
-"""Seconds between two looks at the file. It is read when two in a row have found the same: an
-editor may be writing it."""
+"""Seconds between two checks of the file. The service reads it when two checks agree: an editor may
+be writing it."""
 
 
 class TokenFile:
-    """Keeps ``tokens`` as the settings' file has them. ``told`` hears what became of it, "taken" or
-    "refused"; ``revoke`` lets those go whose token is not accepted any more."""
+    """Keeps ``tokens`` equal to the settings' file. ``told`` gets the outcome of each reading,
+    "taken" or "refused"; ``revoke`` ends the requests of removed tokens, and returns their
+    number."""
 
     def __init__(
         self,
@@ -38,19 +39,18 @@ class TokenFile:
         self._told = told
         self._revoke = revoke
         self._known = tokens.stamp
-        """Of the file that was read last, whether it could be used or not."""
+        """The stamp of the file that was read last, valid or not."""
         self._asked: asyncio.Event | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
 
     def ask(self) -> None:
-        """Read it now. May be called in any thread, and by a signal; nothing happens before the
-        service runs."""
+        """Read the file now, if the service runs. May be called by any thread, and by a signal."""
         if self._loop is not None and self._asked is not None:
             self._loop.call_soon_threadsafe(self._asked.set)
 
     async def watch(self) -> None:
-        """For as long as the service runs: look at the file; at once for who asks. Returns where
-        there is none that could change."""
+        """Check the file until cancelled, at once after `ask`. Return if there is no file that
+        could change."""
         path = self._settings.tokens_file
         if path is None or self._known is None:
             return
@@ -60,7 +60,7 @@ class TokenFile:
         while True:
             with anyio.move_on_after(EVERY):
                 await asked.wait()
-            # Beside the loop: the file may be on a disk that takes its time.
+            # In a thread: the file may be on a slow disk.
             stamp = await anyio.to_thread.run_sync(_stamp_of, path, abandon_on_cancel=True)
             if asked.is_set() or (stamp == before and stamp != self._known):
                 asked.clear()
@@ -68,7 +68,7 @@ class TokenFile:
             before = stamp
 
     async def _read(self) -> Stamp | None:
-        """The stamp of what was taken; None where it cannot be used."""
+        """Read the file and return its stamp; None if it has an error."""
         try:
             fresh = await anyio.to_thread.run_sync(Tokens.of, self._settings)
         except TokensError as error:

@@ -1,8 +1,8 @@
-"""Bearer tokens (RFC 6750): who may read, publish, administer (docs/access.md).
+"""Bearer tokens (RFC 6750) with the scopes read, publish and admin (docs/reference/access.md).
 
 A line a token, `<scope>[,<scope>] <name> <token or sha256:hex>`, in a file or the environment.
-Kept are hashes only. Used by service/admission/gate; `token_file` reads the file again when it
-changes.
+Memory keeps hashes only. service/admission/gate looks tokens up; `token_file` reads the file again
+when it changes.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ if TYPE_CHECKING:
     from ..config.settings import Settings
 
 PREFIX = "dyk_"
-"""Tokens that `new_token` makes begin so: what looks for secrets in texts can find them."""
+"""The prefix of tokens of `new_token`, by which secret scanners find them."""
 SHORTEST = 20
-"""Characters of a token; shorter ones could be guessed."""
+"""Characters of a token, at least: a client could guess a shorter one."""
 LARGEST = 1 << 20
-"""Bytes of a file of tokens."""
+"""Bytes of a file of tokens, at most."""
 FORM = "a line is: <scope>[,<scope>] <name> <token or sha256:hex>"
 
 _TOKEN = re.compile(r"[A-Za-z0-9._~+/-]+=*")
@@ -38,7 +38,7 @@ _COMMENT = re.compile(r"(?:^|\s)#.*")
 
 
 class Scope(StrEnum):
-    """What a token allows; ``admin`` includes the others, ``publish`` does not include reading."""
+    """A permission; ``admin`` includes the others, ``publish`` does not include reading."""
 
     READ = "read"
     PUBLISH = "publish"
@@ -47,8 +47,8 @@ class Scope(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Caller:
-    """Whose token it is, and what it allows, included scopes too. ``digest`` is the token's hash:
-    two tokens may have one name."""
+    """The owner of a token: its name, and its scopes with included ones. ``digest`` is the token's
+    hash: two tokens may have one name."""
 
     name: str
     scopes: frozenset[Scope]
@@ -61,8 +61,8 @@ class Caller:
 
 @dataclass(frozen=True, slots=True)
 class Stamp:
-    """What tells a file from what it was: another place, size, or time (ns) of its last change, of
-    what is in it or of who may read it."""
+    """The version of a file: inode, size, and the times (ns) of the last change of its content and
+    of its status, such as its mode."""
 
     place: int
     size: int
@@ -71,14 +71,14 @@ class Stamp:
 
     @classmethod
     def of(cls, status: os.stat_result) -> Stamp | None:
-        """None for what is no file that could be read again: a pipe."""
+        """The stamp of a file; None for a pipe, which cannot be read again."""
         if not stat.S_ISREG(status.st_mode):
             return None
         return cls(status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns)
 
 
 class TokensError(Exception):
-    """Tokens that cannot be used, or are missing: what is wrong, and what to do."""
+    """Invalid or missing tokens: the error, and a hint."""
 
     def __init__(self, message: str, hint: str = "") -> None:
         super().__init__(message)
@@ -87,7 +87,7 @@ class TokensError(Exception):
 
 
 class Tokens:
-    """The tokens that are accepted. None at all: the service is open to whoever reaches it."""
+    """The valid tokens. Without any, the service accepts requests without a token."""
 
     def __init__(
         self, callers: Iterable[tuple[bytes, Caller]] = (), stamp: Stamp | None = None
@@ -95,10 +95,10 @@ class Tokens:
         self._callers = dict(callers)
         self._issued: dict[bytes, Caller] = {}
         self.stamp = stamp
-        """Of the file that they were read from; None if there is none, or it is a pipe."""
+        """The stamp of their file; None without a file, or for a pipe."""
 
     def __len__(self) -> int:
-        """How many there are."""
+        """The number of tokens."""
         return len(self._callers)
 
     @property
@@ -107,33 +107,32 @@ class Tokens:
         return bool(self._callers)
 
     def caller(self, token: bytes) -> Caller | None:
-        """Whose ``token`` it is; None if nobody's.
+        """The caller with ``token``; None if it is unknown.
 
-        Cost: a hash and a look-up, however many tokens there are. The time that a guess takes does
-        not depend on how much of it is right: what is compared is its hash, of which nobody can
-        choose a part.
+        Cost: a hash and a look-up, for any number of tokens. Its time reveals nothing of the
+        token: it depends on the hash, and a client cannot choose the parts of a hash.
         """
         return self._callers.get(digest_of(token))
 
     def allows(self, caller: Caller | None, scope: Scope) -> bool:
-        """Whether what ``caller`` began may go on: its token is accepted still, with ``scope``.
-        None: no token was asked for."""
+        """Whether a request of ``caller`` may go on: its token is still valid, with ``scope``.
+        ``caller`` is None if no token was required."""
         if caller is None:
             return True
         now = self.current(caller)
         return now is not None and now.may(scope)
 
     def current(self, caller: Caller) -> Caller | None:
-        """What the token of ``caller`` stands for now; None if it is not accepted any more."""
+        """The present name and scopes of the token of ``caller``; None if it was removed."""
         return self._callers.get(caller.digest)
 
     def replace(self, others: Tokens) -> None:
-        """From now on accept ``others``, and those of this process."""
+        """Replace the tokens by ``others``, except those that this process issued."""
         self._callers = others._callers | self._issued
         self.stamp = others.stamp
 
     def issue(self, name: str, *scopes: Scope) -> str:
-        """A new token for a part of this process; it lives as long as this does."""
+        """Issue a token for a part of this process, valid until the process ends."""
         token = new_token()
         digest = digest_of(token.encode())
         self._issued[digest] = self._callers[digest] = Caller(name, including(scopes), digest)
@@ -141,10 +140,10 @@ class Tokens:
 
     @classmethod
     def of(cls, settings: Settings) -> Tokens:
-        """Those of the settings' file and text.
+        """Read the tokens of the settings' file and text.
 
-        Raises `TokensError` for what cannot be read, and where there are none and the service is
-        to listen elsewhere than on this machine's own addresses.
+        Raises `TokensError` for invalid ones, and without any if the service listens on an address
+        that other machines reach.
         """
         found: dict[bytes, Caller] = {}
         stamp = None
@@ -158,34 +157,34 @@ class Tokens:
                 f"{settings.host or 'every address'} can be reached from other machines, "
                 "and there are no tokens",
                 "make one: dyknow token me --scope admin --add tokens.txt; then: dyknow serve "
-                f"--host {settings.host} --tokens tokens.txt (docs/access.md)",
+                f"--host {settings.host} --tokens tokens.txt (docs/reference/access.md)",
             )
         return cls(found.items(), stamp)
 
 
 def new_token() -> str:
-    """A token that nobody can guess: 256 random bits."""
+    """Make a token of 256 random bits."""
     return PREFIX + secrets.token_urlsafe(32)
 
 
 def line_of(scopes: Iterable[Scope], name: str, token: str) -> str:
-    """The line for the file: it has the hash, so that the file does not give the token away."""
+    """The line of a token in the file, with its hash, so that the file does not reveal it."""
     return f"{','.join(scopes)} {name} {_HASHED}{digest_of(token.encode()).hex()}"
 
 
 def digest_of(token: bytes) -> bytes:
-    """What is kept of a token. One hash is enough for 256 random bits."""
+    """The hash of a token. One round of SHA-256 is enough for 256 random bits."""
     return hashlib.sha256(token).digest()
 
 
 def including(scopes: Iterable[Scope]) -> frozenset[Scope]:
-    """The scopes with those that they include."""
+    """``scopes`` with the scopes that they include."""
     given = frozenset(scopes)
     return frozenset(Scope) if Scope.ADMIN in given else given
 
 
 def is_loopback(host: str) -> bool:
-    """Whether only this machine reaches ``host``. A name that is not known to be is not."""
+    """Whether only this machine reaches ``host``. Of names this is true of localhost only."""
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
@@ -198,10 +197,9 @@ def is_name(text: str) -> bool:
 
 
 def read_tokens(text: str, origin: str, known: Iterable[bytes] = ()) -> dict[bytes, Caller]:
-    """The tokens of a text by their hash. ``origin`` is what errors call it.
+    """Read the tokens of a text, by their hash. ``origin`` names the text in errors.
 
-    Raises `TokensError` with the number of the line; never with what stands in it, which may be a
-    secret.
+    Raises `TokensError` with the number of the line, without its content, which may be a secret.
     """
     found: dict[bytes, Caller] = {}
     for number, line in _lines(text):
@@ -249,13 +247,13 @@ def _digest(text: str, place: str) -> bytes:
 
 
 def _text_of(path: Path) -> tuple[str, Stamp | None]:
-    """The file's text, and its stamp. Raises `TokensError` also for one that others may read or
-    change: who reads it may act in the name of everybody in it."""
+    """Read a file, and its stamp. Raises `TokensError` also if other users may read or change it,
+    since it may contain tokens in plain text."""
     try:
         with path.open("rb") as file:
             status = os.fstat(file.fileno())
             mode = status.st_mode
-            # A pipe is its reader's alone, whatever its mode says; Windows has no such modes.
+            # Only its reader gets the content of a pipe, with any mode; Windows has no modes.
             if os.name == "posix" and stat.S_ISREG(mode) and mode & 0o037:
                 raise TokensError(
                     f"{path} can be read or changed by others (mode {stat.S_IMODE(mode):04o})",
@@ -279,13 +277,14 @@ def _text_of(path: Path) -> tuple[str, Stamp | None]:
 
 
 def _made_ours(path: Path, owner: int | None, group: int | None) -> str:
-    """What makes a file one that the user of this process, and nobody else, may read. In a
-    container that is another user than who made it, and its owner alone may change its mode."""
+    """The command after which only the user of this process may read a file. In a container another
+    user may own the file, and only the owner can change its mode."""
     if os.name != "posix" or owner == os.geteuid():
         return f"chmod 600 {path}"
     if group in (os.getegid(), *os.getgroups()):
         return f"chmod 640 {path}"
     return (
         f"the service runs as user {os.geteuid()}, group {os.getegid()}: let its group read the "
-        f"file, chgrp {os.getegid()} {path}; chmod 640 {path} (docs/access.md#in-a-container)"
+        f"file, chgrp {os.getegid()} {path}; chmod 640 {path} "
+        "(docs/how-to/deploy.md#in-a-container)"
     )

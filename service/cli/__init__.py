@@ -1,4 +1,4 @@
-"""The command line ``dyknow``: one module a group of commands (docs/api.md)."""
+"""The command line ``dyknow``: one module a group of commands (docs/reference/command-line.md)."""
 
 from .main import app, main
 

@@ -24,9 +24,9 @@ from ..config.logs import configure, log
 from ..config.settings import Settings
 from ..config.version import __version__
 from ..runtime.context import Service
-from ..runtime.gc_policy import Garbage
+from ..runtime.gc_policy import CollectionSchedule
 from ..runtime.process_watchdog import Watchdog
-from ..runtime.warm_up import Warming
+from ..runtime.warm_up import WarmUp
 from ..server import bind, run, url_of
 from ..workers.services import Windows
 from .loading import Say, load, say_to_people
@@ -64,7 +64,7 @@ def start(given: Mapping[str, Any], *, flights: bool) -> None:
     watchdog = Watchdog()
     token = known.issue("flights", Scope.ADMIN) if flights and known.required else ""
     windows = Windows(settings)
-    warming = Warming()
+    warming = WarmUp()
     warming.loops()
     warming.workers("windows", windows.pool)
     try:
@@ -80,8 +80,8 @@ def start(given: Mapping[str, Any], *, flights: bool) -> None:
     say(f"DyKnow serves at {url} (documentation: {url}/docs)")
     service: Service = app.state.service
     service.warming = warming
-    garbage = service.garbage = Garbage()
-    garbage.begin()
+    collector = service.collector = CollectionSchedule()
+    collector.begin()
     warming.workers("sparql", service.isolation.pools["sparql"])
     warming.application(app)
     _reload_on_hangup(service, settings)
@@ -102,7 +102,7 @@ def start(given: Mapping[str, Any], *, flights: bool) -> None:
         for isolated in (windows, service.isolation):
             isolated.close()
         warming.end()
-        garbage.end()
+        collector.end()
     log().info("stopped", by_force=by_force)
     if by_force:
         raise typer.Exit(1)

@@ -1,4 +1,4 @@
-"""A Python client with the verbs of the HTTP routes (docs/api.md).
+"""A Python client with the verbs of the HTTP routes (docs/reference/http.md).
 
     client = dyknow.Client("http://127.0.0.1:8000")
     request = client.request_event("dyknow:HighSpeedEvent(?o, dyknow:UAV, 100)")
@@ -48,7 +48,7 @@ __all__ = ["URL", "Client", "Event", "RoundedNumbers", "ServiceError"]
 
 
 class RoundedNumbers(UserWarning):
-    """The service has rounded numbers of float fields beyond a last digit (docs/conversion.md)."""
+    """The service has rounded numbers of float fields (docs/reference/formats.md)."""
 
 
 class Client(Connection):
@@ -200,7 +200,8 @@ class Client(Connection):
 
     def annotate(self, ssl: str) -> list[dict[str, Any]]:
         """Annotate streams and units by an SSL text; one that is longer than a request may be in
-        parts, each of which is taken whole or not at all (docs/api.md)."""
+        parts, each of which is taken whole or not at all
+        (docs/reference/http-conventions.md, "Sizes")."""
         headers = {"Content-Type": TEXT}
         return joined(
             sent(

@@ -1,5 +1,5 @@
 """What is longer than one request may be, in parts: what the client sends one after the other
-(config/text_bounds has the bounds, and docs/isolation.md why there are any)."""
+(config/text_bounds has the bounds, and docs/explanation/isolation.md why there are any)."""
 
 from __future__ import annotations
 

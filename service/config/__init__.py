@@ -1,1 +1,1 @@
-"""Settings, logs, media types, and what the process asks of the system."""
+"""Settings, logs, media types, limits of texts and files."""

@@ -1,8 +1,8 @@
-"""Structured logs: one line a request at debug, failures at error with their trace; every line that
-is written within a request has its id, and none a token.
+"""Structured logs: a line a request at debug, failures at error with their traceback. A line that
+belongs to a request has its id; no line has a token.
 
-The lines go through the standard library's logger ``dyknow``: whoever runs the application inside
-something else decides where they go. `configure` is for the service's own process.
+The lines go to the standard library's logger ``dyknow``, so a program that embeds the application
+configures them. `configure` is for the service's own process.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ REQUEST: Final[ContextVar[str | None]] = ContextVar("dyknow_request", default=No
 _SECRETS: Final = re.compile(
     r"(dyk_)[\w-]{16,}|(\bbearer\s+)[\w.~+/=-]+|(\b\w*token=)[^&\s\"'\\]+", re.IGNORECASE
 )
-"""Tokens as we make them, and whatever stands where one would."""
+"""Tokens with the service's prefix, and texts where a token usually stands."""
 
 
 def _with_request(_logger: Any, _name: str, line: structlog.types.EventDict) -> dict[str, Any]:
@@ -35,7 +35,7 @@ def _with_request(_logger: Any, _name: str, line: structlog.types.EventDict) -> 
 
 
 def _without_secrets(_logger: Any, _name: str, line: Any) -> str:
-    """The line as it is written, less what looks like a token: errors may quote what was sent."""
+    """The line with tokens masked: errors may quote a request."""
     return _SECRETS.sub(lambda found: f"{found[1] or found[2] or found[3]}***", str(line))
 
 
@@ -62,8 +62,8 @@ def log() -> structlog.stdlib.BoundLogger:
 
 
 def configure(level: str, as_json: bool) -> None:
-    """Send all logs of this process to standard error, one line an event: the service's, uvicorn's,
-    and what others say from warnings on. So are warnings of Python, and what ends a thread."""
+    """Send all logs of this process to standard error, a line an event: those of the service and of
+    uvicorn, others from warnings on, Python's warnings, and exceptions that end a thread."""
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(
         structlog.stdlib.ProcessorFormatter(
@@ -86,13 +86,13 @@ def configure(level: str, as_json: bool) -> None:
         logger = logging.getLogger(name)
         logger.handlers = [handler]
         logger.propagate = False
-        # uvicorn tells of every start and connection at info, and warns of every client that does
-        # not speak HTTP, which whoever likes may write a log full of; metrics count those.
+        # uvicorn logs every start and connection at info, and warns of every client that does not
+        # speak HTTP. Any client could fill the log with these; metrics count them.
         logger.setLevel(number if name == LOG_NAME else max(number, logging.ERROR))
 
 
 def _failed(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-    """Nobody caught it: the process ends."""
+    """Log an exception that ends the process."""
     log().critical("failed", exc_info=(kind, error, trace))
 
 
@@ -105,6 +105,6 @@ def _thread_failed(failure: threading.ExceptHookArgs) -> None:
 def _rendering(as_json: bool) -> list[structlog.types.Processor]:
     if as_json:
         return [structlog.processors.format_exc_info, structlog.processors.JSONRenderer()]
-    # The usual formatter prints the variables of every frame, headers with tokens among them.
+    # The usual formatter prints the variables of every frame, such as headers with tokens.
     plain = structlog.dev.plain_traceback
     return [structlog.dev.ConsoleRenderer(colors=sys.stderr.isatty(), exception_formatter=plain)]

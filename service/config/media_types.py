@@ -1,4 +1,4 @@
-"""Media types, and the headers of the service's own, by name: what client and server both say."""
+"""Media types, and the service's own headers, which client and server share."""
 
 JSON = "application/json"
 TEXT = "text/plain"
@@ -18,4 +18,4 @@ TSV = "text/tab-separated-values"
 FORM = "application/x-www-form-urlencoded"
 EVENT_STREAM = "text/event-stream"
 POSITION = "Dyknow-Position"
-"""The header of an answer that says after which id it begins."""
+"""The header of an event stream with the id after which it begins."""

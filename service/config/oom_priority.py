@@ -1,4 +1,5 @@
-"""Processes that the service can do without for a while: its copies (snapshots), and workers."""
+"""The priority of processes that the kernel should end first when memory runs out: snapshots and
+workers, which the service can replace."""
 
 from __future__ import annotations
 
@@ -10,7 +11,7 @@ _FIRST: Final = "1000"
 
 
 def be_dispensable() -> None:
-    """Where the machine or the container has no memory left, this process is the first that the
-    kernel ends, and not the service (Linux)."""
-    with suppress(OSError):  # no /proc: then nobody knows which of them it will be
+    """Make this process, not the service, the first that the kernel ends when the machine or the
+    container has no memory left (Linux)."""
+    with suppress(OSError):  # no /proc: the kernel chooses
         Path("/proc/self/oom_score_adj").write_text(_FIRST)

@@ -33,7 +33,7 @@ from ...journal.errors import JournalError
 from ..admission.memory_limit import Memory
 from ..config.logs import log
 from ..config.settings import Settings
-from ..turns.backlog_task import CatchingUp
+from ..turns.backlog_task import BacklogTask
 from .checkpoint_policy import CheckpointTimes
 from .failure_log import Failures
 from .fork_snapshot import CAN, SnapshotError, Snapshots
@@ -84,7 +84,7 @@ class Keeper:
         """Without ``memory`` there is no limit to it."""
         self._engine = engine
         self._recorded = recorded
-        self._catching_up = CatchingUp(engine, self._go_on, self.hasten, self._fault)
+        self._backlog = BacklogTask(engine, self._work_backlog, self.hasten, self._fault)
         self._memory = memory or Memory()
         self._troubles = troubles
         self._failures = Failures()
@@ -132,9 +132,9 @@ class Keeper:
 
     def do(self, command: Command, known: ReadAlready | None = None) -> Any:
         """Do ``command``; see `RecordedEngine.do`. What it makes due is done in part."""
-        self._catching_up.before(command)
+        self._backlog.before(command)
         found = self._done(command, known)
-        self._catching_up.after_command()
+        self._backlog.after_command()
         return found
 
     def _done(self, command: Command, known: ReadAlready | None) -> Any:
@@ -143,13 +143,13 @@ class Keeper:
         with self._recording():
             return self._recorded.do(command, known)
 
-    def _go_on(self, *, new: bool = False, begins: bool = True) -> None:
-        """See `backlog_task.GoOn`."""
+    def _work_backlog(self, *, new: bool = False, begins: bool = True) -> None:
+        """See `backlog_task.Work`."""
         if self._recorded is None:
-            self._engine.go_on(new=new, begins=begins)
+            self._engine.work_backlog(new=new, begins=begins)
             return
         with self._recording():
-            self._recorded.go_on(new=new, begins=begins)
+            self._recorded.work_backlog(new=new, begins=begins)
 
     @contextmanager
     def _recording(self) -> Iterator[None]:
@@ -172,19 +172,19 @@ class Keeper:
         self._troubles[ENGINE] = f"{type(error).__name__}: {error}"
         log().error("closing windows failed", exc_info=error)
 
-    async def quiet(self) -> None:
+    async def windows_closed(self) -> None:
         """Return when no window is half done: before what changes more than streams."""
         # No window is told of before there is room.
-        await self._catching_up.quiet(lambda: JOURNAL in self._troubles)
+        await self._backlog.windows_closed(lambda: JOURNAL in self._troubles)
 
     async def caught_up(self, stream: str) -> None:
         """Return when nobody who reads ``stream`` is behind, or a moment has passed."""
-        await self._catching_up.caught_up(stream)
+        await self._backlog.caught_up(stream)
 
     def is_overloaded(self, stream: str) -> bool:
         """Whether more samples for ``stream`` have to wait until the queries that read it have
         caught up."""
-        return self._catching_up.is_overloaded(stream)
+        return self._backlog.is_overloaded(stream)
 
     def check_room(self, size: int) -> None:
         """Before so many bytes are looked at: there is memory for more, and they can be kept.
@@ -313,7 +313,7 @@ class Keeper:
 
     async def _checkpoint(self, recorded: RecordedEngine) -> None:
         """One that fails is told in ``troubles``, and tried again when it is time again."""
-        await self.quiet()
+        await self.windows_closed()
         begun = time.monotonic()
         try:
             with self.times.step("state"):
@@ -334,7 +334,7 @@ class Keeper:
         self._checkpoints.kept(time.monotonic() - begun)
         self._recover(CHECKPOINT)
         for process in set(unkept) - self._unkept:
-            await self.quiet()
+            await self.windows_closed()
             self.do(TellUnkept(process.process, process.reason))
             log().warning(
                 "the state of a process would not survive a restart", process=str(process)
@@ -373,7 +373,7 @@ class Keeper:
     def close(self) -> None:
         """Keep all there is, with a checkpoint, and let the directory go. What is behind stays so,
         and goes on at the next start."""
-        self._catching_up.close()
+        self._backlog.close()
         if self._checkpointing is not None:
             self._checkpointing.cancel()
         self._snapshots.end()

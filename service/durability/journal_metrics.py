@@ -1,4 +1,5 @@
-"""Metrics of the data directory: what writing takes, and what is on the disk (docs/operations.md).
+"""Metrics of the data directory: what writing takes, and what is on the disk
+(docs/reference/metrics.md).
 
 Cost: some microseconds a commit, of which many requests share one, in the journal's own thread.
 """

@@ -1,1 +1,1 @@
-"""What every request passes, and what bodies and answers may be."""
+"""HTTP: errors, content negotiation, and the limits of bodies, answers and connections."""

@@ -1,4 +1,5 @@
-"""The outermost layer: HEAD as a GET without its body; a log line, a count and an id a request."""
+"""The outermost ASGI layer: an id, a log line and a count for each request; HEAD as a GET without
+its body; a 500 for failures."""
 
 from __future__ import annotations
 
@@ -13,30 +14,29 @@ from starlette.requests import ClientDisconnect
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from ..config.logs import REQUEST, log
-from .body_limit import HELD, Held
+from .body_limit import BODY, Body
 from .problems import REQUEST_ID, problem_of, stopping
 
 HEAD = "dyknow.head"
-"""Set in the scope of a GET that came as HEAD: an endless body need not be begun."""
-
-
+"""In the scope of a HEAD request that the application handles as GET: an answer without end need
+not begin."""
 _ID = re.compile(rb"[\w.:/+=-]{1,100}", re.ASCII)
-"""What a client may call its request."""
+"""The form of a request id that a client sends."""
 
 
 class RequestCount(Protocol):
-    """Whoever counts requests."""
+    """The counter of requests; service/runtime/metrics implements it."""
 
     def request(self, method: str, route: str, status: int, seconds: float | None) -> None:
-        """A request has been answered."""
+        """Count an answered request."""
 
 
-class Observe:
+class AccessLog:
     """Logs and counts every request; answers HEAD wherever GET is, and failures with a 500.
 
-    A request has the id that its client gave it (``X-Request-Id``), or a new one; the answer has
-    it, too. Who takes longer than ``slow`` s is a warning in the log: until the answer begins, as
-    how long a client takes over a long one (service/http/response_limit) is its own affair.
+    The id of a request is its client's ``X-Request-Id``, or a new one; the answer has it too. A
+    request that takes longer than ``slow`` s is a warning in the log. Its time ends when the answer
+    begins: the rest depends on the client (service/http/response_limit).
     """
 
     def __init__(self, app: ASGIApp, metrics: RequestCount, slow: float = 1.0) -> None:
@@ -51,7 +51,7 @@ class Observe:
             await self._app(scope, receive, send)
             return
         method: str = scope["method"]
-        # A copy, so that the server still sees its own HEAD and frames the answer accordingly.
+        # A copy: uvicorn must still see HEAD in its own scope, to send no body.
         scope = {**scope, "method": "GET", HEAD: True} if method == "HEAD" else dict(scope)
         id = scope[REQUEST_ID] = self._id(scope)
         REQUEST.set(id)
@@ -77,23 +77,23 @@ class Observe:
         try:
             await self._app(scope, receive, observed)
         except ClientDisconnect:
-            # Nobody waits for an answer; this one is for servers that want one.
+            # The client reads no answer; this one is for ASGI servers that require one.
             log().info("client left", method=method, path=scope["path"], request=id)
             if not started:
                 status = 400
                 await observed({"type": "http.response.start", "status": status, "headers": []})
                 await observed({"type": "http.response.body", "body": b""})
         except asyncio.CancelledError:
-            # The service stops and has waited long enough. Raised further, it would be logged as
-            # a failure of ours.
+            # The service stops, and has waited for the request. Were the error raised further,
+            # uvicorn would log it as a failure.
             status = 503
             log().warning("request broken off", method=method, path=scope["path"], request=id)
             if not started:
                 await stopping().response(id)(scope, receive, observed)
         except Exception as error:
             log().exception("request failed", method=method, path=scope["path"], request=id)
-            # Raised further, it would make the server break the connection that the client means
-            # to use again. An answer that has begun can only be broken off.
+            # Were the error raised further, uvicorn would close the connection, which the client
+            # may use again. Only an answer that has begun needs that.
             if started:
                 raise
             await problem_of(error).response(id)(scope, receive, observed)
@@ -101,7 +101,7 @@ class Observe:
             seconds = (ready or time.perf_counter()) - begun
             route = scope.get("route")
             path = getattr(route, "path_format", "(none)")
-            body: Held | None = scope.get(HELD)
+            body: Body | None = scope.get(BODY)
             endless = endless or (body is not None and body.live)
             self._metrics.request(method, path, status, None if endless else seconds)
             slow = seconds >= self._slow and not endless

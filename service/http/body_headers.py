@@ -1,7 +1,7 @@
-"""What the head of a request says of its body, checked before any of the body is read: for every
-route, by service/http/body_limit.
+"""Checks of the headers that describe a body, before the service reads any of it.
 
-Bodies are taken as they are, in UTF-8. One that says otherwise would be read as what it is not.
+Every route reads bodies uncompressed and in UTF-8; Starlette and uvicorn check neither, so a body
+with another coding or charset would be misread. Called by service/http/body_limit for every route.
 """
 
 from __future__ import annotations
@@ -11,16 +11,16 @@ from collections.abc import Iterable
 
 from .problems import Problem
 
-# A parameter of a media type (RFC 9110, section 5.6.6); what is quoted may hold a semicolon.
+# A parameter of a media type (RFC 9110, section 5.6.6); a quoted value may contain a semicolon.
 _PARAMETER = re.compile(rb';\s*([^\s;=]+)\s*=\s*("(?:[^"\\]|\\.)*"|[^\s;]*)')
 _UTF_8 = (b"utf-8", b"utf8")
 
 
 def checked_length(headers: Iterable[tuple[bytes, bytes]]) -> int | None:
-    """How many bytes the body has by its head; None where that is not said.
+    """Return the Content-Length of a request; None without one.
 
-    Raises a 415 `Problem` for a body that is compressed, or in another charset, and a 400 one for
-    two Content-Types, or Idempotency-Keys. A request without a body may say what it likes.
+    Raises a 415 `Problem` for a body that is compressed or in another charset, and a 400 one for
+    two Content-Types or Idempotency-Keys. A request without a body may have any of these headers.
     """
     length: int | None = None
     chunked = False
@@ -62,7 +62,7 @@ def checked_length(headers: Iterable[tuple[bytes, bytes]]) -> int | None:
 
 
 def _beside_chunked(value: bytes) -> list[bytes]:
-    """Transfer codings that would have to be undone: the server undoes the chunks alone."""
+    """The transfer codings that uvicorn does not decode: all except chunked."""
     return [coding for coding in value.split(b",") if coding.strip().lower() != b"chunked"]
 
 
@@ -72,8 +72,8 @@ def _check_codings(values: Iterable[bytes]) -> None:
             raise Problem(
                 415,
                 "unsupported content encoding",
-                f"bodies are not taken as {coding.strip().decode('latin-1')!r}",
-                hint="send the body as it is, without Content-Encoding, at most in chunks",
+                f"the service does not decode bodies in {coding.strip().decode('latin-1')!r}",
+                hint="send the body without Content-Encoding; chunks are allowed",
                 headers={"Accept-Encoding": "identity"},
             )
 
@@ -85,6 +85,6 @@ def _check_charset(kind: bytes) -> None:
             raise Problem(
                 415,
                 "unsupported charset",
-                f"bodies are not taken in {charset.decode('latin-1')!r}",
+                f"the service does not read bodies in {charset.decode('latin-1')!r}",
                 hint="send the body in UTF-8",
             )

@@ -1,4 +1,4 @@
-"""What counts as one client where nothing tells clients apart but where they come from."""
+"""The address that identifies a client without a token."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from starlette.requests import Request
 
 
 def address_of(request: Request) -> str:
-    """Who is counted together where nothing tells clients apart but where they come from."""
+    """The key under which the requests of a client without a token are counted."""
     return network_of(request.client.host) if request.client else ""
 
 
 def network_of(host: str) -> str:
-    """An address of IPv4; of IPv6 the network of 64 bits that one is given. What is no address
-    (the name of a test's client) is itself."""
+    """An IPv4 address, or the /64 network of an IPv6 address, which is the usual allocation of one
+    client. A text that is no address (the name of a test's client) stays as it is."""
     try:
         address = ipaddress.ip_address(host.partition("%")[0])
     except ValueError:

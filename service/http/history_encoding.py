@@ -1,8 +1,9 @@
-"""A history answer, encoded a piece at a time: a long one takes neither the loop nor the memory.
+"""A history answer, encoded in pieces, so that a long one blocks neither the event loop nor fills
+the memory.
 
-Samples are kept as codes of texts that are kept once, so that some kilobytes may stand for
-gigabytes of an answer. Only the piece that is being sent is ever encoded, and the next one when the
-client has taken it. Used by routes/samples.
+A stream keeps each text once and codes in its samples, so that kilobytes of samples may become
+gigabytes of an answer. The service encodes a piece when the client has taken the one before.
+Called by routes/samples.
 """
 
 from __future__ import annotations
@@ -25,29 +26,29 @@ from ..config.media_types import ARROW, CSV, NDJSON, NTRIPLES
 from .response_limit import HELD
 
 PIECE_BYTES = 256 * 1024
-"""A piece has at most so many, as far as the texts in it say, or one sample."""
+"""The estimated size of a piece, at most, unless it is one sample."""
 PIECE_SAMPLES = 10_000
-"""And at most so many samples."""
+"""Samples of a piece, at most."""
 _SAMPLE, _VALUE = 64, 24
-"""Bytes that a sample's times are reckoned with, and a value that is no text."""
+"""Estimated bytes of a sample's times, and of a value that is no text."""
 
 Triples = Callable[[SampleBatch], list[str]]
-"""N-Triples of each sample."""
+"""Returns the N-Triples of each sample."""
 
 
 async def history_answer(kind: str, batch: SampleBatch, triples: Triples) -> Response:
-    """``batch`` as ``kind``: in one go where it is short, else in pieces.
+    """``batch`` in the media type ``kind``: as a whole if it is short, else in pieces.
 
-    ``triples`` is called on the event loop, as the engine's terms belong to it; all else is encoded
-    beside it.
+    The event loop calls ``triples``, since the engine's terms belong to its thread; another thread
+    encodes everything else.
     """
     written = _written(kind, batch, triples)
 
     async def take() -> bytes | None:
         if kind == NTRIPLES:
-            await asyncio.sleep(0)  # others have their turn
+            await asyncio.sleep(0)  # yield to other requests
             return next(written, None)
-        # Batches do not change.
+        # Safe in another thread: batches are immutable.
         return await anyio.to_thread.run_sync(next, written, None)
 
     begun = [await take(), await take()]
@@ -56,7 +57,7 @@ async def history_answer(kind: str, batch: SampleBatch, triples: Triples) -> Res
 
     async def body() -> AsyncIterator[bytes]:
         while begun:
-            # What is sent is let go: the next one may be asked for much later.
+            # Free each piece when it is sent: the client may take the next one much later.
             yield begun.pop(0) or b""
         while (piece := await take()) is not None:
             yield piece
@@ -65,7 +66,7 @@ async def history_answer(kind: str, batch: SampleBatch, triples: Triples) -> Res
 
 
 class HistoryResponse(StreamingResponse):
-    """One that comes in pieces. ``held`` bytes of samples stay until the last one is taken."""
+    """An answer in pieces, with ``held`` bytes of samples until its end."""
 
     def __init__(self, pieces: AsyncIterator[bytes], held: int, kind: str) -> None:
         super().__init__(pieces, media_type=kind)
@@ -77,10 +78,10 @@ class HistoryResponse(StreamingResponse):
 
 
 def pieces(batch: SampleBatch) -> Iterator[SampleBatch]:
-    """The batch in parts to be encoded one by one; at least one, which may be empty.
+    """Cut the batch into parts to encode one by one; at least one, which may be empty.
 
-    Law: together they are the batch, and each has at most `PIECE_SAMPLES`, and `PIECE_BYTES` or one
-    sample. Cost: O(samples), a look at each text once a `PIECE_SAMPLES`.
+    Law: the parts concatenated are the batch, and each has at most `PIECE_SAMPLES`, and either
+    `PIECE_BYTES` or one sample. Cost: O(samples), and each text once per `PIECE_SAMPLES`.
     """
     for start in range(0, max(1, len(batch)), PIECE_SAMPLES):
         part = batch.take(slice(start, start + PIECE_SAMPLES))
@@ -89,7 +90,7 @@ def pieces(batch: SampleBatch) -> Iterator[SampleBatch]:
 
 
 def _sizes(batch: SampleBatch) -> NDArray[np.int64]:
-    """About how many bytes each sample is."""
+    """The estimated bytes of each sample."""
     sizes = np.full(len(batch), _SAMPLE, np.int64)
     for column in batch.columns.values():
         sizes += _VALUE if column.pool is None else _text_sizes(column)
@@ -107,7 +108,7 @@ def _text_sizes(column: Column) -> NDArray[np.int64]:
 
 
 def _cuts(sizes: NDArray[np.int64]) -> Iterator[slice]:
-    """Where to cut, so that each part has at most `PIECE_BYTES`, or one sample."""
+    """The slices whose parts have at most `PIECE_BYTES`, or one sample."""
     ends = np.cumsum(sizes)
     start = before = 0
     while start < max(1, len(sizes)):
@@ -117,7 +118,7 @@ def _cuts(sizes: NDArray[np.int64]) -> Iterator[slice]:
 
 
 def _written(kind: str, batch: SampleBatch, triples: Triples) -> Iterator[bytes]:
-    """The pieces of an answer."""
+    """The encoded pieces of an answer."""
     table = ArrowWriter() if kind == ARROW else None
     parts = pieces(batch)
     part: SampleBatch | None = next(parts)
@@ -133,7 +134,7 @@ def _written(kind: str, batch: SampleBatch, triples: Triples) -> Iterator[bytes]
         elif table is not None:
             yield table.write(part) + (b"" if following is not None else table.close())
         else:
-            # A JSON array is the lines with commas between.
+            # A JSON array is the NDJSON lines with commas between.
             lines = b",".join(encode_ndjson(part).splitlines())
             yield (b"[" if is_first else b",") + lines + (b"]" if following is None else b"")
         part, is_first = following, False

@@ -1,4 +1,4 @@
-"""Long lists, made and written a little at a time: others have their turn in between."""
+"""Long JSON lists, made in parts, with a turn for other requests between two of them."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from ..config.media_types import JSON
 T = TypeVar("T")
 
 PIECE: Final = 50
-"""So many members are made in one go: some 2 ms."""
+"""Members of a part: some 2 ms of work."""
 
 
 async def listed(
     items: Sequence[T], told: Callable[[T], BaseModel], rest: Iterable[BaseModel] = ()
 ) -> Response:
-    """A JSON list of what ``told`` gives for each of ``items``, then ``rest``, of which are few.
+    """A JSON list of the models of ``items`` that ``told`` returns, then of ``rest``, a few models.
 
-    Each member is as it is when it is written. What has gone by then is left out.
+    Each model is of the time when it is written; items removed before are left out.
     """
     written: list[bytes] = []
     for begin in range(0, len(items), PIECE):

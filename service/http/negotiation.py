@@ -1,4 +1,4 @@
-"""Media types: what a client sends is what it says (415), what it gets is what it accepts (406)."""
+"""Media types of bodies (415) and answers (406), and the reading of text and JSON bodies."""
 
 from __future__ import annotations
 
@@ -26,26 +26,25 @@ ONTOLOGY_FORMATS: dict[str, TextFormat] = {
     JSON_LD: "jsonld",
     NTRIPLES: "ntriples",
 }
-"""What an ontology may be written in."""
+"""The formats of ontologies, by media type."""
 LONGEST_JSON: Final = 1 << 20
-"""Bytes of a JSON body. What is larger is samples, ontologies or texts, which have types of their
-own."""
+"""Bytes of a JSON body. Larger bodies are samples, ontologies or texts, with other media types."""
 MOST_VALUES: Final = 10_000
-"""Values of a JSON body: some ten milliseconds of work for who reads and checks them."""
+"""Values of a JSON body: some ten milliseconds of work to read and check them."""
 _SHORT = 1 << 14
-"""Bytes of JSON that are read at once: a few hundredths of a millisecond a KiB."""
+"""Bytes of JSON that the event loop reads itself, at some hundredths of a millisecond a KiB."""
 _LONG = anyio.CapacityLimiter(1)
 
 
 def accepted(request: Request, offered: Sequence[str]) -> str:
-    """The offered media type that the client likes best; the first one if it does not mind.
+    """The offered media type that the Accept header prefers; the first one without a preference.
 
-    Raises a 406 `Problem` that lists what there is.
+    Raises a 406 `Problem` that lists the offered ones.
     """
     header = ", ".join(request.headers.getlist("accept")).strip()
     if not header:
         return offered[0]
-    # mimeparse breaks ties in favour of the last one; ours is the first.
+    # Of equally good types mimeparse returns the last one; ours is the first.
     backwards = list(reversed(offered))
     try:
         best = mimeparse.best_match(backwards, header)
@@ -55,16 +54,15 @@ def accepted(request: Request, offered: Sequence[str]) -> str:
         raise Problem(
             406,
             "not acceptable",
-            f"there is no {header} here",
+            f"this route does not offer {header}",
             hint=f"Accept one of {', '.join(offered)}",
         )
     return str(best)
 
 
 def content_type(request: Request, allowed: Sequence[str]) -> str:
-    """The media type of the request's body, which must be one of ``allowed``.
-
-    A body without a Content-Type is taken as the first one. Raises a 415 `Problem`.
+    """The media type of the request's body, one of ``allowed``; the first one without a
+    Content-Type. Raises a 415 `Problem`.
     """
     header = request.headers.get("content-type", "")
     given = header.partition(";")[0].strip().lower()
@@ -74,7 +72,7 @@ def content_type(request: Request, allowed: Sequence[str]) -> str:
         raise Problem(
             415,
             "unsupported media type",
-            f"this route does not take {given}",
+            f"this route does not accept {given}",
             hint=f"send Content-Type: {' or '.join(allowed)}",
             headers={"Accept-Post": ", ".join(allowed)},
         )
@@ -82,15 +80,15 @@ def content_type(request: Request, allowed: Sequence[str]) -> str:
 
 
 async def text_body(request: Request, allowed: Sequence[str]) -> str:
-    """The request's body as text. Raises `Problem` 415, or 400 when it is no UTF-8 or empty."""
+    """Read the request's body as text. Raises `Problem` 415, or 400 as `utf8`."""
     content_type(request, allowed)
     return utf8(await request.body())
 
 
 def utf8(body: bytes) -> str:
-    """``body`` as text, without a byte order mark.
+    """Decode ``body``, without a byte order mark.
 
-    Raises a 400 `Problem` when it is no UTF-8 or empty.
+    Raises a 400 `Problem` if it is no UTF-8 or empty.
     """
     body = body.removeprefix(BOM_UTF8)
     try:
@@ -107,23 +105,23 @@ def utf8(body: bytes) -> str:
 
 
 async def read_json(body: bytes) -> Any:
-    """``body`` as JSON. Raises ``ValueError`` (as ``json.loads``), a 400 `Problem` for an object
-    with a member twice, of which others would take the first, and a 413 for more than
-    `LONGEST_JSON` or `MOST_VALUES`. Long ones are read beside the event loop."""
+    """Read ``body`` as JSON, a long one in a thread. Raises ``ValueError`` (as ``json.loads``), a
+    400 `Problem` for an object with a member twice, of which other parsers take the first, and a
+    413 for more than `LONGEST_JSON` or `MOST_VALUES`."""
     if len(body) > LONGEST_JSON:
         raise Problem(
             413,
             "body too large",
-            f"a JSON body has at most {LONGEST_JSON} bytes, and this one {len(body)}",
-            hint="say it in several requests",
+            f"a JSON body has at most {LONGEST_JSON} bytes, and this one has {len(body)}",
+            hint="split it into several requests",
         )
-    # Before it is read: reading, too, is work.
+    # Counted before the reading, which is work too.
     if body.count(b",") >= MOST_VALUES:
         raise Problem(
             413,
             "body too large",
-            f"a JSON body has at most {MOST_VALUES} values, told by its commas",
-            hint="say it in several requests",
+            f"a JSON body has at most {MOST_VALUES} values, counted by its commas",
+            hint="split it into several requests",
         )
     if len(body) <= _SHORT:
         return _json(body)
@@ -140,18 +138,18 @@ def _members(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         names = Counter(name for name, _ in pairs)
         name = next(name for name, _ in pairs if names[name] > 1)
         raise Problem(
-            400, "bad JSON", f"the member {name!r} is there twice", hint="an object has it once"
+            400, "bad JSON", f"the member {name!r} is there twice", hint="send each member once"
         )
     return found
 
 
 async def json_value(body: bytes, shape: Any) -> Any:
-    """``body`` as JSON of ``shape``, for routes that take JSON beside other media types.
+    """Read ``body`` as JSON of ``shape``, for routes that take JSON beside other media types.
 
-    Raises a 400 `Problem` for what is no JSON or has a member twice, `RequestValidationError` for
-    what does not fit.
+    Raises a 400 `Problem` for a body that is no JSON or has a member twice, and
+    `RequestValidationError` for values that do not fit.
     """
-    with suppress(ValueError, RecursionError):  # said below, with its place
+    with suppress(ValueError, RecursionError):  # pydantic raises it below, with its place
         await read_json(body.removeprefix(BOM_UTF8))
     try:
         return TypeAdapter(shape).validate_json(body.removeprefix(BOM_UTF8))

@@ -1,7 +1,7 @@
-"""Errors as ``application/problem+json`` (RFC 9457): each says what is wrong and what to do next.
+"""Errors as ``application/problem+json`` (RFC 9457), with the cause and the next step.
 
-Every refusal of a lower room has its status here, once. Called by the application's exception
-handlers; routes raise `Problem` only for what is theirs (conditions, media types, sizes).
+`problem_of` has the status of every error of a lower room. The application's exception handlers
+call it; routes raise `Problem` only for conditions, media types and sizes.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from ...journal.errors import JournalError, JournalFull
 from ...languages.errors import LanguageError
 from ...ontology.errors import OntologyError, QueryRefused
 from ...ontology.units import UnitError
-from ...streams.recall import Forgotten
+from ...streams.past_queries import Forgotten
 from ...streams.sample import SampleError
 from ...streams.time import format_time
 from ..config.defaults import AHEAD
@@ -35,12 +35,11 @@ from .hints import hint_for
 
 MEDIA_TYPE = "application/problem+json"
 REQUEST_ID: Final = "dyknow.request"
-"""In the scope of a request: its id, which is in its answer, in the log and in problems."""
+"""In the scope of a request: its id, as in its answer, the log and problems."""
 LONGEST = 4000
-"""Characters of a text in an error."""
+"""Characters of a text in an error, at most."""
 MOST_TOLD = 100
-"""Of so many values that do not fit is told where they are: an answer is not to be longer than what
-was asked."""
+"""Values that do not fit whose places an error lists, so that it is not longer than its request."""
 _NAMES = "urn:dyknow:problem:"
 _REQUESTS = "urn:dyknow:request:"
 
@@ -68,7 +67,7 @@ class ProblemModel(BaseModel):
 
 
 class Problem(HTTPException):
-    """An error on its way out. ``kind`` names the type, ``extra`` are further members."""
+    """An error to answer with. ``title`` names its type, ``extra`` are further members."""
 
     def __init__(
         self,
@@ -95,7 +94,7 @@ class Problem(HTTPException):
         )
 
     def response(self, request: str | None = None) -> Response:
-        """The answer to the request of that id, told as ``instance``."""
+        """The answer to the request with this id, its ``instance``."""
         model = self.model()
         if request is not None:
             model.instance = _REQUESTS + quote(request, safe="")
@@ -104,7 +103,7 @@ class Problem(HTTPException):
 
 
 def _shown(value: Any) -> Any:
-    """Who sent a long name or text need not get all of it back."""
+    """``value``, a long text without its end: the client has sent it."""
     if isinstance(value, str) and len(value) > LONGEST:
         return f"{value[:LONGEST]}…"
     return value
@@ -130,7 +129,7 @@ _STATUS: tuple[tuple[type[DyknowError], int], ...] = (
 
 
 def problem_of(error: Exception) -> Problem:
-    """The problem that an error of a lower room, or of the web framework, is."""
+    """The problem for an error of a lower room or of the web framework."""
     match error:
         case Problem():
             return error
@@ -216,23 +215,23 @@ def problem_of(error: Exception) -> Problem:
         case StarletteHTTPException():
             return _plain(error)
         case _:
-            # What went wrong is in the log; its words may name files and do not help the caller.
-            return Problem(500, "internal error", "the service failed; its log says why")
+            # The log has the error; its message may name files, and does not help the client.
+            return Problem(500, "internal error", "the service failed; its log has the error")
 
 
 def stopping() -> Problem:
-    """The answer to who is let go because the service stops."""
+    """The problem of a request that the service cancels because it stops."""
     return Problem(
         503,
         "the service stops",
-        "the request was not worked off to its end",
+        "the service did not complete the request",
         hint="send it again when the service is back; samples with the same Idempotency-Key",
         headers={"Retry-After": "5"},
     )
 
 
 def install(app: FastAPI) -> None:
-    """Answer every error of ``app`` as a problem."""
+    """Make ``app`` answer every error with a problem."""
 
     async def answer(request: Request, error: Exception) -> Response:
         found = problem_of(error)
@@ -266,18 +265,18 @@ def install(app: FastAPI) -> None:
 
 
 def _allowed(request: Request) -> list[str]:
-    """The methods of all routes of the address: the framework knows those of the first only."""
+    """The methods of all routes of the path: Starlette knows those of the first one only."""
     found = []
     for method in ("GET", "POST", "PUT", "PATCH", "DELETE"):
         scope = {**request.scope, "method": method}
         if any(route.matches(scope)[0] is Match.FULL for route in request.app.routes):
-            # HEAD is answered wherever GET is.
+            # `AccessLog` answers HEAD wherever GET is.
             found += ["GET", "HEAD"] if method == "GET" else [method]
     return found
 
 
 def responses(*statuses: int) -> dict[int | str, dict[str, Any]]:
-    """What a route documents about its errors."""
+    """The OpenAPI responses of a route for errors with these statuses."""
     return {
         status: {
             "description": HTTPStatus(status).phrase,
@@ -290,7 +289,7 @@ def responses(*statuses: int) -> dict[int | str, dict[str, Any]]:
 
 
 def written_responses() -> dict[str, dict[str, Any]]:
-    """What every route documents that changes something: it could not be kept."""
+    """The OpenAPI responses of every route that changes something, for failures of the log."""
     return {str(status): each for status, each in responses(503, 507).items()}
 
 

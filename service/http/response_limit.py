@@ -1,10 +1,11 @@
-"""Long answers: sent a piece at a time, as the client takes them, and not too many at once.
+"""Limits of long answers: the server sends them in pieces as the client takes them, and only so
+many at a time.
 
-An answer that is handed to the server in one go stays in memory until the client has taken it, and
-a client may ask for the next one without taking any. So what is long is cut here, which holds for
-every route: the server has at most a piece of it, and what remains is counted until it is taken.
-Event streams are counted by themselves (service/sse/clients). Who takes nothing is let go by
-`Bounds.review`.
+An answer that the application hands to uvicorn as a whole stays in memory until the client has
+taken it, and a client may ask for more without taking any. So this layer cuts long answers of every
+route: uvicorn has at most one piece, and the rest counts until the client has taken it. Event
+streams have limits of their own (service/sse/clients). `ConnectionLimits.review` closes the
+connections of clients that take nothing.
 """
 
 from __future__ import annotations
@@ -22,57 +23,57 @@ from .access_log import HEAD
 from .problems import REQUEST_ID, Problem
 
 PIECE_BYTES = 64 * 1024
-"""An answer with more is long, and sent in pieces of so many bytes."""
+"""A longer answer is long; the size of its pieces."""
 STREAMED = 1024 * 1024
-"""What an answer is reckoned with that does not say how long it is: its pieces are encoded when the
-one before is taken (service/http/history_encoding)."""
+"""Bytes that count for an answer of unknown length: its pieces are encoded one by one
+(service/http/history_encoding)."""
 HELD = "dyknow.answer.held"
-"""In the scope of a request: bytes that such an answer needs besides until its end."""
+"""In the scope of a request: further bytes that such an answer needs until its end."""
 PART = 8
-"""All long answers together take at most such a part of the memory that the service may have."""
+"""All long answers together take at most this part of the memory limit: an eighth."""
 EACH = 0.75
-"""The part of all places, and of all bytes, that one client may have: nobody alone takes all."""
+"""The part of all places, and of all bytes, that one client may have."""
 WATCHED = "/metrics"
-"""Who watches the service sees also that others take all places: only its own are counted."""
+"""Only its own client's part refuses it: monitoring has to see that others take all places."""
 RETRY = 5
-"""Seconds after which a client that found no place should ask again."""
+"""Seconds after which a refused client should ask again."""
 
 
 @dataclass(slots=True)
-class Taken:
-    """What somebody has of the places for long answers."""
+class Usage:
+    """The long answers of a client, or of all clients."""
 
     count: int = 0
     bytes: int = 0
 
     def add(self, count: int, size: int) -> None:
-        """So many answers more, or less."""
+        """Count ``count`` more answers, of ``size`` bytes."""
         self.count += count
         self.bytes += size
 
     def is_full(self, most: float, total: float, size: int) -> bool:
-        """Whether one of ``size`` bytes is too much. Alone it never is: all can be had."""
+        """Whether ``size`` more bytes exceed a limit. The first answer may have any size."""
         return self.count >= most or (self.count > 0 and self.bytes + size > total)
 
 
 class LongAnswers:
-    """Those under way: at most ``most``, of ``total`` bytes that their clients have not taken, or
-    that are held for them.
+    """Counts the long answers under way: at most ``most``, and ``total`` bytes that their clients
+    have not taken or that the service holds for them.
 
-    ``refused`` counts those for whom there was no place, by the limit.
+    ``refused`` counts refusals by the limit.
     """
 
     def __init__(self, most: int, total: int) -> None:
-        self.all = Taken()
+        self.all = Usage()
         self.refused: Counter[str] = Counter({"each": 0, "total": 0})
         self._most = most
         self._total = total
-        self._of_key: dict[str, Taken] = {}
+        self._of_key: dict[str, Usage] = {}
 
     def begin(self, key: str, size: int, *, always: bool = False) -> None:
-        """One of ``size`` bytes for who is counted as ``key``. Raises `Problem`: 429 where the
-        client has all that it may have, 503 where nobody gets a further one, unless ``always``."""
-        own = self._of_key.get(key, Taken())
+        """Count an answer of ``size`` bytes to the client ``key``. Raises `Problem`: 429 if the
+        client has its part, 503 if all places are taken and not ``always``."""
+        own = self._of_key.get(key, Usage())
         if own.is_full(max(1, EACH * self._most), EACH * self._total, size):
             self.refused["each"] += 1
             raise _no_place(429, "you do not take the long answers that you have asked for")
@@ -84,7 +85,7 @@ class LongAnswers:
         self.all.add(1, size)
 
     def end(self, key: str, size: int) -> None:
-        """It is over."""
+        """Forget an answer that has ended."""
         own = self._of_key[key]
         own.add(-1, -size)
         if not own.count:
@@ -92,8 +93,8 @@ class LongAnswers:
         self.all.add(-1, -size)
 
 
-class Answers:
-    """The layer. ``key`` says who a request's answer is counted with."""
+class ResponseLimit:
+    """The ASGI layer. ``key`` returns the client that a request's answer counts for."""
 
     def __init__(self, app: ASGIApp, long: LongAnswers, key: Callable[[Request], str]) -> None:
         self._app = app
@@ -112,7 +113,8 @@ class Answers:
             if message["type"] == "http.response.start":
                 size = _size(message, scope.get(HELD, 0))
                 is_long = size > PIECE_BYTES
-                # What has changed something is answered: who hears 503 would do it again.
+                # A request that has changed something gets its answer: after a 503 the client
+                # would send it again.
                 if is_long and (scope["method"] == "GET" or scope["path"] == "/sparql"):
                     key = self._key(Request(scope))
                     try:
@@ -136,7 +138,8 @@ class Answers:
 
 
 class _Refused(Exception):
-    """Ends what makes an answer for which there is no place; nothing of it has been sent."""
+    """Ends the application's work on an answer without a place. The service has sent nothing of it,
+    but Starlette's error handler believes that it has, so the layer answers itself."""
 
     def __init__(self, problem: Problem) -> None:
         super().__init__(problem.title)
@@ -144,8 +147,8 @@ class _Refused(Exception):
 
 
 def _size(start: Message, held: int) -> int:
-    """Bytes of the answer that begins so, or that are ``held`` for it; 0 for an event stream, which
-    never ends."""
+    """The bytes that count for an answer with this start and ``held`` bytes beside; 0 for an event
+    stream, which has no end."""
     headers = dict(start["headers"])
     length = headers.get(b"content-length")
     if length is not None:
@@ -155,8 +158,8 @@ def _size(start: Message, held: int) -> int:
 
 
 async def _in_pieces(message: Message, send: Send) -> None:
-    """Send a part of an answer so that the server never has much of it. It waits before it takes
-    more than its buffer holds; where the client is fast it does not, and others have their turn."""
+    """Send a part of an answer in pieces. uvicorn waits between two while its buffer is full; with
+    a fast client it does not, so the event loop gets a turn here."""
     body = memoryview(message.get("body", b""))
     more = message.get("more_body", False)
     for start in range(0, max(1, len(body)), PIECE_BYTES):

@@ -1,4 +1,4 @@
-"""The media types that a result of SPARQL is written in, and how Oxigraph calls them."""
+"""The media types of SPARQL results, and Oxigraph's names for them."""
 
 from __future__ import annotations
 

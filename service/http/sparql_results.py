@@ -1,7 +1,7 @@
-"""Answers to queries in the formats of SPARQL 1.1: what ``/sparql`` and ``/queries`` share.
+"""Answers to queries in the formats of SPARQL 1.1, for ``/sparql`` and ``/queries``.
 
-Results of continuous queries are columns of ours; they become SPARQL JSON here, and every other
-format from that by Oxigraph, so that both routes write alike.
+Results of continuous queries are columns. This module makes SPARQL JSON of them, and Oxigraph
+makes every other format of that, so that both routes write alike.
 """
 
 from __future__ import annotations
@@ -31,25 +31,25 @@ from .problems import Problem
 
 RESULTS = sparql_formats.TABLES
 GRAPHS = sparql_formats.GRAPHS
-# CSV and TSV stand for tables: SPARQL 1.1 has no boolean in them.
+# SPARQL 1.1 has no CSV or TSV of a boolean.
 BOOLEANS = {kind: RESULTS[kind] for kind in (SPARQL_JSON, JSON, SPARQL_XML)}
 WINDOW_END = "window_end"
-"""The column that says of which window a row is, where rows of several are told."""
+"""The column with the end of a row's window, in a table of several windows."""
 ANSWER = "answer"
-"""The column of ASK's answers there."""
+"""The column of the answers of ASK there."""
 _STRING = XSD + "string"
 
 
 def answer(body: bytes | None, kind: str) -> Response:
-    """A serialized result as the body of an answer."""
+    """The answer with a serialized result."""
     return Response(body or b"", media_type=kind)
 
 
 def one_window(request: Request, result: WindowResult, most: int) -> Response:
-    """The result of a window as SPARQL has it.
+    """The answer with the result of a window.
 
-    Raises a 406 `Problem`, and a 422 one where its terms have more than ``most`` characters: a text
-    that many solutions share is kept once, and told often.
+    Raises a 406 `Problem`, and a 422 one if its terms have more than ``most`` characters: columns
+    keep a text once, an answer repeats it for every solution.
     """
     if result.triples is not None:
         return _graph(request, [result], most)
@@ -67,8 +67,8 @@ def many_windows(
     variables: Sequence[str],
     most: int,
 ) -> Response:
-    """The results of several windows: one table, each row with the end of its window first; one
-    graph of all that was constructed. ``variables`` are a table's where no window tells.
+    """The answer with the results of several windows: one table, whose first column is the end of
+    a row's window, or one graph. ``variables`` are the columns if no window has solutions.
 
     Raises `Problem` as `one_window`.
     """
@@ -124,7 +124,7 @@ def _graph(request: Request, results: Sequence[WindowResult], most: int) -> Resp
 
 
 def result_too_large(most: str) -> Problem:
-    """What is said of a result that has more than ``most``."""
+    """The problem of a result with more than ``most``."""
     return Problem(
         422,
         "result too large",

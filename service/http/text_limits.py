@@ -1,8 +1,8 @@
-"""Texts are bounded and parsed beside the event loop, which would stand still for a long one.
+"""Limits of texts, and parsing them in a thread: a long text would block the event loop.
 
-The parsers remember the last texts, so that the engine, which parses them again, finds them read.
-What the engine then does for each declaration it does while everybody waits: so these are bounded,
-too. How large a query text may be is said in `languages.csparql.limits`.
+The parsers cache the last texts: the engine, which parses them again, takes them from the cache.
+The engine does its work for each declaration on the event loop, so a request has a limited number
+of them. `languages.csparql.limits` has the limits of query texts.
 """
 
 from __future__ import annotations
@@ -26,22 +26,21 @@ IN_PARTS: Final = (
     "send it in several parts, each behind what it needs: dyknow.Client, `dyknow annotate`, "
     "`dyknow kpl add` and `dyknow specification apply` do so by themselves"
 )
-"""What is said of a text that is too long."""
+"""The hint for a text that is too long."""
 _QUERIES = anyio.CapacityLimiter(1)
-"""Their parser works one text at a time anyway."""
+"""One text at a time: a parser holds the interpreter."""
 _DECLARATIONS = anyio.CapacityLimiter(1)
-"""A turn of their own: the longest query takes seconds, these a tenth of one."""
+"""Apart from queries: the longest query takes seconds, these a tenth of one."""
 
 
 def check_length(body: bytes) -> None:
-    """Raises a 413 `Problem` for a text that is longer than one of its language may be."""
+    """Raises a 413 `Problem` for a text with more than `LONGEST` bytes."""
     if len(body) > LONGEST:
         raise too_long(f"{LONGEST} bytes")
 
 
 async def read_ssl(text: str) -> tuple[Declaration, ...]:
-    """The declarations of an SSL text; raises `LanguageError`, and a 413 `Problem` for more of
-    them than one text may have."""
+    """Parse an SSL text. Raises `LanguageError`, and a 413 `Problem` for too many declarations."""
     _check_words(text)
     found = await anyio.to_thread.run_sync(parse_ssl, text, limiter=_DECLARATIONS)
     check_number(found)
@@ -49,7 +48,7 @@ async def read_ssl(text: str) -> tuple[Declaration, ...]:
 
 
 async def read_kpl(text: str) -> Specification:
-    """The same of a KPL text."""
+    """Parse a KPL text. Raises as `read_ssl`."""
     _check_words(text)
     found = await anyio.to_thread.run_sync(parse_kpl, text, limiter=_DECLARATIONS)
     check_number(found.declarations)
@@ -57,13 +56,13 @@ async def read_kpl(text: str) -> Specification:
 
 
 def check_number(declared: Sized) -> None:
-    """Raises a 413 `Problem` for more than one request may declare."""
+    """Raises a 413 `Problem` for more declarations than a request may have."""
     if len(declared) > MOST_DECLARATIONS:
         raise too_long(f"{MOST_DECLARATIONS} declarations")
 
 
 def too_long(most: str) -> Problem:
-    """What is said of a text that has more than ``most``."""
+    """The problem of a text with more than ``most``."""
     return Problem(
         413,
         "text too long",
@@ -73,17 +72,17 @@ def too_long(most: str) -> Problem:
 
 
 async def parse_aside(parse: Callable[[str], object], text: str) -> None:
-    """Have ``parse`` read a query text; raises what it raises, as the engine would."""
+    """Run ``parse`` on a query text in a thread. Raises the errors that the engine would raise."""
     await anyio.to_thread.run_sync(parse, text, limiter=_QUERIES)
 
 
 def parse_registration(text: str) -> None:
-    """Parse a template, and what registering it reads of it: for `parse_aside`."""
+    """Parse a template, and its body as registering it does: for `parse_aside`."""
     body_tree(parse_template(text).query)
 
 
 def parse_continuous(text: str) -> None:
-    """The same of a continuous query."""
+    """Parse a continuous query, and its patterns: for `parse_aside`."""
     patterns(body_tree(parse_query(text)))
 
 

@@ -1,4 +1,4 @@
-"""Times in addresses: ISO-8601, or integer nanoseconds since 1970."""
+"""Times in query parameters: ISO-8601, or integer nanoseconds since 1970."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Time = Annotated[str | None, Query(description="ISO-8601 or integer nanoseconds"
 
 
 def time_of(text: str | None, key: str) -> int | None:
-    """The time (ns) that parameter ``key`` gives; raises a 400 `Problem` for what is none."""
+    """The time (ns) in parameter ``key``. Raises a 400 `Problem` for a text that is no time."""
     if text is None:
         return None
     try:

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, Field, field_validator
 
-from ...converters.rounding import Rounded
+from ...converters.wire import Rounded
 from ...engine.model import views
 from ...rdf.namespaces import DYKNOW
 from ...streams import history, sample

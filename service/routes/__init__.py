@@ -1,1 +1,1 @@
-"""The routes, one module a resource; docs/api.md lists them all."""
+"""The routes, one module a resource; docs/reference/http.md lists them all."""

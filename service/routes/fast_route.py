@@ -11,8 +11,8 @@ from fastapi.routing import APIRoute
 
 def direct(answer: Callable[[Request], Awaitable[Response | None]]) -> type[APIRoute]:
     """Routes whose requests ``answer`` answers itself: the framework's dependencies, validation and
-    models take as long as a small batch (docs/design/0005-arrival-to-event.md). Where it gives
-    None, the framework is asked, which refuses what is to be refused.
+    models take as long as a small batch (docs/explanation/design/0005-arrival-to-event.md). Where
+    it gives None, the framework is asked, which refuses what is to be refused.
     """
 
     class Direct(APIRoute):

@@ -92,7 +92,7 @@ async def publish_samples(
     )
     # What is decoded stays with the stream's texts: not of what cannot be kept.
     service.keeper.check_room(len(body))
-    incoming = await service.decoding.decode(batch)
+    incoming = await service.decoder.decode(batch)
     # It may have taken its time, and commands are done in the order of theirs.
     batch = replace(batch, now=service.clock())
     try:

@@ -1,1 +1,1 @@
-"""The service as it runs: its context, metrics, warm-up and live samples."""
+"""The running service: its context, metrics, warm-up, live samples, garbage collection."""

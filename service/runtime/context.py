@@ -1,4 +1,4 @@
-"""What every route works with: the engine, the clock and what the service adds to them."""
+"""The context of every route: the engine, the clock, and the parts of the service."""
 
 from __future__ import annotations
 
@@ -28,29 +28,29 @@ from ..durability.command_queue import Keeper
 from ..http.client_address import address_of
 from ..sse.clients import ClientKey
 from ..sse.feeds import Feeds
-from ..turns.batch_decoding import Decoding
+from ..turns.batch_decoding import BatchDecoder
 from ..workers.services import Isolation
-from .gc_policy import Garbage
+from .gc_policy import CollectionSchedule
 from .live_ingest import LiveBodies
 from .metrics import Metrics
-from .warm_up import Warming
+from .warm_up import WarmUp
 
 LATE = 5.0
-"""Seconds without a tick after which the service is not ready: something holds its loop up."""
+"""Seconds without a tick after which the service is not ready: its event loop is blocked."""
 BEGUN = 8
-"""So many histories are begun at a time."""
+"""Histories that are looked up at a time."""
 
 
 @dataclass(slots=True)
 class Service:
-    """One running service. The engine is called from the event loop's thread only."""
+    """One running service. Only the event loop's thread calls the engine."""
 
     engine: Engine
     settings: Settings
     clock: Clock
     feeds: Feeds
     bodies: LiveBodies
-    decoding: Decoding
+    decoder: BatchDecoder
     metrics: Metrics
     isolation: Isolation
     started: int
@@ -58,31 +58,31 @@ class Service:
     keeper: Keeper
     memory: Memory
     troubles: dict[str, str]
-    """What keeps the service from being ready, by whom: each puts its own here, and takes it away
-    when it is over (`reasons`)."""
+    """The reasons why the service is not ready, by the part that adds and removes them
+    (`reasons`)."""
     ticked: float | None = None
-    """When the last tick ended, by the monotonic clock (s); None before the first."""
+    """The end of the last tick, by the monotonic clock (s); None before the first."""
     token_file: TokenFile | None = None
     """Reads the tokens again when they change."""
-    warming: Warming | None = None
-    """What goes on beside the start; the service is not ready before it is over."""
-    garbage: Garbage | None = None
-    """How the process looks for garbage; None: as Python does."""
+    warming: WarmUp | None = None
+    """The warm-up after the start; the service is not ready before its end."""
+    collector: CollectionSchedule | None = None
+    """The schedule of the garbage collector; None: as Python does it."""
     client_key: ClientKey = address_of
-    """Whose event streams are counted together (`Settings.sse_clients_each`)."""
+    """The key under which the event streams of a client count (`Settings.sse_clients_each`)."""
     histories: asyncio.Semaphore = field(default_factory=lambda: asyncio.Semaphore(BEGUN))
-    """Had while a history is looked up and its first pieces are encoded."""
+    """Held while a history is looked up and its first pieces are encoded."""
 
     def reasons(self) -> list[str]:
-        """Why the service is not ready: nothing if it is."""
-        # A copy: some are put there and taken away by other threads.
+        """The reasons why the service is not ready; none if it is."""
+        # A copy: other threads add and remove some.
         found = [f"{who}: {what}" for who, what in tuple(self.troubles.items())]
         found += self.memory.reasons()
         found += self.isolation.reasons()
         if self.warming is not None:
             found += self.warming.reasons()
         if self.ticked is None:
-            found.append("starting: the engine has not been told the time yet")
+            found.append("starting: the engine has had no tick yet")
         else:
             late = time.monotonic() - self.ticked
             if late > max(LATE, 10 * self.settings.tick):
@@ -90,8 +90,8 @@ class Service:
         return found
 
     def failed(self) -> list[str]:
-        """Which kinds of failures have cut units off, and how many. It names none of them:
-        /readyz needs no token."""
+        """The number of failed units, by the kind of failure. Without names, since /readyz needs no
+        token."""
         found = Counter(each.failure.partition(":")[0] for each in self.engine.failed())
         return [
             f"{count} computational unit{'s have' if count > 1 else ' has'} failed: {kind}"
@@ -99,23 +99,23 @@ class Service:
         ]
 
     def revoke(self) -> int:
-        """Let those go whose tokens are not accepted any more; how many."""
+        """End the event streams and live bodies of removed tokens; return their number."""
         return self.feeds.all.revoke() + self.bodies.revoke()
 
     def stop(self) -> None:
-        """The service is told to stop: it is not ready any more."""
+        """Report that the service stops, and is not ready any more."""
         self.troubles["stopping"] = "the service stops"
 
     def leave(self) -> None:
-        """Let those go whose requests have no end of their own."""
+        """End the requests that have no end of their own: live bodies and event streams."""
         self.bodies.close()
         self.feeds.close()
 
     async def do(self, command: Command, known: ReadAlready | None = None) -> Any:
-        """Do ``command``; return what it gives when it is kept. Who publishes waits a moment for
-        those who read the stream."""
+        """Execute ``command``, and return its result when the log has kept it. After a batch, wait
+        a limited time for the units that read the stream (back-pressure)."""
         if not isinstance(command, ANYTIME):
-            await self.keeper.quiet()
+            await self.keeper.windows_closed()
         found = self.keeper.do(command, known)
         await self.keeper.kept()
         if isinstance(command, Publish | EndStream):
@@ -123,12 +123,12 @@ class Service:
         return found
 
     def tick(self) -> None:
-        """Tell the engine the time, and event stream clients which streams are gone."""
+        """Tick the engine, end event streams of removed streams, review memory and collector."""
         self.keeper.do(Tick(self.clock()))
         self.feeds.review()
         self.memory.review()
-        if self.garbage is not None:
-            self.garbage.review()
+        if self.collector is not None:
+            self.collector.review()
 
 
 async def _service(request: Request) -> Service:
@@ -137,4 +137,4 @@ async def _service(request: Request) -> Service:
 
 
 Context = Annotated[Service, Depends(_service)]
-"""The parameter of a route that gives it the service."""
+"""The type of a route's parameter for the service."""

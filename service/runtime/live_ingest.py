@@ -1,8 +1,9 @@
-"""Samples that are published while the body of their request comes (docs/api.md, "Live samples").
+"""Samples that are published while their request arrives (docs/reference/streams.md).
 
-One request for as long as its sender has something to say: what has arrived by now is one call of
-the engine, so that several small parts that wait are taken together. `LiveBodies` has those under
-way, `LiveLines` and `LiveTables` cut a body into what is complete. Used by routes/live.
+A sender keeps one request open as long as it has samples. One call of the engine publishes all
+that has arrived, so several small parts are one batch. `LiveBodies` has the bodies under way;
+`LiveLines` and `LiveTables` cut a body into complete lines and record batches. Called by
+routes/live.
 """
 
 from __future__ import annotations
@@ -26,11 +27,10 @@ from ...converters.arrow.stream import (
     joined,
     samples_of_table,
 )
-from ...converters.bad_lines import mixed_times
 from ...converters.errors import WireError
 from ...converters.ndjson import decode_ndjson
-from ...converters.rounding import Rounded
-from ...converters.wire import BOM, BatchLimits, Incoming
+from ...converters.ndjson_errors import mixed_times
+from ...converters.wire import BOM, BatchLimits, Incoming, Rounded
 from ...engine.durability.commands import BatchKind, Publish
 from ...engine.engine import Engine
 from ...streams.generator import StreamGenerator
@@ -38,27 +38,27 @@ from ...streams.time import Clock
 from ..admission.gate import CALLER, revoked
 from ..admission.tokens import Caller, Scope, Tokens
 from ..durability.command_queue import Keeper
-from ..http.body_limit import HELD, Held
+from ..http.body_limit import BODY, Body
 from ..http.problems import Problem
 from ..sse.clients import OPEN
-from ..turns.fibers import let_others
+from ..turns.backlog_task import let_others
 
 _PART = 1 << 16
-"""So many bytes are worked off together: some milliseconds of work."""
+"""Bytes that are processed before others get a turn: some milliseconds of work."""
 _TOGETHER = 1 << 20
-"""So many bytes of columns are published together: a record batch has as many as it likes, up to
-the limits of one."""
+"""Bytes of columns that are published together, at least one record batch of any size within its
+limits."""
 _LINE = re.compile(rb"[^\n]*\n|[^\n]+")
 
 
 class LiveSamples(ABC):
-    """The samples of one body, published into stream ``name`` as they come.
+    """The samples of one body, published into stream ``name`` as they arrive.
 
-    Law (tests/laws): what is accepted and what is refused does not depend on how the bytes were
-    cut; it equals publishing sample by sample (record batch by record batch) until one is refused.
+    Law (tests/laws): the accepted samples do not depend on how the bytes were cut. They equal those
+    of publishing sample by sample (record batch by record batch) until the first error.
 
     Errors: those of decoding and of `Engine.publish`; a `WireError` counts lines (rows) from the
-    body's beginning. What was published before stays; ``accepted`` counts it.
+    body's beginning. Samples published before the error stay; ``accepted`` counts them.
     """
 
     def __init__(
@@ -71,47 +71,47 @@ class LiveSamples(ABC):
     ) -> None:
         self.accepted = 0
         self.rounded: Rounded | None = None
-        """Which numbers of those were rounded."""
+        """The accepted numbers that were rounded."""
         self._limits = limits
         self._engine = engine
         self._keeper = keeper
         self._name = name
         self._clock = clock
         self._before = 0
-        """Lines (rows) of the body that are done with."""
+        """Lines (rows) of the body that are processed."""
         self._stamped: bool | None = None
 
     @property
     @abstractmethod
     def held(self) -> int:
-        """Bytes that have come and are not published."""
+        """Bytes that have arrived and are not published."""
 
     @abstractmethod
     def take(self, data: bytes) -> bool:
-        """Publish what is complete with ``data``, as much as there is time for. Whether there may
-        be more of it, which is published when nothing more has come (``b""``)."""
+        """Publish the samples that ``data`` completes, as many as one turn allows. Return whether
+        more may be left; a call with ``b""`` publishes them."""
 
     @abstractmethod
     def end(self) -> None:
-        """The body is whole: publish what is left."""
+        """Publish the rest of a complete body."""
 
     async def keep_up(self) -> bool:
-        """Wait while too much waits to be kept, and a moment for those who read the stream; whether
-        these take more samples now. Raises `JournalError`."""
+        """Back-pressure: wait for the log, and a limited time for the units that read the stream.
+        Return whether these can take more samples. Raises `JournalError`."""
         if self._keeper.is_behind:
             await self._keeper.kept()
         await self._keeper.caught_up(self._name)
-        # Of a stream that was removed meanwhile the next sample reports it.
+        # If the stream was removed meanwhile, the next sample raises the error.
         there = self._engine.has_stream(self._name)
         return not there or not self._keeper.is_overloaded(self._name)
 
     def _target(self) -> StreamGenerator:
-        """Asked each time: the stream may have been declared anew, or removed, meanwhile."""
+        """The stream's generator, looked up each time: it may have been replaced or removed."""
         return self._engine.accepting(self._name)
 
     def _publish(self, incoming: Incoming, kind: BatchKind, body: bytes, line: int) -> None:
-        """``incoming`` is what ``body`` says. ``line`` is the first one's: available times are in
-        all samples of a body or in none."""
+        """Publish ``incoming``, decoded from ``body``, whose first sample is at ``line``. Either
+        all samples of a body have available times, or none."""
         if self._stamped not in (None, incoming.stamped):
             raise mixed_times(line)
         batch = Publish(self._name, kind, body, self._clock())
@@ -122,7 +122,7 @@ class LiveSamples(ABC):
         self._stamped = incoming.stamped
 
     def _note(self, rounded: Rounded | None) -> None:
-        """Count what was rounded in the part that comes next."""
+        """Count the rounded numbers of the part that comes next."""
         if rounded is None:
             return
         if self.rounded is None:
@@ -131,7 +131,7 @@ class LiveSamples(ABC):
             self.rounded = replace(self.rounded, count=self.rounded.count + rounded.count)
 
     def _placed(self, error: WireError) -> WireError:
-        """An error in what comes next, as one of the body."""
+        """An error in the part that comes next, with its place in the body."""
         if error.line is not None:
             error.line += self._before
         return error
@@ -140,7 +140,7 @@ class LiveSamples(ABC):
 class LiveLines(LiveSamples):
     """NDJSON: a line is complete with its line feed, the last one with the body.
 
-    Cost: as `decode_ndjson`; a part with a bad line is decoded once more up to it.
+    Cost: as `decode_ndjson`; the lines before a bad one are decoded twice.
     """
 
     def __init__(
@@ -152,7 +152,7 @@ class LiveLines(LiveSamples):
         limits: BatchLimits | None = None,
     ) -> None:
         super().__init__(engine, keeper, name, clock, limits)
-        # How many lines come together is chance, and no more than a body has.
+        # The number of lines that arrive together is accidental, so it has no limit.
         self._limits = limits and replace(limits, samples=sys.maxsize)
         self._rest = bytearray()
 
@@ -177,7 +177,7 @@ class LiveLines(LiveSamples):
 
     def _take_lines(self, lines: bytes) -> None:
         while lines and self._target().is_open:
-            # Its fields are those of the first line, not of as many as came with it.
+            # The first line alone defines the fields of an open stream.
             cut = lines.find(b"\n") + 1 or len(lines)
             self._take_part(lines[:cut])
             lines = lines[cut:]
@@ -185,16 +185,12 @@ class LiveLines(LiveSamples):
             self._take_part(lines)
 
     def _take_part(self, lines: bytes) -> None:
-        """Publish whole lines; of those with a bad one all before it."""
+        """Publish complete lines, up to a bad one."""
         try:
             self._decode_and_publish(lines)
         except WireError as error:
             rows = _LINE.findall(lines)
-            if error.line is None and len(rows) > 1:
-                for row in rows:
-                    self._take_part(row)
-                return
-            # One before it may be bad in a way that is looked for later: then that one is told.
+            # The lines before it may have an error that decoding checks later; that one counts.
             if before := b"".join(rows[: (error.line or 1) - 1]):
                 self._take_part(before)
             error.line = 1
@@ -206,7 +202,7 @@ class LiveLines(LiveSamples):
         if not text.strip():
             return
         generator = self._target()
-        # Not at the body's beginning, a byte order mark is no more than a bad line.
+        # A byte order mark is valid at the body's beginning only.
         if text.startswith(BOM):
             raise WireError(1, "not JSON: a byte order mark", "send one JSON object a line")
         self._keeper.check_room(len(text))
@@ -216,7 +212,7 @@ class LiveLines(LiveSamples):
 
 
 class LiveTables(LiveSamples):
-    """An Arrow IPC stream, or several one after the other: a record batch is taken whole or refused
+    """An Arrow IPC stream, or several in sequence. A record batch is accepted or refused as a
     whole."""
 
     def __init__(
@@ -257,10 +253,10 @@ class LiveTables(LiveSamples):
             self._take_alike(list(alike))
 
     def _take_alike(self, tables: list[Any]) -> None:
-        """Publish tables of the same columns together; where one is bad, one by one up to it."""
+        """Publish tables of the same columns together; if one is bad, one by one up to it."""
         table = joined(tables)
         generator = self._target()
-        # What is decoded stays with the stream's texts: not of what cannot be kept.
+        # Before decoding, which adds texts to the stream's pools.
         self._keeper.check_room(table.nbytes)
         try:
             incoming = samples_of_table(
@@ -282,7 +278,7 @@ class LiveTables(LiveSamples):
 
 
 class _UnderWay:
-    """One body: ``wait`` is what it waits within for more."""
+    """One body under way: ``wait`` is the timeout of its next part."""
 
     __slots__ = ("caller", "wait")
 
@@ -291,14 +287,14 @@ class _UnderWay:
         self.wait: asyncio.Timeout | None = None
 
     def wake(self) -> None:
-        """It need not wait any longer."""
+        """End the wait for the next part."""
         if self.wait is not None and not self.wait.expired():
             self.wait.reschedule(0)
 
 
 class LiveBodies:
-    """Those that are under way, so that they can be let go when the service stops, or their token
-    is not among ``tokens`` any more."""
+    """The live bodies under way. They end when the service stops, or ``tokens`` no longer has their
+    token."""
 
     def __init__(self, tokens: Tokens = OPEN) -> None:
         self._under_way: set[_UnderWay] = set()
@@ -308,9 +304,9 @@ class LiveBodies:
     async def publish(self, request: Request, live: LiveSamples, patience: float) -> None:
         """Publish the samples of the request's body until it ends.
 
-        Raises what `LiveSamples` raises; 408, 401 and 503 `Problem` when nothing has come for
-        ``patience`` seconds, when the token is revoked and when the service stops;
-        `ClientDisconnect` when the client is gone.
+        Raises the errors of `LiveSamples`; a 408 `Problem` after ``patience`` seconds without data,
+        401 when the token is revoked, 503 when the service stops; `ClientDisconnect` when the
+        client leaves.
         """
         body = _UnderWay(request.scope.get(CALLER))
         self._under_way.add(body)
@@ -322,7 +318,7 @@ class LiveBodies:
     async def _publish(
         self, request: Request, under_way: _UnderWay, live: LiveSamples, patience: float
     ) -> None:
-        body: Held = request.scope[HELD]
+        body: Body = request.scope[BODY]
         while not self._closing:
             if not self._may_go_on(under_way):
                 raise revoked()
@@ -334,18 +330,18 @@ class LiveBodies:
                 live.end()
                 return
             body.keep(live.held)
-            # The request is not read meanwhile.
+            # Meanwhile the service reads nothing of the request.
             while not await live.keep_up() and not self._closing and self._may_go_on(under_way):
                 continue
         raise Problem(
             503,
             "the service stops",
-            "the body was not read to its end",
+            "the service did not read the body to its end",
             hint="send the samples that were not accepted when the service is back",
         )
 
     async def _take(self, live: LiveSamples, data: bytes) -> None:
-        """Publish what has come; of much of it a part at a time, with others in between."""
+        """Publish ``data`` in parts, and let other requests have a turn after each."""
         is_more = live.take(data[:_PART])
         start = _PART
         while is_more or start < len(data):
@@ -369,18 +365,18 @@ class LiveBodies:
             raise Problem(
                 408,
                 "nothing came",
-                f"nothing has come for {patience:g} seconds",
+                f"no data arrived for {patience:g} seconds",
                 hint="send an empty line now and then while there are no samples",
             ) from None
 
     def close(self) -> None:
-        """Let all go: the service stops. Each sender is told what was accepted."""
+        """End all bodies, since the service stops; the answers have the accepted samples."""
         self._closing = True
         for body in self._under_way:
             body.wake()
 
     def revoke(self) -> int:
-        """Let those go whose token is not accepted any more, or does not publish; how many."""
+        """End the bodies whose token was removed or may not publish; return their number."""
         gone = [body for body in self._under_way if not self._may_go_on(body)]
         for body in gone:
             body.wake()

@@ -1,7 +1,8 @@
-"""Metrics for Prometheus: requests as they happen, streams and units as they are when asked.
+"""Metrics for Prometheus: the service counts requests as they happen, and reads streams and units
+at each scrape.
 
-docs/operations.md lists them all. Streams and units are told by `stream_metrics`, since there may
-be tens of thousands; everything else by the client library of Prometheus.
+docs/reference/metrics.md lists the metrics. `stream_metrics` writes those of streams and units,
+since there may be tens of thousands; Prometheus' client library writes all others.
 """
 
 from __future__ import annotations
@@ -37,14 +38,14 @@ from .stream_metrics import StreamMetrics
 
 CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 _MOMENTS = (0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0)
-"""Bounds of histograms of what the event loop does, in seconds."""
+"""The buckets of histograms of the event loop, in seconds."""
 _METHODS = frozenset(("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"))
 OTHER = "other"
-"""The label of methods that nobody serves: whoever likes may send as many as there are words."""
+"""The label of unknown methods: a client may send any number of them."""
 
 
 class Metrics:
-    """The service's own registry: several services in one process do not meet."""
+    """The metrics of one service, in its own registry: a process may have several services."""
 
     def __init__(
         self,
@@ -58,14 +59,14 @@ class Metrics:
         memory: Memory,
         streams: int,
     ) -> None:
-        """``streams``: so many streams and units are told one by one."""
+        """``streams``: the number of streams, and of units, with lines of their own."""
         self._clock = clock
         self._keeper = keeper
         self._streams = StreamMetrics(engine, streams)
         self._journal = JournalState(keeper)
         self._registry = registry = CollectorRegistry()
         self._is_told = False
-        """Whether the log says that the disk does not answer."""
+        """Whether the log has the warning that the disk does not answer."""
         ProcessCollector(registry=registry)
         registry.register(_Service(engine, feeds, bodies, answers, memory))
         registry.register(self._journal)
@@ -73,7 +74,7 @@ class Metrics:
         registry.register(WorkerMetrics(isolation.pools))
         self._ready = Gauge("dyknow_ready", "Whether the service is ready", registry=registry)
         build = {"version": __version__, "python": sys.version.split()[0]}
-        Info("dyknow_build", "What runs", registry=registry).info(build)
+        Info("dyknow_build", "The running version", registry=registry).info(build)
         self._requests = Counter(
             "dyknow_http_requests",
             "Requests answered",
@@ -94,7 +95,7 @@ class Metrics:
         )
         self._reloads = Counter(
             "dyknow_tokens_reloads",
-            "How often the file of tokens was read again",
+            "Readings of the changed file of tokens",
             ["outcome"],
             registry=registry,
         )
@@ -103,13 +104,13 @@ class Metrics:
         self.tick_failures = Counter("dyknow_tick_failures", "Ticks that failed", registry=registry)
         self.tick_seconds = Histogram(
             "dyknow_tick_seconds",
-            "How long the engine took when it was told the time",
+            "Duration of ticks of the engine",
             registry=registry,
             buckets=_MOMENTS,
         )
         self.loop_lag = Histogram(
             "dyknow_event_loop_lag_seconds",
-            "How much later than it asked for a task got its turn",
+            "Delay of a timer of the event loop",
             registry=registry,
             buckets=_MOMENTS,
         )
@@ -121,15 +122,15 @@ class Metrics:
             self._seconds.labels(route).observe(seconds)
 
     def refused(self, reason: str) -> None:
-        """Count a refusal by what the service protects itself from."""
+        """Count a refusal by the title of its problem."""
         self._refusals.labels(reason).inc()
 
     def tokens_read(self, outcome: str) -> None:
-        """The file of tokens was read again."""
+        """Count a reading of the file of tokens."""
         self._reloads.labels(outcome).inc()
 
     def tell_readiness(self, reasons: Callable[[], list[str]]) -> None:
-        """``reasons`` says why the service is not ready."""
+        """Set the function that returns why the service is not ready."""
         self._ready.set_function(lambda: not reasons())
 
     async def text(self) -> bytes:
@@ -138,9 +139,9 @@ class Metrics:
             self._journal.use = await self._keeper.disk_use()
             self._is_told = False
         except (OSError, TimeoutError) as error:
-            # What is not known is not told; everything else is.
+            # Omit these metrics only.
             self._journal.use = None
-            if not self._is_told:  # once until it does: many may ask, again and again
+            if not self._is_told:  # one warning, not one a scrape
                 reason = str(error) or "it did not answer in time"
                 log().warning("the disk does not say how full it is", reason=reason)
             self._is_told = True
@@ -148,7 +149,7 @@ class Metrics:
 
 
 class _Service(Collector):
-    """Reads what the service counts itself at each scrape: nothing is counted twice."""
+    """Reads the counters of the service's parts at each scrape."""
 
     def __init__(
         self,
@@ -170,14 +171,14 @@ class _Service(Collector):
     def collect(self) -> Iterable[Metric]:
         clients = self._clients
         engine = self._engine
-        yield _gauge("dyknow_streams", "Streams that there are", len(engine.generators()))
-        yield _gauge("dyknow_units", "Units that there are", len(engine.units()))
+        yield _gauge("dyknow_streams", "Streams", len(engine.generators()))
+        yield _gauge("dyknow_units", "Computational units", len(engine.units()))
         yield _gauge(
             "dyknow_units_behind",
-            "Units with windows that wait to be closed",
-            len(engine.behind.units),
+            "Units with a backlog of windows",
+            len(engine.backlog.units),
         )
-        yield _gauge("dyknow_event_requests", "Event requests that run", len(engine.events()))
+        yield _gauge("dyknow_event_requests", "Running event requests", len(engine.events()))
         yield _gauge("dyknow_bodies", "Requests under way", self._bodies.bodies)
         yield _gauge("dyknow_bodies_bytes", "Bytes of bodies under way", self._bodies.bytes)
         answers = self._answers.all
@@ -185,13 +186,13 @@ class _Service(Collector):
         yield _gauge("dyknow_long_answers_bytes", "Bytes of long answers under way", answers.bytes)
         yield _refusals(
             "dyknow_long_answer_refusals",
-            "Long answers for which there was no place, by the limit",
+            "Long answers refused, by the limit",
             self._answers.refused,
         )
         memory = self._memory
         yield _gauge("dyknow_memory_limit_bytes", "Memory that the service may take", memory.limit)
         yield CounterMetricFamily(
-            "dyknow_memory_refusals", "Refused for want of memory", value=memory.refused
+            "dyknow_memory_refusals", "Requests refused for lack of memory", value=memory.refused
         )
         yield _gauge("dyknow_event_stream_clients", "Clients of event streams", len(clients))
         yield _gauge(
@@ -210,7 +211,7 @@ class _Service(Collector):
         yield ends
         yield _refusals(
             "dyknow_event_stream_refusals",
-            "Clients for whom there was no place, by the limit",
+            "Clients of event streams refused, by the limit",
             clients.refused,
         )
 

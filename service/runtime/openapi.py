@@ -1,4 +1,4 @@
-"""The OpenAPI schema of the application: problems, scopes, and what leads where."""
+"""The OpenAPI schema of the application, with problems, scopes and links."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ..http import problems
 from ..models import READ_BY_ROUTES
 
 ASKING = ("/match", "/session", "/sparql")
-"""Paths to which is posted what changes nothing that is kept."""
+"""Paths whose POST changes nothing that the log keeps."""
 MADE = {
     "/streams": "name",
     "/templates": "name",
@@ -23,11 +23,11 @@ MADE = {
     "/subscriptions": "id",
     "/transformations": "name",
 }
-"""Where things are made, and what of an answer names the thing, in the answer as in paths."""
+"""The paths that create things, and the member of an answer, and of paths, that names one."""
 
 
 def openapi_schema(app: FastAPI) -> dict[str, Any]:
-    """The schema of ``app``, made once."""
+    """The schema of ``app``, cached."""
     if app.openapi_schema is None:
         schema = get_openapi(
             title=app.title,
@@ -46,7 +46,7 @@ def openapi_schema(app: FastAPI) -> dict[str, Any]:
 
 
 def _say_models(components: dict[str, Any]) -> None:
-    """With the model of problems, and without FastAPI's own form of errors."""
+    """Replace FastAPI's models of errors by the one of problems, and add the models of bodies."""
     models = components.setdefault("schemas", {})
     for name in ("HTTPValidationError", "ValidationError"):
         models.pop(name, None)
@@ -61,7 +61,7 @@ def _say_models(components: dict[str, Any]) -> None:
 
 
 def _say_refusals(method: str, path: str, operation: dict[str, Any]) -> None:
-    """What is refused wherever something is sent, kept or wanted a token for."""
+    """Add the scope of an operation, and the problems of bodies, of the log and of values."""
     scope = scope_of_operation(method, path)
     operation["security"] = [] if scope is None else [{"token": [str(scope)]}]
     if "requestBody" in operation:
@@ -74,7 +74,7 @@ def _say_refusals(method: str, path: str, operation: dict[str, Any]) -> None:
 
 
 def _say_links(paths: dict[str, Any], path: str, key: str) -> None:
-    """An answer that made something says which operations take it by its name."""
+    """Link the answers that create something to the operations on it."""
     own = f"{path}/{{{key}}}"
     users = [
         (name, operation)

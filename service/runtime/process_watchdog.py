@@ -1,15 +1,17 @@
-"""Deadlines for user-written processes: their code runs on a thread of its own, and who does not
-come back is left there (see engine/processes/supervision.py).
+"""Deadlines for user-written processes, whose code runs on a thread of its own (see
+engine/processes/supervision.py).
 
-Python cannot end a thread. One that is stuck is abandoned: it is a daemon, so it does not keep the
-service alive; what it gives at last goes nowhere; and the next call gets a new thread.
+Python cannot end a thread, so the watchdog abandons a blocked one. It is a daemon thread, which
+does not keep the service alive; its late result is discarded; the next call gets a new thread.
 """
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from typing import Any, Generic, TypeVar
+from concurrent.futures import Future
+from queue import SimpleQueue
+from typing import Any, TypeVar
 
 from ...engine.processes.external_io import Tape
 from ...engine.processes.supervision import UnitBlocked
@@ -18,16 +20,16 @@ from ...streams.time import SECOND, format_duration
 T = TypeVar("T")
 
 _LOOKS = 4
-"""So many looks without progress make a deadline: after the machine slept, one look proves
+"""Checks without progress that make a deadline. After the machine slept, a single one would prove
 nothing."""
 
 
 class Watchdog:
-    """A `Runner` with a deadline. One thread serves all processes, one call at a time, as the
-    engine makes them; ``abandoned`` counts the threads that were left behind.
+    """A `Runner` with a deadline. One thread runs all processes, one call at a time, as the engine
+    makes them; ``abandoned`` counts the abandoned threads.
 
-    Contract: a process touches nothing of the engine. What it does to its own things it does on
-    another thread than the engine's, the same one as long as nothing blocks.
+    Contract: a process does not use the engine. It runs on another thread than the engine, on the
+    same one as long as no call blocks.
 
     Cost: two thread switches a run (a run is a batch of calls). ``deadline`` None: no switch.
     """
@@ -39,90 +41,58 @@ class Watchdog:
         self._worker: _Worker | None = None
 
     def run(self, work: Callable[[], T], deadline: int | None, progress: Callable[[], int]) -> T:
-        """See `Runner`. A process that is called from within another has the outer one's
-        deadline."""
+        """See `Runner`. A process that another process calls has the deadline of the caller."""
         if deadline is None or isinstance(threading.current_thread(), _Worker):
             return work()
         worker = self._worker
         if worker is None:
             worker = self._worker = _Worker()
             worker.start()
-        task = _Task(work)
+        result: Future[T] = Future()
         try:
-            worker.take(task)
-            if not _finished(task, deadline, progress):
+            worker.calls.put((work, result))
+            if not _finished(result, deadline, progress):
                 raise UnitBlocked(f"it did not come back within {format_duration(deadline)}")
-        except BaseException:  # blocked, or whoever waits was interrupted: it may run for ever
+        except BaseException:  # blocked, or this wait was interrupted: the call may not return
             self._worker = None
             self.abandoned += 1
-            worker.leave()
+            worker.calls.put(None)
             raise
-        return task.result()
+        return result.result()
 
     def close(self) -> None:
-        """Let the thread go that waits for work."""
+        """End the thread that waits for work."""
         if self._worker is not None:
-            self._worker.leave()
+            self._worker.calls.put(None)
             self._worker = None
 
 
-def _finished(task: _Task[Any], deadline: int, progress: Callable[[], int]) -> bool:
-    """Wait while there is progress; False once there was none for ``deadline`` ns."""
+def _finished(result: Future[Any], deadline: int, progress: Callable[[], int]) -> bool:
+    """Wait for ``result``; False after ``deadline`` ns without progress."""
     seen, quiet = progress(), 0
     while quiet < _LOOKS:
-        if task.done.wait(min(deadline / SECOND / _LOOKS, threading.TIMEOUT_MAX)):
+        try:
+            # An error of the process is returned here; only the wait raises one.
+            result.exception(min(deadline / SECOND / _LOOKS, threading.TIMEOUT_MAX))
             return True
-        now = progress()
+        except TimeoutError:
+            now = progress()
         seen, quiet = (now, 0) if now != seen else (seen, quiet + 1)
     return False
 
 
-class _Task(Generic[T]):
-    def __init__(self, work: Callable[[], T]) -> None:
-        self.done = threading.Event()
-        self._work = work
-        self._result: list[T] = []
-        self._error: BaseException | None = None
-
-    def run(self) -> None:
-        try:
-            self._result.append(self._work())
-        except BaseException as error:  # noqa: BLE001  raised again where it is waited for
-            self._error = error
-        self.done.set()
-
-    def result(self) -> T:
-        if self._error is not None:
-            raise self._error
-        return self._result[0]
-
-
 class _Worker(threading.Thread):
+    """Runs ``calls`` one after the other, until it gets None."""
+
     def __init__(self) -> None:
         super().__init__(name="dyknow-process", daemon=True)
-        self._changed = threading.Condition()
-        self._task: _Task[Any] | None = None
-        self._left = False
-
-    def take(self, task: _Task[Any]) -> None:
-        with self._changed:
-            self._task = task
-            self._changed.notify()
-
-    def leave(self) -> None:
-        """Nobody will bring work any more: end once the present task has come back."""
-        with self._changed:
-            self._left = True
-            self._changed.notify()
+        self.calls: SimpleQueue[tuple[Callable[[], Any], Future[Any]] | None] = SimpleQueue()
 
     def run(self) -> None:
-        while True:
-            with self._changed:
-                while self._task is None and not self._left:
-                    self._changed.wait()
-                if self._left:
-                    return
-                task, self._task = self._task, None
-            if task is not None:
-                task.run()
-                del task  # an idle thread keeps no samples
+        while (call := self.calls.get()) is not None:
+            work, result = call
+            try:
+                result.set_result(work())
+            except BaseException as error:  # noqa: BLE001  `Watchdog.run` raises it
+                result.set_exception(error)
+            del call, work, result  # an idle thread keeps no samples

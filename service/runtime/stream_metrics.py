@@ -1,8 +1,8 @@
 """Metrics of each stream and unit, in the text format of Prometheus.
 
-There may be tens of thousands of streams: lines are written straight from the counters, and after
-some of them everybody else gets a turn. The oldest `most` streams and units have lines of their
-own; all others are told together, under empty labels. Cost: about 10 µs a stream.
+There may be tens of thousands of streams: this module writes lines directly from the counters, and
+yields to other requests after some of them. The oldest `most` streams and units have lines of their
+own; all others have common lines with empty labels. Cost: about 10 µs a stream.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from ...streams.generator import StreamGenerator
 from ...streams.time import SECOND
 
 SLICE = 200
-"""So many streams are written before the event loop looks at anything else."""
+"""Streams that are written before the event loop gets a turn."""
 _LINES = 10_000
 Families: TypeAlias = tuple[tuple[str, str, str, tuple[str, ...]], ...]
-"""Name, type and text of metrics, and the labels that tell several values of one apart."""
+"""Name, type and text of metrics, and the labels that distinguish several values of one."""
 _STREAMS: Final[Families] = (
     (
         "dyknow_samples_total",
@@ -65,21 +65,21 @@ _UNITS: Final[Families] = (
     ),
 )
 _FAILED: Final = ((None, None), (1, None), (None, 1))
-"""Of no failure, an error, a quarantine: what ``dyknow_unit_failed`` tells by reason."""
+"""The values of ``dyknow_unit_failed`` by reason: without failure, for an error, a quarantine."""
 Values: TypeAlias = Sequence[float | None]
-"""One value a line, in the order of the families; None: there is no line."""
+"""One value a line, in the order of the families; None: no line."""
 
 
 class StreamMetrics:
-    """Those of the streams and units of ``engine``; of at most ``most`` each one by one."""
+    """The metrics of the streams and units of ``engine``, ``most`` of each in own lines."""
 
     def __init__(self, engine: Engine, most: int) -> None:
         self._engine = engine
-        self._streams = _Told(_STREAMS, most)
-        self._units = _Told(_UNITS, most)
+        self._streams = _Lines(_STREAMS, most)
+        self._units = _Lines(_UNITS, most)
 
     async def text(self, now: int) -> bytes:
-        """All families of streams and units at the time ``now`` (ns)."""
+        """The text of all families of streams and units at the time ``now`` (ns)."""
         generators = self._engine.generators()
         streams = (
             (f'stream="{escaped(each.name)}"', _stream_values(each, now)) for each in generators
@@ -91,7 +91,7 @@ class StreamMetrics:
 
 def _stream_values(generator: StreamGenerator, now: int) -> Values:
     counters, stream = generator.counters, generator.stream
-    # An end is no delay.
+    # A stream that has ended has no lag.
     last = None if generator.is_ended else stream.last_available
     watermark = None if generator.is_ended else generator.watermark
     return (
@@ -130,8 +130,8 @@ def _unit_values(unit: ComputationalUnit) -> Values:
     )
 
 
-class _Told:
-    """The lines of some families, of at most ``most`` things one by one."""
+class _Lines:
+    """The lines of some families: of ``most`` things their own, of the others common ones."""
 
     def __init__(self, families: Families, most: int) -> None:
         self._families = families
@@ -139,12 +139,12 @@ class _Told:
         self._kinds = [kind for _, kind, _, labels in families for _ in labels]
         self._is_lag = ["_lag_" in name for name, _, _, labels in families for _ in labels]
         self._counted: list[float] = [0.0] * len(self._kinds)
-        """Of what is told together: the sums of counters, which never fall."""
+        """The counters in the common lines, which never decrease."""
         self._before: list[float] = [0.0] * len(self._kinds)
-        """The same, as they were found at the last scrape."""
+        """The sums of these counters at the last scrape."""
         self._summing = asyncio.Lock()
-        """One scrape sums at a time: the older sums of one that ends later would make the next find
-        an increase again that was counted."""
+        """One scrape sums at a time: if an earlier scrape ended later, its older sums would make
+        the next one count an increase twice."""
 
     async def text(self, things: Iterable[tuple[str, Values]], others: str) -> bytes:
         async with self._summing:
@@ -179,8 +179,8 @@ class _Told:
                     further[i] = max(known, value) if self._is_lag[i] else known + value
 
     def _count(self, further: list[float | None]) -> None:
-        """What goes takes what it has counted with it, which would look as if all were counted
-        anew: a sum grows by what was added since the last scrape, and never falls."""
+        """Keep the counters of common lines from decreasing when a thing is removed, which would
+        look like a restart: each grows by the increase of the sum since the last scrape."""
         for i, kind in enumerate(self._kinds):
             if kind == "counter":
                 found = further[i] or 0.0

@@ -1,7 +1,8 @@
-"""What is done beside the start so that the first requests need not wait for it: compiled loops,
-worker processes, grammars, tables of units, the schema of the routes.
+"""The warm-up in threads beside the start, for which the first requests would otherwise wait:
+compiled loops, worker processes, grammars, tables of units, the OpenAPI schema.
 
-The service is not ready before it is over (docs/operations.md, "Readiness"). Used by cli/serve.
+The service is not ready before its end (docs/reference/metrics.md, "Readiness"). Called by
+cli/serving.
 """
 
 from __future__ import annotations
@@ -21,15 +22,15 @@ from ..workers.pool import Pool
 from ..workers.worker import WorkerError
 
 _PATIENCE = 30.0
-"""Seconds for one loop, on a slow machine."""
+"""Seconds to compile one loop, on a slow machine."""
 
 
 class _Over(Exception):
-    """The service stops."""
+    """Ends the warm-up when the service stops."""
 
 
-class Warming:
-    """Work in threads of its own, each with a name for people. `reasons` may be asked in any."""
+class WarmUp:
+    """Tasks in threads, each with a name for /readyz. Any thread may call `reasons`."""
 
     def __init__(self) -> None:
         self._doing: dict[str, str] = {}
@@ -37,11 +38,11 @@ class Warming:
         self._is_over = False
 
     def reasons(self) -> list[str]:
-        """What is not over, or has failed: nothing when all is done."""
+        """The tasks that are unfinished or have failed."""
         return [f"{name}: {doing}" for name, doing in tuple(self._doing.items())]
 
     def begin(self, name: str, doing: str, work: Callable[[], None]) -> threading.Thread:
-        """Do ``work`` beside everything else."""
+        """Start ``work`` in a thread."""
         self._doing[name] = doing
         thread = threading.Thread(
             target=self._run, args=(name, work), name=f"warm-{name}", daemon=True
@@ -55,7 +56,7 @@ class Warming:
             work()
         except _Over:
             return
-        except Exception as error:  # noqa: BLE001 - told by log and /readyz
+        except Exception as error:  # noqa: BLE001 - the log and /readyz report it
             log().exception("warm-up failed", what=name)
             self._doing[name] = f"failed: {error}"
         else:
@@ -72,15 +73,14 @@ class Warming:
         self.begin("loops", "being compiled", lambda: compile_all(tell))
 
     def end(self) -> None:
-        """The service stops: what is under way comes to an end that it can come to soon. A thread
-        that the interpreter's end finds within the compiler would take the process down with it."""
+        """Stop compiling, and wait for the threads. A thread within the compiler at the end of the
+        interpreter would crash the process."""
         self._is_over = True
         for thread in self._threads:
             thread.join(_PATIENCE)
 
     def workers(self, name: str, pool: Pool) -> None:
-        """Start the workers of a pool. That they cannot be started is for the pool to tell, which
-        tries again."""
+        """Start the workers of a pool. If that fails, the pool tries again and reports it."""
 
         def start() -> None:
             try:
@@ -91,9 +91,8 @@ class Warming:
         self.begin(f"workers for {name}", "being started", start)
 
     def application(self, app: FastAPI) -> None:
-        """What routes make when they are first asked. When all is done, have the garbage collector
-        pass over everything: it stays for good, and a collection that looks at it lets everybody
-        wait for 100 ms."""
+        """Create what routes create at their first request. After all other tasks, exclude all
+        objects from garbage collections: they are permanent, and examining them takes 100 ms."""
         others = tuple(self._threads)
 
         def rehearse() -> None:

@@ -1,4 +1,5 @@
-"""Samples as messages of server-sent events, each encoded once for all clients (docs/api.md).
+"""Samples as messages of server-sent events, each encoded once for all clients
+(docs/reference/streams.md).
 
 A `Block` has the messages of consecutive samples and grows at its end; `Blocks` are those of one
 stream, `MessageCache` bounds the bytes of all. Used by sse, which says what to encode.

@@ -1,4 +1,4 @@
-"""Several streams on one connection, resumed by one id (docs/api.md, "Several streams").
+"""Several streams on one connection, resumed by one id (docs/reference/streams.md).
 
 Each stream has a cursor of its own; a sample's message gets an id that says how far the client has
 got in all of them: ``<epoch>-<names>-<position>.<position>…``, the positions in the order of the
@@ -15,7 +15,7 @@ from fastapi import Request
 from fastapi.responses import Response
 
 from ...engine.model.errors import UnknownStream
-from ...streams.recall import Moment
+from ...streams.past_queries import Moment
 from ..config.media_types import EVENT_STREAM
 from ..http.negotiation import accepted
 from ..http.problems import Problem

@@ -11,16 +11,14 @@ from __future__ import annotations
 import asyncio
 import socket
 from collections.abc import AsyncIterator, Mapping
-from typing import Final, Protocol
+from typing import Protocol
 
 from sse_starlette import EventSourceResponse
 from starlette.types import Receive, Scope, Send
 
-from ..http.connection_limits import EVENTS, drop
+from ..http.connection_limits import EVENTS, TRANSPORT, drop
 from .clients import EventClient, EventClients
 
-TRANSPORT: Final = "dyknow.transport"
-"""In the ``state`` of a request's scope: its connection's transport, where the server tells it."""
 SEND_BUFFER = 64 * 1024
 """Bytes that the kernel holds of what a client does not take (it reckons with twice that)."""
 OPENING = b": dyknow\n"

@@ -1,8 +1,8 @@
-"""Closing windows between everybody's requests (docs/design/0010-turns.md).
+"""Close due windows between requests (docs/explanation/design/0010-turns.md).
 
-A command makes windows due. They are closed for a moment before it is answered, which is enough for
-most, then a little at a time, with others in between. Without turns nobody is ever behind, and
-nothing here waits.
+A command makes windows due. The service closes them for a moment before it answers, which is enough
+for most; then a task closes the rest a little at a time, with requests in between. Without turns
+windows close within the command, and the backlog stays empty.
 """
 
 from __future__ import annotations
@@ -15,149 +15,167 @@ from typing import Final, Protocol
 
 from ...engine.durability.commands import ANYTIME, Command
 from ...engine.engine import Engine
-from ...engine.units.backlog import Behind
+from ...engine.units.backlog import Backlog
 from ...journal.errors import JournalError
-from .fibers import FURTHER, let_others, waking
-from .window_turns import FIRST, Pausing
+from .window_turns import FIRST, FURTHER, WindowTurns
 
-_LOOK: Final = 0.01
-"""Seconds between two looks whether a stream's readers have caught up."""
+_POLL: Final = 0.01
+"""Seconds between two looks at a stream's readers."""
 _PATIENCE: Final = 2.0
-"""Seconds that who publishes waits for them: so a replay goes as fast as its queries do."""
+"""Seconds that a publisher waits for the readers of its stream, which paces a replay."""
+_PASSES: Final = 3
+"""Passes of the event loop between two turns: a request takes several."""
 
 
-class GoOn(Protocol):
-    """Close windows until the time is over, and write down which (`Engine.go_on`)."""
+class Work(Protocol):
+    """Close windows until the time is over, and log which (`Engine.work_backlog`)."""
 
     def __call__(self, *, new: bool = False, begins: bool = True) -> None:
-        """Raises `JournalError`: none is closed then."""
+        """Raises `JournalError` and closes no window then."""
 
 
-class CatchingUp:
-    """Closes the windows that are due in ``engine``, by ``go_on``, in its loop's thread.
+class BacklogTask:
+    """Works off the backlog of ``engine`` by calling ``work`` in the event loop's thread.
 
-    ``ended`` is called when nobody is behind any more, ``failed`` for what should never happen.
+    It calls ``ended`` when the backlog is empty again, and ``failed`` for an error in the program.
     """
 
     def __init__(
         self,
         engine: Engine,
-        go_on: GoOn,
+        work: Work,
         ended: Callable[[], None],
         failed: Callable[[Exception], None],
     ) -> None:
         self._engine = engine
-        self._go_on = go_on
+        self._work = work
         self._ended = ended
         self._failed = failed
-        turns = engine.behind.turns
-        self._pausing = turns if isinstance(turns, Pausing) else None
+        turns = engine.backlog.turns
+        self._turns = turns if isinstance(turns, WindowTurns) else None
         self._task: asyncio.Task[None] | None = None
         self._woken = asyncio.Event()
         self._is_stuck = False
-        """The log takes nothing at present, so nothing is closed or taken."""
+        """The log takes no records at present, so no windows close."""
         self._holding = 0
-        """So many wait until no window is half done."""
+        """Callers of `windows_closed` that wait."""
 
     @property
-    def _behind(self) -> Behind:
-        return self._engine.behind
+    def _backlog(self) -> Backlog:
+        return self._engine.backlog
 
     def before(self, command: Command) -> None:
-        """``command`` comes next. Who could wait has (`quiet`); for the others the window that is
-        half done is closed, and written down before. Raises `JournalError`."""
-        if self._behind.is_within and not isinstance(command, ANYTIME):
-            self._behind.finish()
-            self._close_for(0.0, begins=False)
+        """Close and log the window that is half done, before ``command``. Callers that can wait
+        use `windows_closed` first. Raises `JournalError`."""
+        if self._backlog.is_mid_window and not isinstance(command, ANYTIME):
+            self._backlog.finish_windows()
+            self._work_for(0.0, begins=False)
 
     def after_command(self) -> None:
-        """A command is done: close what it made due, for a moment, and the rest in turns."""
-        if self._behind.has_new and not self._holding:
-            with suppress(JournalError):  # told, and tried again
-                self._close_for(FIRST, new=True)
-        if self._behind and self._task is None:
+        """Close for a moment what a command made due, and leave the rest to the task."""
+        if self._backlog.has_new and not self._holding:
+            with suppress(JournalError):  # `Keeper` reports it, and the task tries again
+                self._work_for(FIRST, new=True)
+        if self._backlog and self._task is None:
             self._task = asyncio.get_running_loop().create_task(self._catch_up(), context=Context())
         self._woken.set()
 
-    async def quiet(self, is_stuck: Callable[[], bool]) -> None:
-        """Return when no window is half done: before what changes more than streams. While
-        ``is_stuck`` none can be told of."""
+    async def windows_closed(self, is_stuck: Callable[[], bool]) -> None:
+        """Return when no window is half done, before a change of more than streams. While
+        ``is_stuck`` the log takes no records; a half-done window is closed at once then."""
         self._holding += 1
         try:
-            while self._behind.is_within:
+            while self._backlog.is_mid_window:
                 if is_stuck():
-                    self._behind.finish()
+                    self._backlog.finish_windows()
                     return
                 await asyncio.sleep(0.001)
         finally:
             self._holding -= 1
 
     async def caught_up(self, stream: str) -> None:
-        """Return when nobody who reads ``stream`` is behind, or a moment has passed and none of
+        """Return when the readers of ``stream`` have caught up, or after two seconds if none of
         them takes parts of a batch."""
-        if not self._behind:
+        if not self._backlog:
             return
         loop = asyncio.get_running_loop()
         until = loop.time() + _PATIENCE
-        while behind := self._engine.behind_of(stream):
-            # Else any number of samples would wait to be taken.
-            takes = any(unit.is_taking for unit in behind)
+        while readers := self._engine.backlog_of(stream):
+            # Without this wait the parts of any number of batches would pile up.
+            takes = any(unit.is_taking_parts for unit in readers)
             if loop.time() >= until and (not takes or self._is_stuck or self._task is None):
                 break
-            await asyncio.sleep(_LOOK)
+            await asyncio.sleep(_POLL)
 
     def is_overloaded(self, stream: str) -> bool:
-        """Whether more samples for ``stream`` have to wait outside: a unit that reads it has worked
-        for as long as a publisher waits, and is behind still. So a recording cannot be sent faster
-        than it is evaluated, until some unit is cut off for it.
+        """Whether the service refuses samples of ``stream`` for now: a reader has worked for as
+        long as a publisher waits and has not caught up. Without this a recording would arrive
+        faster than it is evaluated, until its queries are cut off.
 
-        Samples that are stamped on arrival do not wait: they would be other samples then.
+        Samples that are stamped on arrival are taken: later they would be other samples.
         """
-        pausing = self._pausing
-        if pausing is None or not self._behind or self._is_stuck or self._task is None:
+        turns = self._turns
+        if turns is None or not self._backlog or self._is_stuck or self._task is None:
             return False
         generator = self._engine.generator(stream)
         if generator.stamped is not False:
             return False
-        most = min(_PATIENCE, pausing.most / 4)
-        return any(unit.spent >= most for unit in self._engine.behind_of(generator.name))
+        most = min(_PATIENCE, turns.limit / 4)
+        return any(unit.spent >= most for unit in self._engine.backlog_of(generator.name))
 
     def close(self) -> None:
-        """What is behind stays so."""
+        """Stop; the backlog stays as it is."""
         if self._task is not None:
             self._task.cancel()
-        if self._pausing is not None:
-            self._behind.finish()
-            self._pausing.close()
+        if self._turns is not None:
+            self._backlog.finish_windows()
+            self._turns.close()
 
-    def _close_for(self, seconds: float, *, new: bool = False, begins: bool = True) -> None:
-        assert self._pausing is not None
-        self._pausing.allow(seconds)
+    def _work_for(self, seconds: float, *, new: bool = False, begins: bool = True) -> None:
+        assert self._turns is not None
+        self._turns.allow(seconds)
         try:
-            self._go_on(new=new, begins=begins)
+            self._work(new=new, begins=begins)
         except JournalError:
             self._is_stuck = True
             raise
         self._is_stuck = False
 
     async def _catch_up(self) -> None:
-        """Close windows, and let others do what they have to in between, until nobody is behind."""
-        assert self._pausing is not None
-        self._pausing.on_ready = waking(self._woken)
+        """Work in turns with the event loop until the backlog is empty."""
+        assert self._turns is not None
+        self._turns.on_ready = _waking(self._woken)
         try:
-            while self._behind:
+            while self._backlog:
                 await let_others()
-                if self._behind.is_waiting:
+                if self._backlog.is_waiting:
                     await self._woken.wait()
                 self._woken.clear()
-                if self._holding and not self._behind.is_within:
+                if self._holding and not self._backlog.is_mid_window:
                     continue
                 try:
-                    self._close_for(FURTHER, begins=not self._holding)
+                    self._work_for(FURTHER, begins=not self._holding)
                 except JournalError:
-                    await asyncio.sleep(_LOOK)
+                    await asyncio.sleep(_POLL)
             self._ended()
-        except Exception as error:  # noqa: BLE001  told by log and /readyz
+        except Exception as error:  # noqa: BLE001  `failed` logs it, and /readyz shows it
             self._failed(error)
         finally:
             self._task = None
+
+
+async def let_others() -> None:
+    """Let the other tasks of the event loop run."""
+    for _ in range(_PASSES):
+        await asyncio.sleep(0)
+
+
+def _waking(event: asyncio.Event) -> Callable[[], None]:
+    """Return a function that sets ``event`` of the running loop from any thread."""
+    loop = asyncio.get_running_loop()
+
+    def wake() -> None:
+        with suppress(RuntimeError):  # the loop has been closed
+            loop.call_soon_threadsafe(event.set)
+
+    return wake

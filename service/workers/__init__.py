@@ -1,6 +1,6 @@
 """Work of which nobody knows how long it takes, in processes that can be ended.
 
-docs/isolation.md says what is limited and what is told.
+docs/explanation/isolation.md says what is limited and what is told.
 
 `worker_main` is what runs there, `worker` one such process as its parent has it, `pool` several of
 them. What is asked of them is in `sparql` (queries), `rdf_documents` (RDF and what it entails),

@@ -11,7 +11,7 @@ import anyio.to_thread
 from ...continuous.columns.budget import Budget
 from ...ontology.ontology import Ontology
 from ..config.settings import MEBIBYTE, Settings
-from ..turns.window_turns import Pausing
+from ..turns.window_turns import WindowTurns
 from .oxigraph_client import IsolatedAsking
 from .pool import Pool
 from .rdf_documents import WAITING, IsolatedReasoning
@@ -42,7 +42,7 @@ class Windows:
         self._asking = IsolatedAsking(
             self.pool, SLOWER * self._deadline, settings.query_results, WINDOW_BYTES
         )
-        self.turns = Pausing(settings.query_seconds, settings.query_behind)
+        self.turns = WindowTurns(settings.query_seconds, settings.query_behind)
         self.budget = Budget(
             settings.query_rows, settings.query_results, WINDOW_BYTES, self._asking, self.turns
         )

@@ -2,7 +2,7 @@
 
 How a test is put as a continuous query, which are left out and why, and which fail, is in
 `w3c_sparql`. `DYKNOW_REWRITE=1 pytest tests/conformance/test_w3c_sparql.py` writes the tables of
-docs/sparql-conformance.md anew.
+docs/reference/sparql-conformance.md anew.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from dyknow.sparql import LanguageError, parse_sparql, print_query
 
 pytestmark = needs(w3c.FOLDER)
 
-DOCUMENT = ROOT / "docs" / "sparql-conformance.md"
+DOCUMENT = ROOT / "docs" / "reference" / "sparql-conformance.md"
 BEGIN, END = "<!-- tables: begin -->\n", "<!-- tables: end -->\n"
 
 

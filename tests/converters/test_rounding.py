@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from dyknow.converters.arrow.stream import bytes_of_table, decode_arrow
 from dyknow.converters.ndjson import decode_ndjson
 from dyknow.converters.recordings.recording import open_recording
-from dyknow.converters.rounding import Rounded
+from dyknow.converters.wire import Rounded
 from dyknow.streams.sample import Field, FieldType, Schema
 
 SCHEMA = Schema((Field("v", FieldType.FLOAT), Field("w", FieldType.FLOAT)))

@@ -303,3 +303,7 @@ def test_columns_of_arrow_that_are_not_plain_times():
     with pytest.raises(WireError, match="'valid'") as caught:
         decode_arrow(bytes_of_table(table), schema, {})
     assert caught.value.line == 9_001
+
+
+def test_lines_of_any_white_space_are_blank():
+    assert len(decode_ndjson(b"\x0b\n" + GOOD + b"\x0c \r\n" + GOOD, SCHEMA, {}).batch) == 2

@@ -1,4 +1,4 @@
-"""docs/queries.md: what it shows is parsed, printed and refused as it says."""
+"""docs/reference/queries.md: what it shows is parsed, printed and refused as it says."""
 
 import re
 
@@ -14,7 +14,7 @@ from dyknow.languages.csparql import (
 )
 from dyknow.languages.errors import LanguageError
 
-PAGE = (ROOT / "docs" / "queries.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "reference" / "queries.md").read_text(encoding="utf-8")
 EXAMPLES = re.findall(r"```sparql\n(.*?)```", PAGE, re.S)
 REFUSED = re.findall(r"```sparql refused\n(.*?)```\n\n```text\n(.*?)```", PAGE, re.S)
 

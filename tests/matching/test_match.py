@@ -9,7 +9,7 @@ from dyknow.languages.ssl.annotation import (
     Role,
     StreamAnnotation,
 )
-from dyknow.matching.fast import FastSearch
+from dyknow.matching.fast_search import FastSearch
 from dyknow.matching.goals import COMBINED
 from dyknow.matching.match import (
     MAX_DEPTH,

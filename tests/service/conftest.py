@@ -22,7 +22,7 @@ from dyknow.service.client.client import Client
 from dyknow.service.config.logs import LOG_NAME
 from dyknow.service.config.settings import Settings
 from dyknow.service.server import running
-from dyknow.service.turns.window_turns import Pausing
+from dyknow.service.turns.window_turns import WindowTurns
 from dyknow.streams.time import SECOND
 
 START = 1_633_633_973 * SECOND
@@ -55,7 +55,7 @@ def recorded(request: pytest.FixtureRequest, tmp_path: Path) -> RecordedEngine |
     if not request.config.getoption("--recorded"):
         return None
     found = RecordedEngine(
-        tmp_path / "data", now=0, durability=Durability.WRITE, turns=Pausing(5, 60)
+        tmp_path / "data", now=0, durability=Durability.WRITE, turns=WindowTurns(5, 60)
     )
     found.engine.epoch = "e1"
     return found
@@ -63,7 +63,7 @@ def recorded(request: pytest.FixtureRequest, tmp_path: Path) -> RecordedEngine |
 
 @pytest.fixture
 def engine(recorded: RecordedEngine | None) -> Engine:
-    return Engine(epoch="e1", turns=Pausing(5, 60)) if recorded is None else recorded.engine
+    return Engine(epoch="e1", turns=WindowTurns(5, 60)) if recorded is None else recorded.engine
 
 
 @pytest.fixture

@@ -22,7 +22,7 @@ from dyknow.rdf.dictionary import TermDictionary
 from dyknow.service.app import create_app
 from dyknow.service.config.settings import Settings
 from dyknow.service.server import running
-from dyknow.service.turns.window_turns import Pausing
+from dyknow.service.turns.window_turns import WindowTurns
 from dyknow.streams import history
 from dyknow.streams.history import FluentStream, Retention
 from dyknow.streams.time import SECOND
@@ -286,7 +286,7 @@ def test_what_comes_and_goes_leaves_nothing(
     monkeypatch.setattr(ingest, "_KEYS_KEPT", 10)
     monkeypatch.setattr(history, "_TEXTS", 10)
     monkeypatch.setattr(parts, "RETENTION", Retention(samples=20))
-    app = create_app(engine.Engine(turns=Pausing(5, 60)), settings, clock)
+    app = create_app(engine.Engine(turns=WindowTurns(5, 60)), settings, clock)
     sizes = []
     with (
         running(app, settings) as url,

@@ -35,7 +35,12 @@ from dyknow.service.server import GRACE, running
 from dyknow.streams.time import Clock
 
 DOCKERFILE = (ROOT / "docker" / "Dockerfile").read_text()
-UNIT = (ROOT / "docs" / "operations.md").read_text().partition("```ini\n")[2].partition("```")[0]
+UNIT = (
+    (ROOT / "docs" / "how-to" / "deploy.md")
+    .read_text()
+    .partition("```ini\n")[2]
+    .partition("```")[0]
+)
 
 
 @pytest.fixture(scope="module")
@@ -127,7 +132,7 @@ def test_the_service_may_read_the_tokens_and_nobody_else(
     """A secret that is a file keeps its owner and mode: what the comments say makes one that the
     container's user may use."""
     command = r"sudo install -m (\d+) -o \"\$\(id -u\)\" -g (\d+) /dev/null docker/tokens.txt"
-    for text in ("docker/compose.yaml", "docs/access.md"):
+    for text in ("docker/compose.yaml", "docs/how-to/deploy.md"):
         (found,) = re.findall(command, (ROOT / text).read_text())
         mode, group = int(found[0], 8), int(found[1])
         assert f"--uid {group} --gid {group}" in DOCKERFILE

@@ -18,7 +18,7 @@ from dyknow.engine.units.windowed import WindowUnit
 from dyknow.service.config.settings import Settings
 from dyknow.service.runtime.context import Service
 from dyknow.service.sse.feeds import Cursor, Feed
-from dyknow.service.turns.window_turns import Pausing
+from dyknow.service.turns.window_turns import WindowTurns
 from dyknow.streams.generator import StreamGenerator
 
 STREAM = {"fields": {"id": "string", "v": "float"}}
@@ -40,7 +40,7 @@ def there() -> set[int]:
 
 @pytest.fixture
 def both() -> Iterator[tuple[Service, httpx.Client]]:
-    engine = Engine(epoch="test", turns=Pausing(5, 60))
+    engine = Engine(epoch="test", turns=WindowTurns(5, 60))
     with hosting(engine, Settings(port=0, tick=0.02), lambda: 10**18) as made:
         yield made
 
@@ -79,7 +79,7 @@ def test_units_streams_and_clients(both: tuple[Service, httpx.Client]) -> None:
         publish(http, 20)
         lines = answer.iter_lines()
         until(lambda: next(lines).startswith("data:"))
-        until(lambda: not service.engine.behind)
+        until(lambda: not service.engine.backlog)
         # What parsers leave behind refers to whom they were called by; a start leaves all alone.
         gc.unfreeze()
         gc.collect()
@@ -107,20 +107,18 @@ def test_units_streams_and_clients(both: tuple[Service, httpx.Client]) -> None:
 
 @pytest.mark.parametrize("done", [True, False])
 def test_a_turn_that_is_over(done: bool) -> None:
-    """It refers to the evaluator whose windows it closed."""
+    """It refers to the evaluator whose windows it closes, whether it was run or not."""
 
     def close_next() -> bool:
         return False
 
-    pausing = Pausing(5, 60)
+    pausing = WindowTurns(5, 60)
     watched = ref(close_next)
-    task = pausing.begin(close_next)
+    task = pausing.start(close_next)
     gc.disable()
     try:
         if done:
-            task.go_on(to_end=True)
-        else:
-            task.abandon()
+            task.run(to_end=True)
         del task, close_next
         assert watched() is None
     finally:

@@ -1,7 +1,7 @@
 """What a case must give: a fresh Oxigraph store a window, and windows from their definition.
 
-Written from SPEC sections 1 and 5 and docs/semantics.md (Windows, Bag and set), without the
-product's code. Over 400 lines: windows, a window's store and the comparison are one definition.
+Written from SPEC sections 1 and 5 and docs/explanation/semantics.md (Windows, Bag and set), without
+the product's code. Over 400 lines: windows, a window's store and the comparison are one definition.
 """
 
 import math
@@ -160,7 +160,8 @@ def expected_answer(case: Case) -> Answer:
 
 
 def evaluations(case: Case, elements: list[Element]) -> Iterator[tuple[int, Contents]]:
-    """The ends at which the query gives a result (docs/semantics.md, Report), and the contents.
+    """The ends at which the query gives a result (docs/explanation/semantics.md, Report), and the
+    contents.
 
     They begin with the first content. When the last has left, that is one more change, and one
     more evaluation for ISTREAM and DSTREAM.

@@ -1,4 +1,5 @@
-"""Event time word for word (docs/semantics.md): sample by sample, with no thought of speed.
+"""Event time word for word (docs/explanation/semantics.md): sample by sample, with no thought of
+speed.
 
 Available times are small integers; a sample is ``(available, number)``.
 """

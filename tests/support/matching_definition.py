@@ -1,4 +1,5 @@
-"""Semantic matching by its definition: docs/design/0003-semantic-matching.md, "Definitions".
+"""Semantic matching by its definition: docs/explanation/design/0003-semantic-matching.md,
+"Definitions".
 
 [Introspection15 §4.3], SPEC §7. Slow on purpose: every path is walked, every plan is listed. It
 shares nothing with the product but the values that stand for what is asked for and what there is.

@@ -1,7 +1,7 @@
 """SPARQL queries over bags of timed triples by their definition: nested loops, SPARQL 1.1 §18.
 
-Written from the recommendation and docs/semantics.md, slow and obvious; nothing of the product is
-used. A solution carries the elements that its patterns matched, for ``f:timestamp``.
+Written from the recommendation and docs/explanation/semantics.md, slow and obvious; nothing of the
+product is used. A solution carries the elements that its patterns matched, for ``f:timestamp``.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class Solution:
     matched: tuple[tuple[q.Triple, Fact], ...] = ()
 
 
-# --- data (docs/semantics.md, "Bag and set")
+# --- data (docs/explanation/semantics.md, "Bag and set")
 
 
 def graph(content: Iterable[Element], static: Sequence[tuple], told: Sequence[tuple], bag: bool):

@@ -1,8 +1,8 @@
 """Expressions of SPARQL by their definition (SPARQL 1.1 §17, §18.5.1).
 
 A number is its datatype and a value; integers and decimals are exact, quotients as
-docs/semantics.md says. Where SPARQL leaves room, the choice is stated: terms of different known
-datatypes are unequal, not an error (§17.3.1 allows it).
+docs/explanation/semantics.md says. Where SPARQL leaves room, the choice is stated: terms of
+different known datatypes are unequal, not an error (§17.3.1 allows it).
 """
 
 from __future__ import annotations
@@ -79,7 +79,8 @@ def decimal_text(value: Fraction) -> str:
 
 def quotient(a: Fraction, b: Fraction) -> Fraction:
     """Exact within 18 digits after the point or 15 significant ones; else rounded, half to even, to
-    15 significant digits, or to an integer where that keeps more (docs/semantics.md)."""
+    15 significant digits, or to an integer where that keeps more
+    (docs/explanation/semantics.md)."""
     found = a / b
     for places in range(60):
         digits = found * 10**places

@@ -1,4 +1,5 @@
-"""Windows, reports and stream operators by their definition (docs/semantics.md, SPEC §5).
+"""Windows, reports and stream operators by their definition (docs/explanation/semantics.md, SPEC
+§5).
 
 An evaluation is an end and what each window holds then. Elements are told apart by identity.
 """

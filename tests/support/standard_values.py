@@ -311,7 +311,7 @@ def total(terms: list[Term]) -> Number:
 
 
 def double_sum(values: list[float]) -> float:
-    """The exact sum, rounded once (docs/semantics.md, How it is computed)."""
+    """The exact sum, rounded once (docs/explanation/semantics.md, How it is computed)."""
     special = [value for value in values if not math.isfinite(value)]
     if special:
         return sum(special)
@@ -336,7 +336,7 @@ def extreme(sign: int) -> Callable[[list[Term]], Term]:
     """MIN (-1) or MAX (1); ANY where the order of ORDER BY is open.
 
     A NaN among numbers is the result, and of equal numbers the one of the first kind
-    (docs/semantics.md).
+    (docs/explanation/semantics.md).
     """
 
     def choose(terms: list[Term]) -> Term:

@@ -7,11 +7,11 @@ from random import Random
 
 
 class Steps:
-    """`Turns` that are over after a random number of windows, or of parts of a batch; ``most`` as
+    """`Turns` that are over after a random number of windows, or of parts of a batch; ``limit`` as
     there."""
 
-    def __init__(self, random: Random, most: float = float("inf")) -> None:
-        self.most = most
+    def __init__(self, random: Random, limit: float = float("inf")) -> None:
+        self.limit = limit
         self._random = random
         self._left = 0
 
@@ -24,10 +24,10 @@ class Steps:
         # Nobody tells of parts that are taken.
         return self._left <= 0 or self._random.random() < 0.1
 
-    def begin(self, close_next: Callable[[], bool], telling: float = 0.0) -> _Steps:
+    def start(self, close_next: Callable[[], bool], emitting: float = 0.0) -> _Steps:
         return _Steps(self, close_next)
 
-    def timed(self, what: Callable[[], None]) -> float:
+    def time(self, what: Callable[[], None]) -> float:
         what()
         return 0.0
 
@@ -50,10 +50,10 @@ class _Steps:
         self._close_next = close_next
         self._is_last = False
 
-    def end(self) -> None:
+    def stop_early(self) -> None:
         self._is_last = True
 
-    def go_on(self, *, to_end: bool = False) -> bool:
+    def run(self, *, to_end: bool = False) -> bool:
         # Only a window that is there can be half done.
         is_due = self._close_next.__self__.is_due  # type: ignore[attr-defined]
         while to_end or not (is_due and self._steps.pauses()):
@@ -67,11 +67,11 @@ class _Steps:
         return False
 
 
-def caught_up(go_on: Callable[[], object], behind: object, steps: Steps) -> None:
+def caught_up(work: Callable[[], object], behind: object, steps: Steps) -> None:
     """Close all windows that can."""
     for _ in range(10_000):
         if not behind:
             return
         steps.allow(1_000)
-        go_on()
+        work()
     raise AssertionError("it never catches up")

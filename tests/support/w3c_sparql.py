@@ -47,7 +47,8 @@ NEEDS_NOTHING = {"aggregates/agg-avg-03", "construct/constructwhere04"}
 their patterns do not match: they name other predicates, or have no pattern at all."""
 
 KNOWN = {
-    "csv-tsv-res/tsv03": "xsd:negativeInteger is read as xsd:integer (docs/semantics.md, Values)",
+    "csv-tsv-res/tsv03": "xsd:negativeInteger is read as xsd:integer "
+    "(docs/explanation/semantics.md, Values)",
     "syntax-query/test_4": "refused on purpose: a function that nobody knows",
     "functions/bnode01": "Oxigraph 0.5: BNODE(text) is one blank node for all solutions",
 }

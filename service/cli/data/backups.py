@@ -1,4 +1,5 @@
-"""What ``dyknow backup, restore`` do: copies of a data directory (docs/data-directory.md)."""
+"""What ``dyknow backup, restore`` do: copies of a data directory
+(docs/reference/data-directory.md)."""
 
 from __future__ import annotations
 

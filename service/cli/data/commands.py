@@ -1,5 +1,5 @@
 """``dyknow check, repair, backup, restore, log``: what a data directory holds
-(docs/data-directory.md)."""
+(docs/reference/data-directory.md)."""
 
 from __future__ import annotations
 

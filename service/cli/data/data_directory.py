@@ -1,4 +1,5 @@
-"""What ``dyknow check, repair, log`` do: what a data directory holds (docs/data-directory.md)."""
+"""What ``dyknow check, repair, log`` do: what a data directory holds
+(docs/reference/data-directory.md)."""
 
 from __future__ import annotations
 

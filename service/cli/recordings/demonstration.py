@@ -287,8 +287,9 @@ def _summary(
         + f". {_since(began)} in all."
     )
     console.print(
-        "The speeds are derived from positions; docs/performance.md compares them with the ground "
-        "speeds that the aircraft reported themselves (half of them differ by less than 10 kt)."
+        "The speeds are derived from positions; docs/explanation/performance.md compares them with "
+        "the ground speeds that the aircraft reported themselves (half of them differ by less than "
+        "10 kt)."
     )
     console.print(
         "Next: [bold]make serve[/], and in a second terminal\n  [bold].venv/bin/dyknow events "

@@ -29,7 +29,7 @@ from ....converters.recordings.many_streams import (
 from ....converters.recordings.piped import Piped, Readable, open_pipe
 from ....converters.recordings.recording import Recording, open_recording
 from ....converters.recordings.time_order import TimeOrder, in_time_order
-from ....converters.rounding import Rounded
+from ....converters.wire import Rounded
 from ....streams.sample import FieldType, SampleBatch
 from ....streams.time import (
     FOREVER,

@@ -29,7 +29,7 @@ from dyknow.continuous.algebra.plan import (
 from dyknow.continuous.columns.relation import TermValues
 from dyknow.continuous.estimation.cardinality import Sizes, passing
 from dyknow.continuous.estimation.estimates import COST, Way, estimate
-from dyknow.continuous.estimation.input_rates import Flow, Said, Traffic
+from dyknow.continuous.estimation.input_rates import Flow, PredicateRate, Traffic
 from dyknow.continuous.estimation.pattern_sizes import Known, Size
 from dyknow.continuous.evaluation.evaluator import ContinuousEvaluator
 from dyknow.continuous.incremental.aggregate_shape import Shape, shape_of
@@ -86,7 +86,7 @@ def test_a_rate_is_multiplied_with_the_length_of_the_window() -> None:
 
 
 def test_what_is_counted_by_predicate_is_of_that_predicate() -> None:
-    flow = Flow(30, 4, {SPEED.value: Said(20, 4), KIND.value: Said(10, 2, 5)})
+    flow = Flow(30, 4, {SPEED.value: PredicateRate(20, 4), KIND.value: PredicateRate(10, 2, 5)})
     assert rows(SPEEDS, known(flow)) == 100
     assert rows(Scan(thing_at(0), SPEED, V), known(flow)) == 25
     # What the static side has comes to it.
@@ -213,9 +213,9 @@ def test_traffic_is_counted_by_predicate() -> None:
     assert flow is not None
     assert (flow.rate, flow.subjects, flow.seconds) == (10.0, 4, 4.0)
     assert flow.predicates == {
-        SPEED.value: Said(4.0, 4),
-        KIND.value: Said(2.0, 2, 1),
-        RDF_TYPE.value: Said(4.0, 4, 1),
+        SPEED.value: PredicateRate(4.0, 4),
+        KIND.value: PredicateRate(2.0, 2, 1),
+        RDF_TYPE.value: PredicateRate(4.0, 4, 1),
     }
     assert str(flow) == "10 samples a second of 4 subjects"
 

@@ -1,4 +1,4 @@
-"""Which answers differ where a query runs whole on Oxigraph: the table in docs/semantics.md."""
+"""Answers that differ if a query runs whole on Oxigraph: docs/explanation/semantics.md."""
 
 import pytest
 from pyoxigraph import Literal, NamedNode

@@ -1,4 +1,5 @@
-"""docs/introspection.md: each of its questions, asked, has the answer that is printed there."""
+"""docs/how-to/ask-the-system.md: each of its questions, asked, has the answer that is printed
+there."""
 
 import re
 
@@ -9,7 +10,7 @@ from pyoxigraph import NamedNode
 from dyknow.engine.engine import Engine
 from dyknow.rdf.namespaces import shorten
 
-PAGE = (ROOT / "docs" / "introspection.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "how-to" / "ask-the-system.md").read_text(encoding="utf-8")
 QUESTIONS = re.findall(r"^## (\d+)\. .*\n\n```sparql\n([^`]*)```\n\n((?:\|.*\n)+)", PAGE, re.M)
 
 

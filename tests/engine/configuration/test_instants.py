@@ -1,5 +1,5 @@
 """Samples with one available time are one instant, from the sender to windows, joins and units
-(SPEC §1, docs/semantics.md "Instants")."""
+(SPEC §1, docs/explanation/semantics.md "Instants")."""
 
 import json
 

@@ -6,6 +6,7 @@ import pickle
 import random
 import sys
 import threading
+from pathlib import Path
 
 import msgspec
 import pytest
@@ -923,6 +924,17 @@ def test_the_program_is_another_with_other_user_written_code(tmp_path):
     assert all(each.startswith(f"{program()}, ") for each in found)
 
 
+def test_the_program_is_all_its_modules(monkeypatch):
+    """A checkpoint pickles classes of every room."""
+    read, usual = set(), Path.read_bytes
+    monkeypatch.setattr(Path, "read_bytes", lambda path: read.add(path) or usual(path))
+    checkpoint_module._program.__wrapped__()
+    root = Path(checkpoint_module.__file__).parents[2]
+    rooms = {path.relative_to(root).parts[0] for path in read}
+    assert rooms >= {"__init__.py", "continuous", "engine", "rdf", "service", "streams"}
+    assert not rooms & {"tests", "bench", "docs", "examples", ".venv"}
+
+
 def test_the_program_is_another_with_other_versions_of_what_is_pickled(monkeypatch):
     known = checkpoint_module._program.__wrapped__()
     usual = checkpoint_module.version
@@ -944,12 +956,12 @@ def test_a_stream_whose_fields_are_others_now_says_what_is_not_taken_over(tmp_pa
     before = first.engine.stream("s")
     first.close()
     monkeypatch.setattr(recorded_module, "program", lambda *_: "a later version")
-    usual = Ontology.of_quads
+    usual = Ontology.from_quads
 
     def changed(quads):
         return usual(quads.replace(b'[\\"v\\", \\"float\\"]', b'[\\"w\\", \\"string\\"]'))
 
-    monkeypatch.setattr(Ontology, "of_quads", changed)
+    monkeypatch.setattr(Ontology, "from_quads", changed)
     later = opened(tmp_path)
     (note,) = [note for note in later.recovery.notes if "other fields" in note]
     assert "s has other fields" in note

@@ -27,15 +27,15 @@ from dyknow.engine.durability.portable_state import (
 )
 from dyknow.engine.model.views import Since, StreamDeclaration
 from dyknow.engine.processes.external_io import Failed, Outcome, Reading
-from dyknow.engine.units.backlog import Went
+from dyknow.engine.units.backlog import TurnRecord
 from dyknow.journal.checkpoints import Checkpoint, parts_of, read_checkpoint
 from dyknow.journal.examination import examine
 from dyknow.journal.log import Log
 from dyknow.journal.segment import walk
 from dyknow.streams.generator import Counters
 from dyknow.streams.history import Retention
-from dyknow.streams.rules import INSTANTS
 from dyknow.streams.sample import Field, FieldType
+from dyknow.streams.stream_rules import INSTANTS
 from dyknow.streams.time import FOREVER, HOUR
 
 CASES = TESTS / "cases" / "journal"
@@ -72,8 +72,8 @@ EXAMPLES = [
         )
     ),
     c.DeclareStream(StreamDeclaration("s6", (Field("v", FieldType.FLOAT),), ahead=FOREVER)),
-    c.GoOn((Went("dyknow_cu1", 3), Went("dyknow_cu2", 1, "it took 5 s"))),
-    c.GoOn((Went("dyknow_cu1", 0, parts=3),)),
+    c.WorkBacklog((TurnRecord("dyknow_cu1", 3), TurnRecord("dyknow_cu2", 1, "it took 5 s"))),
+    c.WorkBacklog((TurnRecord("dyknow_cu1", 0, parts=3),)),
     c.RemoveStream("s5"),
     c.OpenStream("s5_late"),
     c.SetQuality("s5", 0.5),

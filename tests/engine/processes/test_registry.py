@@ -1,4 +1,4 @@
-"""The registry of user-written processes, how it is filled, and docs/processes.md."""
+"""The registry of user-written processes, how it is filled, and docs/how-to/write-a-process.md."""
 
 import re
 import sys
@@ -156,13 +156,13 @@ def test_installed_entry_points_are_looked_up():
 
 
 def test_the_examples_of_the_page_run(modules):
-    """docs/processes.md: each Python block runs, in order, in one namespace."""
-    page = (ROOT / "docs" / "processes.md").read_text()
+    """docs/how-to/write-a-process.md: each Python block runs, in order, in one namespace."""
+    page = (ROOT / "docs" / "how-to" / "write-a-process.md").read_text()
     blocks = re.findall(r"^```python\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
     assert len(blocks) >= 6
     namespace = {"__name__": "processes_page"}
     for block in blocks:
-        exec(compile(block, "docs/processes.md", "exec"), namespace)
+        exec(compile(block, "docs/how-to/write-a-process.md", "exec"), namespace)
     pieces = ((1, 2), (3,), (4, 5, 6))
     results = []
     for name in ("SpeedEst", "SpeedEstOfBatches"):

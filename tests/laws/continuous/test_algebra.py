@@ -321,7 +321,7 @@ def check(
     )
     for result, (end, expected) in zip(results, wanted, strict=True):
         if result.merged and "DISTINCT *" in text:
-            continue  # docs/semantics.md says so: on Oxigraph equal triples count once there.
+            continue  # On Oxigraph equal triples count once there (docs/explanation/semantics.md).
         assert not result.merged
         if expected is not None:
             assert agree(query, expected, result), told(

@@ -155,7 +155,7 @@ def has_floats(case: Case, difference: Difference) -> bool:
 V = Term("?v")
 LISTED: tuple[Listed, ...] = (
     Listed(
-        "docs/semantics.md, Values: xsd:float is computed in double precision",
+        "docs/explanation/semantics.md, Values: xsd:float is computed in double precision",
         has_floats,
         example(
             (("?v", None),),

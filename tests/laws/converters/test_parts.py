@@ -1,22 +1,19 @@
-"""A batch that is decoded a little at a time is the batch that is decoded at once: whatever a part
-is, and whatever others do in between."""
+"""A batch that another thread decodes is the batch that is decoded at once: whatever a part is, and
+whatever the engine does meanwhile."""
 
 import json
 from contextlib import contextmanager
+from itertools import count
 from unittest.mock import patch
 
-import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from sample_lines import bodies, mutated
 
-from dyknow.converters import WireError, exact, open_fields, regular, wire
-from dyknow.converters.arrow import stream
-from dyknow.converters.arrow.stream import ArrowWriter, decode_arrow
-from dyknow.converters.bad_lines import mixed_times
-from dyknow.converters.exact import decode_exactly
-from dyknow.converters.ndjson import decode_ndjson
-from dyknow.converters.open_fields import decided_by
+from dyknow.converters import WireError, ndjson_lines, ndjson_scan, wire
+from dyknow.converters.arrow.stream import ArrowWriter
+from dyknow.converters.ndjson_errors import mixed_times
+from dyknow.converters.ndjson_lines import decode_lines, infer_fields
 from dyknow.converters.wire import BatchLimits
 from dyknow.engine.durability.commands import (
     DeclareStream,
@@ -32,7 +29,6 @@ from dyknow.streams import history, string_pool
 from dyknow.streams.history import Retention
 from dyknow.streams.sample import Field, FieldType, Schema, batch_from_rows
 from dyknow.streams.string_pool import StringPool
-from dyknow.streams.yield_points import STRAIGHT, Straight
 
 LIMITS = settings(deadline=None, max_examples=300)
 SIZES = st.integers(1, 200)
@@ -62,7 +58,7 @@ def line_by_line(data, schema, pools):
         if not line.strip():
             continue
         try:
-            found = decode_exactly(line, schema, {})
+            found = decode_lines(line, schema, {})
         except WireError as error:
             raise WireError(number, error.message, error.hint) from None
         if stamped not in (None, found.stamped):
@@ -93,8 +89,8 @@ TWO = Schema((Field("a", FieldType.INTEGER), Field("b", FieldType.STRING)))
 @example((TWO, b'{"valid":1,"a":1,"a":1,"b":""}\n{"valid":1,"a":99999999999999999999,"b":""}'), 99)
 def test_a_body_is_its_lines_whatever_a_part_is(drawn, size):
     schema, data = drawn
-    whole = outcome(lambda pools: decode_exactly(data, schema, pools))
-    assert whole == outcome(lambda pools: decode_exactly(data, schema, pools, STRAIGHT, size))
+    whole = outcome(lambda pools: decode_lines(data, schema, pools))
+    assert whole == outcome(lambda pools: decode_lines(data, schema, pools, size))
     assert whole == outcome(lambda pools: line_by_line(data, schema, pools))
 
 
@@ -105,8 +101,8 @@ def test_an_open_streams_fields_do_not_depend_on_parts(drawn, size):
     _, data = drawn
 
     def decided(pools, *more):
-        schema = decided_by(data, None, STRAIGHT, *more)
-        found = decode_exactly(data, schema, pools, STRAIGHT, *more)
+        schema = infer_fields(data, None, *more)
+        found = decode_lines(data, schema, pools, *more)
         assert [*found.batch.columns] == [*schema.names]
         return found
 
@@ -157,23 +153,32 @@ COMMANDS = st.one_of(
 )
 
 
-class Meanwhile(Straight):
-    """Others have their turn at each moment: ``moments`` says what they do. ``done`` is what they
-    did."""
+class Meanwhile:
+    """Commands that the engine's thread does while another thread decodes: ``moments`` has them by
+    the number of the call. ``done`` are those that it did."""
 
     def __init__(self, engine, moments):
         self.engine, self.moments, self.done, self.count = engine, moments, [], 0
 
-    def breathe(self):
+    def __call__(self):
         for command in self.moments.pop(self.count, ()):
             self.done.append(command)
             attempted(self.engine, command)
         self.count += 1
 
-    @contextmanager
-    def apart(self, *, waits=False):
+
+@contextmanager
+def disturbed(others):
+    """``others`` act before each search for the code of one text in a pool."""
+    found = StringPool.find
+
+    def find(pool, text):
+        with patch.object(StringPool, "find", found):
+            others()
+        return found(pool, text)
+
+    with patch.object(StringPool, "find", find):
         yield
-        self.breathe()
 
 
 def attempted(engine, command):
@@ -204,13 +209,9 @@ def said(engine):
 def small_parts():
     """Each moment that there can be, and texts forgotten at every chance."""
     with (
-        patch.object(exact, "PART", 40),
-        patch.object(open_fields, "PART", 40),
-        patch.object(wire, "_STRINGS", 2),
+        patch.object(ndjson_lines, "PART", 40),
         patch.object(string_pool, "_MANY", 2),
         patch.object(string_pool, "_FEW", 1),
-        patch.object(regular, "_TEXTS", 2),
-        patch.object(stream, "_SOME", 3),
         patch.object(history, "_TEXTS", 2),
         patch.object(history, "_SHARE", 1),
     ):
@@ -252,7 +253,7 @@ def test_it_is_as_if_it_had_come_when_it_was_decoded(kind, rows, before, moments
     """Done again from the log, in the order in which all was done, the same comes of it: the same
     samples under the same numbers, their texts in the same codes."""
     live, again = anew(EMPTY), anew(OTHER)
-    with small_parts(), patch.object(regular.cells, "LEAST", 0 if is_regular else 10**9):
+    with small_parts(), patch.object(ndjson_scan.cells, "LEAST", 0 if is_regular else 10**9):
         for each, time in before:
             for engine in (live, again):
                 attempted(engine, Publish("s", "ndjson", lines(each, time), time))
@@ -261,7 +262,14 @@ def test_it_is_as_if_it_had_come_when_it_was_decoded(kind, rows, before, moments
         found = None
         try:
             while found is None:
-                found = batch.decode_apart(live, BOUNDS, meanwhile)
+                generator = live.accepting("s")
+                schema = generator.schema
+                meanwhile()
+                with disturbed(meanwhile):
+                    decoded = batch.decode_beside(generator.stream, schema, BOUNDS)
+                meanwhile()
+                if live.accepting("s").schema == schema:
+                    found = decoded
             result = batch.apply_decoded(live, found)
         except (DyknowError, WireError) as error:
             result = type(error), str(error)
@@ -284,22 +292,20 @@ def test_texts_whose_place_is_found_before_are_as_if_encoded(before, own, betwee
         for texts in before:
             assert pool.encode(texts).tolist() == slow.encode(texts).tolist()
         mine = StringPool(own)
+        counter = count()
 
-        class Others(Straight):
-            count = 0
+        def others():
+            texts = between.get(next(counter), [])
+            assert pool.encode(texts).tolist() == slow.encode(texts).tolist()
 
-            def breathe(self):
-                texts = between.get(self.count, [])
-                self.count += 1
-                assert pool.encode(texts).tolist() == slow.encode(texts).tolist()
-
-        mine.find_place(pool, Others())
+        with disturbed(others):
+            mine.find_place(pool)
         assert mine.codes_in(pool).tolist() == slow.encode(own).tolist()
         for text in after:
             assert pool.find(text) == slow.find(text)
             assert pool.code(text) == slow.code(text)
         second = StringPool(after)
-        second.find_place(pool, STRAIGHT)
+        second.find_place(pool)
         assert second.has_place(pool)
         assert second.codes_in(pool).tolist() == slow.encode(second.strings()).tolist()
         assert pool.encode(own).tolist() == slow.encode(own).tolist()
@@ -309,14 +315,14 @@ def test_texts_whose_place_is_found_before_are_as_if_encoded(before, own, betwee
 def test_what_is_found_out_before_is_all_that_takes_long():
     """Nothing is looked up when the batch is taken."""
     pool, mine = StringPool(["a", "b"]), StringPool(["c", "a", "d"])
-    mine.find_place(pool, STRAIGHT)
+    mine.find_place(pool)
     assert mine.has_place(pool)
     assert pool.strings() == ["a", "b"]
     with patch.object(StringPool, "encode", None), patch.object(StringPool, "code", None):
         assert mine.codes_in(pool).tolist() == [2, 0, 3]
     assert pool.strings() == ["a", "b", "c", "d"]
     stale = StringPool(["x", "y"])
-    stale.find_place(pool, STRAIGHT)
+    stale.find_place(pool)
     pool.code("y")
     assert not stale.has_place(pool)
     assert stale.codes_in(pool).tolist() == [5, 4]
@@ -327,15 +333,6 @@ def test_decoding_touches_nothing_before_it_is_taken():
     before = said(live)
     for kind, make_body in WAYS.items():
         batch = Publish("s", kind, make_body([("new", 1)] * 9, 1), 1)
-        assert batch.decode_apart(live, BOUNDS, STRAIGHT) is not None
+        stream = live.generator("s").stream
+        assert len(batch.decode_beside(stream, Schema(FIELDS), BOUNDS).batch) == 9
         assert said(live) == before
-
-
-@pytest.mark.parametrize("decode", [decode_ndjson, decode_arrow])
-def test_there_are_moments_between_parts(decode):
-    make_body = lines if decode is decode_ndjson else tables
-    rows = [(f"t{i}", i) for i in range(100)]
-    with small_parts(), patch.object(regular.cells, "LEAST", 10**9):
-        counted = Meanwhile(EMPTY, {})
-        decode(make_body(rows, 0), Schema(FIELDS), {}, BOUNDS, counted)
-        assert counted.count >= 50

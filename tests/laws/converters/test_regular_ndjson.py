@@ -10,9 +10,9 @@ from sample_lines import NUMBERS, TIMES, bodies, mutated
 
 from dyknow.converters import WireError, cells
 from dyknow.converters.decimals import floats
-from dyknow.converters.exact import decode_exactly
 from dyknow.converters.ndjson import decode_ndjson, encode_ndjson
-from dyknow.converters.regular import decode_regular
+from dyknow.converters.ndjson_lines import decode_lines
+from dyknow.converters.ndjson_scan import scan_lines
 from dyknow.streams.jit import JIT
 from dyknow.streams.sample import Field, FieldType, Schema, batch_from_rows
 from dyknow.streams.time import parse_time
@@ -50,7 +50,7 @@ def outcome(decode, data, schema):
 
 
 def regular(data, schema, pools):
-    return decode_regular(data, schema, pools, least=0)
+    return scan_lines(data, schema, pools, least=0)
 
 
 @given(bodies() | mutated())
@@ -59,7 +59,7 @@ def regular(data, schema, pools):
 def test_the_short_way_is_the_exact_one_or_none(drawn):
     schema, data = drawn
     found = outcome(regular, data, schema)
-    assert found is None or found == outcome(decode_exactly, data, schema)
+    assert found is None or found == outcome(decode_lines, data, schema)
 
 
 @given(st.data())
@@ -82,7 +82,7 @@ def test_what_we_write_is_regular(data):
     )
     batch = batch_from_rows(schema, data.draw(st.lists(row, min_size=1, max_size=5)))
     body = encode_ndjson(batch)
-    assert outcome(regular, body, schema) == outcome(decode_exactly, body, schema) is not None
+    assert outcome(regular, body, schema) == outcome(decode_lines, body, schema) is not None
 
 
 def column(texts):
@@ -145,7 +145,7 @@ def test_a_large_body_takes_the_short_way():
     schema = Schema((Field("id", FieldType.STRING), Field("x", FieldType.FLOAT)))
     line = b'{"valid": "2021-10-07T19:12:53Z", "id": "uav%d", "x": 1.25}\n'
     body = b"".join(line % (i % 7) for i in range(2 * cells.LEAST // len(line)))
-    assert decode_regular(body, schema, {}) is not None
+    assert scan_lines(body, schema, {}) is not None
     pools = {}
     with pytest.raises(WireError, match="'x' is a float") as caught:
         decode_ndjson(body + line.replace(b"1.25", b"true") % 9, schema, pools)

@@ -1,5 +1,5 @@
 """Networks that follow a set of objects against their definition, whatever is published first
-([DyKnow10 Def. 4.6, 4.7], docs/kpl.md)."""
+([DyKnow10 Def. 4.6, 4.7], docs/reference/kpl.md)."""
 
 import joint_definition
 from hypothesis import given, settings
@@ -195,7 +195,7 @@ strmgen too = aggregate(both[x] foreach x in objects)
 @LIMITS
 @given(st.data(), *WORLDS)
 def test_a_life_ends_with_the_one_that_it_reads(data, sets, others, a, b):
-    """In order of time: see docs/kpl.md."""
+    """In order of time: see docs/reference/kpl.md."""
     rows, times = of_sources(sets, others, a, b)
     engine = play_in_order(data.draw, PROCESSES, TWO_SETS, LIVES_IN_LIVES, rows)
     one = [row for label in times for row in counted(label, times[label], sets)]

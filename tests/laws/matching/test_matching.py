@@ -1,6 +1,7 @@
 """Laws of semantic matching: it finds what its definition says, and nothing else.
 
-The definition is `matching_definition`, written from docs/design/0003-semantic-matching.md.
+The definition is `matching_definition`, written from
+docs/explanation/design/0003-semantic-matching.md.
 """
 
 from dataclasses import replace

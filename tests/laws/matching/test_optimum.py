@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dyknow.matching.optimum import knuth, landmark_cuts, reductions
+from dyknow.matching.optimum import knuth, landmarks, reductions
 from dyknow.matching.optimum.best_quality import best_quality
 from dyknow.matching.optimum.hypergraph import Hypergraph, HypergraphError
 from dyknow.matching.optimum.least_weight import least_weight
@@ -178,7 +178,7 @@ def test_without_compiled_loops_the_same_plans_come_out(problem):
     graph = hypergraph(goals, producers)
     compiled = [find(graph, roots) for find in (least_weight, best_quality)]
     with pytest.MonkeyPatch.context() as patch:
-        for module in (knuth, landmark_cuts, reductions):
+        for module in (knuth, landmarks, reductions):
             patch.setattr(module, "JIT", False)
         assert [find(graph, roots) for find in (least_weight, best_quality)] == compiled
 

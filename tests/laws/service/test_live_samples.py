@@ -9,9 +9,9 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from dyknow.converters.arrow.stream import decode_arrow, encode_arrow
-from dyknow.converters.bad_lines import mixed_times
 from dyknow.converters.errors import WireError
 from dyknow.converters.ndjson import decode_ndjson
+from dyknow.converters.ndjson_errors import mixed_times
 from dyknow.converters.wire import BOM, BatchLimits
 from dyknow.engine.engine import Engine
 from dyknow.engine.model.errors import DyknowError

@@ -1,5 +1,5 @@
 """Late samples and idle streams: the engine equals its definition, however input is cut
-(docs/semantics.md, "Late samples", "Idle streams")."""
+(docs/explanation/semantics.md, "Late samples", "Idle streams")."""
 
 from event_time_definition import Reader, Stream
 from hypothesis import example, given, settings

@@ -149,7 +149,7 @@ ROWS = st.lists(st.tuples(SOME_TEXT, SOME_TEXT), max_size=40)
 
 
 def bytes_of(values):
-    """What docs/api.md says of the bytes of a sample."""
+    """What docs/reference/streams.md says of the bytes of a sample."""
     texts = [value or "" for value in (values["a"], values["b"])]
     return 16 + 8 + 1 + sum(128 + len(t) * (1 if t.isascii() else 4) for t in texts)
 

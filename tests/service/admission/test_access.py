@@ -549,7 +549,7 @@ def test_the_commands_send_a_token(url: str) -> None:
     assert run("template", "list", DYKNOW_TOKEN=READ)[0] == 0
     status, text = run("streams")
     assert status == 1
-    assert "this service wants a token" in text
+    assert "this service requires a token" in text
     assert "--token" in text
     status, text = run("streams", "--json", "--token", "wrong-0123456789-0123456789")
     assert '"title": "not authenticated"' in text

@@ -20,9 +20,9 @@ from dyknow.service.admission.memory_limit import (
     CAN,
     GROWS,
     Memory,
-    limit_of,
+    available_memory,
+    default_limit,
     resident,
-    there_is,
 )
 from dyknow.service.admission.scopes import NEEDED
 from dyknow.service.admission.tokens import Scope
@@ -179,7 +179,7 @@ def test_it_is_said_where_there_is_little(
     machine: int,
     said: bool,
 ) -> None:
-    monkeypatch.setattr("dyknow.service.admission.memory_limit.there_is", lambda: machine)
+    monkeypatch.setattr("dyknow.service.admission.memory_limit.available_memory", lambda: machine)
     Memory.of(Settings(memory_limit=limit))
     assert ("there is little memory for a service" in caplog.text) is said
 
@@ -202,7 +202,7 @@ def test_each_route_that_makes_something_is_known() -> None:
     ],
 )
 def test_the_limit_by_itself(machine: int, limit: int) -> None:
-    assert limit_of(machine) == limit
+    assert default_limit(machine) == limit
 
 
 def _groups(folder: Path, lines: str, limits: dict[str, str]) -> tuple[Path, Path]:
@@ -235,11 +235,15 @@ def test_the_limit_of_a_container(
     tmp_path: Path, lines: str, limits: dict[str, str], found: int | None
 ) -> None:
     machine = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    assert there_is(*_groups(tmp_path, lines, limits)) == (machine if found is None else found)
+    assert available_memory(*_groups(tmp_path, lines, limits)) == (
+        machine if found is None else found
+    )
 
 
 def test_nothing_tells_of_groups(tmp_path: Path) -> None:
-    assert there_is(tmp_path, tmp_path) == os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    assert available_memory(tmp_path, tmp_path) == os.sysconf("SC_PAGE_SIZE") * os.sysconf(
+        "SC_PHYS_PAGES"
+    )
 
 
 @pytest.fixture

@@ -55,7 +55,7 @@ def test_a_token_gives_a_cookie_that_is_none(http: httpx.Client) -> None:
     assert refused.status_code == 403
 
 
-def test_behind_tls_it_is_secure(http: httpx.Client) -> None:
+def test_backlog_tls_it_is_secure(http: httpx.Client) -> None:
     answer = log_in(http, READ, **{"X-Forwarded-Proto": "https"})
     assert "; Secure" in answer.headers["set-cookie"]
 

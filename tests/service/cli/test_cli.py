@@ -552,7 +552,7 @@ def test_what_the_service_knows_of_itself_is_not_of_1970(monkeypatch: pytest.Mon
     monkeypatch.setattr("dyknow.service.cli.serving.run", serve)
     monkeypatch.setattr("dyknow.service.cli.serving.configure", lambda *arguments: None)
     for work in ("loops", "workers", "application"):
-        monkeypatch.setattr(f"dyknow.service.cli.serving.Warming.{work}", lambda *arguments: None)
+        monkeypatch.setattr(f"dyknow.service.cli.serving.WarmUp.{work}", lambda *arguments: None)
     result = CliRunner().invoke(app, ["serve", "--port", "0"])
     assert result.exit_code == 0, (result.output, result.exception)
     times = served[0].engine.generator("status").stream.since(0)

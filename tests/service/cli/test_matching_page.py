@@ -1,4 +1,5 @@
-"""docs/matching.md: its files are read, its commands run, and print what the page says."""
+"""docs/explanation/matching.md: its files are read, its commands run, and print what the page
+says."""
 
 from __future__ import annotations
 
@@ -18,7 +19,7 @@ from waiting import HANGS
 from dyknow.engine.processes.loading import load_processes
 from dyknow.engine.processes.registry import PROCESSES
 
-PAGE = (ROOT / "docs" / "matching.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "explanation" / "matching.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"^```(\w+)(?: (\S+))?\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
 RUN = """set -euo pipefail
 dyknow() { "$PYTHON" -c 'from dyknow.service.cli import main; main()' "$@"; }

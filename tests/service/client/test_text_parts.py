@@ -1,5 +1,5 @@
 """A whole system's text can be sent back, though it declares more than one request may: the client
-sends it in parts (docs/api.md, "Sizes")."""
+sends it in parts (docs/reference/http-conventions.md, "Sizes")."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 """Damage to what tells how far a data directory goes: it is told by ``dyknow check`` and the start
-alike, and no id is given twice (docs/data-directory.md)."""
+alike, and no id is given twice (docs/reference/data-directory.md)."""
 
 import json
 import shutil

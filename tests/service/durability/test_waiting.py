@@ -1,5 +1,5 @@
 """What an earlier run has accepted and this one cannot start is listed with its reason, and can be
-given up for good (docs/data-directory.md)."""
+given up for good (docs/reference/data-directory.md)."""
 
 from __future__ import annotations
 

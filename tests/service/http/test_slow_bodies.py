@@ -13,18 +13,20 @@ from urllib.parse import urlsplit
 
 import httpx
 import pytest
+from starlette.types import Receive, Scope, Send
 from waiting import until
 
 from dyknow.engine.engine import Engine
 from dyknow.service.app import create_app
 from dyknow.service.config.settings import Settings
-from dyknow.service.http import (
-    body_timeouts,
-    uvicorn_protocols,
+from dyknow.service.http import body_limit, connection_limits
+from dyknow.service.http.body_limit import GRACE, BodyLimit
+from dyknow.service.http.connection_limits import (
+    HEAD_LIMIT,
+    REFUSED,
+    TRAILERS,
+    ConnectionLimits,
 )
-from dyknow.service.http.body_timeouts import GRACE, SlowBodies, Wait
-from dyknow.service.http.connection_limits import Bounds
-from dyknow.service.http.uvicorn_protocols import HEAD_LIMIT, REFUSED, TRAILERS
 from dyknow.service.server import running
 from dyknow.streams.time import Clock
 
@@ -128,8 +130,8 @@ def test_a_body_that_trickles_is_answered(url: str, http: httpx.Client, stream: 
 def test_a_body_that_is_too_slow_need_not_come_to_its_deadline(
     engine: Engine, clock: Clock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(body_timeouts, "GRACE", SOON)
-    # It has ten times as long as this test, and looks at the waiting often enough.
+    monkeypatch.setattr(body_limit, "GRACE", SOON)
+    # Its deadline is far beyond the end of this test.
     settings = Settings(port=0, body_timeout=120 * LONG, body_rate=1_000_000)
     with running(create_app(engine, settings, clock), settings) as url, connected(url) as slow:
         httpx.put(f"{url}/streams/s", json={"fields": FIELDS}, trust_env=False)
@@ -201,14 +203,14 @@ def test_a_slow_body_of_a_get_ends_its_event_stream(
 
 
 def test_what_comes_slowly_has_until_a_deadline_that_moves_with_it() -> None:
-    slow = SlowBodies(30.0, 500, lambda _: None)
-    wait = Wait(100.0)
-    assert slow.deadline(wait) == 100 + GRACE
-    wait.size = 5_000
-    assert slow.deadline(wait) == 100 + GRACE + 10
-    wait.size = 1_000_000
-    assert slow.deadline(wait) == 130
-    assert SlowBodies(30.0, 0, lambda _: None).deadline(Wait(100.0)) == 130
+    async def nothing(scope: Scope, receive: Receive, send: Send) -> None:
+        """Never called."""
+
+    limit = BodyLimit(nothing, 1, 1, timeout=30.0, rate=500)
+    assert limit.deadline(100.0, 0) == 100 + GRACE
+    assert limit.deadline(100.0, 5_000) == 100 + GRACE + 10
+    assert limit.deadline(100.0, 1_000_000) == 130
+    assert BodyLimit(nothing, 1, 1, timeout=30.0, rate=0).deadline(100.0, 0) == 130
 
 
 # -- heads -----------------------------------------------------------------------------------------
@@ -294,6 +296,15 @@ def test_a_head_without_end_is_refused(url: str, http: httpx.Client, begin: byte
             pass
         received = rest(connection)
         assert received == b"" or received.startswith(b"HTTP/1.1 431 ")
+    assert refusals(http, "head too large") == 1
+
+
+def test_so_is_one_that_comes_during_an_answer(url: str, http: httpx.Client, stream: str) -> None:
+    with connected(url) as connection:
+        connection.sendall(head("GET", "/streams/s/events"))
+        assert connection.recv(16).startswith(b"HTTP/1.1 200")
+        connection.sendall(b"GET /")
+        assert flood(connection, b"x" * HEAD_LIMIT) < 20_000_000
     assert refusals(http, "head too large") == 1
 
 
@@ -457,12 +468,13 @@ def is_heard(url: str) -> bool:
 
 
 def test_a_flood_of_connections_is_let_go(
-    url: str, http: httpx.Client, monkeypatch: pytest.MonkeyPatch
+    engine: Engine, settings: Settings, clock: Clock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Some are heard, the others closed at once: who is to be told so holds a descriptor."""
-    monkeypatch.setattr(uvicorn_protocols, "PATIENCE", 10 * LONG)
-    http.close()
+    """Some receive an answer, the service closes the others at once: each holds a descriptor."""
+    monkeypatch.setattr(connection_limits, "PATIENCE", 10 * LONG)
+    patient = settings.model_copy(update={"head_timeout": 10 * LONG})
     with ExitStack() as stack:
+        url = stack.enter_context(running(create_app(engine, patient, clock), patient))
         held = [stack.enter_context(connected(url)) for _ in range(12)]
         for connection in held:
             connection.sendall(head("GET", "/status/events"))
@@ -471,7 +483,19 @@ def test_a_flood_of_connections_is_let_go(
         assert [rest(connection) for connection in flood[REFUSED:]] == [b""] * REFUSED
         flood[0].sendall(head("GET", "/healthz"))
         assert answer(flood[0])[0] == 503
-    until(lambda: is_heard(url))
+        held[0].close()
+        until(lambda: is_heard(url))
+
+
+def test_a_client_that_leaves_ends_the_request_before_the_last_one(
+    url: str, http: httpx.Client, stream: str
+) -> None:
+    """The event stream would wait for ever: uvicorn ends the last request of the pipeline only."""
+    with connected(url) as connection:
+        connection.sendall(head("GET", "/streams/s/events") + 2 * head("GET", "/healthz"))
+        assert connection.recv(16).startswith(b"HTTP/1.1 200")
+        until(lambda: "dyknow_event_stream_clients 1" in http.get("/metrics").text)
+    until(lambda: "dyknow_event_stream_clients 0" in http.get("/metrics").text)
 
 
 def test_what_is_no_http_is_told_in_a_problem(url: str, http: httpx.Client) -> None:
@@ -480,6 +504,7 @@ def test_what_is_no_http_is_told_in_a_problem(url: str, http: httpx.Client) -> N
         status, problem, headers = answer(connection)
         assert (status, problem["title"]) == (400, "bad request")
         assert headers["content-type"] == "application/problem+json"
+        assert headers["x-content-type-options"] == "nosniff"
         assert problem["hint"]
         assert problem["instance"] == f"urn:dyknow:request:{headers['x-request-id']}"
     assert refusals(http, "bad request") == 1
@@ -498,7 +523,7 @@ def test_a_bound_that_is_reached_is_counted(url: str) -> None:
 
 def test_bounds_count_what_is_there() -> None:
     settings = Settings(max_connections=3, max_connections_per_client=2)
-    counted = Bounds(settings, lambda _: None)
+    counted = ConnectionLimits(settings, lambda _: None)
     assert [counted.admit(address) is None for address in ("a", "a", "a", "b", "c")] == [
         True,
         True,

@@ -1,5 +1,5 @@
 """What one request may declare, and who reads it: XML another process, SSL and KPL another thread
-than the one in which everybody waits (docs/isolation.md)."""
+than the one in which everybody waits (docs/explanation/isolation.md)."""
 
 from __future__ import annotations
 
@@ -149,7 +149,7 @@ def test_specifications_are_read_by_another_process(
     wrong = http.post("/specifications", content=f"{HEAD}\n  <cux/></specification>", headers=XML)
     assert wrong.status_code == 400
     assert (wrong.json()["line"], wrong.json()["column"]) == (2, 4)
-    assert "`cux` is no element of a specification" in wrong.json()["detail"]
+    assert "`cux` is not an element of a specification" in wrong.json()["detail"]
 
 
 @pytest.mark.parametrize(

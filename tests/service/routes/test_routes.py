@@ -1,4 +1,4 @@
-"""Every route does what docs/api.md says, over the real engine."""
+"""Every route does what docs/reference/http.md says, over the real engine."""
 
 from __future__ import annotations
 

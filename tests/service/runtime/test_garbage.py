@@ -8,7 +8,7 @@ from weakref import ref
 
 import pytest
 
-from dyknow.service.runtime.gc_policy import FEW, LEAST, LONGEST, SHARE, Garbage
+from dyknow.service.runtime.gc_policy import FEW, LEAST, LONGEST, SHARE, CollectionSchedule
 
 
 class Thing:
@@ -18,7 +18,7 @@ class Thing:
         self.itself = self
 
 
-class Policy(Garbage):
+class Policy(CollectionSchedule):
     """One whose clock is moved by hand."""
 
     def __init__(self, slow: float = 0.0) -> None:

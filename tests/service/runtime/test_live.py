@@ -24,7 +24,7 @@ from dyknow.service.app import create_app
 from dyknow.service.client.client import Client, RoundedNumbers, ServiceError
 from dyknow.service.config.media_types import ARROW, NDJSON
 from dyknow.service.config.settings import Settings
-from dyknow.service.http.body_limit import BodyLimit, Held
+from dyknow.service.http.body_limit import Body, BodyLimit
 from dyknow.service.http.problems import Problem
 from dyknow.service.server import running
 from dyknow.streams.sample import Field, FieldType, Schema
@@ -204,8 +204,8 @@ def test_only_what_waits_counts_among_all_bodies() -> None:
         """Never called."""
 
     limit = BodyLimit(nothing, limit=100, total=150)
-    Held(limit, live=False).add(100)
-    body = Held(limit, live=True)
+    Body(limit, live=False).add(100)
+    body = Body(limit, live=True)
     body.add(1_000)
     body.keep(50)
     for kept, status in ((51, 429), (101, 413)):

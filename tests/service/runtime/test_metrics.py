@@ -26,7 +26,7 @@ from dyknow.engine.engine import Engine
 from dyknow.service.app import create_app
 from dyknow.service.config.settings import Settings
 from dyknow.service.runtime.context import Service
-from dyknow.service.runtime.stream_metrics import SLICE, _Told
+from dyknow.service.runtime.stream_metrics import SLICE, _Lines
 from dyknow.service.workers.messages import Job, Query
 from dyknow.service.workers.pool import Pool
 from dyknow.service.workers.worker import End, WorkerError
@@ -211,7 +211,7 @@ def test_further_streams_are_told_together(
 
 
 def test_scrapes_that_overlap_count_an_increase_once() -> None:
-    told = _Told((("c_total", "counter", "Things", ("",)),), 0)
+    told = _Lines((("c_total", "counter", "Things", ("",)),), 0)
     counted = 10.0
 
     async def scrape(silent: int = 0) -> float:

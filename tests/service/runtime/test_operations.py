@@ -31,11 +31,11 @@ from dyknow.service.durability.command_queue import (
 )
 from dyknow.service.runtime.context import LATE, Service
 from dyknow.service.runtime.stream_metrics import escaped
-from dyknow.service.runtime.warm_up import Warming
+from dyknow.service.runtime.warm_up import WarmUp
 from dyknow.service.server import running
 from dyknow.streams.time import SECOND, Clock
 
-PAGE = ROOT / "docs" / "operations.md"
+PAGE = ROOT / "docs" / "reference" / "metrics.md"
 LINES = {"Content-Type": "application/x-ndjson"}
 
 
@@ -247,10 +247,10 @@ def test_every_reason_is_on_the_page(engine: Engine, settings: Settings, clock: 
     written = {name for row in rows for name in re.findall(r"`(.+?)`", row)}
     app = create_app(engine, settings, clock)
     service: Service = app.state.service
-    warming = service.warming = Warming()
+    warming = service.warming = WarmUp()
     never = threading.Event()
     with pytest.MonkeyPatch.context() as still:
-        still.setattr(Warming, "_run", lambda *arguments: never.wait(20))
+        still.setattr(WarmUp, "_run", lambda *arguments: never.wait(20))
         warming.loops()
         warming.application(app)
         for name in ("sparql", "windows"):

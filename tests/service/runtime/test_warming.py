@@ -19,7 +19,7 @@ from dyknow.engine.engine import Engine
 from dyknow.service.app import create_app
 from dyknow.service.config.settings import Settings
 from dyknow.service.runtime.context import Service
-from dyknow.service.runtime.warm_up import Warming
+from dyknow.service.runtime.warm_up import WarmUp
 from dyknow.service.server import running
 from dyknow.service.workers import services
 from dyknow.streams.time import Clock
@@ -37,7 +37,7 @@ def test_what_goes_on_is_a_reason_until_it_is_over(
 ) -> None:
     app = create_app(engine, settings, clock)
     service: Service = app.state.service
-    service.warming = Warming()
+    service.warming = WarmUp()
     service.warming.begin("loops", "being compiled", lambda: gate.wait(30) and None)
     with running(app, settings) as url, httpx.Client(base_url=url, trust_env=False) as http:
         until(lambda: http.get("/readyz").json()["reasons"] == ["loops: being compiled"])
@@ -54,7 +54,7 @@ def test_the_loops_tell_how_far_they_are(
         gate.wait(30)
 
     monkeypatch.setattr("dyknow.service.runtime.warm_up.compile_all", compile_all)
-    warming = Warming()
+    warming = WarmUp()
     warming.loops()
     until(lambda: warming.reasons() == ["loops: being compiled, 1 of 3 are done"])
     gate.set()
@@ -73,7 +73,7 @@ def test_who_stops_waits_for_the_loop_at_hand_and_no_further_one(
             tell(done, 3)
 
     monkeypatch.setattr("dyknow.service.runtime.warm_up.compile_all", compile_all)
-    warming = Warming()
+    warming = WarmUp()
     warming.loops()
     ending = threading.Thread(target=warming.end)
     ending.start()
@@ -89,7 +89,7 @@ def test_a_warm_up_that_fails_stays_a_reason() -> None:
     def fail() -> None:
         raise RuntimeError("no compiler")
 
-    warming = Warming()
+    warming = WarmUp()
     warming.begin("loops", "being compiled", fail).join()
     assert warming.reasons() == ["loops: failed: no compiler"]
 
@@ -99,7 +99,7 @@ def test_what_is_there_at_the_start_is_not_collected_again(
 ) -> None:
     app = create_app(engine, settings, clock)
     before = gc.get_freeze_count()
-    warming = Warming()
+    warming = WarmUp()
     warming.begin("loops", "being compiled", lambda: gate.wait(30) and None)
     warming.application(app)
     try:
@@ -119,7 +119,7 @@ def test_workers_that_cannot_be_started_are_tried_again(
     monkeypatch.setattr(services, "_AGAIN", 0.05)
     app = create_app(engine, settings, clock)
     service: Service = app.state.service
-    service.warming = Warming()
+    service.warming = WarmUp()
     with (
         running(app, settings) as url,
         httpx.Client(base_url=url, trust_env=False, timeout=120) as http,

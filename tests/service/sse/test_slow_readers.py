@@ -22,14 +22,14 @@ from dyknow.service.app import create_app
 from dyknow.service.client.client import Client
 from dyknow.service.config.media_types import ARROW
 from dyknow.service.config.settings import Settings
-from dyknow.service.http.access_log import Observe
+from dyknow.service.http.access_log import AccessLog
 from dyknow.service.http.problems import Problem
 from dyknow.service.http.response_limit import (
     EACH,
     PIECE_BYTES,
     STREAMED,
-    Answers,
     LongAnswers,
+    ResponseLimit,
 )
 from dyknow.service.server import running
 from dyknow.streams.time import Clock
@@ -223,7 +223,7 @@ async def sent(app: FastAPI | PlainTextResponse | StreamingResponse, method: str
         raise AssertionError
 
     scope = {"type": "http", "method": method, "path": "/", "headers": [], "client": None}
-    await Answers(app, LongAnswers(1, 10), lambda _: "")(scope, receive, send)
+    await ResponseLimit(app, LongAnswers(1, 10), lambda _: "")(scope, receive, send)
     return messages
 
 
@@ -273,6 +273,6 @@ def test_how_long_a_client_takes_is_no_slow_request(monkeypatch: pytest.MonkeyPa
         raise AssertionError
 
     scope = {"type": "http", "method": "GET", "path": "/", "headers": [], "client": None}
-    asyncio.run(Observe(app, Count())(scope, receive, send))
+    asyncio.run(AccessLog(app, Count())(scope, receive, send))
     assert told == [2.0]
     assert now > 300.0

@@ -1,10 +1,10 @@
-"""Large batches are decoded in turns: others are answered meanwhile, and what they do counts."""
+"""Threads decode large batches, while the event loop answers other requests."""
 
 from __future__ import annotations
 
 import asyncio
 import threading
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Iterator
 from itertools import pairwise
 from typing import Any
 
@@ -24,9 +24,9 @@ from dyknow.service.app import create_app
 from dyknow.service.config.media_types import NDJSON
 from dyknow.service.config.settings import Settings
 from dyknow.service.durability.command_queue import Keeper
-from dyknow.service.http.body_limit import HELD, BodyLimit, Held
+from dyknow.service.http.body_limit import BODY, Body, BodyLimit
 from dyknow.service.runtime.live_ingest import LiveBodies, LiveLines
-from dyknow.service.turns.batch_decoding import AT_ONCE, TOGETHER, Decoding
+from dyknow.service.turns.batch_decoding import AT_ONCE, THREADS, BatchDecoder
 from dyknow.streams.sample import Field, FieldType, Schema
 from dyknow.streams.time import SECOND
 
@@ -49,20 +49,57 @@ def declare(engine: Engine, fields: tuple[Field, ...] = FIELDS, name: str = "s")
 
 
 @pytest.fixture
-def decoding(engine: Engine) -> Decoding:
-    """One whose turns are over at the first moment."""
+def decoder(engine: Engine) -> Iterator[BatchDecoder]:
     declare(engine)
-    return Decoding(engine, LIMITS, turn=0)
+    decoder = BatchDecoder(engine, LIMITS)
+    yield decoder
+    decoder.close()
+
+
+class Gate:
+    """Holds decoders up before they return, until it opens."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.begun: list[int] = []
+        """The times of the batches whose decoding has begun, in order."""
+        self.together = self.most = 0
+        self.threads: set[str] = set()
+        self._open = threading.Event()
+        self._lock = threading.Lock()
+        decode = Publish.decode_beside
+
+        def gated(batch: Publish, *given: Any) -> Any:
+            with self._lock:
+                self.begun.append(batch.now)
+                self.together += 1
+                self.most = max(self.most, self.together)
+                self.threads.add(threading.current_thread().name)
+            try:
+                found = decode(batch, *given)
+                assert self._open.wait(60)
+                return found
+            finally:
+                with self._lock:
+                    self.together -= 1
+
+        monkeypatch.setattr(Publish, "decode_beside", gated)
+
+    def open(self) -> None:
+        self._open.set()
+
+    async def has_begun(self, count: int) -> None:
+        """Return when so many were begun."""
+        while len(self.begun) < count:
+            await asyncio.sleep(0.001)
+
+
+@pytest.fixture
+def gate(monkeypatch: pytest.MonkeyPatch) -> Gate:
+    return Gate(monkeypatch)
 
 
 def batch(data: bytes, name: str = "s") -> Publish:
     return Publish(name, "ndjson", data, START)
-
-
-async def after(decoding: Decoding, turns: int) -> None:
-    """Return when so many turns were taken."""
-    while decoding.turns < turns:
-        await asyncio.sleep(0)
 
 
 def run(work: Callable[[], Awaitable[Any]]) -> Any:
@@ -74,54 +111,48 @@ def run(work: Callable[[], Awaitable[Any]]) -> Any:
 
 
 def test_others_are_answered_meanwhile(
-    engine: Engine, recorded: RecordedEngine | None, settings: Settings, clock: Any
+    engine: Engine, recorded: RecordedEngine | None, settings: Settings, clock: Any, gate: Gate
 ) -> None:
     declare(engine)
     declare(engine, name="other")
     app = create_app(recorded or engine, settings, clock)
-    app.state.service.decoding = decoding = Decoding(engine, LIMITS, turn=0)
     kind = {"Content-Type": NDJSON}
 
-    async def work() -> tuple[int, int, int]:
+    async def work() -> tuple[int, int]:
         transport = httpx.ASGITransport(app)
         async with httpx.AsyncClient(transport=transport, base_url="http://127.0.0.1") as http:
             data = body()
             large = asyncio.create_task(http.post("/streams/s/samples", content=data, headers=kind))
-            answered = 0
-            while not large.done():
-                await asyncio.sleep(0)  # nobody waits here for a network
+            await gate.has_begun(1)
+            for answered in range(8):
                 (await http.get("/healthz")).raise_for_status()
                 small = b'{"valid":1,"id":"a","n":%d}' % answered
                 posted = await http.post("/streams/other/samples", content=small, headers=kind)
                 assert posted.status_code == 202
-                answered += 1
-            answer = large.result()
+            assert not large.done()
+            gate.open()
+            answer = await large
             assert answer.status_code == 202, answer.text
-            return answered, answer.json()["accepted"], data.count(b"\n")
+            return answer.json()["accepted"], data.count(b"\n")
 
-    answered, accepted, count = run(work)
-    # One part is 64 KiB, half of what is decoded at once.
-    assert decoding.turns >= 8
-    assert answered >= 8
+    accepted, count = run(work)
     assert accepted == count
     assert engine.generator("s").counters.used == count
-    assert engine.generator("other").counters.used == answered
+    assert engine.generator("other").counters.used == 8
 
 
-def test_a_small_batch_takes_no_turn(engine: Engine, decoding: Decoding) -> None:
-    before = threading.active_count()
+def test_a_small_batch_takes_no_thread(engine: Engine, decoder: BatchDecoder, gate: Gate) -> None:
     small = body(AT_ONCE - 100)
     assert len(small) <= AT_ONCE
-    found = run(lambda: decoding.decode(batch(small)))
+    found = run(lambda: decoder.decode(batch(small)))
     assert len(found.batch) == small.count(b"\n")
-    assert decoding.turns == 0
-    assert threading.active_count() == before
+    assert not gate.begun
     # Its texts are the stream's already.
     assert found.batch.columns["id"].pool is engine.generator("s").stream.pools["id"]
 
 
-def test_a_small_body_that_stands_for_a_large_batch_takes_turns(
-    engine: Engine, decoding: Decoding
+def test_a_small_body_that_stands_for_a_large_batch_takes_a_thread(
+    engine: Engine, decoder: BatchDecoder, gate: Gate
 ) -> None:
     """Some kilobytes of compressed Arrow held up all others for more than a second."""
     count = 4 * AT_ONCE
@@ -135,67 +166,70 @@ def test_a_small_body_that_stands_for_a_large_batch_takes_turns(
         writer.write_table(table)
     data = sink.getvalue().to_pybytes()
     assert len(data) < AT_ONCE / 4
-    found = run(lambda: decoding.decode(Publish("s", "arrow", data, START)))
-    assert decoding.turns >= 4
+    gate.open()
+    found = run(lambda: decoder.decode(Publish("s", "arrow", data, START)))
+    assert gate.begun == [START]
     at_once = Publish("s", "arrow", data, START).decode(engine, LIMITS)
     assert found.batch.columns["id"].tolist() == at_once.batch.columns["id"].tolist()
 
 
-def test_a_small_arrow_batch_and_what_is_none_take_no_turn(
-    engine: Engine, decoding: Decoding
+def test_a_small_arrow_batch_and_what_is_none_take_no_thread(
+    engine: Engine, decoder: BatchDecoder, gate: Gate
 ) -> None:
     table = pa.table({"valid": pa.array([1, 2]), "id": ["a", "b"], "n": [1, 2]})
     sink = pa.BufferOutputStream()
     with pa.ipc.new_stream(sink, table.schema) as writer:
         writer.write_table(table)
     data = sink.getvalue().to_pybytes()
-    found = run(lambda: decoding.decode(Publish("s", "arrow", data, START)))
+    found = run(lambda: decoder.decode(Publish("s", "arrow", data, START)))
     assert len(found.batch) == 2
     for broken in (b"ARROW1", data[:-100]):
         with pytest.raises(WireError):
-            run(lambda broken=broken: decoding.decode(Publish("s", "arrow", broken, START)))
-    assert decoding.turns == 0
+            run(lambda broken=broken: decoder.decode(Publish("s", "arrow", broken, START)))
+    assert not gate.begun
 
 
-def test_it_is_what_is_decoded_at_once(engine: Engine, decoding: Decoding) -> None:
+def test_it_is_what_is_decoded_at_once(engine: Engine, decoder: BatchDecoder) -> None:
     data = body()
-    found = run(lambda: decoding.decode(batch(data)))
+    found = run(lambda: decoder.decode(batch(data)))
     at_once = batch(data).decode(engine, LIMITS)
-    assert decoding.turns > 8
     assert list(found.batch.rows()) == list(at_once.batch.rows())
 
 
-def test_a_bad_line_is_told_and_threads_are_used_again(decoding: Decoding) -> None:
+def test_a_bad_line_is_told_and_threads_are_used_again(decoder: BatchDecoder, gate: Gate) -> None:
     data = body()
     bad = data + b'{"valid":1,"id":"a","n":true}\n'
-    before = threading.active_count()
+    gate.open()
     for _ in range(3):
         with pytest.raises(WireError, match="'n' is an integer, got true") as told:
-            run(lambda: decoding.decode(batch(bad)))
+            run(lambda: decoder.decode(batch(bad)))
         assert told.value.line == data.count(b"\n") + 1
-    assert threading.active_count() == before + 1
-    decoding.close()
+    assert len(gate.threads) <= THREADS
 
 
 def test_a_stream_that_is_removed_meanwhile_takes_nothing(
-    engine: Engine, decoding: Decoding
+    engine: Engine, decoder: BatchDecoder, gate: Gate
 ) -> None:
     async def work() -> None:
-        large = asyncio.create_task(decoding.decode(batch(body())))
-        await after(decoding, 3)
+        large = asyncio.create_task(decoder.decode(batch(body())))
+        await gate.has_begun(1)
         RemoveStream("s").apply(engine)
+        gate.open()
         await large
 
     with pytest.raises(UnknownStream):
         run(work)
 
 
-def test_a_stream_with_other_fields_decodes_it_again(engine: Engine, decoding: Decoding) -> None:
+def test_a_stream_with_other_fields_decodes_it_again(
+    engine: Engine, decoder: BatchDecoder, gate: Gate
+) -> None:
     async def work() -> Any:
-        large = asyncio.create_task(decoding.decode(batch(body())))
-        await after(decoding, 3)
+        large = asyncio.create_task(decoder.decode(batch(body())))
+        await gate.has_begun(1)
         RemoveStream("s").apply(engine)
         declare(engine, OTHERS)
+        gate.open()
         return await large
 
     found = run(work)
@@ -203,14 +237,16 @@ def test_a_stream_with_other_fields_decodes_it_again(engine: Engine, decoding: D
     assert len(found.batch) == body().count(b"\n")
 
 
-def test_an_open_stream_gets_its_fields_meanwhile(engine: Engine) -> None:
+def test_an_open_stream_gets_its_fields_meanwhile(
+    engine: Engine, decoder: BatchDecoder, gate: Gate
+) -> None:
     engine.add_kpl("source pos o")
-    decoding = Decoding(engine, LIMITS, turn=0)
 
     async def work() -> Any:
-        large = asyncio.create_task(decoding.decode(batch(body(), "o")))
-        await after(decoding, 3)
+        large = asyncio.create_task(decoder.decode(batch(body(), "o")))
+        await gate.has_begun(1)
         batch(b'{"valid":1,"id":"a","n":0.5}', "o").apply(engine)
+        gate.open()
         return await large
 
     found = run(work)
@@ -219,49 +255,44 @@ def test_an_open_stream_gets_its_fields_meanwhile(engine: Engine) -> None:
     assert found.batch.columns["n"].type is FieldType.FLOAT
 
 
-def test_who_gives_up_leaves_nothing_behind(engine: Engine, decoding: Decoding) -> None:
+def test_who_gives_up_leaves_nothing_behind(
+    engine: Engine, decoder: BatchDecoder, gate: Gate
+) -> None:
     async def work() -> Any:
-        large = [asyncio.create_task(decoding.decode(batch(body()))) for _ in range(TOGETHER)]
-        await after(decoding, 2 * TOGETHER)
+        large = [asyncio.create_task(decoder.decode(batch(body()))) for _ in range(2 * THREADS)]
+        await gate.has_begun(THREADS)
         for each in large:
             each.cancel()
         assert all(
             isinstance(each, asyncio.CancelledError)
             for each in await asyncio.gather(*large, return_exceptions=True)
         )
-        return await decoding.decode(batch(body()))
+        gate.open()
+        return await decoder.decode(batch(body()))
 
-    before = threading.active_count()
     assert len(run(work).batch) == body().count(b"\n")
-    assert threading.active_count() <= before + TOGETHER
-    # The last one had a thread of those that were given up.
+    # Batches that had not begun are not decoded for clients that have gone.
+    assert len(gate.begun) == THREADS + 1
     assert engine.generator("s").stream.pools["id"].strings() == []
 
 
-def test_some_are_decoded_at_once_and_others_after_them_in_order(decoding: Decoding) -> None:
-    begun: list[int] = []
-    done: list[int] = []
-    most = 0
-
-    class Told(Publish, frozen=True, tag="told"):
-        def decode_apart(self, *given: Any) -> Any:
-            nonlocal most
-            begun.append(self.now)
-            most = max(most, len(begun) - len(done))
-            found = super().decode_apart(*given)
-            done.append(self.now)
-            return found
-
+def test_some_are_decoded_at_once_and_others_after_them_in_order(
+    decoder: BatchDecoder, gate: Gate
+) -> None:
     async def work() -> None:
-        data = body()
-        numbers = range(2 * TOGETHER)
-        await asyncio.gather(
-            *(decoding.decode(Told("s", "ndjson", data, number)) for number in numbers)
-        )
+        data, numbers = body(), range(2 * THREADS)
+        large = [
+            asyncio.create_task(decoder.decode(Publish("s", "ndjson", data, number)))
+            for number in numbers
+        ]
+        await gate.has_begun(THREADS)
+        gate.open()
+        await asyncio.gather(*large)
 
     run(work)
-    assert begun == list(range(2 * TOGETHER))
-    assert most == TOGETHER
+    assert sorted(gate.begun[:THREADS]) == [*range(THREADS)]
+    assert sorted(gate.begun) == [*range(2 * THREADS)]
+    assert gate.most == THREADS
 
 
 def test_a_key_has_one_effect_however_often_it_is_under_way(
@@ -269,7 +300,6 @@ def test_a_key_has_one_effect_however_often_it_is_under_way(
 ) -> None:
     declare(engine)
     app = create_app(recorded or engine, settings, clock)
-    app.state.service.decoding = Decoding(engine, LIMITS, turn=0)
 
     async def work() -> list[httpx.Response]:
         transport = httpx.ASGITransport(app)
@@ -288,12 +318,11 @@ def test_a_key_has_one_effect_however_often_it_is_under_way(
 
 
 def test_what_was_done_meanwhile_is_not_later_than_it(
-    engine: Engine, recorded: RecordedEngine | None, settings: Settings, clock: Any
+    engine: Engine, recorded: RecordedEngine | None, settings: Settings, clock: Any, gate: Gate
 ) -> None:
     """Samples without available times are stamped when their batch is taken."""
     declare(engine)
     app = create_app(recorded or engine, settings, clock)
-    app.state.service.decoding = decoding = Decoding(engine, LIMITS, turn=0)
 
     async def work() -> None:
         transport = httpx.ASGITransport(app)
@@ -302,11 +331,12 @@ def test_what_was_done_meanwhile_is_not_later_than_it(
             large = asyncio.create_task(
                 http.post("/streams/s/samples", content=body(), headers=kind)
             )
-            await after(decoding, 3)
+            await gate.has_begun(1)
             clock.now += SECOND
             small = b'{"valid":1,"id":"a","n":1}'
             await http.post("/streams/s/samples", content=small, headers=kind)
             clock.now += SECOND
+            gate.open()
             await large
 
     run(work)
@@ -328,7 +358,7 @@ def test_of_a_live_body_so_much_is_worked_off_at_once(engine: Engine) -> None:
 
     async def work() -> list[int]:
         request = Request({"type": "http"}, receive)
-        request.scope[HELD] = Held(BodyLimit(receive, 1 << 30, 1 << 30), live=True)
+        request.scope[BODY] = Body(BodyLimit(receive, 1 << 30, 1 << 30), live=True)
         live = LiveLines(engine, Keeper(engine, None, {}), "s", lambda: START, LIMITS)
         publishing = asyncio.create_task(LiveBodies().publish(request, live, 20))
         seen = []

@@ -25,7 +25,7 @@ from dyknow.service.client.client import Client
 from dyknow.service.config.settings import Settings
 from dyknow.service.server import running
 from dyknow.service.turns import backlog_task
-from dyknow.service.turns.window_turns import Pausing
+from dyknow.service.turns.window_turns import WindowTurns
 from dyknow.streams.time import SECOND
 
 LINES = {"Content-Type": "application/x-ndjson"}
@@ -43,7 +43,7 @@ CONSTRUCT {?o dyknow:speed ?v} WHERE { ?o dyknow:speed ?v } WINDOW [RANGE 1s STE
 @contextmanager
 def serving(most: float, data: Path | None = None) -> Iterator[str]:
     """A service that cuts a unit off after ``most`` seconds of work."""
-    turns = Pausing(5, most)
+    turns = WindowTurns(5, most)
     engine: Engine | RecordedEngine
     if data is None:
         engine = Engine(epoch="e1", turns=turns)
@@ -84,13 +84,13 @@ def publish(http: httpx.Client, body: str) -> None:
 def hard(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each turn of a unit counts as a tenth of a second of work, and publishers wait for one
     hundredth, on any machine."""
-    go_on = WindowUnit.go_on
+    work = WindowUnit.work
 
     def slow(unit: WindowUnit, *given: Any, **more: Any) -> Any:
         unit._spent += 0.1
-        return go_on(unit, *given, **more)
+        return work(unit, *given, **more)
 
-    monkeypatch.setattr(WindowUnit, "go_on", slow)
+    monkeypatch.setattr(WindowUnit, "work", slow)
     monkeypatch.setattr(backlog_task, "FIRST", 0)
     monkeypatch.setattr(backlog_task, "FURTHER", 0)
     monkeypatch.setattr(backlog_task, "_PATIENCE", 0.01)

@@ -1,4 +1,5 @@
-"""What is made to stop the service is refused or stopped alone (promise P7, docs/isolation.md).
+"""What is made to stop the service is refused or stopped alone (promise P7,
+docs/explanation/isolation.md).
 
 The service is a process of its own, as one that is shot at may die.
 """

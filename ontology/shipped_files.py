@@ -1,0 +1,49 @@
+"""The ontologies and shapes that the package contains."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+
+from pyoxigraph import NamedNode, Triple
+
+from . import graphs
+from .reading import read_triples
+
+_HERE = Path(__file__).parent
+
+
+@dataclass(frozen=True, slots=True)
+class ShippedOntology:
+    """A Turtle file of this room, and the graph for its triples."""
+
+    graph: NamedNode
+    file: Path
+
+    def text(self) -> str:
+        return self.file.read_text(encoding="utf-8")
+
+    def triples(self) -> frozenset[Triple]:
+        return read_triples(self.text(), "turtle", self.graph)
+
+
+def shipped_ontologies() -> tuple[ShippedOntology, ...]:
+    """Return the ontologies of the stream space and of aviation, and the alignments with other
+    vocabularies."""
+    alignments = sorted((_HERE / "alignments").glob("*.ttl"))
+    return (
+        ShippedOntology(graphs.STREAM_SPACE_ONTOLOGY, _HERE / "dyknow.ttl"),
+        ShippedOntology(graphs.DOMAIN_ONTOLOGY, _HERE / "domain.ttl"),
+        *(ShippedOntology(NamedNode(graphs.ALIGNMENTS + f.stem), f) for f in alignments),
+    )
+
+
+def shapes_text() -> str:
+    """Return the SHACL shapes of a well-formed stream space, as Turtle."""
+    return (_HERE / "shapes.ttl").read_text(encoding="utf-8")
+
+
+def text_hash(text: str) -> str:
+    """Return a hash that identifies a version of an ontology text."""
+    return hashlib.sha256(text.encode("utf-8")).hexdigest()
