@@ -18,6 +18,7 @@ from typing import TypeAlias
 from pyoxigraph import Literal, NamedNode, Triple
 
 from ..rdf.namespaces import DYKNOW, OWL, RDF, RDFS, STREAM_SPACE, XSD, local_name
+from .errors import OntologyError
 from .hierarchy import Hierarchy
 from .units import Unit, UnitError, parse_unit
 
@@ -39,6 +40,7 @@ _SCHEMA = (
 SELF = STREAM_SPACE + "self"
 """The object that the system is part of ([Introspection15 §4.3])."""
 _SAME = OWL + "sameAs"
+_MOST_ARITY = 99
 _NO_NAMES: frozenset[str] = frozenset()
 Links: TypeAlias = Mapping[str, frozenset[str]]
 
@@ -49,7 +51,8 @@ class FeatureInfo:
 
     ``range`` and ``domain`` are the narrowest known (a datatype or class IRI), ``unit`` the one
     that plain numbers of it are in (None: none is stated). Sub-features inherit all three.
-    ``arity`` is the number of its arguments where the ontology says it: 1 of a `:UnaryFeature`.
+    ``arity`` is the number of its arguments where the ontology says it: its ``:hasArity``, and 1 of
+    a `:UnaryFeature`. Sub-features do not inherit it.
     """
 
     iri: str
@@ -84,7 +87,8 @@ class Vocabulary:
         """The vocabulary of these triples, which must be closed (asserted and entailed) but for
         the pairs of hierarchies.
 
-        Raises `UnitError`, naming the feature, if a ``:hasUnit`` cannot be understood.
+        Raises `UnitError`, naming the feature, if a ``:hasUnit`` cannot be understood, and
+        `OntologyError` if a ``:hasArity`` is no number or not the only one.
         Cost: linear in the triples, and that of the hierarchies.
         """
         return _read(_Index(triples), version)
@@ -279,6 +283,7 @@ class _Infos:
         self._ranges = index.named(RDFS + "range")
         self._domains = index.named(RDFS + "domain")
         self._units = index.texts(STREAM_SPACE + "hasUnit")
+        self._arities = index.texts(STREAM_SPACE + "hasArity")
 
     def info(self, feature: str) -> FeatureInfo:
         return FeatureInfo(
@@ -286,8 +291,20 @@ class _Infos:
             self._narrowest(self._ranges.get(feature, set())),
             self._unit(feature),
             self._narrowest(self._domains.get(feature, set())),
-            1 if STREAM_SPACE + "UnaryFeature" in self._types.get(feature, ()) else None,
+            self._arity(feature),
         )
+
+    def _arity(self, feature: str) -> int | None:
+        texts = {text.lstrip("0") or "0" for text in self._arities.get(feature, [])}
+        if STREAM_SPACE + "UnaryFeature" in self._types.get(feature, ()):
+            texts.add("1")
+        if len(texts) > 1:
+            raise OntologyError(f"{feature} has several arities: {', '.join(sorted(texts))}")
+        for text in texts:
+            if text.isascii() and text.isdigit() and int(text[:9]) <= _MOST_ARITY:
+                return int(text)
+            raise OntologyError(f"the arity of {feature} is no number from 0 to 99: {text!r}")
+        return None
 
     def _narrowest(self, classes: set[str]) -> str | None:
         """The class that contains no other of them; the first by name if several do."""
