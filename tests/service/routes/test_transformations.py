@@ -337,6 +337,27 @@ def test_what_is_shown_of_annotations_can_be_sent_again(http: httpx.Client) -> N
     assert (empty.status_code, "annotates no :Stream" in empty.text) == (400, True)
 
 
+def test_annotations_of_code_with_another_name_say_what_to_register(http: httpx.Client) -> None:
+    http.post("/transformations", json=glider(parameters={"factor": 3}))
+    kinds = ("text/plain", "text/turtle", "application/json")
+    forms = {kind: http.get("/annotations", headers={"Accept": kind}).content for kind in kinds}
+    shown = http.get("/transformations/glider").json()
+    http.delete("/transformations/glider")
+    for kind, body in forms.items():
+        refused = http.post("/annotations", content=body, headers={"Content-Type": kind})
+        assert refused.status_code == 404, kind
+        assert refused.json()["detail"] == "there is no implementation called 'glider'"
+        assert (
+            "`implementation` and `parameters` to POST /transformations" in refused.json()["hint"]
+        )
+    again = {key: shown[key] for key in ("implementation", "parameters", "cost", "quality")}
+    http.post("/transformations", json=again | {"annotation": SSL})
+    for kind, body in forms.items():
+        again = http.post("/annotations", content=body, headers={"Content-Type": kind})
+        assert again.status_code == 201, again.text
+    assert http.get("/transformations/glider").json() == shown
+
+
 def test_the_arity_of_turtle_is_checked(http: httpx.Client) -> None:
     """SPEC §3: the number of arguments is the feature's."""
     one = """:s9 a :Stream ; :hasAnnotation [ :hasOutputAnnotation [
