@@ -250,11 +250,12 @@ class StreamGenerator:
         stamped: bool | None,
         watermark: int | None,
         is_ended: bool,
+        complete_since: int | None,
     ) -> None:
         """Be what another was that kept ``batch``, whose first sample has number ``first`` and of
         which the last ``pending`` ones were held back. Contract: nobody has used this one yet."""
         count = len(batch) - pending
-        self.stream.go_on(batch.take(slice(0, count)), first)
+        self.stream.go_on(batch.take(slice(0, count)), first, complete_since)
         self.counters, self.stamped = counters, stamped
         self.watermark, self.is_ended = watermark, is_ended
         self._greatest = self.stream.last_available

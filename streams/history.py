@@ -135,6 +135,8 @@ class FluentStream:
         self._last_available: int | None = None
         self._gone_valid: tuple[int, int] | None = None
         """The least and the greatest valid time of samples in runs that are gone."""
+        self._gone_available = TIME_MIN
+        """The greatest available time of these samples."""
 
     @property
     def forgotten_valid(self) -> tuple[int, int] | None:
@@ -144,6 +146,16 @@ class FluentStream:
             valid = self._runs[0].batch.valid[:gone]
             return _span(self._gone_valid, int(valid.min()), int(valid.max()))
         return self._gone_valid
+
+    @property
+    def complete_since(self) -> int:
+        """The least available time (ns) from which on nothing is forgotten: retention may have cut
+        an instant. `TIME_MIN` where nothing is forgotten at all."""
+        if self.forgotten_valid is None:
+            return TIME_MIN
+        gone = self._first - self._runs[0].first if self._runs else 0
+        newest = int(self._runs[0].batch.available[gone - 1]) if gone else self._gone_available
+        return min(newest + 1, TIME_MAX)
 
     @property
     def retention(self) -> Retention:
@@ -190,11 +202,15 @@ class FluentStream:
         """The greatest available time ever appended, None before the first sample."""
         return self._last_available
 
-    def go_on(self, batch: SampleBatch, first: int) -> None:
-        """Be as one that kept ``batch``, whose first sample has number ``first``; what is known of
-        earlier ones is nothing. Contract: nothing was appended yet."""
+    def go_on(self, batch: SampleBatch, first: int, complete_since: int | None = None) -> None:
+        """Be as one that kept ``batch``, whose first sample has number ``first``; of earlier ones
+        nothing is known but `complete_since`, without which the oldest instant counts as whole.
+        Contract: nothing was appended yet."""
         if first > self._first:
             self._gone_valid = TIME_MIN, TIME_MAX
+            if complete_since is None and len(batch):
+                complete_since = int(batch.available[0])
+            self._gone_available = TIME_MIN if complete_since is None else complete_since - 1
         self._first = self._next = first
         self.append(batch)
 
@@ -311,6 +327,11 @@ class FluentStream:
         """The number of the first kept sample available at ``time`` or later; that of the next
         sample where there is none. Cost: O(log n)."""
         return self._number(time, "left")
+
+    def available_from(self, time: int) -> int:
+        """The available time of the first kept sample at ``time`` or later, else ``time``."""
+        number = self.number_at(time)
+        return max(self._part(number, number + 1).available.tolist(), default=time)
 
     def all(self) -> SampleBatch:
         """The whole kept history as one batch."""
@@ -541,6 +562,7 @@ class FluentStream:
         if gone:
             for run in self._runs[:gone]:
                 self._gone_valid = _span(self._gone_valid, run.low, run.high)
+                self._gone_available = run.end
             del self._runs[:gone]
         oldest = self._runs[0]
         if 2 * (first - oldest.first) >= len(oldest.batch) and self._is_oldest_large():
@@ -558,6 +580,7 @@ class FluentStream:
         oldest = self._runs[0]
         if gone := self._first - oldest.first:
             self._gone_valid = self.forgotten_valid
+            self._gone_available = int(oldest.batch.available[gone - 1])
             kept = oldest.batch.take(np.arange(gone, len(oldest.batch)))
             self._runs[0] = _run(self._first, kept)._replace(place=oldest.place)
 
