@@ -57,6 +57,19 @@ class Recording:
     """The rows with the times that stand in the table; the valid time where there is one only."""
     _has_available: bool = False
 
+    @property
+    def out_of_order_effect(self) -> str:
+        """What becomes of rows that are taken out of order."""
+        if self._has_available:
+            return (
+                "each comes after a later available time:\n"
+                "      it is late where the lateness of the stream is shorter"
+            )
+        return (
+            "each becomes available just after the row above it;\n"
+            "      windows take such rows at that time"
+        )
+
     def __iter__(self) -> Iterator[Incoming]:
         last = TIME_MIN
         for batch in self.read():
