@@ -40,6 +40,7 @@ from ..parameters import (
     show_order,
 )
 from ..streams import read_text, text_or_file
+from .empty_windows import Traffic
 from .triples_file import (
     TripleWriter,
     holds_graphs,
@@ -81,11 +82,14 @@ def run_query(asked: Asked) -> None:
         inputs = _samples(files, text_or_file(asked.ssl), paths, asked.sort)
     else:
         inputs = _triples(files, in_order=behind is not None)
+    traffic = Traffic()
+    inputs = {name: traffic.watch(given) for name, given in inputs.items()}
+    text = read_text(asked.query)
     told = _Late(None if asked.late is None else TripleWriter(asked.late))
     explained = Explained(time.perf_counter_ns)
     try:
         windows = evaluate(
-            read_text(asked.query),
+            text,
             inputs,
             static=known,
             semantics=None if asked.semantics is None else asked.semantics.value,
@@ -107,6 +111,8 @@ def run_query(asked: Asked) -> None:
     if not asked.as_json:
         behind_by = f", {told.count} late" if told.count else ""
         show_text(f"({count} {'window' if count == 1 else 'windows'} with a result{behind_by})")
+        if not count:
+            err().print(f"nothing came: {traffic.why_empty(text, known)}", markup=False)
 
 
 def _print(windows: Iterator[Window], *, as_json: bool) -> int:

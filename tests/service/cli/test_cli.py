@@ -437,7 +437,40 @@ def test_run_leaves_empty_windows_out(table: Path, tmp_path: Path) -> None:
     arguments = ["run", str(path), "--stream", f"{STREAM}={table}", "--ssl", SSL]
     people = CliRunner().invoke(app, arguments)
     assert people.stdout.strip() == "(0 windows with a result)"
-    assert CliRunner().invoke(app, [*arguments, "--json"]).stdout == ""
+    said = "nothing came: 40 triples read: no window fulfilled the conditions of the query"
+    assert people.stderr.strip() == said
+    silent = CliRunner().invoke(app, [*arguments, "--json"])
+    assert (silent.stdout, silent.stderr) == ("", "")
+
+
+def test_run_says_why_no_window_has_a_result(table: Path, tmp_path: Path) -> None:
+    query, static, triples = tmp_path / "q.rq", tmp_path / "s.ttl", tmp_path / "t.ndjson"
+    static.write_text(
+        "@prefix d: <http://www.ida.liu.se/dyknow/> . @prefix r: <http://www.w3.org/2000/01/"
+        "rdf-schema#> . d:UAV r:subClassOf d:Craft . d:speed r:subPropertyOf d:motion ."
+    )
+    rows = [{"time": t, "s": "dyknow:u", "p": "dyknow:speed", "o": t} for t in range(5)]
+    triples.write_text("".join(json.dumps(row) + "\n" for row in rows))
+
+    def said(where: str, *more: str) -> str:
+        query.write_text(
+            f"REGISTER QUERY q AS SELECT * FROM STREAM <{STREAM}> [RANGE 5s STEP 1s] "
+            f"WHERE {{ {where} }}"
+        )
+        run = CliRunner().invoke(app, ["run", str(query), *more])
+        assert run.exit_code == 0, (run.output, run.exception)
+        return run.stderr.strip()
+
+    samples = ["--stream", f"{STREAM}={table}", "--ssl", SSL, "--static", str(static)]
+    lacking = said("?o a dyknow:Car . ?o dyknow:altitude ?v", *samples)
+    assert lacking == (
+        "nothing came: 40 triples read: no member of dyknow:Car seen; no triple of dyknow:altitude"
+    )
+    assert said("?o a dyknow:Craft . ?o dyknow:motion ?v", *samples) == ""
+    assert "no window fulfilled" in said("?o a dyknow:Craft ; dyknow:motion -1", *samples)
+    for lateness in ([], ["--lateness", "1s"]):
+        found = said("?o dyknow:track ?v", "--stream", f"{STREAM}={triples}", *lateness)
+        assert found == "nothing came: 5 triples read: no triple of dyknow:track"
 
 
 def test_run_over_a_stream_that_the_query_does_not_read(table: Path, query: str) -> None:
