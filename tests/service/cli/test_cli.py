@@ -115,6 +115,17 @@ def test_silence_has_a_reason(dyknow: Any, table: Path, template: str) -> None:
             "CONSTRUCT { ?x a ?y } { ?x <http://www.ida.liu.se/dyknow/zzzzzzzz> ?y }",
             ["nothing is called dyknow:zzzzzzzz"],
         ),
+        (
+            "SELECT (COUNT(?x) AS ?n) (SUM(?v) AS ?sum) (MAX(?v) AS ?most) { ?x dyknow:sped ?v }",
+            ["nothing is called dyknow:sped; did you mean dyknow:speed?"],
+        ),
+        (
+            "SELECT (COUNT(*) AS ?n) { ?x a dyknow:Uav }",
+            ["nothing is called dyknow:Uav; did you mean dyknow:UAV"],
+        ),
+        ("SELECT (COUNT(*) AS ?n) { ?x dyknow:sped 1 } GROUP BY ?x", ["nothing is called"]),
+        ("SELECT (COUNT(*) AS ?n) { ?x a dyknow:UAV }", []),
+        ("SELECT (COUNT(*) AS ?n) { ?x a ?y FILTER (?y != dyknow:Uav) }", []),
         ("SELECT * { ?x dyknow:speed 'dyknow:sped' }", []),
         ("SELECT * { dyknow:speed a ?kind OPTIONAL { ?x dyknow:sped ?y } }", []),
     ],
