@@ -138,6 +138,18 @@ def test_sparql_suggests_terms_where_it_finds_nothing(
     assert all(line.startswith(f"hint: {hint}") for line, hint in zip(said, hints, strict=True))
 
 
+def test_no_plan_says_each_cause_once(dyknow: Any, template: str) -> None:
+    dyknow("template", "add", template)
+    dyknow("annotate", SSL.replace("speed(UAV)", "altitude(UAV)").replace("km.h-1", "ft"))
+    refused = dyknow("events", REQUEST, status=1).stderr
+    for cause in ("gives dyknow:latitude", "gives dyknow:longitude"):
+        assert refused.count(cause) == 1, refused
+    assert "no stream and no transformation answers dyknow:HighSpeedEvent" in refused
+    tried = dyknow("match", "altitude", "--sort", "Car", status=1).stdout
+    assert tried.count("sort dyknow:UAV is not a dyknow:Car") == 1, tried
+    assert "failed: stream s5 : altitude [ft] for every UAV = id\n" in tried
+
+
 def test_an_object_by_its_id(dyknow: Any, client: Client) -> None:
     """An id without a prefix is one of the streams' object namespace, as in samples."""
     fleet = "http://example.org/fleet/"
