@@ -231,6 +231,7 @@ def _samples(
     vocabulary = ontology.vocabulary
     checked = check_ssl(parse_ssl(ssl), ssl, vocabulary)
     annotations = [a for a in checked if isinstance(a, StreamAnnotation)]
+    _warn_of_other_streams(annotations, list(files))
     dictionary = TermDictionary()
     found: dict[str, Any] = {}
     for iri, path in files.items():
@@ -267,8 +268,26 @@ def _format(path: Path) -> TextFormat:
     return ONTOLOGY_FORMATS[MEDIA_TYPES.get(path.suffix.lower(), TURTLE)]
 
 
+def _warn_of_other_streams(annotations: Sequence[StreamAnnotation], iris: Sequence[str]) -> None:
+    """Report annotations whose stream is none that is read: their names may be wrong. The only
+    annotation is used all the same."""
+    names = [_stream_name(iri) for iri in iris]
+    for annotation in annotations:
+        if annotation.stream not in names:
+            used = "; it is used all the same" if len(annotations) == 1 else ""
+            err().print(
+                f"warning: the SSL text annotates stream {annotation.stream!r}, which is not read; "
+                f"read: {', '.join(names)}{used}",
+                markup=False,
+            )
+
+
+def _stream_name(iri: str) -> str:
+    return local_name(iri).removesuffix(".trdf")
+
+
 def _annotation(iri: str, annotations: Sequence[StreamAnnotation]) -> StreamAnnotation:
-    name = local_name(iri).removesuffix(".trdf")
+    name = _stream_name(iri)
     for annotation in annotations:
         if annotation.stream == name:
             return annotation

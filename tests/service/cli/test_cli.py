@@ -496,6 +496,21 @@ def test_run_says_why_no_window_has_a_result(table: Path, tmp_path: Path) -> Non
         assert found == "nothing came: 5 triples read: no triple of dyknow:track"
 
 
+def test_run_warns_of_annotations_of_other_streams(table: Path, query: str) -> None:
+    """The only annotation is used whatever stream it names; a wrong name must not be silent."""
+    wrong = SSL.replace("stream s5", "stream s55")
+    reading = ["run", query, "--stream", f"{STREAM}={table}", "--json", "--ssl"]
+    warning = "warning: the SSL text annotates stream 's55', which is not read; read: s5"
+    one = CliRunner().invoke(app, [*reading, wrong])
+    assert one.exit_code == 0, (one.output, one.exception)
+    assert one.stderr.strip() == f"{warning}; it is used all the same"
+    both = CliRunner().invoke(app, [*reading, f"{SSL}\n{wrong}"])
+    assert both.stderr.strip() == warning
+    right = CliRunner().invoke(app, [*reading, SSL])
+    assert (right.stderr, right.stdout) == ("", one.stdout)
+    assert both.stdout == one.stdout
+
+
 def test_run_over_a_stream_that_the_query_does_not_read(table: Path, query: str) -> None:
     other = STREAM.replace("s5", "s6")
     arguments = ["run", query, "--stream", f"{other}={table}", "--ssl", SSL]
