@@ -110,13 +110,8 @@ def _addable_undelayed(
     """A row that can be added at its own place, by itself or before others of the same
     gap. Cost: O(k²) Python for k rows in a gap."""
     taken = places(part, whole)
-    rows, _ = unused(part, whole)
-    free = [
-        (bisect_left(taken, (time, row)), row)
-        for row in rows
-        for time, content in [whole[row]]
-        if alone(time, content[0], policy) is None
-    ]
+    rows = _copies(part, whole, taken, {content for _, content in whole}, policy)
+    free = [(bisect_left(taken, (whole[row][0], row)), row) for row in rows]
     for place, gap in groupby(free, key=lambda each: each[0]):
         before, then = part[place - 1 : place] if place else [], part[place : place + 1]
         reached: list[tuple[int, int]] = []
@@ -169,7 +164,11 @@ def _copies(
 ) -> list[int]:
     """Rows of ``whole`` like a ``kept`` one that could be in ``part``, whose places are ``taken``,
     at their own place, as far as Def. 5.36 and their delay go; in order of time."""
-    waits = policy.order is not Order.ANY and policy.max_delay is not None
+    waits = (
+        policy.order is not Order.ANY
+        and policy.max_delay is not None
+        and isinstance(policy.change, AnyChange)
+    )
     spare: dict[Content, int] = defaultdict(int)
     found: dict[Content, list[int]] = defaultdict(list)
     sent = 0

@@ -155,10 +155,11 @@ def addable(part: list[Sample], whole: list[Sample], policy: Policy) -> Sample |
         return more
 
     if isinstance(policy.change, ChangeBy):
-        free = unused(part, whole)
+        free = [row for row, s in enumerate(whole) if (s[0], row) not in taken]
         for count in (1, 2, 3):
             for rows in combinations(free, count):
-                if satisfies(with_rows(rows), policy):
+                more = with_rows(rows)
+                if satisfies(more, policy) and origins(more, whole) is not None:
                     return whole[rows[0]]
         return None
     repeats = isinstance(policy.change, AnyChange)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from dyknow.streams.policies.policy import AnyChange, Order, Policy
+from dyknow.streams.policies.policy import AnyChange, ChangeBy, Order, Policy
 from dyknow.streams.policies.satisfaction import prove
 from dyknow.streams.policies.select_adaptation import adapt
 from dyknow.streams.sample import Field, FieldType, Schema, batch_from_rows
@@ -51,6 +51,19 @@ def test_there_and_back_are_two_changes(valid):
     assert prove(recorded, recorded, CHANGE) is None
     for spoilt in ((first, other), (other, last), (first,), (last,), (other,)):
         assert prove(stream(*spoilt), recorded, CHANGE) is not None, spoilt
+
+
+def test_there_and_back_are_two_changes_by_d():
+    """Which of two equal samples was left out must not matter."""
+    rows = [(9, 19, 3.0), (15, 12, 1.0), (19, 19, 3.0)]
+    schema, policy = Schema((Field("value", FieldType.FLOAT),)), Policy(ChangeBy(1))
+
+    def batch(kept):
+        return batch_from_rows(schema, [(a, v, {"value": x}) for a, v, x in kept], {})
+
+    assert prove(batch(rows), batch(rows), policy) is None
+    for row in range(3):
+        assert prove(batch(rows[:row] + rows[row + 1 :]), batch(rows), policy) is not None, row
 
 
 def test_a_delayed_copy_is_no_news():
