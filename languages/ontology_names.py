@@ -92,11 +92,15 @@ class OntologyNames:
     def check_arity(self, feature: str, name: str, number: int, span: Span) -> None:
         """Raise an error where ``feature`` does not have ``number`` arguments."""
         info = self.vocabulary.feature(feature)
-        if info is not None and info.arity not in (None, number):
+        if info is not None and info.arity is not None and info.arity != number:
+            one = info.arity == 1
+            arguments = "UAV" if one else ", ".join(f"uav{i + 1}" for i in range(info.arity))
             raise self._error(
-                f"`{name}` has 1 argument, not {number}",
+                f"`{name}` is a feature of {'one object' if one else f'{info.arity} objects'}, "
+                f"and {number or 'none'} {'is' if number < 2 else 'are'} named",
                 span,
-                f"write `{name}(UAV)` with one sort or object",
+                f"write `{name}({arguments})` with "
+                + ("one sort or object" if one else f"{info.arity} sorts or objects"),
             )
 
     def _error(self, message: str, span: Span, hint: str = "") -> LanguageError:

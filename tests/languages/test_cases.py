@@ -52,6 +52,7 @@ dyknow:altitude a dyknow-o:Feature ; dyknow-o:hasUnit "ft" .
 dyknow:speed a dyknow-o:Feature , dyknow-o:UnaryFeature .
 dyknow:speed dyknow-o:hasUnit "km.h-1" ; rdfs:range xsd:double .
 dyknow:xydist a dyknow-o:Feature .
+dyknow:distance a dyknow-o:Feature ; dyknow-o:hasArity 2 .
 dyknow:course a dyknow-o:Feature ; dyknow-o:hasUnit "deg" .
 dyknow:onGround a dyknow-o:Feature , dyknow-o:UnaryFeature ; rdfs:range xsd:boolean .
 dyknow:callsign a dyknow-o:Feature , dyknow-o:UnaryFeature ; rdfs:range xsd:string .
