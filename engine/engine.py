@@ -134,10 +134,14 @@ class Engine:
     # -- streams -----------------------------------------------------------------------------
 
     def declare(self, declaration: StreamDeclaration) -> StreamView:
-        """Make a stream, or change one that nobody has used yet; see `DeclaredStreams`."""
-        if self._parts.configuration.streams.get(declaration.name) is not None:
-            self._refuse_if_source(declaration.name, declaration)
-        generator = self._parts.declared.declare(declaration)
+        """Make a stream, or change one; see `DeclaredStreams`. A source of KPL is in use always."""
+        declared, application = self._parts.declared, self._parts.application
+        name, is_new = declaration.name, not declared.is_as_declared(declaration)
+        if is_new and (name in application.sampled or not declared.can_extend(declaration)):
+            self._refuse_if_source(name)
+        generator = declared.declare(declaration)
+        if is_new:
+            application.release(name)
         self._parts.idleness.came(generator, self._now)
         return self._view(generator)
 
@@ -661,10 +665,8 @@ class Engine:
 
     # -- within ------------------------------------------------------------------------------
 
-    def _refuse_if_source(self, name: str, declaration: StreamDeclaration | None = None) -> None:
-        if self._parts.application.uses_stream(name) and (
-            declaration is None or not self._parts.declared.is_as_declared(declaration)
-        ):
+    def _refuse_if_source(self, name: str) -> None:
+        if self._parts.application.uses_stream(name):
             raise Conflict(
                 f"stream {name!r} is a source of KPL declarations",
                 f"remove these first: DELETE /kpl/{name}",

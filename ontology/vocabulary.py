@@ -18,6 +18,7 @@ from typing import TypeAlias
 from pyoxigraph import Literal, NamedNode, Triple
 
 from ..rdf.namespaces import DYKNOW, OWL, RDF, RDFS, STREAM_SPACE, XSD, local_name
+from .errors import OntologyError
 from .hierarchy import Hierarchy
 from .units import Unit, UnitError, parse_unit
 
@@ -39,6 +40,7 @@ _SCHEMA = (
 SELF = STREAM_SPACE + "self"
 """The object that the system is part of ([Introspection15 §4.3])."""
 _SAME = OWL + "sameAs"
+_MOST_ARITY = 99
 _NO_NAMES: frozenset[str] = frozenset()
 Links: TypeAlias = Mapping[str, frozenset[str]]
 
@@ -49,7 +51,8 @@ class FeatureInfo:
 
     ``range`` and ``domain`` are the narrowest stated datatype or class IRI; ``unit`` is that of
     plain numbers (None: none is stated). Sub-features inherit all three. ``arity`` is the number of
-    arguments if the ontology states it: 1 for a `:UnaryFeature`.
+    arguments if the ontology states it: its ``:hasArity``, and 1 of a `:UnaryFeature`. Sub-features
+    do not inherit it.
     """
 
     iri: str
@@ -85,7 +88,8 @@ class Vocabulary:
         """Build the vocabulary of closed triples (asserted and entailed); the pairs of hierarchies
         may be missing.
 
-        Raises `UnitError`, naming the feature, for a ``:hasUnit`` that is no unit. Cost: linear in
+        Raises `UnitError`, naming the feature, for a ``:hasUnit`` that is no unit, and
+        `OntologyError` for a ``:hasArity`` that is no number or not the only one. Cost: linear in
         the triples, and that of the hierarchies.
         """
         return _read(_Index(triples))
@@ -272,6 +276,7 @@ class _Infos:
         self._ranges = index.named_objects(RDFS + "range")
         self._domains = index.named_objects(RDFS + "domain")
         self._units = index.texts(STREAM_SPACE + "hasUnit")
+        self._arities = index.texts(STREAM_SPACE + "hasArity")
 
     def info(self, feature: str) -> FeatureInfo:
         return FeatureInfo(
@@ -279,8 +284,20 @@ class _Infos:
             self._narrowest(self._ranges.get(feature, set())),
             self._unit(feature),
             self._narrowest(self._domains.get(feature, set())),
-            1 if STREAM_SPACE + "UnaryFeature" in self._types.get(feature, ()) else None,
+            self._arity(feature),
         )
+
+    def _arity(self, feature: str) -> int | None:
+        texts = {text.lstrip("0") or "0" for text in self._arities.get(feature, [])}
+        if STREAM_SPACE + "UnaryFeature" in self._types.get(feature, ()):
+            texts.add("1")
+        if len(texts) > 1:
+            raise OntologyError(f"{feature} has several arities: {', '.join(sorted(texts))}")
+        for text in texts:
+            if text.isascii() and text.isdigit() and int(text[:9]) <= _MOST_ARITY:
+                return int(text)
+            raise OntologyError(f"the arity of {feature} is no number from 0 to 99: {text!r}")
+        return None
 
     def _narrowest(self, classes: set[str]) -> str | None:
         """Return the class that contains no other of them; the first by name if there are

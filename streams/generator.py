@@ -247,11 +247,12 @@ class StreamGenerator:
         stamped: bool | None,
         watermark: int | None,
         is_ended: bool,
+        complete_since: int | None,
     ) -> None:
         """Take over the state of another generator. It kept ``batch``, whose first sample has
         number ``first``, and held back the last ``pending`` ones. Contract: this one is unused."""
         count = len(batch) - pending
-        self.stream.go_on(batch.take(slice(0, count)), first)
+        self.stream.go_on(batch.take(slice(0, count)), first, complete_since)
         self.counters, self.stamped = counters, stamped
         self.watermark, self.is_ended = watermark, is_ended
         self._greatest = self.stream.last_available

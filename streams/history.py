@@ -63,11 +63,15 @@ class FluentStream(Runs):
         self._looked_for.clear()
         self._keep(retention)
 
-    def go_on(self, batch: SampleBatch, first: int) -> None:
+    def go_on(self, batch: SampleBatch, first: int, complete_since: int | None = None) -> None:
         """Take over the history of another stream that kept ``batch``, whose first sample has
-        number ``first``. Contract: this one is unused."""
+        number ``first``. Without ``complete_since`` (`complete_since`) the oldest instant counts as
+        whole. Contract: this one is unused."""
         if first > self._first:
             self._gone_valid = TIME_MIN, TIME_MAX
+            if complete_since is None and len(batch):
+                complete_since = int(batch.available[0])
+            self._gone_available = TIME_MIN if complete_since is None else complete_since - 1
         self._first = self._next = first
         self.append(batch)
 
@@ -149,6 +153,11 @@ class FluentStream(Runs):
         """The number of the first kept sample available at ``time`` or later; that of the next
         sample where there is none. Cost: O(log n)."""
         return self._number(time, "left")
+
+    def available_from(self, time: int) -> int:
+        """The available time of the first kept sample at ``time`` or later, else ``time``."""
+        number = self.number_at(time)
+        return max(self._part(number, number + 1).available.tolist(), default=time)
 
     def all(self) -> SampleBatch:
         """The whole kept history as one batch."""

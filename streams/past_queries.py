@@ -62,11 +62,13 @@ class Moment:
 class Forgotten(LookupError):
     """The answer depends on samples that the stream no longer keeps.
 
-    ``oldest`` is the available time (ns) of the oldest sample kept.
+    ``oldest`` is the available time (ns) of the oldest instant of which all samples are kept.
     """
 
     def __init__(self, stream: FluentStream) -> None:
         self.oldest = stream.first_available
+        if self.oldest is not None and self.oldest < stream.complete_since:
+            self.oldest = stream.available_from(stream.complete_since)
         since = "no sample" if self.oldest is None else f"samples since {format_time(self.oldest)}"
         super().__init__(f"the answer depends on forgotten samples: the stream keeps {since}")
 
@@ -85,10 +87,16 @@ def before(
     stream: FluentStream, time: int, known: int = TIME_MAX, *, most: int | None = None
 ) -> SampleBatch:
     """Def. 5.6: the samples available by ``known`` that are valid at or before ``time``; at
-    ``most`` the newest of them."""
-    _need_valid(stream, TIME_MIN, time)
+    ``most`` the newest of them.
+
+    Forgotten samples stand before all kept ones. So the answer depends on them only where fewer
+    than ``most`` kept samples belong to it and one of the forgotten may be valid by ``time``.
+    """
     found = stream.before(time, known)
-    return found if most is None else found.take(slice(max(0, len(found) - most), None))
+    if most is None or len(found) < most:
+        _need_valid(stream, TIME_MIN, time)
+        return found
+    return found.take(slice(len(found) - most, None))
 
 
 def prev(stream: FluentStream, available: int) -> SampleBatch:
@@ -145,12 +153,12 @@ def number_since(stream: FluentStream, since: Moment) -> int:
 
 
 def check_reach(stream: FluentStream, start: int, end: int | None = None) -> None:
-    """Raises `Forgotten` if the stream may have forgotten samples available from ``start`` on, or
-    all that were available by ``end``."""
+    """Raises `Forgotten` if the stream has forgotten samples available from ``start`` on, or all
+    that were available by ``end``."""
     oldest = stream.first_available
     if stream.forgotten_valid is None or oldest is None:
         return
-    if start < oldest or (end is not None and end < oldest):
+    if start < stream.complete_since or (end is not None and end < oldest):
         raise Forgotten(stream)
 
 

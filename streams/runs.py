@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from .sample import TIMES_SIZE, SampleBatch, Schema, concatenate, empty_batch
 from .string_pool import StringPool
+from .time import TIME_MAX, TIME_MIN
 
 _FAN: Final = 32
 """How many neighbouring runs of one size class become one of the next class."""
@@ -98,6 +99,8 @@ class Runs:
         self._last_available: int | None = None
         self._gone_valid: tuple[int, int] | None = None
         """The least and the greatest valid time of samples in runs that are gone."""
+        self._gone_available = TIME_MIN
+        """The greatest available time of these samples."""
 
     def __len__(self) -> int:
         """How many samples are kept."""
@@ -137,6 +140,16 @@ class Runs:
             valid = self._runs[0].batch.valid[:gone]
             return _span(self._gone_valid, int(valid.min()), int(valid.max()))
         return self._gone_valid
+
+    @property
+    def complete_since(self) -> int:
+        """The least available time (ns) from which on no sample is forgotten, as retention may cut
+        an instant; `TIME_MIN` if no sample is forgotten at all."""
+        if self.forgotten_valid is None:
+            return TIME_MIN
+        gone = self._first - self._runs[0].first if self._runs else 0
+        newest = int(self._runs[0].batch.available[gone - 1]) if gone else self._gone_available
+        return min(newest + 1, TIME_MAX)
 
     def append(self, batch: SampleBatch) -> Segment | None:
         """Continue the stream; returns where the batch went, None if it was empty."""
@@ -314,6 +327,7 @@ class Runs:
         if gone:
             for run in self._runs[:gone]:
                 self._gone_valid = _span(self._gone_valid, run.low, run.high)
+                self._gone_available = run.end
             del self._runs[:gone]
         oldest = self._runs[0]
         if 2 * (first - oldest.first) >= len(oldest.batch) and self._is_oldest_large():
@@ -331,6 +345,7 @@ class Runs:
         oldest = self._runs[0]
         if gone := self._first - oldest.first:
             self._gone_valid = self.forgotten_valid
+            self._gone_available = int(oldest.batch.available[gone - 1])
             kept = oldest.batch.take(np.arange(gone, len(oldest.batch)))
             self._runs[0] = _run(self._first, kept)._replace(place=oldest.place)
 

@@ -8,7 +8,7 @@ second inference out of scope ("an even better approach"); this module implement
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from pyoxigraph import NamedNode, Store, Variable
@@ -71,6 +71,23 @@ def needs(
     found = [pattern for pattern in patterns(root) if reader.is_streamed(pattern)]
     wants = tuple(dict.fromkeys(reader.want(pattern) for pattern in found))
     return Needs(wants, _product(query, reader, wants, head_subjects(root), patterns(root)))
+
+
+def unknown_terms(
+    query: ContinuousQuery, vocabulary: Vocabulary, is_static: Callable[[str], bool]
+) -> tuple[str, ...]:
+    """What `needs` would say of ``dyknow:`` predicates and classes that nothing knows, each once,
+    also where the query names its streams; with what is spelt alike."""
+    reader = _Reader(replace(query, streams=()), vocabulary, is_static)
+    found: dict[str, None] = {}
+    for pattern in patterns(body_tree(query)):
+        if reader.iri(pattern.predicate) is None:
+            continue
+        try:
+            reader.is_streamed(pattern)
+        except NeedsError as error:
+            found["; ".join(filter(None, (error.message, error.hint)))] = None
+    return tuple(found)
 
 
 def open_predicates(query: ContinuousQuery) -> tuple[str, ...]:

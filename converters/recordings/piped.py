@@ -60,9 +60,8 @@ class Piped:
         if not self.out_of_order:
             return None
         return (
-            f"not sorted: {self.out_of_order:,} of {self.rows:,} rows were out of order, and each "
-            "becomes available just after the row above it;\n"
-            "      windows take such rows at that time: a pipe is taken as it comes, write it to a "
+            f"not sorted: {self.out_of_order:,} of {self.rows:,} rows were out of order, and "
+            f"{self.recording.out_of_order_effect}: a pipe is taken as it comes, write it to a "
             "file and replay\n      that, whose rows are sorted"
         )
 

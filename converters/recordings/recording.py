@@ -63,6 +63,19 @@ class Recording:
     rounding: Tally = field(default_factory=Tally, repr=False)
     """Which numbers float fields have rounded, as far as it was read."""
 
+    @property
+    def out_of_order_effect(self) -> str:
+        """What becomes of rows that are taken out of order."""
+        if self._has_available:
+            return (
+                "each comes after a later available time:\n"
+                "      it is late where the lateness of the stream is shorter"
+            )
+        return (
+            "each becomes available just after the row above it;\n"
+            "      windows take such rows at that time"
+        )
+
     def __iter__(self) -> Iterator[Incoming]:
         last = TIME_MIN
         for batch in self.read():

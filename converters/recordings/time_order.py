@@ -2,7 +2,8 @@
 
 A recording without available times gets them from its valid times in the order of its rows
 (`recording`). Rows that step back in time would then become available together, with the greatest
-time before them, and fall into one window. `dyknow replay` and `dyknow run` sort first.
+time before them, and fall into one window. Rows with available times of their own keep them, and
+may be late. `dyknow replay` and `dyknow run` sort first.
 """
 
 from __future__ import annotations
@@ -44,10 +45,8 @@ class TimeOrder:
         said = f"{self.out_of_order:,} of {self.recording.rows:,} rows were out of order"
         if self.is_sorted:
             return f"sorted: {said}"
-        return (
-            f"not sorted: {said}, and each becomes available just after the row above it;\n"
-            "      windows take such rows at that time: sort the recording with --sort"
-        )
+        effect = self.recording.out_of_order_effect
+        return f"not sorted: {said}, and {effect}: sort the recording with --sort"
 
 
 def in_time_order(recording: Recording, sort: bool | None = None) -> TimeOrder:

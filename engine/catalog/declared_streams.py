@@ -102,25 +102,29 @@ class DeclaredStreams:
             existing = self._add(declaration)
         elif self._declaration(existing) == declaration:
             return existing
-        elif self._extends(existing, declaration):
+        elif self.can_extend(declaration):
             self._extend(existing, declaration)
         else:
             existing = self._replace(existing, declaration)
         self._ontology.registered.streams[declaration.name] = _declaration_json(declaration)
         return existing
 
-    def _extends(self, existing: StreamGenerator, declaration: StreamDeclaration) -> bool:
-        """Whether the stream can become what the declaration says while it is in use."""
+    def can_extend(self, declaration: StreamDeclaration) -> bool:
+        """Whether the stream of that name can become what the declaration says while it is in use.
+        False where there is none. An open stream is one without fields yet."""
+        existing = self._configuration.streams.get(declaration.name)
         return (
-            not existing.is_open
+            existing is not None
             and self._configuration.namespaces[existing.name] == declaration.namespace
             and set(existing.schema.fields) <= set(declaration.fields)
         )
 
     def _extend(self, existing: StreamGenerator, declaration: StreamDeclaration) -> None:
-        """Give the stream what `_extends` allows."""
+        """Give the stream what `can_extend` allows."""
         schema = Schema(declaration.fields)
-        if existing.schema != schema:
+        if existing.is_open:
+            self._adopt(existing, schema)
+        elif existing.schema != schema:
             existing.widen(schema)
         existing.lateness, existing.ahead = declaration.lateness, declaration.ahead
         if existing.idle != declaration.idle:
@@ -130,6 +134,11 @@ class DeclaredStreams:
             if each is not None and each.stream.retention != declaration.retention:
                 each.stream.retention = declaration.retention
                 each.forget_texts()
+
+    def _adopt(self, existing: StreamGenerator, schema: Schema) -> None:
+        """Give an open stream its fields."""
+        texts = [field.name for field in schema.fields if field.type is FieldType.STRING]
+        existing.adopt(schema, {name: StringPool() for name in texts})
 
     def _replace(
         self, existing: StreamGenerator, declaration: StreamDeclaration
@@ -173,8 +182,7 @@ class DeclaredStreams:
         if existing is None:
             self._add(StreamDeclaration(annotation.stream, inferred, retention=RETENTION))
         elif existing.is_open:
-            texts = [field.name for field in inferred if field.type is FieldType.STRING]
-            existing.adopt(Schema(inferred), {name: StringPool() for name in texts})
+            self._adopt(existing, Schema(inferred))
         self._ontology.registered.annotations[annotation.stream] = kept or annotation.source
         self._tell_annotation(annotation)
 

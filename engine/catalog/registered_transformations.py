@@ -29,6 +29,7 @@ from ..model.errors import (
     AlreadyExists,
     BadArguments,
     Conflict,
+    UnknownFeature,
     UnknownTransformation,
 )
 from ..model.status_changes import Change, ChangeKind, KnownTransformation
@@ -196,7 +197,16 @@ class RegisteredTransformations:
 
     def check(self, annotation: TransformationAnnotation | SourceAnnotation) -> None:
         """Whether the transformation may be annotated so; raises as `register` does."""
-        self._check(self._annotated(annotation))
+        try:
+            self._check(self._annotated(annotation))
+        except UnknownFeature as error:
+            if annotation.name in self._transformations:
+                raise
+            raise UnknownFeature(
+                error.detail,
+                "code of another name: send the annotation with `implementation` and `parameters` "
+                f"to POST /transformations, as GET /transformations shows them; {error.hint}",
+            ) from error
 
     def annotate(self, annotation: TransformationAnnotation | SourceAnnotation) -> None:
         """Say of a transformation what it takes and gives. One that nobody registered is

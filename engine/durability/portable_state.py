@@ -47,7 +47,8 @@ class KeptColumn(msgspec.Struct):
 class KeptStream(msgspec.Struct):
     """A stream that people publish to, or of a query's results. ``first`` is the number of its
     oldest sample kept; the last ``pending`` rows are held back within the lateness. Times in ns,
-    little-endian int64."""
+    little-endian int64. ``complete_since`` is `FluentStream.complete_since`; None: an earlier
+    version wrote it."""
 
     name: str
     fields: list[Field]
@@ -60,6 +61,7 @@ class KeptStream(msgspec.Struct):
     stamped: bool | None
     watermark: int | None
     is_ended: bool
+    complete_since: int | None = None
 
 
 class Portable(msgspec.Struct):
@@ -218,6 +220,7 @@ def _kept(generator: StreamGenerator) -> KeptStream:
         generator.stamped,
         generator.watermark,
         generator.is_ended,
+        stream.complete_since,
     )
 
 
@@ -276,5 +279,6 @@ def _restore(generator: StreamGenerator, kept: KeptStream) -> list[str]:
         stamped=kept.stamped,
         watermark=kept.watermark,
         is_ended=kept.is_ended,
+        complete_since=kept.complete_since,
     )
     return lost

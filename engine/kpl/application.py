@@ -131,6 +131,10 @@ class Application:
         """Whether ``name`` is the stream of a declared source."""
         return self.signature.source(name) is not None
 
+    def release(self, name: str) -> None:
+        """Keep the stream of a source, which people declared, when the source is removed."""
+        self._own.discard(name)
+
     def declaration(self, name: str) -> CheckedDeclaration:
         """By name, label or key; raises `UnknownDeclaration`."""
         found = self.signature.find(name)

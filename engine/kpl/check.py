@@ -102,7 +102,9 @@ class Admission:
                 f"there is a stream {name!r} already, and code with @dyknow.source of that name",
                 "remove the stream first, or give the code another name",
             )
-        if not existing.is_open and sort.schema is not None and sort.schema != existing.schema:
+        if existing.is_open or sort.schema is None:
+            return
+        if not set(sort.schema.fields) <= set(existing.schema.fields):
             raise Conflict(
                 f"stream {name!r} has the fields {schema_text(existing.schema)}; "
                 f"the sort {sort.name} has {schema_text(sort)}",

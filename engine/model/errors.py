@@ -13,8 +13,13 @@ class DyknowError(Exception):
         self.detail = detail
         self.hint = hint
 
+    @property
+    def causes(self) -> str:
+        """What is wrong, with all that caused it."""
+        return self.detail
+
     def __str__(self) -> str:
-        return f"{self.detail} ({self.hint})" if self.hint else self.detail
+        return f"{self.causes} ({self.hint})" if self.hint else self.causes
 
 
 class UnknownStream(DyknowError):
@@ -79,6 +84,11 @@ class NoPlan(DyknowError):
     def __init__(self, detail: str, missing: tuple[str, ...], hint: str = "") -> None:
         super().__init__(detail, hint)
         self.missing = missing
+
+    @property
+    def causes(self) -> str:
+        more = [cause for cause in self.missing if cause not in self.detail]
+        return f"{self.detail}: {'; '.join(more)}" if more else self.detail
 
 
 class Refused(DyknowError):

@@ -113,6 +113,11 @@ def match_view(
         plan = PlanView(render(found), streams_of(found.supply), (), "")
         cost = cost_of(found.supply, space, is_running)
         quality = quality_of(found.supply, space)
+    reasons = found.missing or tuple(
+        f"{alternative.text}: {alternative.reason}"
+        for alternative in found.tree
+        if alternative.outcome is Outcome.FAILED and alternative.reason
+    )
     return MatchView(
         feature=shorten(want.feature),
         target=str(want),
@@ -120,16 +125,11 @@ def match_view(
         found=found.supply is not None,
         plan=plan,
         alternatives=tuple(
-            _alternative(alternative)
+            _alternative(alternative, reasons)
             for alternative in found.tree
             if alternative.outcome is not Outcome.CHOSEN
         ),
-        reasons=found.missing
-        or tuple(
-            f"{alternative.text}: {alternative.reason}"
-            for alternative in found.tree
-            if alternative.outcome is Outcome.FAILED and alternative.reason
-        ),
+        reasons=reasons,
         cost=cost,
         quality=quality,
         proven=found.proven,
@@ -291,8 +291,10 @@ def _stream_line(configuration: Configuration, name: str) -> str:
     return f"{name}  ← {label} as {unit.name}"
 
 
-def _alternative(alternative: Alternative) -> str:
-    reason = f": {alternative.reason}" if alternative.reason else ""
+def _alternative(alternative: Alternative, reasons: Sequence[str]) -> str:
+    """An alternative, with its reason where that is none of the ``reasons`` of the match."""
+    is_said = any(reason.endswith(alternative.reason) for reason in reasons)
+    reason = f": {alternative.reason}" if alternative.reason and not is_said else ""
     return f"{alternative.outcome}: {alternative.text}{reason}"
 
 

@@ -303,10 +303,7 @@ class Plans:
     def _complete_from(self, source: StreamGenerator) -> int:
         """The available time (ns) from which a unit that begins with the past of ``source`` now
         lacks nothing."""
-        oldest = source.stream.first_available
-        if oldest is None or source.stream.forgotten_valid is None:
-            oldest = TIME_MIN
-        return max(self._complete.get(source.name, TIME_MIN), oldest)
+        return max(self._complete.get(source.name, TIME_MIN), source.stream.complete_since)
 
     def _select(self, source: StreamGenerator, id_field: str, object: str) -> ComputationalUnit:
         namespace = self._configuration.namespaces[source.name]

@@ -48,8 +48,8 @@ def find_streams(
     )
     if missing or not matches:
         raise NoPlan(
-            f"no stream and no transformation answers {asked}: "
-            + ("; ".join(missing) or "the query needs no feature of a stream"),
+            f"no stream and no transformation answers {asked}"
+            + ("" if missing else ": the query needs no feature of a stream"),
             missing,
             "annotate a stream that contains the feature, or one it can be computed from; "
             "POST /match shows what was tried",

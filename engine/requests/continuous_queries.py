@@ -48,7 +48,7 @@ from ..planning.registrations import (
 )
 from ..units.query import QueryUnit
 from ..units.shared_query import InstanceUnit, TemplateUnit
-from .empty_reasons import why_empty
+from .empty_reasons import NO_WINDOW, why_empty
 
 
 @dataclass(slots=True, eq=False)
@@ -247,7 +247,7 @@ class RegisteredQueries:
             late=unit.late,
             errors=sum(each.errors for each in counters),
             last_error=told[0].last_error if told else None,
-            empty=why_empty(self._configuration, unit, self._ontology.vocabulary),
+            empty=why_empty(self._configuration, unit, self._ontology),
             plan=explanations.plan_view(self._configuration, unit),
         )
 
@@ -255,13 +255,13 @@ class RegisteredQueries:
         """What the last window that closed gave; raises `UnknownQuery` and `NoResult`."""
         found = self._get(name).started.kept.latest
         if found is None:
-            waiting = self.view(name).waits_for
-            raise NoResult(
-                f"no window of query {name!r} has closed yet",
-                f"it waits for {', '.join(waiting)}"
-                if waiting
-                else "a window closes when its streams have passed its end",
-            )
+            view = self.view(name)
+            hint = "a window closes when its streams have passed its end"
+            if view.waits_for:
+                hint = f"it waits for {', '.join(view.waits_for)}"
+            elif view.empty is not None and not view.empty.endswith(NO_WINDOW):
+                hint = view.empty
+            raise NoResult(f"no window of query {name!r} has closed yet", hint)
         return found
 
     def results(

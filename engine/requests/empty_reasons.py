@@ -6,57 +6,66 @@ of it is what was counted and what annotations and the ontology say; nothing is 
 
 from __future__ import annotations
 
+from typing import Final
+
 from ...languages.csparql import parse_query
 from ...languages.errors import LanguageError
 from ...languages.kpl import format_policy
 from ...languages.ssl.annotation import Content
 from ...matching.want import Want
+from ...ontology.ontology import Ontology
 from ...ontology.vocabulary import Vocabulary
 from ...rdf.namespaces import shorten
 from ...streams.policies.policy import PolicyCounters
-from ...templates.needs import NeedsError, needs
+from ...templates.needs import NeedsError, is_static_in, needs, unknown_terms
 from ..configuration.configuration import Configuration
 from ..units.base import ComputationalUnit
 from ..units.policy import AdaptationUnit
 from ..units.shared_query import InstanceUnit
 from ..units.windowed import WindowUnit
 
+NO_WINDOW: Final = "no window has closed yet"
+
 
 def why_empty(
-    configuration: Configuration, unit: ComputationalUnit, vocabulary: Vocabulary
+    configuration: Configuration, unit: ComputationalUnit, ontology: Ontology
 ) -> str | None:
     """``12,000 samples read, 0 triples: no stream that it reads is annotated with …``; None once
     the unit has given a sample. Cost: O(units behind it), and the reading of its query."""
     evaluating = unit.template if isinstance(unit, InstanceUnit) else unit
-    if unit.output.stream.last_number or not isinstance(evaluating, WindowUnit):
+    # Numbers go on from an earlier stream of the name.
+    has_given = unit.output.stream.last_available is not None
+    if has_given or not isinstance(evaluating, WindowUnit):
         return None
+    vocabulary = ontology.vocabulary
+    wants, unknown = _asked(unit, ontology)
     lost = _dropped(configuration, evaluating)
     if evaluating.late:
         lost.append(f"{evaluating.late:,} came too late for their windows")
     if not evaluating.samples:
         streams = ", ".join(source.name for source in evaluating.reads)
-        return "; ".join([f"no sample read yet from {streams}", *lost])
-    causes = [
-        cause
-        for want in _wants(unit, vocabulary)
-        if (cause := _lacking(want, evaluating.contents, vocabulary)) is not None
-    ]
+        return "; ".join([f"no sample read yet from {streams}", *unknown, *lost])
+    lacking = (_lacking(want, evaluating.contents, vocabulary) for want in wants)
+    causes = [*unknown, *(cause for cause in lacking if cause is not None)]
     if not causes and not evaluating.triples:
         causes = ["no sample had an object that the annotation speaks of, and a value"]
     elif not causes and not evaluating.windows:
-        causes = ["no window has closed yet"]
+        causes = [NO_WINDOW]
     elif not causes:
         causes = [f"none of {evaluating.windows:,} windows fulfilled the query's conditions"]
     said = f"{evaluating.samples:,} samples read, {evaluating.triples:,} triples"
     return f"{said}: {'; '.join(dict.fromkeys([*causes, *lost]))}"
 
 
-def _wants(unit: ComputationalUnit, vocabulary: Vocabulary) -> tuple[Want, ...]:
-    """What the query needs of streams; nothing where that cannot be told."""
+def _asked(unit: ComputationalUnit, ontology: Ontology) -> tuple[tuple[Want, ...], tuple[str, ...]]:
+    """What the query needs of streams, and its terms that nothing knows; nothing where that cannot
+    be told."""
     try:
-        return needs(parse_query(unit.parameters["query"]), vocabulary).wants
+        query = parse_query(unit.parameters["query"])
+        unknown = unknown_terms(query, ontology.vocabulary, is_static_in(ontology.static_store))
+        return needs(query, ontology.vocabulary).wants, unknown
     except (KeyError, LanguageError, NeedsError):
-        return ()
+        return (), ()
 
 
 def _lacking(want: Want, contents: tuple[Content, ...], vocabulary: Vocabulary) -> str | None:

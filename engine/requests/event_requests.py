@@ -210,7 +210,7 @@ class EventRequests:
             plan=explanations.plan_view(self._configuration, running.unit),
             created=request.number,
             failure=self._configuration.failure_of(running.unit),
-            empty=why_empty(self._configuration, running.unit, self._ontology.vocabulary),
+            empty=why_empty(self._configuration, running.unit, self._ontology),
         )
 
     def rdf_of(self, stream: str) -> StreamAnnotation | None:

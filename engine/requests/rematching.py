@@ -463,7 +463,7 @@ class Rematching:
             # A plan that cannot be carried out: do without its transformations for a while.
             for name in transformations_of(() if supply is None else nodes_of_supply(supply)):
                 self._avoid(found, name)
-            self._lost[found.id] = f"{why}; {error.detail}"
+            self._lost[found.id] = f"{why}; {error.causes}"
             return
         self._index.forget_reads(found)
         gained = self._switching.switch(found, supply, streams, why)

@@ -79,6 +79,11 @@ def parse_label_term(source: str) -> ast.LabelTerm:
     return _Reader(source).label(trees(_parse(source, "label_text"))[0])
 
 
+def read_constraint(tree: Tree[Token], source: str) -> ast.Constraint:
+    """Read the node of a constraint, also of another grammar with KPL's names of them."""
+    return _Reader(source).constraint(tree)
+
+
 def _parse(source: str, start: str) -> Tree[Token]:
     try:
         tree = grammar("kpl/kpl.lark", *_STARTS).parse(source, start=start)

@@ -13,8 +13,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import assert_never
 
-from pyoxigraph import NamedNode
-
 from ...ontology.units import (
     DIMENSIONLESS,
     Unit,
@@ -23,9 +21,10 @@ from ...ontology.units import (
     format_unit,
 )
 from ...ontology.vocabulary import SELF, Vocabulary
-from ...rdf.namespaces import DYKNOW, PREFIXES, local_name
+from ...rdf.namespaces import DYKNOW, local_name
 from ...streams.sample import TIME_FIELDS
 from ..errors import LanguageError, Span
+from ..ontology_names import OntologyNames
 from . import annotation
 from .annotation import (
     CheckedAnnotation,
@@ -105,10 +104,10 @@ class _Checker:
         declared: set[tuple[str, tuple[Role, ...]]] = set()
         for term in stream.features:
             span = Span(term.span.start, term.span.start + len(term.feature))
-            feature = self.feature(term.feature, span)
+            feature = self.names.feature(term.feature, span)
             roles = self.roles(term, stream)
             unit = self.unit(feature, term.feature, term.unit, term.unit_span)
-            self.check_arity(feature, term.feature, len(term.arguments), term.span)
+            self.names.check_arity(feature, term.feature, len(term.arguments), term.span)
             self.check_field(term.field, term.field_span)
             if (feature, roles) in declared:
                 raise self.error(
@@ -126,15 +125,6 @@ class _Checker:
                 f"a field cannot be called `{field}`: that is a sample's time",
                 span,
                 "give the field another name",
-            )
-
-    def check_arity(self, feature: str, name: str, number: int, span: Span) -> None:
-        info = self.vocabulary.feature(feature)
-        if info is not None and info.arity not in (None, number):
-            raise self.error(
-                f"`{name}` has 1 argument, not {number}",
-                span,
-                f"write `{name}(UAV)` with one sort or object",
             )
 
     def check_entities(self, stream: StreamDeclaration) -> None:
@@ -173,7 +163,7 @@ class _Checker:
 
     def term(self, named: Argument | Entity) -> str:
         """Resolve a name: a term of the ontology, else a new one."""
-        iris = self.iris(named.name, named.span)
+        iris = self.names.iris(named.name, named.span)
         vocabulary = self.vocabulary
         return next(
             (iri for iri in iris if vocabulary.is_sort(iri) or vocabulary.is_object(iri)), iris[0]
@@ -183,7 +173,8 @@ class _Checker:
         sort = self.sort(argument)
         if entity.every and sort is None:
             known_object = any(
-                self.vocabulary.is_object(iri) for iri in self.iris(argument.name, argument.span)
+                self.vocabulary.is_object(iri)
+                for iri in self.names.iris(argument.name, argument.span)
             )
             near = self.vocabulary.suggest(argument.name, "sort")
             if known_object or not near:
@@ -239,60 +230,16 @@ class _Checker:
 
     # -- names -----------------------------------------------------------------------------
 
-    def spaces(self) -> tuple[str, ...]:
-        return (self.namespace,) if self.namespace == DYKNOW else (self.namespace, DYKNOW)
-
-    def iris(self, name: str, span: Span) -> tuple[str, ...]:
-        """Return the possible IRIs of a name, best first: ``speed``, ``dyknow:speed``,
-        ``<IRI>``."""
-        if name.startswith("<"):
-            try:
-                return (NamedNode(name[1:-1]).value,)
-            except ValueError as error:
-                raise self.error(f"`{name}` is not an IRI: {error}", span) from None
-        prefix, colon, local = name.partition(":")
-        if not colon:
-            return tuple(space + name for space in self.spaces())
-        if prefix not in PREFIXES:
-            raise self.error(
-                f"the prefix `{prefix}:` is not known",
-                span,
-                f"write the IRI as <…>, or one of {', '.join(f'{p}:' for p in PREFIXES)}",
-            )
-        return (PREFIXES[prefix] + local,)
+    @property
+    def names(self) -> OntologyNames:
+        return OntologyNames(self.source, self.vocabulary, self.namespace)
 
     def sort(self, argument: Argument) -> str | None:
-        iris = self.iris(argument.name, argument.span)
-        return next((iri for iri in iris if self.vocabulary.is_sort(iri)), None)
+        """Return the IRI of the sort that an argument names; None for an object."""
+        return self.names.find_sort(argument.name, argument.span)
 
     def object(self, argument: Argument) -> str:
-        """Return the IRI of an object: one of the ontology, else a new one."""
-        if argument.name == "self":
-            return self.vocabulary.self_object
-        candidates = self.iris(argument.name, argument.span)
-        for iri in candidates:
-            if self.vocabulary.is_feature(iri) or self.vocabulary.is_event(iri):
-                kind = "a feature" if self.vocabulary.is_feature(iri) else "an event"
-                raise self.error(
-                    f"`{argument.name}` is {kind}, not a sort or object",
-                    argument.span,
-                    "the arguments of a feature are objects, `speed(uav1)`, or sorts, `speed(UAV)`",
-                )
-        objects = (iri for iri in candidates if self.vocabulary.is_object(iri))
-        return next(objects, candidates[0])
-
-    def feature(self, name: str, span: Span) -> str:
-        """Return the IRI of a feature, or of an event, whose stream carries the event's value."""
-        for iri in self.iris(name, span):
-            if self.vocabulary.is_feature(iri) or self.vocabulary.is_event(iri):
-                return iri
-        near = self.vocabulary.suggest(name, "feature")
-        hint = (
-            f"did you mean {' or '.join(near)}?"
-            if near
-            else "declare it in the ontology as a :Feature first"
-        )
-        raise self.error(f"the ontology knows no feature `{name}`", span, hint)
+        return self.names.object(argument.name, argument.span)
 
     # -- units and ports -------------------------------------------------------------------
 
@@ -334,11 +281,11 @@ class _Checker:
         return tuple(self.port(port) for port in unit.inputs)
 
     def port(self, port: FieldFeature) -> PortAnnotation:
-        feature = self.feature(port.feature, port.feature_span)
+        feature = self.names.feature(port.feature, port.feature_span)
         unit = self.unit(feature, port.feature, port.unit, port.unit_span)
         arguments = tuple(self.argument(argument) for argument in port.arguments or ())
         if arguments:
-            self.check_arity(feature, port.feature, len(arguments), port.span)
+            self.names.check_arity(feature, port.feature, len(arguments), port.span)
         names = [argument.variable for argument in arguments if argument.sort is not None]
         if len(names) > len(set(names)):
             twice = next(name for name in names if names.count(name) > 1)

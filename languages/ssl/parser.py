@@ -121,7 +121,7 @@ def _feature(tree: Tree[Token], source: str) -> FeatureTerm:
     name, field = tokens(tree)
     arguments_node, *rest = trees(tree)
     arguments = _arguments(arguments_node)
-    unit = _unit_list(rest[0], source) if rest else None
+    unit = read_units(rest[0], source) if rest else None
     unit_span = span_of(rest[0]) if rest else None
     return FeatureTerm(
         str(name), arguments, _field(field), unit, span_of(tree), span_of(field), unit_span
@@ -140,7 +140,7 @@ def _field_feature(tree: Tree[Token], source: str) -> FieldFeature:
     field, feature = tokens(tree)
     arguments = next((_arguments(n) for n in trees(tree) if n.data == "arguments"), None)
     units = [node for node in trees(tree) if node.data == "unit_list"]
-    unit = _unit_list(units[0], source) if units else None
+    unit = read_units(units[0], source) if units else None
     unit_span = span_of(units[0]) if units else None
     return FieldFeature(
         _field(field), str(feature), unit, span_of(tree), span_of(feature), unit_span, arguments
@@ -151,7 +151,8 @@ def _field(token: Token) -> str:
     return token[1:-1] if token.type == "TEXT" else str(token)
 
 
-def _unit_list(tree: Tree[Token], source: str) -> Unit:
+def read_units(tree: Tree[Token], source: str) -> Unit:
+    """Read a node `unit_list`, also of another grammar. Raises `LanguageError`."""
     return tuple(_unit(node, source) for node in trees(tree))
 
 

@@ -89,15 +89,26 @@ def events(
                 hint = "the recording has ended; --since start begins with its past"
                 err().print(f"hint: {hint}", markup=False)
             elif not seen and not as_json:
-                why = client.request(view["id"])["empty"]
-                if why is not None:
-                    err().print(f"nothing came: {why}", markup=False)
+                _say_why_empty(client, view["id"])
         except KeyboardInterrupt:
             err().print("stopped", markup=False)
+            if not as_json:
+                with unless_gone():
+                    _say_why_empty(client, view["id"])
         finally:
             if not keep:
                 with unless_gone():
                     client.cancel_event(view["id"])
+
+
+def _say_why_empty(client: Client, id: str) -> None:
+    show_emptiness(client.request(id)["empty"])
+
+
+def show_emptiness(why: str | None) -> None:
+    """Say why a stream has never had a sample; nothing of one that has."""
+    if why is not None:
+        err().print(f"nothing came: {why}", markup=False)
 
 
 @contextmanager

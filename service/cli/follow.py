@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from .events import STRATEGY, show_events, stoppable
+from .events import STRATEGY, show_emptiness, show_events, stoppable
 from .output import DEFAULT_URL, Json, Url, connect, err, unless_gone
 from .parameters import NOW, Beginning
 
@@ -81,8 +81,17 @@ def follow(
         except KeyboardInterrupt:
             err().print("stopped", markup=False)
         finally:
+            if stream is not None and not as_json:
+                with unless_gone():
+                    show_emptiness(_why_empty(client, stream))
             with unless_gone():
                 client.unsubscribe(view["id"])
+
+
+def _why_empty(client: Client, stream: str) -> str | None:
+    """Why the query or request behind a stream has never given a sample; None of other streams."""
+    known = (*client.queries(), *client.requests())
+    return next((each["empty"] for each in known if each["stream"] == stream), None)
 
 
 def _events(client: Client, view: dict[str, Any]) -> Iterator[Event]:

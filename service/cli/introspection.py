@@ -45,7 +45,11 @@ def sparql(
 def _says_something(found: dict[str, Any] | str) -> bool:
     if isinstance(found, str):
         return bool(found.strip())
-    return bool(found.get("boolean") or found.get("results", {}).get("bindings"))
+    rows = found.get("results", {}).get("bindings", [])
+    if len(rows) == 1:
+        # The one row of aggregates over nothing has counts and sums of 0.
+        return any(term["value"] != "0" for term in rows[0].values())
+    return bool(found.get("boolean") or rows)
 
 
 def show_bindings(found: dict[str, Any]) -> None:

@@ -17,7 +17,7 @@ from ..config.media_types import (
     TSV,
     TURTLE,
 )
-from .events import STRATEGY
+from .events import STRATEGY, show_emptiness
 from .introspection import show_bindings
 from .output import (
     DEFAULT_URL,
@@ -176,16 +176,17 @@ def results(
             print(client.query_results_text(name, _TYPES[format], **wanted), end="")
             return
         found = client.query_results(name, **wanted)
-        last = client.query(name)["last_window"]
+        query = client.query(name)
     if as_json:
         show_json(found if isinstance(found, dict) else {"turtle": found})
         return
     if start is None and end is None and limit is None:
-        show_text(f"window that ends {last}")
+        show_text(f"window that ends {query['last_window']}")
     if isinstance(found, str):
         show_text(found or "(no triple)")
     else:
         show_bindings(found)
+    show_emptiness(query["empty"])
 
 
 @query.command()
@@ -206,12 +207,15 @@ def _how(found: dict[str, Any]) -> str:
     """State and options in a line or two."""
     options = found["options"]
     words = [found["state"] + (f": {found['failure']}" if found["failure"] else "")]
-    if found["waits_for"]:
+    says_so = found["empty"] is not None and set(found["waits_for"]) == set(found["reads"])
+    if found["waits_for"] and not says_so:
         words.append(f"waits for {', '.join(found['waits_for'])}")
     elif len(found["reads"]) > 1 and found["held_back_by"]:
         words.append(f"held back by {', '.join(found['held_back_by'])}")
     if found["last_window"] is not None:
         words.append(f"last window ended {found['last_window']}, {found['windows']} kept")
+    if found["empty"] is not None:
+        words.append(f"nothing came: {found['empty']}")
     if found["late"]:
         words.append(f"{found['late']} samples came too late")
     how = f"{options['semantics']} semantics, windows {options['bounds']}"

@@ -27,12 +27,12 @@ def unknown_terms(client: Client, text: str) -> Iterator[str]:
     for iri in _column(client, f"SELECT ?t {{ VALUES ?t {{ {asked} }} {nowhere} }}"):
         namespace = next(each for each in _OURS if iri.startswith(each))
         named = f'?t a ?kind FILTER (STRSTARTS(STR(?t), "{namespace}"))'
-        names = [
-            each.removeprefix(namespace)
-            for each in _column(client, f"SELECT DISTINCT ?t {{ {named} }}")
-        ]
-        near = get_close_matches(iri.removeprefix(namespace), names, n=3)
-        meant = f"; did you mean {', '.join(shorten(namespace + name) for name in near)}?"
+        names: dict[str, list[str]] = {}
+        """Names by their spelling in lower case."""
+        for each in _column(client, f"SELECT DISTINCT ?t {{ {named} }}"):
+            names.setdefault(each.removeprefix(namespace).lower(), []).append(each)
+        near = get_close_matches(iri.removeprefix(namespace).lower(), names, n=3)
+        meant = f"; did you mean {', '.join(shorten(t) for key in near for t in names[key])}?"
         yield f"nothing is called {shorten(iri)}{meant if near else ''}"
 
 

@@ -64,8 +64,9 @@ class ServiceError(Exception):
         lines = [f"{self._kind}{place}{self.detail}"]
         if self.excerpt:
             lines.append(self.excerpt)
-        if self.problem.get("missing"):
-            lines += ["missing:", *(f"  - {item}" for item in self.problem["missing"])]
+        missing = [item for item in self.problem.get("missing") or () if item not in self.detail]
+        if missing:
+            lines += ["missing:", *(f"  - {item}" for item in missing)]
         if self.hint:
             lines.append(f"hint: {self.hint}")
         return "\n".join(lines)

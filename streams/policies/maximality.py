@@ -6,11 +6,14 @@ equal there may be several. It is maximal if under one of them no unused sample 
 one that uses the oldest of equal samples leaves the least to add.
 
 Under ``any change`` a delayed copy of a kept sample is no news. So copies count only undelayed, at
-their own available time, whichever of equal samples the kept ones are taken to be. Where samples
+their own place, whichever of equal samples the kept ones are taken to be. Where samples
 wait for others (an order with a max delay), a copy that came before the last one like it was sent
 is no news either: a sample that waits cannot know that there will be room before it. Under
 ``change by d`` every sample counts only undelayed: delayed enough, nearly each would differ from
 its neighbours.
+
+Samples of one instant differ by their sequence numbers (SPEC §1), so there is always room for one
+more in an instant, but none before the place that the sample has itself in its own instant.
 
 Whether something can be added is decided one sample at a time, which is enough: a part of what
 satisfies an order, a delay or a duration satisfies it, and a chain of ``sample every`` grows by its
@@ -20,7 +23,7 @@ there is room for B, A), and samples under ``change by d``.
 
 from __future__ import annotations
 
-from bisect import bisect_left
+from bisect import bisect_left, bisect_right
 from collections import defaultdict, deque
 from collections.abc import Sequence
 from itertools import groupby, pairwise
@@ -32,6 +35,8 @@ from .policy import AnyChange, ChangeBy, Order, Policy
 
 Known = tuple[int, Content]
 """Available time and content of a sample."""
+Place = tuple[int, int]
+"""An instant, and the row of the whole stream at which a sample stands in it."""
 
 
 def unused(part: Sequence[Known], whole: Sequence[Known]) -> tuple[list[int], int | None]:
@@ -51,17 +56,41 @@ def unused(part: Sequence[Known], whole: Sequence[Known]) -> tuple[list[int], in
     return sorted([*left, *range(arrived, len(whole))]), None
 
 
+def places(part: Sequence[Known], whole: Sequence[Known]) -> list[Place]:
+    """Where the samples of ``part`` stand among those of ``whole``: each at the first one like it
+    of its instant, else right after the one before it. Cost: O(n + m) Python."""
+    found: list[Place] = []
+    like: dict[Content, list[int]] = {}
+    end = 0
+    for time, content in part:
+        last = found[-1][1] if found and found[-1][0] == time else -1
+        if last < 0:
+            while end < len(whole) and whole[end][0] < time:
+                end += 1
+            begin = end
+            while end < len(whole) and whole[end][0] == time:
+                end += 1
+            if end > begin:
+                like = defaultdict(list)
+                for row in range(begin, end):
+                    like[whole[row][1]].append(row)
+        rows = like.get(content, [])
+        at = bisect_right(rows, last)
+        is_own = at < len(rows) and whole[rows[at]][0] == time
+        found.append((time, rows[at] if is_own else last))
+    return found
+
+
 def addable(
     part: Sequence[Known], whole: Sequence[Known], policy: Policy
 ) -> tuple[int, int] | None:
-    """A row of ``whole`` that can be added to its satisfying substream ``part``, and a free
-    available time for it; None if there is none. Cost: O((n + m) log m) Python, m rows of ``part``.
+    """A row of ``whole`` that can be added to its satisfying substream ``part``, and an available
+    time for it; None if there is none. Cost: O((n + m) log m) Python, m rows of ``part``.
     """
     if isinstance(policy.change, ChangeBy):
         return _addable_undelayed(part, whole, policy)
-    times = [time for time, _ in part]
     valids = [content[0] for _, content in part]
-    free = _next_free(times)
+    taken = places(part, whole)
     rows, _ = unused(part, whole)
     kept: set[Content] = set()
     if isinstance(policy.change, AnyChange):
@@ -70,7 +99,7 @@ def addable(
         available, content = whole[row]
         if content in kept or alone(available, content[0], policy) is not None:
             continue
-        moment = _moment(available, content[0], policy, times, valids, free)
+        moment = _moment((available, row), content[0], policy, taken, valids)
         if moment is not None:
             return row, moment
     return _addable_copy(part, whole, kept, policy) if kept else None
@@ -79,17 +108,11 @@ def addable(
 def _addable_undelayed(
     part: Sequence[Known], whole: Sequence[Known], policy: Policy
 ) -> tuple[int, int] | None:
-    """A row that can be added at its own available time, by itself or before others of the same
+    """A row that can be added at its own place, by itself or before others of the same
     gap. Cost: O(k²) Python for k rows in a gap."""
-    times = [time for time, _ in part]
-    taken = set(times)
-    rows, _ = unused(part, whole)
-    free = [
-        (bisect_left(times, time), row)
-        for row in rows
-        for time, content in [whole[row]]
-        if time not in taken and alone(time, content[0], policy) is None
-    ]
+    taken = places(part, whole)
+    rows = _copies(part, whole, taken, {content for _, content in whole}, policy)
+    free = [(bisect_left(taken, (whole[row][0], row)), row) for row in rows]
     for place, gap in groupby(free, key=lambda each: each[0]):
         before, then = part[place - 1 : place] if place else [], part[place : place + 1]
         reached: list[tuple[int, int]] = []
@@ -108,13 +131,14 @@ def _addable_undelayed(
 def _addable_copy(
     part: Sequence[Known], whole: Sequence[Known], kept: set[Content], policy: Policy
 ) -> tuple[int, int] | None:
-    """A copy of a ``kept`` sample that can be added at its own available time, by itself or
+    """A copy of a ``kept`` sample that can be added at its own place, by itself or
     before another copy."""
-    times = [time for time, _ in part]
-    places = (
-        (bisect_left(times, whole[row][0]), row) for row in _copies(part, whole, kept, policy)
+    taken = places(part, whole)
+    free = (
+        (bisect_left(taken, (whole[row][0], row)), row)
+        for row in _copies(part, whole, taken, kept, policy)
     )
-    for place, gap in groupby(places, key=lambda each: each[0]):
+    for place, gap in groupby(free, key=lambda each: each[0]):
         before, then = part[place - 1 : place], part[place : place + 1]
         told: int | None = None
         for _, row in gap:
@@ -133,19 +157,26 @@ def _fits(run: Sequence[Known], policy: Policy) -> bool:
 
 
 def _copies(
-    part: Sequence[Known], whole: Sequence[Known], kept: set[Content], policy: Policy
+    part: Sequence[Known],
+    whole: Sequence[Known],
+    taken: Sequence[Place],
+    kept: set[Content],
+    policy: Policy,
 ) -> list[int]:
-    """Rows of ``whole`` like a ``kept`` one that could be in ``part`` at their own, free available
-    time, as far as Def. 5.36 and their delay go; in order of time."""
-    waits = policy.order is not Order.ANY and policy.max_delay is not None
-    taken = {time for time, _ in part}
+    """Rows of ``whole`` like a ``kept`` one that could be in ``part``, whose places are ``taken``,
+    at their own place, as far as Def. 5.36 and their delay go; in order of time."""
+    waits = (
+        policy.order is not Order.ANY
+        and policy.max_delay is not None
+        and isinstance(policy.change, AnyChange)
+    )
     spare: dict[Content, int] = defaultdict(int)
     found: dict[Content, list[int]] = defaultdict(list)
     sent = 0
 
-    def send_before(time: int) -> None:
+    def send_before(place: Place) -> None:
         nonlocal sent
-        while sent < len(part) and part[sent][0] < time:
+        while sent < len(part) and taken[sent] < place:
             content = part[sent][1]
             spare[content] -= 1
             # All that had come are in use: none of them can be sent once more before this one.
@@ -155,58 +186,42 @@ def _copies(
 
     for row, (time, content) in enumerate(whole):
         if content in kept:
-            send_before(time)
+            send_before((time, row))
             spare[content] += 1
-            if time not in taken and alone(time, content[0], policy) is None:
+            if alone(time, content[0], policy) is None:
                 found[content].append(row)
-    send_before(TIME_MAX + 1)
+    send_before((TIME_MAX + 1, 0))
     return sorted(row for rows in found.values() for row in rows)
 
 
-def _next_free(times: list[int]) -> list[int]:
-    """For each taken time the least free one after it."""
-    free = list(times)
-    for i in reversed(range(len(times))):
-        following = times[i] + 1
-        if i + 1 < len(times) and times[i + 1] <= following:
-            free[i] = free[i + 1]
-        else:
-            free[i] = following
-    return free
-
-
 def _moment(
-    available: int,
-    valid: int,
-    policy: Policy,
-    times: list[int],
-    valids: list[int],
-    free: list[int],
+    own: Place, valid: int, policy: Policy, taken: Sequence[Place], valids: Sequence[int]
 ) -> int | None:
-    """A free available time at which a sample could stand in a satisfying stream; None if none."""
+    """An available time at which a sample could stand in a satisfying stream; None if none.
+    ``own`` is its place in the whole, ``taken`` are those of the stream."""
+    available, row = own
     low, high = available, TIME_MAX
+    then: int | None = None
+    """The sample before which it has to stand."""
     if policy.max_delay is not None:
         high = min(high, valid + policy.max_delay)
-    if policy.period is not None and times:
+    if policy.period is not None and taken:
         if valid == valids[0] - policy.period:
-            high = min(high, times[0] - 1)
+            then = 0
         elif valid == valids[-1] + policy.period:
-            low = max(low, times[-1] + 1)
+            low = max(low, taken[-1][0])
         else:
             return None
     elif policy.period is None and policy.order is not Order.ANY:
         # The stream is ordered by valid time, so the place of the sample is known.
-        before = bisect_left(valids, valid)
-        after = before
-        while after < len(valids) and valids[after] == valid:
-            after += 1
+        before, after = bisect_left(valids, valid), bisect_right(valids, valid)
         if after > before and policy.order is Order.STRICT:
             return None
         if before:
-            low = max(low, times[before - 1] + 1)
-        if after < len(times):
-            high = min(high, times[after] - 1)
-    place = bisect_left(times, low)
-    if place < len(times) and times[place] == low:
-        low = free[place]
+            low = max(low, taken[before - 1][0])
+        if after < len(taken):
+            then = after
+    # A sample that waits for a later instant may stand anywhere in it.
+    if then is not None and (low, row if low == available else -1) > taken[then]:
+        return None
     return low if low <= high else None

@@ -209,6 +209,9 @@ def test_no_plan_says_what_is_missing_and_starts_nothing(engine, high_speed):
     with pytest.raises(NoPlan) as caught:
         engine.request_event(engine.parse_request(REQUEST))
     assert caught.value.missing
+    for cause in caught.value.missing:
+        assert cause not in caught.value.detail
+        assert str(caught.value).count(cause) == 1
     assert {view.name for view in engine.streams()} == before
 
 

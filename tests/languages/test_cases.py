@@ -4,6 +4,8 @@
 """
 
 import os
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 
 import pytest
@@ -21,6 +23,8 @@ from dyknow.languages.csparql import (
 )
 from dyknow.languages.errors import LanguageError
 from dyknow.languages.kpl import ValueSort, check_kpl, format_kpl, parse_kpl
+from dyknow.languages.mtl import check_mtl, format_monitor, parse_monitor
+from dyknow.languages.mtl.checked import Reading
 from dyknow.languages.specification import (
     format_specification,
     parse_specification,
@@ -48,7 +52,10 @@ dyknow:altitude a dyknow-o:Feature ; dyknow-o:hasUnit "ft" .
 dyknow:speed a dyknow-o:Feature , dyknow-o:UnaryFeature .
 dyknow:speed dyknow-o:hasUnit "km.h-1" ; rdfs:range xsd:double .
 dyknow:xydist a dyknow-o:Feature .
+dyknow:distance a dyknow-o:Feature ; dyknow-o:hasArity 2 .
 dyknow:course a dyknow-o:Feature ; dyknow-o:hasUnit "deg" .
+dyknow:onGround a dyknow-o:Feature , dyknow-o:UnaryFeature ; rdfs:range xsd:boolean .
+dyknow:callsign a dyknow-o:Feature , dyknow-o:UnaryFeature ; rdfs:range xsd:string .
 dyknow:HighSpeedEvent a dyknow-o:Event .
 """
 
@@ -137,7 +144,35 @@ def print_specification(text: str) -> str:
     return printed
 
 
+def print_mtl(text: str) -> str:
+    """The monitor as it is printed, then the feature values that it reads."""
+    monitor = parse_monitor(text)
+    printed = format_monitor(monitor)
+    # What is printed says the same.
+    assert parse_monitor(printed) == monitor
+    checked = check_mtl(monitor, text, vocabulary())
+    lines = [f"  ?{variable} in {shorten(sort)}" for variable, sort in checked.parameters]
+    for each in dict.fromkeys(readings(checked.formula)):
+        names = ", ".join(
+            shorten(argument.iri) if hasattr(argument, "iri") else f"?{argument.name}"
+            for argument in each.arguments
+        )
+        unit = "" if each.unit is None else f" [{format_unit(each.unit)}]"
+        lines.append(f"  {shorten(each.feature)}({names}): {each.kind}{unit}")
+    return "\n".join([printed, *lines])
+
+
+def readings(node: object) -> Iterator[Reading]:
+    """The feature values in a checked formula, in order."""
+    if isinstance(node, Reading):
+        yield node
+    elif is_dataclass(node):
+        for field in fields(node):
+            yield from readings(getattr(node, field.name))
+
+
 PRINTERS = {
+    "mtl": print_mtl,
     "ssl": print_ssl,
     "csparql": print_csparql,
     "kpl": print_kpl,

@@ -185,6 +185,8 @@ def test_other_formats_load(format: str, text: str) -> None:
     [
         ("turtle", "dyknow:a a dyknow:UAV .\ndyknow:b a dyknow:UAV ;; , .", 2, "line 2"),
         ("turtle", 'dyknow:f a :UnaryFeature ; :hasUnit "bananas" .', None, "bananas"),
+        ("turtle", "dyknow:f a :UnaryFeature ; :hasArity 2 .", None, "several arities: 1, 2"),
+        ("turtle", "dyknow:f a :Feature ; :hasArity 2.5 .", None, "no number from 0 to 99: '2.5'"),
         ("turtle", "dyknow:q owl:sameAs dyknow:r ; owl:differentFrom dyknow:r .", None, "contrad"),
         ("jsonld", '{"@context": "http://e.org/c", "@id": "http://e.org/a"}', None, "never"),
         (

@@ -107,54 +107,96 @@ def origins(part: list[Sample], whole: list[Sample]) -> list[int] | None:
     return [next(i for i, r in chosen.items() if r == row) for row in range(len(part))]
 
 
-def unused(part: list[Sample], whole: list[Sample]) -> list[Sample]:
-    """What ``part`` leaves where each of its samples comes from the oldest equal one of ``whole``;
-    any other choice leaves an older one instead, which can be added wherever this one can."""
-    left = list(whole)
+def unused(part: list[Sample], whole: list[Sample]) -> list[int]:
+    """The rows that ``part`` leaves where each of its samples comes from the oldest equal one of
+    ``whole``; any other choice leaves an older one instead, which can be added wherever this one
+    can."""
+    left = list(range(len(whole)))
     for sample in part:
-        left.remove(next(s for s in left if s[1:] == sample[1:]))
+        left.remove(next(row for row in left if whole[row][1:] == sample[1:]))
     return left
+
+
+def places(part: list[Sample], whole: list[Sample]) -> list[tuple[int, int]]:
+    """The instant and the sequence number at which each sample of ``part`` stands: those of the
+    first one like it in its instant that comes after the one before; else of the one before."""
+    found: list[tuple[int, int]] = []
+    for time, *content in part:
+        last = found[-1][1] if found and found[-1][0] == time else -1
+        rows = [
+            row
+            for row, (ta, *other) in enumerate(whole)
+            if ta == time and other == content and row > last
+        ]
+        found.append((time, min(rows, default=last)))
+    return found
 
 
 def addable(part: list[Sample], whole: list[Sample], policy: Policy) -> Sample | None:
     """A sample of ``whole`` that can still be added to ``part``, with the available time at which;
     None if ``part`` is maximal.
 
-    All times at which something could differ are tried: next to its own and to those of ``part``.
-    For `change by` all count only undelayed, up to three at once.
-    For `any change` one that repeats what is kept counts only undelayed: by itself, or with another
+    All times at which something could differ are tried: those of ``part`` and next to them, and its
+    own; and all sequence numbers, but those in its own instant before its own.
+    For `change by` all count only at their own place, up to three at once.
+    For `any change` one that repeats what is kept counts only there: by itself, or with another
     such; where samples wait, only after the last one like it.
     """
+    taken = places(part, whole)
+
+    def own(row: int) -> int:
+        """How many of ``part`` stand before the place of a sample."""
+        return sum(place < (whole[row][0], row) for place in taken)
+
+    def with_rows(rows: tuple[int, ...]) -> list[Sample]:
+        more = list(part)
+        for row in reversed(rows):
+            more.insert(own(row), whole[row])
+        return more
+
     if isinstance(policy.change, ChangeBy):
-        free = [s for s in unused(part, whole) if all(s[0] != other[0] for other in part)]
+        free = [row for row, s in enumerate(whole) if (s[0], row) not in taken]
         for count in (1, 2, 3):
-            for added in combinations(free, count):
-                more = sorted([*part, *added], key=lambda s: s[0])
-                if satisfies(more, policy):
-                    return added[0]
+            for rows in combinations(free, count):
+                more = with_rows(rows)
+                if satisfies(more, policy) and origins(more, whole) is not None:
+                    return whole[rows[0]]
         return None
     repeats = isinstance(policy.change, AnyChange)
     kept = {s[1:] for s in part}
-    for sample in unused(part, whole):
+    for row in unused(part, whole):
+        sample = whole[row]
         if repeats and sample[1:] in kept:
             continue
-        times = {sample[0]} | {s[0] + step for s in part for step in (-1, 1)}
+        times = {sample[0]} | {s[0] + step for s in part for step in (-1, 0, 1)}
         if policy.max_delay is not None:
             times.add(sample[1] + policy.max_delay)
         for time in times:
-            if time < sample[0] or any(s[0] == time for s in part):
-                continue
             added = (time, *sample[1:])
-            more = sorted([*part, added], key=lambda s: s[0])
-            if satisfies(more, policy) and origins(more, whole) is not None:
-                return added
+            first = own(row) if time == sample[0] else 0
+            for at in range(first, len(part) + 1):
+                more = [*part[:at], added, *part[at:]]
+                if (
+                    time >= sample[0]
+                    and satisfies(more, policy)
+                    and origins(more, whole) is not None
+                ):
+                    return added
     if not repeats:
         return None
-    copies = [s for s in whole if s[1:] in kept and all(s[0] != other[0] for other in part)]
+    copies = [row for row, s in enumerate(whole) if s[1:] in kept]
     if policy.order is not Order.ANY and policy.max_delay is not None:
-        copies = [s for s in copies if all(s[0] > o[0] for o in part if o[1:] == s[1:])]
-    for added in [(one,) for one in copies] + list(combinations(copies, 2)):
-        more = sorted([*part, *added], key=lambda s: s[0])
+        copies = [
+            row
+            for row in copies
+            if all(
+                place < (whole[row][0], row)
+                for place, sample in zip(taken, part, strict=True)
+                if sample[1:] == whole[row][1:]
+            )
+        ]
+    for rows in [(one,) for one in copies] + list(combinations(copies, 2)):
+        more = with_rows(rows)
         if satisfies(more, policy) and origins(more, whole) is not None:
-            return added[0]
+            return whole[rows[0]]
     return None

@@ -40,6 +40,7 @@ from ..parameters import (
     show_order,
 )
 from ..streams import read_text, text_or_file
+from .empty_windows import Traffic
 from .triples_file import (
     TripleWriter,
     holds_graphs,
@@ -81,11 +82,14 @@ def run_query(asked: Asked) -> None:
         inputs = _samples(files, text_or_file(asked.ssl), paths, asked.sort)
     else:
         inputs = _triples(files, in_order=behind is not None)
+    traffic = Traffic()
+    inputs = {name: traffic.watch(given) for name, given in inputs.items()}
+    text = read_text(asked.query)
     told = _Late(None if asked.late is None else TripleWriter(asked.late))
     explained = Explained(time.perf_counter_ns)
     try:
         windows = evaluate(
-            read_text(asked.query),
+            text,
             inputs,
             static=known,
             semantics=None if asked.semantics is None else asked.semantics.value,
@@ -107,6 +111,8 @@ def run_query(asked: Asked) -> None:
     if not asked.as_json:
         behind_by = f", {told.count} late" if told.count else ""
         show_text(f"({count} {'window' if count == 1 else 'windows'} with a result{behind_by})")
+        if not count:
+            err().print(f"nothing came: {traffic.why_empty(text, known)}", markup=False)
 
 
 def _print(windows: Iterator[Window], *, as_json: bool) -> int:
@@ -225,6 +231,7 @@ def _samples(
     vocabulary = ontology.vocabulary
     checked = check_ssl(parse_ssl(ssl), ssl, vocabulary)
     annotations = [a for a in checked if isinstance(a, StreamAnnotation)]
+    _warn_of_other_streams(annotations, list(files))
     dictionary = TermDictionary()
     found: dict[str, Any] = {}
     for iri, path in files.items():
@@ -261,8 +268,26 @@ def _format(path: Path) -> TextFormat:
     return ONTOLOGY_FORMATS[MEDIA_TYPES.get(path.suffix.lower(), TURTLE)]
 
 
+def _warn_of_other_streams(annotations: Sequence[StreamAnnotation], iris: Sequence[str]) -> None:
+    """Report annotations whose stream is none that is read: their names may be wrong. The only
+    annotation is used all the same."""
+    names = [_stream_name(iri) for iri in iris]
+    for annotation in annotations:
+        if annotation.stream not in names:
+            used = "; it is used all the same" if len(annotations) == 1 else ""
+            err().print(
+                f"warning: the SSL text annotates stream {annotation.stream!r}, which is not read; "
+                f"read: {', '.join(names)}{used}",
+                markup=False,
+            )
+
+
+def _stream_name(iri: str) -> str:
+    return local_name(iri).removesuffix(".trdf")
+
+
 def _annotation(iri: str, annotations: Sequence[StreamAnnotation]) -> StreamAnnotation:
-    name = local_name(iri).removesuffix(".trdf")
+    name = _stream_name(iri)
     for annotation in annotations:
         if annotation.stream == name:
             return annotation

@@ -5,6 +5,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from dyknow.converters.recordings import time_order
+from dyknow.converters.recordings.piped import open_pipe
 from dyknow.converters.recordings.recording import open_recording
 from dyknow.converters.recordings.time_order import in_time_order
 
@@ -51,6 +52,23 @@ def test_available_times_decide_where_the_table_has_them(tmp_path):
     assert order.out_of_order == 0
     assert order.note is None
     assert [valid for valid, *_ in rows_of(order.recording)] == [5, 4, 3]
+
+
+@pytest.mark.parametrize("stamped", [False, True])
+def test_the_note_says_what_becomes_of_rows_that_are_left(tmp_path, stamped):
+    """A row with an available time of its own keeps it, and comes late."""
+    path = tmp_path / "a.csv"
+    path.write_text("valid,available,n\n3,3,0\n1,1,1\n" if stamped else "valid,n\n3,0\n1,1\n")
+    recording = open_recording(path, time_unit="ns")
+    taken = [int(time) for incoming in recording for time in incoming.batch.available]
+    assert taken == ([3, 1] if stamped else [3, 3])
+    with path.open("rb") as file:
+        piped = open_pipe(file, time_unit="ns")
+        assert len(list(piped.recording)) > 0
+    for note in (in_time_order(recording, sort=False).note, piped.note):
+        assert note.startswith("not sorted: 1 of 2 rows were out of order, and each ")
+        assert ("it is late where the lateness of the stream is shorter" in note) == stamped
+        assert ("becomes available just after the row above it" in note) == (not stamped)
 
 
 def test_a_large_table_is_sorted_on_demand_only(tmp_path, monkeypatch):

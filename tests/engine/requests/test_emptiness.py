@@ -33,12 +33,25 @@ def fly(engine, speed=10.0, id="uav1", seconds=20):
     [
         ("?o a dyknow:Car ; dyknow:speed ?v", "no member of dyknow:Car seen"),
         ("?o dyknow:altitude ?v", "no stream that it reads is annotated with dyknow:altitude"),
+        (
+            "?o a dyknow:Uavv ; dyknow:speed ?v",
+            "dyknow:Uavv is no known sort; did you mean dyknow:UAV?",
+        ),
+        (
+            "?o dyknow:speeed ?v",
+            "dyknow:speeed is neither a feature nor anything else that is known; "
+            "did you mean dyknow:speed?",
+        ),
+        (
+            SPEED + " OPTIONAL { ?o dyknow:altitude ?a } FILTER (?a > 1)",
+            "no stream that it reads is annotated with dyknow:altitude",
+        ),
         (SPEED + " FILTER (?v > 100)", "windows fulfilled the query's conditions"),
     ],
 )
 def test_what_is_lacking(flying, where, said):
     name = registered(flying, where)
-    assert flying.queries.view(name).empty == "no sample read yet from s"
+    assert flying.queries.view(name).empty.startswith("no sample read yet from s")
     fly(flying)
     told = flying.queries.view(name).empty
     assert told.startswith("20 samples read, 20 triples: ")
@@ -81,3 +94,17 @@ def test_what_a_policy_dropped(flying):
     told = flying.queries.view(name).empty
     assert told.startswith("3 samples read, 3 triples: ")
     assert told.endswith("18 dropped by `sample every 10000`")
+
+
+def test_a_query_of_an_earlier_name_says_why_it_is_empty(flying):
+    """Numbers of samples go on, so that they do not tell whether this query has given one."""
+    name = registered(flying, SPEED)
+    fly(flying)
+    assert flying.queries.view(name).empty is None
+    flying.queries.remove(name)
+    assert registered(flying, "?o a dyknow:Car ; dyknow:speed ?v") == name
+    assert flying.queries.view(name).empty == "no sample read yet from s"
+    rows = [(second, {"id": "uav1", "spd": 1.0}) for second in range(20, 24)]
+    feed(flying, "s", rows)
+    assert flying.queries.view(name).empty.endswith("no member of dyknow:Car seen")
+    assert flying.generator(name).stream.last_number > 0

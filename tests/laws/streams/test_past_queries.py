@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from dyknow.streams import past_queries
 from dyknow.streams.history import FluentStream, Retention
-from dyknow.streams.past_queries import Forgotten
+from dyknow.streams.past_queries import Forgotten, Moment
 from dyknow.streams.sample import (
     Field,
     FieldType,
@@ -19,6 +19,7 @@ from dyknow.streams.sample import (
     Schema,
     batch_from_rows,
 )
+from dyknow.streams.time import TIME_MAX
 
 SCHEMA = Schema((Field("v", FieldType.INTEGER),))
 SMALL = st.integers(-3, 12)
@@ -32,7 +33,8 @@ def make(samples: list[tuple[int, int, int]]) -> SampleBatch:
 @st.composite
 def lives(draw: st.DrawFn) -> tuple[list[tuple[int, int, int]], FluentStream]:
     """All samples that a stream ever had, and the stream, which keeps the last ones."""
-    available = sorted(draw(st.sets(SMALL | TIMES, max_size=40)))
+    instants = draw(st.lists(st.tuples(SMALL | TIMES, st.sampled_from((1, 1, 2, 3))), max_size=25))
+    available = sorted(time for time, rows in instants for _ in range(rows))
     in_order = draw(st.booleans())
     valid = draw(st.lists(SMALL, min_size=len(available), max_size=len(available)))
     valid = sorted(valid) if in_order else valid
@@ -105,12 +107,24 @@ def test_what_the_kept_samples_decide_is_answered(life: Life, time: int, known: 
     if not samples:
         return
     kept = told(stream.all())
+    gone = samples[: len(samples) - len(kept)]
     if known >= kept[0][0]:
         assert told(past_queries.last_avail(stream, known))
-        past_queries.between(stream, known, None)
     if known > kept[0][0]:
         assert told(past_queries.prev(stream, known))
-    gone = samples[: len(samples) - len(kept)]
+    if not gone or known > gone[-1][0]:
+        past_queries.between(stream, known, None)
+        past_queries.check_reach(stream, known)
+    else:
+        with pytest.raises(Forgotten) as refused:
+            past_queries.check_reach(stream, known)
+        oldest = refused.value.oldest
+        assert oldest is not None
+        assert oldest > gone[-1][0] or oldest == TIME_MAX
+        past_queries.check_reach(stream, oldest)
+    valid = [s for s in kept if s[1] <= time]
+    for most in range(1, len(valid) + 1):
+        assert told(past_queries.before(stream, time, most=most)) == valid[-most:]
     if all(s[1] <= kept[0][1] for s in gone) and time >= kept[0][1]:
         assert told(past_queries.most_recent_at(stream, time))
     if all(s[1] > time for s in gone):
@@ -128,12 +142,45 @@ def test_another_sample_than_the_definition_is_refused() -> None:
     assert told(past_queries.most_recent_at(stream, 3, 20)) == [(11, 3, 2)]
 
 
+def test_an_instant_that_retention_has_cut_is_refused() -> None:
+    """Of three instants of three samples four are kept: one of the second instant."""
+    stream = FluentStream(SCHEMA)
+    for time in (10, 11, 12):
+        stream.append(make([(time, time, row) for row in range(3)]))
+    stream.retention = Retention(4)
+    assert len(stream) == 4
+    with pytest.raises(Forgotten, match=r"1970-01-01T00:00:00\.000000012Z") as refused:
+        past_queries.between(stream, 11, None)
+    assert refused.value.oldest == 12
+    with pytest.raises(Forgotten):
+        past_queries.number_since(stream, Moment(before=1))
+    assert len(past_queries.between(stream, 12, None)) == 3
+    assert past_queries.number_since(stream, Moment(12)) == 7
+
+
+def test_the_newest_samples_before_a_time_are_there() -> None:
+    """Asked for no more samples than are kept, forgotten ones do not matter."""
+    stream = FluentStream(SCHEMA, Retention(2))
+    for time in (10, 11, 12):
+        stream.append(make([(time, time, time)]))
+    assert told(past_queries.before(stream, 12, most=2)) == [(11, 11, 11), (12, 12, 12)]
+    assert told(past_queries.before(stream, 11, most=1)) == [(11, 11, 11)]
+    for ask in ({"most": 3}, {}):
+        with pytest.raises(Forgotten):
+            past_queries.before(stream, 12, **ask)
+
+
 def test_a_stream_that_goes_on_knows_nothing_of_forgotten_valid_times() -> None:
     stream = FluentStream(SCHEMA)
     stream.go_on(make([(10, 10, 1)]), 5)
     with pytest.raises(Forgotten):
         past_queries.most_recent_at(stream, 20)
     assert told(past_queries.last_avail(stream, 20)) == [(10, 10, 1)]
+    assert past_queries.number_since(stream, Moment(10)) == 5
+    cut = FluentStream(SCHEMA)
+    cut.go_on(make([(10, 10, 1)]), 5, complete_since=11)
+    with pytest.raises(Forgotten):
+        past_queries.number_since(cut, Moment(10))
     whole = FluentStream(SCHEMA)
     whole.go_on(make([(10, 10, 1)]), 1)
     assert told(past_queries.most_recent_at(whole, 20)) == [(10, 10, 1)]

@@ -13,6 +13,7 @@ from dyknow.streams.policies.adaptation import REASONS, Adaptation, Dropped
 from dyknow.streams.policies.policy import (
     AnyChange,
     Approximation,
+    ChangeBy,
     Duration,
     Order,
     Policy,
@@ -213,3 +214,32 @@ def test_proof_agrees_with_the_definition(data: st.DataObject, base: int) -> Non
     if base > 0 and how == "not":
         return  # at the end of time there may be no moment left, see above
     assert (found is None) == expected, found
+
+
+def test_an_instant_has_room_for_all_of_its_samples() -> None:
+    """SPEC §1: samples of one instant differ by their sequence numbers."""
+    sweeps = [(time, time, (x, None)) for time in (100, 200, 300) for x in range(10)]
+    first, pool = sweeps[::10], StringPool()
+    for policy in (
+        Policy(max_delay=0),
+        Policy(AnyChange(), max_delay=0),
+        Policy(order=Order.MONOTONE, max_delay=0),
+        Policy(ChangeBy(1)),
+    ):
+        assert prove(batch_of(sweeps, pool), batch_of(sweeps, pool), policy) is None
+        for row in (0, 4, 9, 15, 29):
+            left = [*sweeps[:row], *sweeps[row + 1 :]]
+            found = prove(batch_of(left, pool), batch_of(sweeps, pool), policy)
+            assert found is not None, (policy, row)
+            assert (found.row, found.is_missing) == (row, True)
+        assert prove(batch_of(first, pool), batch_of(sweeps, pool), policy) is not None
+
+
+def test_no_sample_stands_before_its_place_in_its_instant() -> None:
+    """Without a wait, the one valid at 3 came after the one valid at 5."""
+    samples, pool = [(9, 5, (1, None)), (9, 3, (1, None))], StringPool()
+    sent = batch_of(samples[:1], pool)
+    assert prove(sent, batch_of(samples, pool), Policy(order=Order.MONOTONE)) is None
+    found = prove(sent, batch_of(samples[::-1], pool), Policy(order=Order.MONOTONE))
+    assert found is not None
+    assert "valid at 3 could be sent at 9" in found.message

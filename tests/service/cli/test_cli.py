@@ -115,6 +115,17 @@ def test_silence_has_a_reason(dyknow: Any, table: Path, template: str) -> None:
             "CONSTRUCT { ?x a ?y } { ?x <http://www.ida.liu.se/dyknow/zzzzzzzz> ?y }",
             ["nothing is called dyknow:zzzzzzzz"],
         ),
+        (
+            "SELECT (COUNT(?x) AS ?n) (SUM(?v) AS ?sum) (MAX(?v) AS ?most) { ?x dyknow:sped ?v }",
+            ["nothing is called dyknow:sped; did you mean dyknow:speed?"],
+        ),
+        (
+            "SELECT (COUNT(*) AS ?n) { ?x a dyknow:Uav }",
+            ["nothing is called dyknow:Uav; did you mean dyknow:UAV"],
+        ),
+        ("SELECT (COUNT(*) AS ?n) { ?x dyknow:sped 1 } GROUP BY ?x", ["nothing is called"]),
+        ("SELECT (COUNT(*) AS ?n) { ?x a dyknow:UAV }", []),
+        ("SELECT (COUNT(*) AS ?n) { ?x a ?y FILTER (?y != dyknow:Uav) }", []),
         ("SELECT * { ?x dyknow:speed 'dyknow:sped' }", []),
         ("SELECT * { dyknow:speed a ?kind OPTIONAL { ?x dyknow:sped ?y } }", []),
     ],
@@ -125,6 +136,18 @@ def test_sparql_suggests_terms_where_it_finds_nothing(
     said = dyknow("sparql", query).stderr.splitlines()
     assert len(said) == len(hints)
     assert all(line.startswith(f"hint: {hint}") for line, hint in zip(said, hints, strict=True))
+
+
+def test_no_plan_says_each_cause_once(dyknow: Any, template: str) -> None:
+    dyknow("template", "add", template)
+    dyknow("annotate", SSL.replace("speed(UAV)", "altitude(UAV)").replace("km.h-1", "ft"))
+    refused = dyknow("events", REQUEST, status=1).stderr
+    for cause in ("gives dyknow:latitude", "gives dyknow:longitude"):
+        assert refused.count(cause) == 1, refused
+    assert "no stream and no transformation answers dyknow:HighSpeedEvent" in refused
+    tried = dyknow("match", "altitude", "--sort", "Car", status=1).stdout
+    assert tried.count("sort dyknow:UAV is not a dyknow:Car") == 1, tried
+    assert "failed: stream s5 : altitude [ft] for every UAV = id\n" in tried
 
 
 def test_an_object_by_its_id(dyknow: Any, client: Client) -> None:
@@ -437,7 +460,55 @@ def test_run_leaves_empty_windows_out(table: Path, tmp_path: Path) -> None:
     arguments = ["run", str(path), "--stream", f"{STREAM}={table}", "--ssl", SSL]
     people = CliRunner().invoke(app, arguments)
     assert people.stdout.strip() == "(0 windows with a result)"
-    assert CliRunner().invoke(app, [*arguments, "--json"]).stdout == ""
+    said = "nothing came: 40 triples read: no window fulfilled the conditions of the query"
+    assert people.stderr.strip() == said
+    silent = CliRunner().invoke(app, [*arguments, "--json"])
+    assert (silent.stdout, silent.stderr) == ("", "")
+
+
+def test_run_says_why_no_window_has_a_result(table: Path, tmp_path: Path) -> None:
+    query, static, triples = tmp_path / "q.rq", tmp_path / "s.ttl", tmp_path / "t.ndjson"
+    static.write_text(
+        "@prefix d: <http://www.ida.liu.se/dyknow/> . @prefix r: <http://www.w3.org/2000/01/"
+        "rdf-schema#> . d:UAV r:subClassOf d:Craft . d:speed r:subPropertyOf d:motion ."
+    )
+    rows = [{"time": t, "s": "dyknow:u", "p": "dyknow:speed", "o": t} for t in range(5)]
+    triples.write_text("".join(json.dumps(row) + "\n" for row in rows))
+
+    def said(where: str, *more: str) -> str:
+        query.write_text(
+            f"REGISTER QUERY q AS SELECT * FROM STREAM <{STREAM}> [RANGE 5s STEP 1s] "
+            f"WHERE {{ {where} }}"
+        )
+        run = CliRunner().invoke(app, ["run", str(query), *more])
+        assert run.exit_code == 0, (run.output, run.exception)
+        return run.stderr.strip()
+
+    samples = ["--stream", f"{STREAM}={table}", "--ssl", SSL, "--static", str(static)]
+    lacking = said("?o a dyknow:Car . ?o dyknow:altitude ?v", *samples)
+    assert lacking == (
+        "nothing came: 40 triples read: no member of dyknow:Car seen; no triple of dyknow:altitude"
+    )
+    assert said("?o a dyknow:Craft . ?o dyknow:motion ?v", *samples) == ""
+    assert "no window fulfilled" in said("?o a dyknow:Craft ; dyknow:motion -1", *samples)
+    for lateness in ([], ["--lateness", "1s"]):
+        found = said("?o dyknow:track ?v", "--stream", f"{STREAM}={triples}", *lateness)
+        assert found == "nothing came: 5 triples read: no triple of dyknow:track"
+
+
+def test_run_warns_of_annotations_of_other_streams(table: Path, query: str) -> None:
+    """The only annotation is used whatever stream it names; a wrong name must not be silent."""
+    wrong = SSL.replace("stream s5", "stream s55")
+    reading = ["run", query, "--stream", f"{STREAM}={table}", "--json", "--ssl"]
+    warning = "warning: the SSL text annotates stream 's55', which is not read; read: s5"
+    one = CliRunner().invoke(app, [*reading, wrong])
+    assert one.exit_code == 0, (one.output, one.exception)
+    assert one.stderr.strip() == f"{warning}; it is used all the same"
+    both = CliRunner().invoke(app, [*reading, f"{SSL}\n{wrong}"])
+    assert both.stderr.strip() == warning
+    right = CliRunner().invoke(app, [*reading, SSL])
+    assert (right.stderr, right.stdout) == ("", one.stdout)
+    assert both.stdout == one.stdout
 
 
 def test_run_over_a_stream_that_the_query_does_not_read(table: Path, query: str) -> None:

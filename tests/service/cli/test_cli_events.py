@@ -136,3 +136,41 @@ def test_help_says_what_it_does() -> None:
     assert "weighted:cost=1,quality=10" in help_of("match")
     assert help_of("run").count("May be repeated") == 2
     assert "May be repeated" in help_of("match")
+
+
+def test_silence_has_a_reason_at_ctrl_c(
+    dyknow: Any, speeds: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also of the query or request behind a stream that is followed."""
+
+    def interrupted(*_: object) -> int:
+        raise KeyboardInterrupt
+
+    for module in ("events", "follow"):
+        monkeypatch.setattr(f"dyknow.service.cli.{module}.show_events", interrupted)
+    asked = speeds.request_event(REQUEST)
+    publish(speeds, range(1, 2))
+    nothing = dyknow("events", REQUEST.replace("100", "1000")).stderr
+    assert "nothing came: no sample read yet from s5" in nothing
+    followed = dyknow("follow", asked["stream"]).stderr
+    assert "nothing came: 1 samples read, 1 triples: no window has closed yet" in followed
+    assert "nothing came" not in dyknow("follow", "s5").stderr
+    publish(speeds, range(2, 20))
+    assert "nothing came" not in dyknow("follow", asked["stream"]).stderr
+    assert "nothing came" not in dyknow("events", REQUEST).stderr
+
+
+def test_queries_say_why_there_is_no_result(dyknow: Any, speeds: Client) -> None:
+    where = "?o a dyknow:Car ; dyknow:speed ?v"
+    speeds.register_query(
+        "REGISTER QUERY cars COMPUTE EVERY 1s AS SELECT ?o ?v FROM STREAM "
+        f"<http://www.ida.liu.se/dyknow/s5> [RANGE 2s STEP 1s] WHERE {{ {where} }}"
+    )
+    shown = dyknow("query", "show", "cars").stdout
+    assert "nothing came: no sample read yet from s5" in shown
+    assert "waits for" not in shown
+    assert "it waits for s5" in dyknow("query", "results", "cars", status=1).stderr
+    publish(speeds, range(1, 10))
+    said = "nothing came: 9 samples read, 9 triples: no member of dyknow:Car seen"
+    assert said in dyknow("query", "show", "cars").stdout
+    assert said in dyknow("query", "results", "cars").stderr

@@ -75,6 +75,20 @@ def test_questions_about_the_past(http: httpx.Client, client: Client) -> None:
     assert [s["v"] for s in client.history("s", at=6)] == [3]
     assert [s["v"] for s in client.history("s", start=11)] == [1, 2, 3]
     assert [s["v"] for s in client.history("s")] == [1, 2, 3]
+    assert [s["v"] for s in client.history("s", before=6, limit=2)] == [2, 3]
+
+
+def test_an_instant_that_retention_has_cut(http: httpx.Client, client: Client) -> None:
+    fields = {"v": "integer"}
+    client.put_stream("s", fields)
+    for time in (10, 11, 12):
+        client.publish("s", [{"available": time, "valid": time, "v": row} for row in range(3)])
+    client.put_stream("s", fields, retention={"samples": 4})
+    for url in ("/streams/s/samples?from=11", "/streams/s/events?since=11"):
+        refused = http.get(url)
+        assert refused.status_code == 410, url
+        assert refused.json()["oldest"] == "1970-01-01T00:00:00.000000012Z"
+    assert len(client.history("s", start=12)) == 3
     for wrong in ("at=1&prev=2", "at=1&valid_from=2", "known=3", "prev=1&known=2", "before=soon"):
         assert http.get(f"/streams/s/samples?{wrong}").status_code == 400
     with pytest.raises(TypeError, match="later"):

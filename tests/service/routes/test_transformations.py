@@ -294,7 +294,8 @@ def test_streams_are_annotated_in_json(http: httpx.Client) -> None:
         (contents(of=[{"name": "Truck", "id": "id", "every": True}]), 400, "no sort of the"),
         (contents(of=[{"name": "UAC", "id": "id"}]), 400, "did you mean UAV"),
         (contents(of=[{"name": "UAV", "id": "id", "every": False}]), 400, "is a sort"),
-        (contents(of=[{"name": "UAV", "id": "id"}, "uav1"]), 400, "has 1 argument, not 2"),
+        (contents(of=[{"name": "UAV", "id": "id"}, "uav1"]), 400, "one object, and 2 are named"),
+        (contents(feature="distance", unit="m"), 400, "2 objects, and 1 is named"),
         (contents(of=[{"name": "lorry7", "id": "id", "every": False}]), 201, "lorry7 = id"),
         ([], 201, ""),
         (5, 422, "body"),
@@ -334,6 +335,40 @@ def test_what_is_shown_of_annotations_can_be_sent_again(http: httpx.Client) -> N
         "/annotations", content="<s:a> <s:b> <s:c> .", headers={"Content-Type": "text/turtle"}
     )
     assert (empty.status_code, "annotates no :Stream" in empty.text) == (400, True)
+
+
+def test_annotations_of_code_with_another_name_say_what_to_register(http: httpx.Client) -> None:
+    http.post("/transformations", json=glider(parameters={"factor": 3}))
+    kinds = ("text/plain", "text/turtle", "application/json")
+    forms = {kind: http.get("/annotations", headers={"Accept": kind}).content for kind in kinds}
+    shown = http.get("/transformations/glider").json()
+    http.delete("/transformations/glider")
+    for kind, body in forms.items():
+        refused = http.post("/annotations", content=body, headers={"Content-Type": kind})
+        assert refused.status_code == 404, kind
+        assert refused.json()["detail"] == "there is no implementation called 'glider'"
+        assert (
+            "`implementation` and `parameters` to POST /transformations" in refused.json()["hint"]
+        )
+    again = {key: shown[key] for key in ("implementation", "parameters", "cost", "quality")}
+    http.post("/transformations", json=again | {"annotation": SSL})
+    for kind, body in forms.items():
+        again = http.post("/annotations", content=body, headers={"Content-Type": kind})
+        assert again.status_code == 201, again.text
+    assert http.get("/transformations/glider").json() == shown
+
+
+def test_the_arity_of_turtle_is_checked(http: httpx.Client) -> None:
+    """SPEC §3: the number of arguments is the feature's."""
+    one = """:s9 a :Stream ; :hasAnnotation [ :hasOutputAnnotation [
+      :describesFeature dyknow:distance ; :hasName "gap" ; :hasUnit "m" ;
+      :hasArguments ( [ :describesSort dyknow:UAV ; :hasIdField "id" ] ) ] ] ."""
+    answer = http.post("/annotations", content=PREFIXES + one, headers=TURTLE)
+    assert answer.status_code == 400, answer.text
+    assert "is a feature of 2 objects, and 1 is named" in answer.json()["detail"]
+    two = one.replace(":hasArguments (", ":hasArguments ( [ :describesObject dyknow:uav1 ]")
+    answer = http.post("/annotations", content=PREFIXES + two, headers=TURTLE)
+    assert answer.status_code == 201, answer.text
 
 
 def test_the_quality_of_a_stream_decides(http: httpx.Client) -> None:

@@ -2,7 +2,7 @@
 
 import pytest
 
-from dyknow.streams.policies.policy import AnyChange, Order, Policy
+from dyknow.streams.policies.policy import AnyChange, ChangeBy, Order, Policy
 from dyknow.streams.policies.satisfaction import prove
 from dyknow.streams.policies.select_adaptation import adapt
 from dyknow.streams.sample import Field, FieldType, Schema, batch_from_rows
@@ -25,13 +25,16 @@ def adapted(policy, *samples):
 
 
 @pytest.mark.parametrize("change", [Policy().change, AnyChange()])
-def test_an_equal_sample_at_the_last_moment_may_be_left_out(change):
-    """The sample that waited for the last moment stands for the first of the two."""
+def test_an_equal_sample_at_the_last_moment_is_left_out_as_a_copy_only(change):
+    """The sample that waited for the last moment stands for the first of the two; the instant has
+    room for the other."""
     policy = Policy(change, 0, order=Order.MONOTONE)
     recorded = [(1, 6, "a"), (6, 6, "a")]
     count = 1 if isinstance(change, AnyChange) else 2
     assert adapted(policy, *recorded) == [(6, 6, "a")] * count
-    assert prove(stream((6, 6, "a")), stream(*recorded), policy) is None
+    assert prove(stream(*[(6, 6, "a")] * count), stream(*recorded), policy) is None
+    found = prove(stream((6, 6, "a")), stream(*recorded), policy)
+    assert (found is None) == isinstance(change, AnyChange)
 
 
 def test_an_equal_sample_with_a_moment_left_may_not():
@@ -48,6 +51,19 @@ def test_there_and_back_are_two_changes(valid):
     assert prove(recorded, recorded, CHANGE) is None
     for spoilt in ((first, other), (other, last), (first,), (last,), (other,)):
         assert prove(stream(*spoilt), recorded, CHANGE) is not None, spoilt
+
+
+def test_there_and_back_are_two_changes_by_d():
+    """Which of two equal samples was left out must not matter."""
+    rows = [(9, 19, 3.0), (15, 12, 1.0), (19, 19, 3.0)]
+    schema, policy = Schema((Field("value", FieldType.FLOAT),)), Policy(ChangeBy(1))
+
+    def batch(kept):
+        return batch_from_rows(schema, [(a, v, {"value": x}) for a, v, x in kept], {})
+
+    assert prove(batch(rows), batch(rows), policy) is None
+    for row in range(3):
+        assert prove(batch(rows[:row] + rows[row + 1 :]), batch(rows), policy) is not None, row
 
 
 def test_a_delayed_copy_is_no_news():

@@ -1,0 +1,18 @@
+"""Formulas of metric temporal logic over features ([DyKnow10 §2, §5.4], SPEC §8)."""
+
+from .ast import Monitor, Report
+from .check import check_mtl
+from .checked import CheckedMonitor
+from .parser import parse_formula, parse_monitor
+from .printer import format_formula, format_monitor
+
+__all__ = [
+    "CheckedMonitor",
+    "Monitor",
+    "Report",
+    "check_mtl",
+    "format_formula",
+    "format_monitor",
+    "parse_formula",
+    "parse_monitor",
+]

@@ -1,0 +1,358 @@
+"""Checks MTL monitors against the ontology: resolves names, tells truth from number, and converts
+constants into the units of the features that they meet (SPEC §8).
+
+A constant without a unit has that of the feature. The ontology's range says what a feature is:
+numbers, texts, truths or times; without a range the other side of the comparison decides, else it
+is a number.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Final, assert_never
+
+from ...ontology.units import Unit, UnitError, conversion, dimension, format_unit
+from ...ontology.vocabulary import Vocabulary
+from ...rdf.namespaces import XSD
+from ..errors import LanguageError, Span
+from ..ontology_names import OntologyNames
+from . import ast
+from .checked import (
+    And,
+    Argument,
+    Atom,
+    Calculation,
+    CheckedMonitor,
+    Constant,
+    Formula,
+    Kind,
+    Not,
+    ObjectConstant,
+    ObjectVariable,
+    Or,
+    Previous,
+    Quantified,
+    Reading,
+    Truth,
+    Until,
+    Value,
+    Within,
+)
+
+_KINDS: Final = {
+    XSD + "boolean": Kind.TRUTH,
+    XSD + "string": Kind.TEXT,
+    XSD + "dateTime": Kind.TIME,
+}
+_NUMBERS: Final = frozenset(
+    XSD + name
+    for name in (
+        *("double", "float", "decimal", "integer", "long", "int", "short", "byte"),
+        *("nonNegativeInteger", "positiveInteger", "nonPositiveInteger", "negativeInteger"),
+        *("unsignedLong", "unsignedInt", "unsignedShort", "unsignedByte"),
+    )
+)
+_ORDERED: Final = frozenset({"<", "<=", ">", ">="})
+
+
+def check_mtl(monitor: ast.Monitor, source: str, vocabulary: Vocabulary) -> CheckedMonitor:
+    """Return the meaning of ``parse_monitor(source)``. Raises `LanguageError` with the place of the
+    first name, kind or unit that is wrong."""
+    checker = _Checker(OntologyNames(source, vocabulary))
+    scope: dict[str, _Bound] = {}
+    for binding in monitor.parameters:
+        scope = checker.bind(binding, scope)
+    formula = checker.formula(monitor.formula, scope)
+    return CheckedMonitor(
+        monitor.name,
+        tuple((bound.variable, bound.sort) for bound in scope.values()),
+        formula,
+        monitor.policy,
+        monitor.report,
+        monitor.once,
+        monitor.present_for,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Bound:
+    """A variable in scope: its unique name in the checked formula, and the IRI of its sort."""
+
+    variable: str
+    sort: str
+
+
+_Scope = Mapping[str, _Bound]
+
+
+@dataclass(frozen=True, slots=True)
+class _Typed:
+    """A checked value, its kind (None: the ontology states no range) and its unit."""
+
+    value: Value
+    kind: Kind | None
+    unit: Unit | None
+    """None: a constant without a unit, or no number."""
+
+
+class _Checker:
+    def __init__(self, names: OntologyNames) -> None:
+        self._names = names
+        self._used: set[str] = set()
+
+    def error(self, message: str, span: Span, hint: str = "") -> LanguageError:
+        return LanguageError(message, self._names.source, span, hint)
+
+    def bind(self, binding: ast.Binding, scope: _Scope) -> dict[str, _Bound]:
+        """Return ``scope`` with a variable more, whose name in the checked formula is new."""
+        name = binding.variable.name
+        if name in scope:
+            raise self.error(
+                f"`?{name}` is bound twice",
+                binding.variable.span,
+                "give the inner variable another name",
+            )
+        unique, number = name, 2
+        while unique in self._used:
+            unique, number = f"{name}_{number}", number + 1
+        self._used.add(unique)
+        sort = self._names.sort(binding.sort.text, binding.sort.span)
+        return {**scope, name: _Bound(unique, sort)}
+
+    # -- formulas ----------------------------------------------------------------------------
+
+    def formula(self, node: ast.Formula, scope: _Scope) -> Formula:
+        match node:
+            case ast.Truth(value):
+                return Truth(value)
+            case ast.Not(operand):
+                return Not(self.formula(operand, scope))
+            case ast.Previous(operand):
+                return Previous(self.formula(operand, scope))
+            case ast.And(left, right):
+                return And(self.formula(left, scope), self.formula(right, scope))
+            case ast.Or(left, right):
+                return Or(self.formula(left, scope), self.formula(right, scope))
+            case ast.Implies(left, right):
+                return Or(Not(self.formula(left, scope)), self.formula(right, scope))
+            case ast.Within(operator, interval, operand):
+                return Within(operator, interval, self.formula(operand, scope))
+            case ast.Until(is_past, interval, left, right):
+                parts = self.formula(left, scope), self.formula(right, scope)
+                return Until(is_past, interval, *parts)
+            case ast.Quantified(is_universal, binding, operand):
+                inner = self.bind(binding, scope)
+                bound = inner[binding.variable.name]
+                checked = self.formula(operand, inner)
+                return Quantified(is_universal, bound.variable, bound.sort, checked)
+            case ast.Comparison():
+                return self.comparison(node, scope)
+            case ast.FeatureTerm():
+                return self.boolean_feature(node, scope)
+            case _:
+                raise self.error(
+                    "this is no truth value",
+                    node.span,
+                    "compare it with something, such as `speed(?x) > 100`",
+                )
+
+    def boolean_feature(self, node: ast.FeatureTerm, scope: _Scope) -> Atom:
+        """Return the atom of a feature that stands alone and is true or false."""
+        found = self.reading(node, scope)
+        assert isinstance(found.value, Reading)
+        if found.kind not in (None, Kind.TRUTH):
+            raise self.error(
+                f"`{node.feature.text}` is a {found.kind}, no truth value",
+                node.span,
+                f"compare it with something: `{self.words(node)} > 100`",
+            )
+        return Atom("=", replace(found.value, kind=Kind.TRUTH), Constant(True, Kind.TRUTH))
+
+    def comparison(self, node: ast.Comparison, scope: _Scope) -> Atom:
+        left, right = self.value(node.left, scope), self.value(node.right, scope)
+        kind = left.kind or right.kind or Kind.NUMBER
+        left, right = _as(left, kind), _as(right, kind)
+        if left.kind is not right.kind:
+            raise self.error(
+                f"a {left.kind} is compared with a {right.kind}",
+                node.span,
+                "both sides of a comparison are of one kind",
+            )
+        if node.operator in _ORDERED and kind not in (Kind.NUMBER, Kind.TIME, Kind.TEXT):
+            raise self.error(
+                f"`{node.operator}` orders no {kind}s",
+                node.span,
+                "a truth or an object is compared by `=` and `!=`",
+            )
+        if kind is Kind.NUMBER:
+            left, right, _ = self.in_one_unit(left, right, node.span)
+        return Atom(node.operator, left.value, right.value)
+
+    # -- values ------------------------------------------------------------------------------
+
+    def value(self, node: ast.Formula, scope: _Scope) -> _Typed:
+        match node:
+            case ast.Number(value, unit):
+                if unit is not None:
+                    self.check_unit(unit, node.span)
+                return _Typed(Constant(value, Kind.NUMBER), Kind.NUMBER, unit)
+            case ast.Text(value):
+                return _Typed(Constant(value, Kind.TEXT), Kind.TEXT, None)
+            case ast.TimePoint(value):
+                return _Typed(Constant(value, Kind.TIME), Kind.TIME, None)
+            case ast.Truth(value):
+                return _Typed(Constant(value, Kind.TRUTH), Kind.TRUTH, None)
+            case ast.Variable():
+                return _Typed(self.variable(node, scope), Kind.OBJECT, None)
+            case ast.FeatureTerm():
+                return self.term(node, scope)
+            case ast.Negative(operand):
+                zero = _Typed(Constant(0.0, Kind.NUMBER), Kind.NUMBER, None)
+                return self.calculation("-", zero, self.number(operand, scope), node.span)
+            case ast.Arithmetic(operator, left, right):
+                parts = self.number(left, scope), self.number(right, scope)
+                return self.calculation(operator, *parts, node.span)
+            case _:
+                raise self.error(
+                    "this is a truth value, not a number, text, time or object",
+                    node.span,
+                    "connect truth values by `and`, `or`, `->`",
+                )
+
+    def term(self, node: ast.FeatureTerm, scope: _Scope) -> _Typed:
+        """Return a feature's value, or the object that a name without arguments denotes."""
+        if not node.arguments:
+            iris = self._names.iris(node.feature.text, node.feature.span)
+            vocabulary = self._names.vocabulary
+            if not any(vocabulary.is_feature(iri) or vocabulary.is_event(iri) for iri in iris):
+                found = next((iri for iri in iris if vocabulary.is_object(iri)), None)
+                if found is not None or node.feature.text == "self":
+                    iri = self._names.object(node.feature.text, node.feature.span)
+                    return _Typed(ObjectConstant(iri), Kind.OBJECT, None)
+        return self.reading(node, scope)
+
+    def reading(self, node: ast.FeatureTerm, scope: _Scope) -> _Typed:
+        name = node.feature.text
+        feature = self._names.feature(name, node.feature.span)
+        self._names.check_arity(feature, name, len(node.arguments), node.span)
+        arguments = tuple(self.argument(each, scope) for each in node.arguments)
+        info = self._names.vocabulary.feature(feature)
+        range = None if info is None else info.range
+        unit = None if info is None else info.unit
+        kind = None if range is None else _kind_of(range)
+        if kind is None and unit is not None:
+            kind = Kind.NUMBER
+        return _Typed(Reading(feature, arguments, kind or Kind.NUMBER, unit), kind, unit or ())
+
+    def argument(self, node: ast.Variable | ast.Symbol | ast.Text, scope: _Scope) -> Argument:
+        match node:
+            case ast.Variable():
+                return self.variable(node, scope)
+            case ast.Symbol(text, span):
+                if self._names.find_sort(text, span) is not None:
+                    raise self.error(
+                        f"`{text}` is a sort, not an object",
+                        span,
+                        f"bind a variable: `forall ?x in {text} …`, or `monitor m(?x in {text})`",
+                    )
+                return ObjectConstant(self._names.object(text, span))
+            case ast.Text(value):
+                return ObjectConstant(self._names.namespace + value)
+            case _:
+                assert_never(node)
+
+    def variable(self, node: ast.Variable, scope: _Scope) -> ObjectVariable:
+        if node.name not in scope:
+            bind = f"bind it: `forall ?{node.name} in Car …`, or `monitor m(?{node.name} in Car)`"
+            known = ", ".join(f"?{name}" for name in scope)
+            hint = f"known are {known}; {bind}" if known else bind
+            raise self.error(f"`?{node.name}` is not bound", node.span, hint)
+        return ObjectVariable(scope[node.name].variable)
+
+    def number(self, node: ast.Formula, scope: _Scope) -> _Typed:
+        found = _as(self.value(node, scope), Kind.NUMBER)
+        if found.kind is not Kind.NUMBER:
+            raise self.error(f"arithmetic needs numbers, and this is a {found.kind}", node.span)
+        return found
+
+    # -- units -------------------------------------------------------------------------------
+
+    def calculation(self, operator: str, left: _Typed, right: _Typed, span: Span) -> _Typed:
+        if operator in "+-":
+            left, right, unit = self.in_one_unit(left, right, span)
+        else:
+            # A constant without a unit scales; two units make a product, which no feature has.
+            units = [each.unit for each in (left, right) if each.unit]
+            if len(units) == 2 or (operator == "/" and right.unit):
+                raise self.error(
+                    f"`{operator}` of two quantities with units is not supported",
+                    span,
+                    "multiply or divide by a number without a unit",
+                )
+            unit = units[0] if units else _neither(left, right)
+        value = Calculation(operator, left.value, right.value)
+        return _Typed(value, Kind.NUMBER, unit)
+
+    def in_one_unit(
+        self, left: _Typed, right: _Typed, span: Span
+    ) -> tuple[_Typed, _Typed, Unit | None]:
+        """Return both in one unit: that of the left, or of the right if the left is a constant."""
+        if left.unit is None or right.unit is None or left.unit == right.unit:
+            return left, right, right.unit if left.unit is None else left.unit
+        target = right if isinstance(left.value, Constant) else left
+        other = left if target is right else right
+        assert target.unit is not None
+        assert other.unit is not None
+        try:
+            change = conversion(other.unit, target.unit)
+        except UnitError:
+            raise self.error(
+                f"{_words(left.unit)} and {_words(right.unit)} do not fit together",
+                span,
+                f"{_words(left.unit)} measures {dimension(left.unit)}, {_words(right.unit)} "
+                f"measures {dimension(right.unit)}",
+            ) from None
+        if isinstance(other.value, Constant):
+            assert isinstance(other.value.value, float)
+            value: Value = Constant(other.value.value * change.factor + change.offset, Kind.NUMBER)
+        else:
+            factor = Constant(change.factor, Kind.NUMBER)
+            value = Calculation("*", other.value, factor)
+            if change.offset:
+                value = Calculation("+", value, Constant(change.offset, Kind.NUMBER))
+        converted = _Typed(value, Kind.NUMBER, target.unit)
+        pair = (converted, target) if target is right else (target, converted)
+        return *pair, target.unit
+
+    def check_unit(self, unit: Unit, span: Span) -> None:
+        try:
+            dimension(unit)
+        except UnitError as error:
+            raise self.error(str(error), span) from None
+
+    def words(self, node: ast.Formula) -> str:
+        """Return the text of a node."""
+        return self._names.source[node.span.start : node.span.end]
+
+
+def _as(found: _Typed, kind: Kind) -> _Typed:
+    """Return a value of unknown kind as one of ``kind``."""
+    if found.kind is not None or not isinstance(found.value, Reading):
+        return found
+    return _Typed(replace(found.value, kind=kind), kind, found.unit)
+
+
+def _kind_of(range: str) -> Kind | None:
+    if range in _NUMBERS:
+        return Kind.NUMBER
+    return _KINDS.get(range, None if range.startswith(XSD) else Kind.OBJECT)
+
+
+def _neither(left: _Typed, right: _Typed) -> Unit | None:
+    """Return the unit of a product without units: none stated if both are constants."""
+    return None if left.unit is None and right.unit is None else ()
+
+
+def _words(unit: Unit) -> str:
+    return f"[{format_unit(unit)}]" if unit else "a number without a unit"

@@ -1,0 +1,158 @@
+"""Checked MTL formulas: names resolved, truth told from number, units converted (SPEC §8).
+
+Everything is a frozen value. A plan (`reasoning`) is made of these.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import TypeAlias
+
+from ...ontology.units import Unit
+from ...streams.policies.policy import SynchronizationPolicy
+from .ast import Interval, Report, Temporal
+
+
+class Kind(StrEnum):
+    """The kind of a value."""
+
+    NUMBER = "number"
+    TRUTH = "truth"
+    TEXT = "text"
+    TIME = "time"
+    OBJECT = "object"
+
+
+@dataclass(frozen=True, slots=True)
+class ObjectVariable:
+    """A variable of a quantifier or parameter, by its name; names are unique in a formula."""
+
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
+class ObjectConstant:
+    """An object, by its IRI."""
+
+    iri: str
+
+
+Argument: TypeAlias = ObjectVariable | ObjectConstant
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """The value of a feature of objects at a state: what matching has to find.
+
+    ``unit`` is that of the ontology (None: no number, or without a unit); the formula's constants
+    are in it.
+    """
+
+    feature: str
+    arguments: tuple[Argument, ...]
+    kind: Kind
+    unit: Unit | None
+
+
+@dataclass(frozen=True, slots=True)
+class Constant:
+    """A number, truth, text, or time in ns."""
+
+    value: float | bool | str | int
+    kind: Kind
+
+
+@dataclass(frozen=True, slots=True)
+class Calculation:
+    """``left + right`` of numbers; the operator is one of ``+ - * /``. A division by 0 is
+    unknown."""
+
+    operator: str
+    left: Value
+    right: Value
+
+
+Value: TypeAlias = Reading | Constant | Calculation | ObjectVariable | ObjectConstant
+
+
+@dataclass(frozen=True, slots=True)
+class Atom:
+    """``left < right``: unknown where a value is. The operator is one of ``< <= > >= = !=``."""
+
+    operator: str
+    left: Value
+    right: Value
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    value: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Not:
+    operand: Formula
+
+
+@dataclass(frozen=True, slots=True)
+class Previous:
+    operand: Formula
+
+
+@dataclass(frozen=True, slots=True)
+class And:
+    left: Formula
+    right: Formula
+
+
+@dataclass(frozen=True, slots=True)
+class Or:
+    left: Formula
+    right: Formula
+
+
+@dataclass(frozen=True, slots=True)
+class Within:
+    """``always``, ``eventually``, ``historically`` or ``once`` in an interval."""
+
+    operator: Temporal
+    interval: Interval
+    operand: Formula
+
+
+@dataclass(frozen=True, slots=True)
+class Until:
+    """``until``; ``is_past``: ``since``."""
+
+    is_past: bool
+    interval: Interval
+    left: Formula
+    right: Formula
+
+
+@dataclass(frozen=True, slots=True)
+class Quantified:
+    """``forall``; not ``is_universal``: ``exists``. ``sort`` is an IRI."""
+
+    is_universal: bool
+    variable: str
+    sort: str
+    operand: Formula
+
+
+Formula: TypeAlias = Truth | Atom | Not | Previous | And | Or | Within | Until | Quantified
+
+
+@dataclass(frozen=True, slots=True)
+class CheckedMonitor:
+    """A monitor: a verdict for each binding of ``parameters`` (variable, IRI of its sort) and start
+    state. See `ast.Monitor` for the options."""
+
+    name: str
+    parameters: tuple[tuple[str, str], ...]
+    formula: Formula
+    policy: SynchronizationPolicy
+    report: Report
+    once: bool
+    present_for: int | None

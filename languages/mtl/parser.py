@@ -1,0 +1,342 @@
+"""Parses text to MTL formulas and monitors (SPEC §8). The grammar is `mtl.lark`.
+
+Names are not resolved here, and truth is not told from number; `check` does that.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Set as AbstractSet
+from functools import reduce
+from typing import Final
+
+from lark import Token, Tree
+from lark.exceptions import UnexpectedInput
+
+from ...streams.policies.policy import SynchronizationPolicy
+from ...streams.time import parse_duration, parse_time
+from ..errors import LanguageError, Span
+from ..kpl import ast as kpl
+from ..kpl.constraints import to_synchronization
+from ..kpl.parser import read_constraint
+from ..kpl.printer import DEFAULT_UNIT
+from ..ssl.parser import read_units
+from ..syntax import check_names, expected_hint, grammar, span_of, syntax_error, tokens, trees
+from ..text_cache import TextCache
+from . import ast
+
+DEEPEST: Final = 64
+"""The greatest nesting of a formula."""
+_LONGEST: Final = 2**62
+"""Intervals end before it (146 years), so that sums of times stay within 64 bits."""
+_OPTIONS: Final = frozenset({"SAMPLE", "MAX", "REPORT", "PRESENT"})
+_OPTION_HINT: Final = (
+    "an option is `sample every t`, `any change`, `max delay t`, `use most recent`, "
+    "`no approximation`, `from a to b`, `present for t`, `once` or "
+    "`report violations | changes | verdicts`"
+)
+_SPELLED_OUT: Final = {
+    "nanosecond": "ns",
+    "microsecond": "us",
+    "millisecond": "ms",
+    "msec": "ms",
+    "second": "s",
+    "sec": "s",
+    "minute": "m",
+    "hour": "h",
+    "day": "d",
+}
+_DURATION: Final = re.compile(r"([0-9.]+)[ \t]*([A-Za-z]+)\Z")
+_DURATION_HINT: Final = "units are ns, us, ms, s, m, h and d: `5s`, `1.5h`"
+
+
+@TextCache
+def parse_monitor(source: str) -> ast.Monitor:
+    """Parse ``monitor NAME(?x in Car) = formula with options``; ``#`` and ``//`` start comments.
+
+    Raises `LanguageError` for a text that the grammar refuses, with the place of the first wrong
+    token.
+    """
+    return _Reader(source).monitor(trees(_parse(source, "start"))[0])
+
+
+@TextCache
+def parse_formula(source: str) -> ast.Formula:
+    """Parse a formula by itself. Raises `LanguageError`."""
+    return _Reader(source).formula(_parse(source, "formula_text").children[0])
+
+
+def _parse(source: str, start: str) -> Tree[Token]:
+    _check_depth(source)
+    try:
+        tree = grammar("mtl/mtl.lark", "start", "formula_text").parse(source, start=start)
+    except UnexpectedInput as error:
+        raise syntax_error(error, source, _syntax_hint) from None
+    check_names(tree, source)
+    return tree
+
+
+def _check_depth(source: str) -> None:
+    """Refuse deep parentheses before the parser, whose trees are walked recursively."""
+    depth = 0
+    for place, character in enumerate(source):
+        depth += (character == "(") - (character == ")")
+        if depth > DEEPEST:
+            raise _too_deep(source, Span(place, place + 1))
+
+
+def _too_deep(source: str, span: Span) -> LanguageError:
+    return LanguageError(
+        f"the formula is nested more than {DEEPEST} deep",
+        source,
+        span,
+        "name a part of it: a monitor's verdicts are a stream that another formula can read",
+    )
+
+
+def _syntax_hint(found: str, expected: AbstractSet[str]) -> str:
+    if expected >= _OPTIONS:
+        return _OPTION_HINT
+    if found in ("=>", "&&", "||", "!", "&", "|"):
+        return "operators are words: `not`, `and`, `or`, and `->`"
+    if found == "/" and "RSQB" in expected:
+        return "a unit is a product of powers: write `m.s-1` for m/s"
+    return expected_hint(expected)
+
+
+class _Reader:
+    """Converts trees of the grammar to the AST."""
+
+    def __init__(self, source: str) -> None:
+        self._source = source
+        self._depth = 0
+
+    # -- monitors ----------------------------------------------------------------------------
+
+    def monitor(self, tree: Tree[Token]) -> ast.Monitor:
+        # The formula may be a bare token, so children are told apart by their order.
+        rest = [c for c in tree.children if not (isinstance(c, Token) and c.type in _MARKS)]
+        name = rest.pop(0)
+        parameters: tuple[ast.Binding, ...] = ()
+        if isinstance(head := rest[0], Tree) and head.data == "parameters":
+            parameters = tuple(map(self.binding, trees(head)))
+            rest.pop(0)
+        formula = self.formula(rest.pop(0))
+        constraints: list[kpl.Constraint] = []
+        report, once, present_for = ast.Report.VIOLATIONS, False, None
+        for option in rest:
+            assert isinstance(option, Tree)
+            match option.data:
+                case "report":
+                    report = ast.Report(str(tokens(option)[-1]))
+                case "once_only":
+                    once = True
+                case "present_for":
+                    present_for = self.duration(tokens(trees(option)[0])[0])
+                case _:
+                    constraints.append(read_constraint(option, self._source))
+        return ast.Monitor(
+            str(name),
+            parameters,
+            formula,
+            self.policy(constraints, span_of(tree)),
+            report,
+            once,
+            present_for,
+            span_of(tree),
+        )
+
+    def policy(self, constraints: list[kpl.Constraint], span: Span) -> SynchronizationPolicy:
+        if not any(isinstance(each, kpl.Change) for each in constraints):
+            constraints = [kpl.Change("any change", None, span), *constraints]
+        return to_synchronization(constraints, self._source, DEFAULT_UNIT, span)
+
+    def binding(self, tree: Tree[Token]) -> ast.Binding:
+        variable = self.variable(tokens(tree, "VARIABLE")[0])
+        return ast.Binding(variable, self.symbol(trees(tree)[0]), span_of(tree))
+
+    # -- formulas ----------------------------------------------------------------------------
+
+    def formula(self, node: Tree[Token] | Token) -> ast.Formula:
+        if isinstance(node, Token):
+            return self.leaf(node)
+        self._depth += 1
+        if self._depth > DEEPEST:
+            raise _too_deep(self._source, span_of(node))
+        try:
+            return self.compound(node)
+        finally:
+            self._depth -= 1
+
+    def leaf(self, token: Token) -> ast.Formula:
+        span = span_of(token)
+        match token.type:
+            case "TRUE" | "FALSE":
+                return ast.Truth(token.type == "TRUE", span)
+            case "VARIABLE":
+                return self.variable(token)
+            case "QUOTED":
+                return self.text(token)
+            case _:
+                try:
+                    return ast.TimePoint(parse_time(str(token)), span)
+                except ValueError as error:
+                    raise LanguageError(str(error), self._source, span, "") from None
+
+    def compound(self, tree: Tree[Token]) -> ast.Formula:
+        span = span_of(tree)
+        children = tree.children
+        match tree.data:
+            case "formula":
+                left, right = self.operands(tree)
+                return ast.Implies(left, right, span)
+            case "disjunction":
+                return reduce(lambda a, b: ast.Or(a, b, span), self.operands(tree))
+            case "conjunction":
+                return reduce(lambda a, b: ast.And(a, b, span), self.operands(tree))
+            case "binary":
+                interval = self.interval_of(tree)
+                left, right = self.operands(tree)
+                is_past = bool(tokens(tree, "SINCE"))
+                return ast.Until(is_past, interval, left, right, span)
+            case "unary":
+                make = ast.Previous if tokens(tree, "PREVIOUS") else ast.Not
+                return make(self.formula(children[1]), span)
+            case "temporal":
+                operator = ast.Temporal(str(children[0]))
+                interval = self.interval_of(tree)
+                return ast.Within(operator, interval, self.formula(children[-1]), span)
+            case "quantified":
+                bindings = [self.binding(each) for each in trees(tree) if each.data == "binding"]
+                is_universal = bool(tokens(tree, "FORALL"))
+                found = self.formula(children[-1])
+                for binding in reversed(bindings):
+                    found = ast.Quantified(is_universal, binding, found, span)
+                return found
+            case "comparison":
+                sides = self.formula(children[0]), self.formula(children[2])
+                return ast.Comparison(str(children[1]), *sides, span)
+            case "sum" | "product":
+                found = self.formula(children[0])
+                for sign, operand in zip(children[1::2], children[2::2], strict=True):
+                    found = ast.Arithmetic(str(sign), found, self.formula(operand), span)
+                return found
+            case "signed":
+                value = self.formula(children[1])
+                return value if children[0] == "+" else ast.Negative(value, span)
+            case "quantity":
+                return self.quantity(tree)
+            case _:
+                assert tree.data == "feature", tree.data
+                return self.feature(tree)
+
+    def operands(self, tree: Tree[Token]) -> list[ast.Formula]:
+        kept = (child for child in tree.children if not _is_connective(child))
+        return [self.formula(child) for child in kept]
+
+    def feature(self, tree: Tree[Token]) -> ast.FeatureTerm:
+        symbol, *arguments = tree.children
+        assert isinstance(symbol, Tree)
+        return ast.FeatureTerm(
+            self.symbol(symbol), tuple(map(self.argument, arguments)), span_of(tree)
+        )
+
+    def argument(self, node: Tree[Token] | Token) -> ast.Variable | ast.Symbol | ast.Text:
+        if isinstance(node, Tree):
+            return self.symbol(node)
+        return self.variable(node) if node.type == "VARIABLE" else self.text(node)
+
+    def symbol(self, tree: Tree[Token]) -> ast.Symbol:
+        return ast.Symbol(str(tree.children[0]), span_of(tree))
+
+    def variable(self, token: Token) -> ast.Variable:
+        return ast.Variable(str(token)[1:], span_of(token))
+
+    def text(self, token: Token) -> ast.Text:
+        try:
+            value = json.loads(token, strict=False)
+            # JSON allows half a surrogate pair, which is no text.
+            value.encode()
+        except ValueError:
+            raise LanguageError(
+                f"{token} is not a text",
+                self._source,
+                span_of(token),
+                'escapes are those of JSON: `\\"`, `\\\\`, `\\n`, `\\u00e9`',
+            ) from None
+        return ast.Text(value, span_of(token))
+
+    def quantity(self, tree: Tree[Token]) -> ast.Number:
+        number = float(tokens(tree, "DECIMAL")[0])
+        if number in (float("inf"), float("-inf")):
+            raise LanguageError(
+                "the number exceeds a double", self._source, span_of(tree), "doubles reach 1.7e308"
+            )
+        units = trees(tree)
+        unit = read_units(units[0], self._source) if units else None
+        return ast.Number(number, unit, span_of(tree))
+
+    # -- times -------------------------------------------------------------------------------
+
+    def interval_of(self, tree: Tree[Token]) -> ast.Interval:
+        found = next((node for node in trees(tree) if node.data == "interval"), None)
+        if found is None:
+            return ast.Interval()
+        bounds = [self.bound(node) for node in trees(found)]
+        if len(bounds) == 2 and bounds[0] > bounds[1]:
+            raise LanguageError(
+                "the interval ends before it begins",
+                self._source,
+                span_of(found),
+                "write the smaller bound first: `[0s, 5s]`",
+            )
+        return ast.Interval(bounds[0], bounds[1] if len(bounds) == 2 else None)
+
+    def bound(self, tree: Tree[Token]) -> int:
+        sign, token = tokens(tree, "SIGN"), tokens(tree, "DURATION", "DECIMAL")[0]
+        span = span_of(tree)
+        if sign and sign[0] == "-":
+            raise LanguageError(
+                "an interval has no negative bound",
+                self._source,
+                span,
+                "the past has operators of its own: `once`, `historically`, `since`, `previous`",
+            )
+        if token.type == "DECIMAL":
+            if float(token) != 0.0:
+                raise LanguageError(
+                    f"`{token}` has no unit", self._source, span, f"write `{token}s` for seconds"
+                )
+            return 0
+        return self.duration(token)
+
+    def duration(self, token: Token) -> int:
+        text = str(token)
+        if text.startswith('"'):
+            text = text[1:].partition('"')[0]
+        elif (parts := _DURATION.match(text)) is not None:
+            word = parts[2].lower()
+            known = _SPELLED_OUT.get(word.removesuffix("s") if len(word) > 2 else word)
+            text = f"{parts[1]}{known or parts[2]}"
+        try:
+            found = parse_duration(text)
+            if found >= _LONGEST:
+                raise ValueError("is outside")
+        except ValueError as error:
+            reason = "exceeds 146 years" if "outside" in str(error) else "is not a duration"
+            if "finer" in str(error):
+                reason = "is finer than a nanosecond"
+            message = f"`{token}` {reason}"
+            raise LanguageError(message, self._source, span_of(token), _DURATION_HINT) from None
+        return found
+
+
+_MARKS: Final = frozenset({"MONITOR", "WITH", "EQUAL", "COMMA"})
+_CONNECTIVES: Final = frozenset({"ARROW", "OR", "AND", "UNTIL", "SINCE"})
+
+
+def _is_connective(node: Tree[Token] | Token) -> bool:
+    if isinstance(node, Tree):
+        return bool(node.data == "interval")
+    return node.type in _CONNECTIVES

@@ -1,0 +1,1 @@
+"""Reasoning over streams: formulas (`mtl`); patterns are to come (SPEC §8)."""

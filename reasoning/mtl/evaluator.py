@@ -1,0 +1,284 @@
+"""Verdicts of a formula over states that come in batches (SPEC §8).
+
+A node of the formula is two tables of *moments*: for each state, and each binding of the node's
+free variables, the index of the state at which the node is determined true there, and false. A
+node follows from its parts: of a disjunction the true moment is the least of the parts', the false
+moment the greatest; of `eventually` they are the least true moment in the interval, and the
+greatest false moment or the moment at which the interval closes. That is folding of constants in
+progression, as strong Kleene logic is compositional (docs/explanation/design/0011-formulas.md).
+
+Unknown atoms have two readings: in the *lower* one an unknown atom counts against the formula, in
+the *upper* one for it. True needs the lower reading true, false the upper one false, unknown the
+lower one false and the upper one true.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...languages.mtl.ast import Interval
+from ...languages.mtl.checked import (
+    And,
+    Atom,
+    Calculation,
+    CheckedMonitor,
+    Not,
+    Or,
+    Previous,
+    Quantified,
+    Reading,
+    Until,
+    Within,
+)
+from ...streams.time_arithmetic import earlier
+from .nodes import END, Mask, Pass, States, Term, Times, Values, spread_node, term_of
+from .windows import NEVER
+
+
+class TooManyStates(Exception):
+    """A formula needs more states than it may keep. The message says what to do."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Verdicts:
+    """Verdicts, in order of the deciding state, then of the binding, then of the start.
+
+    All have shape ``(n,)``: ``start`` and ``decided`` are indices of states from the first one on,
+    ``start_time`` and ``decided_time`` their valid times, ``value`` is 1 (true), 0 (false) or -1
+    (unknown), ``binding`` has shape ``(n, parameters)``: the place of each parameter's object.
+    """
+
+    start: Times
+    start_time: Times
+    decided: Times
+    decided_time: Times
+    value: NDArray[np.int8]
+    binding: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.start)
+
+
+@dataclass(slots=True)
+class _Rows:
+    """The states kept, as one `States`, and for each whether the verdict of a binding is out."""
+
+    states: States
+    is_decided: Mask
+    first: int = 0
+    """Index of the first state kept."""
+
+
+class MonitorEvaluator:
+    """Verdicts of a monitor over states.
+
+    Law (tests/laws/reasoning): each (binding, start) whose objects are present at the start has one
+    verdict, at the state at which progression by the definition determines it, however the states
+    are cut into batches. After `end` each has one.
+
+    Cost: O(states kept + new states) numpy and compiled loops for each node and push; `until` and
+    `since` that times the states of an interval. Memory: 17 bytes a node's binding and state kept.
+    Kept are states from the oldest start without a verdict on, and before it as far as the past
+    operators look; all of them if a past interval has no bound, at most ``limit``.
+    """
+
+    def __init__(self, monitor: CheckedMonitor, *, limit: int = 1_000_000) -> None:
+        self._monitor = monitor
+        self._limit = limit
+        self._sorts = {**dict(monitor.parameters), **_bound(monitor.formula)}
+        self._axes = tuple(sorted(name for name, _ in monitor.parameters))
+        self._kept: _Rows | None = None
+
+    @property
+    def terms(self) -> frozenset[Term]:
+        """The terms whose values `push` needs."""
+        found = _readings(self._monitor.formula)
+        return frozenset(term_of(reading, self._sorts) for reading in found)
+
+    @property
+    def pending(self) -> int:
+        """The states kept."""
+        return 0 if self._kept is None else len(self._kept.states.valid)
+
+    def push(self, states: States) -> Verdicts:
+        """Take states; return the verdicts that they determine. Raises `TooManyStates`."""
+        self._kept = self._joined(states)
+        return self._decide()
+
+    def advance(self, horizon: int) -> Verdicts:
+        """Learn that every later state is valid after ``horizon``."""
+        if self._kept is None or not len(self._kept.states.valid):
+            return _no_verdicts(len(self._axes))
+        known = self._kept.states.horizon
+        known[-1] = max(known[-1], horizon)
+        return self._decide()
+
+    def end(self) -> Verdicts:
+        """Learn that no further state comes."""
+        return self.advance(END)
+
+    def _joined(self, new: States) -> _Rows:
+        """The states kept, and the new ones after them."""
+        count = len(new.valid)
+        shape = tuple(new.present[self._sorts[name]].shape[1] for name in self._axes)
+        undecided = np.zeros((count, *shape), np.bool_)
+        if self._monitor.once and self._kept is not None:
+            undecided[:] = True
+        elif self._monitor.once:
+            undecided[1:] = True
+        if self._kept is None:
+            horizon = np.maximum.accumulate(new.horizon)
+            return _Rows(
+                States(new.valid, horizon, new.objects, new.present, new.values), undecided
+            )
+        rows, kept = self._kept, self._kept.states
+        if len(kept.valid) + count > self._limit:
+            raise TooManyStates(
+                f"the formula needs more than {self._limit} states; give its intervals an end, or "
+                "sample less often"
+            )
+        values = {
+            term: Values(
+                _extended(kept.values[term].values, part.values),
+                _extended(kept.values[term].known, part.known),
+            )
+            for term, part in new.values.items()
+        }
+        present = {s: _extended(kept.present[s], part) for s, part in new.present.items()}
+        horizon = np.maximum.accumulate(np.concatenate([kept.horizon, new.horizon]))
+        valid = np.concatenate([kept.valid, new.valid])
+        states = States(valid, horizon, new.objects, present, values)
+        return _Rows(states, _extended(rows.is_decided, undecided), rows.first)
+
+    def _decide(self) -> Verdicts:
+        rows = self._kept
+        assert rows is not None
+        states = rows.states
+        once = Pass(states, self._sorts, rows.first)
+        formula = self._monitor.formula
+        lower = spread_node(once.node(formula, False), self._axes, rows.is_decided.shape)
+        upper = spread_node(once.node(formula, True), self._axes, rows.is_decided.shape)
+        unknown = np.maximum(lower.false, upper.true)
+        decided = np.minimum(np.minimum(lower.true, upper.false), unknown)
+        is_there = self._present(states)
+        new = (decided < NEVER) & ~rows.is_decided & is_there
+        rows.is_decided |= new | ~is_there
+        places = np.nonzero(new)
+        moment = decided[places]
+        value = np.where(
+            lower.true[places] == moment, 1, np.where(upper.false[places] == moment, 0, -1)
+        ).astype(np.int8)
+        # The places are in the order of axes; parameters are in that of the text.
+        by_name = dict(zip(self._axes, places[1:], strict=True))
+        columns = [by_name[name] for name, _ in self._monitor.parameters]
+        binding = np.stack(columns, axis=1) if columns else np.empty((len(moment), 0), np.int64)
+        order = np.lexsort((places[0], *(column for column in reversed(columns)), moment))
+        start = places[0][order]
+        found = Verdicts(
+            start + rows.first,
+            states.valid[start],
+            moment[order] + rows.first,
+            states.valid[moment[order]],
+            value[order],
+            binding[order],
+        )
+        self._forget(rows)
+        return found
+
+    def _present(self, states: States) -> Mask:
+        """Whether all objects of each binding are there at each state."""
+        found = np.ones((len(states.valid), *(1 for _ in self._axes)), np.bool_)
+        for i, name in enumerate(self._axes):
+            own = states.present[self._sorts[name]]
+            shape = [1] * found.ndim
+            shape[0], shape[1 + i] = own.shape
+            found = found & own.reshape(shape)
+        return found
+
+    def _forget(self, rows: _Rows) -> None:
+        """Drop the states that no verdict to come needs."""
+        states = rows.states
+        count = len(states.valid)
+        open_rows = np.flatnonzero(~rows.is_decided.reshape(count, -1).all(axis=1))
+        # The last state stays: `advance` raises its horizon, and past operators look back from it.
+        oldest = int(open_rows[0]) if len(open_rows) else count - 1
+        keep = _earliest(self._monitor.formula, oldest, states.valid) if count else 0
+        if not keep:
+            return
+        rest = slice(keep, None)
+        rows.states = States(
+            states.valid[rest],
+            states.horizon[rest],
+            states.objects,
+            {sort: part[rest] for sort, part in states.present.items()},
+            {t: Values(v.values[rest], v.known[rest]) for t, v in states.values.items()},
+        )
+        rows.is_decided = rows.is_decided[rest]
+        rows.first += keep
+
+
+def _parts(node: Any) -> tuple[Any, ...]:
+    match node:
+        case Not(operand) | Previous(operand):
+            return (operand,)
+        case Within(_, _, operand) | Quantified(_, _, _, operand):
+            return (operand,)
+        case And(left, right) | Or(left, right):
+            return left, right
+        case Until(_, _, left, right) | Atom(_, left, right) | Calculation(_, left, right):
+            return left, right
+        case _:
+            return ()
+
+
+def _readings(node: Any) -> list[Reading]:
+    if isinstance(node, Reading):
+        return [node]
+    return [found for part in _parts(node) for found in _readings(part)]
+
+
+def _bound(formula: Any) -> dict[str, str]:
+    """The sorts of the variables that quantifiers bind."""
+    own = {formula.variable: formula.sort} if isinstance(formula, Quantified) else {}
+    for part in _parts(formula):
+        own |= _bound(part)
+    return own
+
+
+def _earliest(formula: Any, row: int, valid: Times) -> int:
+    """The first row that the formula looks at from ``row`` or later ones."""
+    match formula:
+        case Previous(operand):
+            return _earliest(operand, max(0, row - 1), valid)
+        case Within(operator, interval) if operator.is_past:
+            row = _rows_back(interval, row, valid)
+        case Until(True, interval):
+            row = _rows_back(interval, row, valid)
+        case _:
+            pass
+    return min([row, *(_earliest(part, row, valid) for part in _parts(formula))])
+
+
+def _rows_back(interval: Interval, row: int, valid: Times) -> int:
+    if interval.end is None:
+        return 0
+    return int(np.searchsorted(valid, earlier(valid[row : row + 1], interval.end)[0], "left"))
+
+
+def _extended(kept: NDArray[Any], new: NDArray[Any]) -> NDArray[Any]:
+    """Rows kept, with the columns that new objects added, and new rows after them."""
+    wider = [(0, 0), *((0, n - k) for k, n in zip(kept.shape[1:], new.shape[1:], strict=True))]
+    if any(right for _, right in wider):
+        kept = np.pad(kept, wider)
+    return np.concatenate([kept, new])
+
+
+def _no_verdicts(parameters: int) -> Verdicts:
+    none = np.empty(0, np.int64)
+    return Verdicts(
+        none, none, none, none, np.empty(0, np.int8), np.empty((0, parameters), np.int64)
+    )

@@ -1,0 +1,358 @@
+"""One evaluation of a formula over states: the nodes of `evaluator`, and tables of moments."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final, TypeAlias, assert_never
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...languages.mtl.ast import Interval, Temporal
+from ...languages.mtl.checked import (
+    And,
+    Atom,
+    Calculation,
+    Constant,
+    Formula,
+    Kind,
+    Not,
+    ObjectConstant,
+    ObjectVariable,
+    Or,
+    Previous,
+    Quantified,
+    Reading,
+    Truth,
+    Until,
+    Value,
+    Within,
+)
+from ...streams.time import TIME_MAX
+from ...streams.time_arithmetic import earlier, later
+from . import windows
+from .windows import NEVER, Moments
+
+Times: TypeAlias = NDArray[np.int64]
+Mask: TypeAlias = NDArray[np.bool_]
+Axes: TypeAlias = tuple[str, ...]
+"""The variables that the axes of a table behind the first stand for, in order of their names."""
+Term: TypeAlias = tuple[str, tuple[str, ...]]
+"""A feature, and for each argument the IRI of its sort, or of the object in angle brackets."""
+
+END: Final = TIME_MAX
+"""The horizon when no further state comes."""
+_OPERATORS: Final[Mapping[str, Callable[[Any, Any], Any]]] = {
+    "<": np.less,
+    "<=": np.less_equal,
+    ">": np.greater,
+    ">=": np.greater_equal,
+    "=": np.equal,
+    "!=": np.not_equal,
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Values:
+    """The values of a term at n states: shape ``(n, objects of each sort in order)``. ``known`` is
+    false where there is none; the value there means nothing."""
+
+    values: NDArray[Any]
+    known: Mask
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class States:
+    """Some states, in order of time.
+
+    ``valid``: their valid times (ns), which increase strictly. ``horizon``: after the state comes,
+    every later state is known to be valid after it; not less than ``valid``. ``objects``: the IRIs
+    of each sort's objects; ``present``: whether each is there, shape ``(n, objects)``. Objects keep
+    their places from batch to batch; new ones are added at the end.
+    """
+
+    valid: Times
+    horizon: Times
+    objects: Mapping[str, Sequence[str]]
+    present: Mapping[str, Mask]
+    values: Mapping[Term, Values]
+
+
+@dataclass(frozen=True, slots=True)
+class Node:
+    """A table of moments in one reading; shape ``(n, objects of each axis)``."""
+
+    axes: Axes
+    true: Moments
+    false: Moments
+
+
+@dataclass(slots=True, eq=False)
+class Pass:
+    """One evaluation of the states kept."""
+
+    states: States
+    sorts: Mapping[str, str]
+    first: int
+    memo: dict[tuple[int, bool], Node] = field(default_factory=dict)
+
+    @property
+    def rows(self) -> int:
+        return len(self.states.valid)
+
+    def node(self, formula: Formula, is_upper: bool) -> Node:
+        """Evaluate ``formula`` in a reading; each part once."""
+        key = id(formula), is_upper
+        if key not in self.memo:
+            self.memo[key] = self._node(formula, is_upper)
+        return self.memo[key]
+
+    def _node(self, formula: Formula, is_upper: bool) -> Node:
+        match formula:
+            case Truth(value):
+                return _constant(np.full(self.rows, value), ())
+            case Atom():
+                axes, holds, known = self._atom(formula)
+                return _constant((holds | ~known) if is_upper else (holds & known), axes)
+            case Not(operand):
+                return _negated(self.node(operand, not is_upper))
+            case And(left, right):
+                return _negated(
+                    _disjunction(
+                        _negated(self.node(left, is_upper)), _negated(self.node(right, is_upper))
+                    )
+                )
+            case Or(left, right):
+                return _disjunction(self.node(left, is_upper), self.node(right, is_upper))
+            case Previous(operand):
+                return self._previous(self.node(operand, is_upper))
+            case Within(operator, interval, operand):
+                child = self.node(operand, is_upper)
+                is_dual = operator in (Temporal.ALWAYS, Temporal.HISTORICALLY)
+                found = self._within(
+                    operator.is_past, interval, _negated(child) if is_dual else child
+                )
+                return _negated(found) if is_dual else found
+            case Until(is_past, interval, left, right):
+                parts = self.node(left, is_upper), self.node(right, is_upper)
+                return self._until(is_past, interval, *_aligned(*parts))
+            case Quantified(is_universal, variable, sort, operand):
+                child = self.node(operand, is_upper)
+                found = self._exists(variable, sort, _negated(child) if is_universal else child)
+                return _negated(found) if is_universal else found
+            case _:
+                assert_never(formula)
+
+    # -- temporal operators ------------------------------------------------------------------
+
+    def _within(self, is_past: bool, interval: Interval, child: Node) -> Node:
+        """``eventually``, or ``once``."""
+        first, last = self._bounds(is_past, interval)
+        flat = _flat(child)
+        true = windows.least(flat.true, first, last)
+        false = windows.greatest(flat.false, first, last)
+        known = np.arange(self.rows)[:, None]
+        if not is_past:
+            np.maximum(false, self._closed(interval)[:, None], out=false)
+        return _shaped(child, np.maximum(true, known), np.maximum(false, known))
+
+    def _until(self, is_past: bool, interval: Interval, left: Node, right: Node) -> Node:
+        first, last = self._bounds(is_past, interval)
+        own, other = _flat(left), _flat(right)
+        tables = own.true, own.false, other.true, other.false
+        if is_past:
+            true, false = windows.since(*tables, first, last)
+        else:
+            true, false = windows.until(*tables, first, last, self._closed(interval))
+        return _shaped(left, true, false)
+
+    def _previous(self, child: Node) -> Node:
+        """The child at the state before; false at the first state of all."""
+        known = _column(np.arange(self.rows), child.true.ndim)
+        is_first = self.first == 0
+        true = np.concatenate([np.full_like(child.true[:1], NEVER), child.true[:-1]])
+        false = np.concatenate(
+            [np.full_like(child.false[:1], 0 if is_first else NEVER), child.false[:-1]]
+        )
+        return Node(child.axes, np.maximum(true, known), np.maximum(false, known))
+
+    def _bounds(self, is_past: bool, interval: Interval) -> tuple[Times, Times]:
+        """The rows in the interval of each state: the first, and the one after the last."""
+        valid = self.states.valid
+        if is_past:
+            last = np.searchsorted(valid, earlier(valid, interval.start), "right")
+            if interval.end is None:
+                return np.zeros(self.rows, np.int64), last
+            return np.searchsorted(valid, earlier(valid, interval.end), "left"), last
+        first = np.searchsorted(valid, later(valid, interval.start), "left")
+        if interval.end is None:
+            return first, np.full(self.rows, self.rows)
+        return first, np.searchsorted(valid, later(valid, interval.end), "right")
+
+    def _closed(self, interval: Interval) -> Times:
+        """From which state on no later state is in the interval of each state."""
+        horizon = self.states.horizon
+        end = (
+            np.full(self.rows, END)
+            if interval.end is None
+            else later(self.states.valid, interval.end)
+        )
+        closed = np.searchsorted(horizon, end, "left")
+        return np.where(closed == self.rows, NEVER, np.maximum(closed, np.arange(self.rows)))
+
+    def _exists(self, variable: str, sort: str, child: Node) -> Node:
+        """Over the objects of the sort that are there at each state."""
+        present = self.states.present[sort]
+        known = np.arange(self.rows)
+        if variable not in child.axes:
+            some = _column(np.asarray(present.any(axis=1)), child.true.ndim)
+            at = _column(known, child.true.ndim)
+            return Node(
+                child.axes, np.where(some, child.true, NEVER), np.where(some, child.false, at)
+            )
+        axis = 1 + child.axes.index(variable)
+        shape = [1] * child.true.ndim
+        shape[0], shape[axis] = present.shape
+        there = present.reshape(tuple(shape))
+        axes = tuple(each for each in child.axes if each != variable)
+        true = np.min(np.where(there, child.true, NEVER), axis=axis, initial=NEVER)
+        false = np.max(np.where(there, child.false, -1), axis=axis, initial=-1)
+        at = _column(known, false.ndim)
+        return Node(axes, true, np.maximum(false, at))
+
+    # -- atoms -------------------------------------------------------------------------------
+
+    def _atom(self, atom: Atom) -> tuple[Axes, Mask, Mask]:
+        """Whether the atom holds, and whether that is known."""
+        left, right = self._value(atom.left), self._value(atom.right)
+        axes = _union(left[0], right[0])
+        (a, a_known), (b, b_known) = (
+            (_spread(part[1], part[0], axes), _spread(part[2], part[0], axes))
+            for part in (left, right)
+        )
+        holds, known = np.broadcast_arrays(_OPERATORS[atom.operator](a, b), a_known & b_known)
+        # An atom over objects and constants alone has one row.
+        shape = (self.rows, *holds.shape[1:])
+        holds, known = np.broadcast_to(holds, shape), np.broadcast_to(known, shape)
+        return axes, holds, known
+
+    def _value(self, value: Value) -> tuple[Axes, NDArray[Any], Mask]:
+        match value:
+            case Constant(constant, kind):
+                made = np.asarray([constant], object if kind is Kind.TEXT else None)
+                return (), made, np.ones(1, np.bool_)
+            case ObjectVariable(name):
+                # Sorts overlap, so objects are compared by name and not by place.
+                names = np.array([self.states.objects[self.sorts[name]]], object)
+                return (name,), names, np.ones(names.shape, np.bool_)
+            case ObjectConstant(iri):
+                return (), np.array([iri], object), np.ones(1, np.bool_)
+            case Calculation(operator, left, right):
+                return self._calculation(operator, self._value(left), self._value(right))
+            case Reading():
+                return self._reading(value)
+            case _:
+                assert_never(value)
+
+    def _reading(self, reading: Reading) -> tuple[Axes, NDArray[Any], Mask]:
+        found = self.states.values[term_of(reading, self.sorts)]
+        names = [a.name for a in reading.arguments if isinstance(a, ObjectVariable)]
+        values, known = found.values, found.known
+        axes = tuple(sorted(set(names)))
+        if names != list(axes):
+            letters = {name: chr(ord("b") + i) for i, name in enumerate(axes)}
+            spec = f"a{''.join(letters[n] for n in names)}->a{''.join(letters.values())}"
+            known = np.einsum(spec, known)
+            places = np.einsum(spec, np.arange(values.size).reshape(values.shape))
+            values = values.reshape(-1)[places]
+        return axes, values, known
+
+    def _calculation(
+        self,
+        operator: str,
+        left: tuple[Axes, NDArray[Any], Mask],
+        right: tuple[Axes, NDArray[Any], Mask],
+    ) -> tuple[Axes, NDArray[Any], Mask]:
+        axes = _union(left[0], right[0])
+        a, b = (_spread(part[1], part[0], axes) for part in (left, right))
+        known = _spread(left[2], left[0], axes) & _spread(right[2], right[0], axes)
+        with np.errstate(all="ignore"):
+            match operator:
+                case "+":
+                    return axes, a + b, known
+                case "-":
+                    return axes, a - b, known
+                case "*":
+                    return axes, a * b, known
+                case _:
+                    return axes, np.divide(a, b), known & (b != 0)
+
+
+def term_of(reading: Reading, sorts: Mapping[str, str]) -> Term:
+    """Return the term whose values a reading is; ``sorts`` has the sort of each variable."""
+    return reading.feature, tuple(
+        sorts[a.name] if isinstance(a, ObjectVariable) else f"<{a.iri}>" for a in reading.arguments
+    )
+
+
+# -- tables ----------------------------------------------------------------------------------
+
+
+def _constant(holds: Mask, axes: Axes) -> Node:
+    """A node that is determined at its own state."""
+    at = _column(np.arange(len(holds)), holds.ndim)
+    return Node(axes, np.where(holds, at, NEVER), np.where(holds, NEVER, at))
+
+
+def _negated(node: Node) -> Node:
+    return Node(node.axes, node.false, node.true)
+
+
+def _disjunction(left: Node, right: Node) -> Node:
+    left, right = _aligned(left, right)
+    return Node(left.axes, np.minimum(left.true, right.true), np.maximum(left.false, right.false))
+
+
+def _aligned(left: Node, right: Node) -> tuple[Node, Node]:
+    """Both over the union of their axes."""
+    if left.axes == right.axes:
+        return left, right
+    axes = _union(left.axes, right.axes)
+    a_true, b_true = (_spread(each.true, each.axes, axes) for each in (left, right))
+    a_false, b_false = (_spread(each.false, each.axes, axes) for each in (left, right))
+    a_true, b_true, a_false, b_false = np.broadcast_arrays(a_true, b_true, a_false, b_false)
+    return Node(axes, a_true, a_false), Node(axes, b_true, b_false)
+
+
+def _union(left: Axes, right: Axes) -> Axes:
+    return tuple(sorted({*left, *right}))
+
+
+def _spread(table: NDArray[Any], axes: Axes, target: Axes) -> NDArray[Any]:
+    """``table`` with an axis of length 1 for each variable of ``target`` that it lacks."""
+    if axes == target:
+        return table
+    return table[(slice(None), *(slice(None) if name in axes else None for name in target))]
+
+
+def spread_node(node: Node, axes: Axes, shape: Sequence[int]) -> Node:
+    true, false = (
+        np.broadcast_to(_spread(part, node.axes, axes), shape) for part in (node.true, node.false)
+    )
+    return Node(axes, true, false)
+
+
+def _flat(node: Node) -> Node:
+    """The same with one axis behind the states."""
+    rows = len(node.true)
+    columns = int(np.prod(node.true.shape[1:], dtype=np.int64))
+    return Node(node.axes, node.true.reshape(rows, columns), node.false.reshape(rows, columns))
+
+
+def _shaped(like: Node, true: Moments, false: Moments) -> Node:
+    return Node(like.axes, true.reshape(like.true.shape), false.reshape(like.true.shape))
+
+
+def _column(rows: NDArray[Any], dimensions: int) -> NDArray[Any]:
+    return rows.reshape((-1,) + (1,) * (dimensions - 1))

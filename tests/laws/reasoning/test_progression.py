@@ -1,0 +1,226 @@
+"""Verdicts by moments are those of progression: the value, and the state that decides it, however
+the states are cut into batches."""
+
+from __future__ import annotations
+
+import itertools
+import random
+
+import numpy as np
+import pytest
+from progression_definition import END, Progression, Trace, bound
+
+from dyknow.languages.mtl.ast import Interval, Report, Temporal
+from dyknow.languages.mtl.checked import (
+    And,
+    Atom,
+    CheckedMonitor,
+    Constant,
+    Kind,
+    Not,
+    ObjectConstant,
+    ObjectVariable,
+    Or,
+    Previous,
+    Quantified,
+    Reading,
+    Truth,
+    Until,
+    Within,
+)
+from dyknow.reasoning.mtl.evaluator import MonitorEvaluator, TooManyStates
+from dyknow.reasoning.mtl.nodes import States, Values
+from dyknow.streams.policies.policy import SynchronizationPolicy
+
+SORT = "urn:S"
+TERMS = [("p", 1), ("q", 1), ("r", 0), ("near", 2)]
+OBJECTS = ["urn:a", "urn:b", "urn:c"]
+
+
+class Drawing:
+    """Random formulas, traces and cuts, from one seed."""
+
+    def __init__(self, seed: int) -> None:
+        self.random = random.Random(seed)
+        self.variables = 0
+
+    def interval(self) -> Interval:
+        start = self.random.choice([0, 0, 0, 1, 2, 5])
+        end = None if self.random.random() < 0.1 else start + self.random.choice([0, 1, 3, 6, 12])
+        return Interval(start, end)
+
+    def atom(self, scope: list[str]):
+        if scope and self.random.random() < 0.1:
+            # Rigid atoms: the same object, whatever the state.
+            sides = [ObjectVariable(self.random.choice(scope)), ObjectConstant(OBJECTS[1])]
+            other = self.random.choice([ObjectVariable(self.random.choice(scope)), sides[1]])
+            return Atom(self.random.choice(["=", "!="]), sides[0], other)
+        name, arity = self.random.choice([t for t in TERMS if scope or not t[1]])
+        arguments = tuple(ObjectVariable(self.random.choice(scope)) for _ in range(arity))
+        reading = Reading(f"urn:{name}", arguments, Kind.TRUTH, None)
+        return Atom("=", reading, Constant(True, Kind.TRUTH))
+
+    def formula(self, depth: int, scope: list[str]):
+        if not depth or self.random.random() < 0.1:
+            return (
+                Truth(self.random.random() < 0.5)
+                if self.random.random() < 0.05
+                else (self.atom(scope))
+            )
+
+        def part(more=()):
+            return self.formula(depth - 1, [*scope, *more])
+
+        match self.random.randrange(12):
+            case 0:
+                return Not(part())
+            case 1:
+                return And(part(), part())
+            case 2 | 3:
+                return Or(part(), part())
+            case 4:
+                return Previous(part())
+            case 5 | 6 | 7 | 8:
+                operator = self.random.choice([*Temporal])
+                return Within(operator, self.interval(), part())
+            case 9 | 10:
+                return Until(self.random.random() < 0.4, self.interval(), part(), part())
+            case _:
+                self.variables += 1
+                name = f"v{self.variables}"
+                return Quantified(self.random.random() < 0.5, name, SORT, part([name]))
+
+    def trace(self, count: int) -> tuple[Trace, dict]:
+        valid = list(
+            itertools.accumulate(self.random.choice([1, 1, 1, 2, 4, 9]) for _ in range(count))
+        )
+        slack = self.random.choice([0, 0, 1, 3])
+        # Known is at most what the next state allows.
+        horizon = [
+            min(t + slack, (following or t + 99) - 1)
+            for t, following in zip(valid, [*valid[1:], None], strict=True)
+        ]
+        comes = self.random.random() < 0.5
+        present = [
+            {SORT: [o for o in OBJECTS if not comes or self.random.random() < 0.7]} for _ in valid
+        ]
+        unknown = self.random.choice([0, 0, 0.1, 0.4])
+        truth = self.random.choice([0.1, 0.5, 0.9])
+        table = {}
+        for name, arity in TERMS:
+            for objects in itertools.product(OBJECTS, repeat=arity):
+                for i in range(count):
+                    is_there = all(o in present[i][SORT] for o in objects)
+                    value = self.random.random() < truth
+                    is_known = is_there and self.random.random() >= unknown
+                    table[f"urn:{name}", objects, i] = value if is_known else None
+
+        def value(reading, i):
+            return table[reading.feature, tuple(a.iri for a in reading.arguments), i]
+
+        return Trace(valid, horizon, value, present), table
+
+    def cuts(self, count: int) -> list[slice]:
+        places = sorted({0, count, *self.random.sample(range(count), self.random.randrange(count))})
+        return [slice(a, b) for a, b in itertools.pairwise(places)]
+
+
+def states_of(trace: Trace, table: dict, part: slice, objects: list[str]) -> States:
+    rows = range(len(trace.valid))[part]
+    values = {}
+    for name, arity in TERMS:
+        shape = (len(rows), *(len(objects) for _ in range(arity)))
+        own, known = np.zeros(shape, np.bool_), np.zeros(shape, np.bool_)
+        for at, i in enumerate(rows):
+            for places in itertools.product(range(len(objects)), repeat=arity):
+                found = table[f"urn:{name}", tuple(objects[p] for p in places), i]
+                known[(at, *places)] = found is not None
+                own[(at, *places)] = bool(found)
+        values[f"urn:{name}", (SORT,) * arity] = Values(own, known)
+    there = [[o in trace.present[i][SORT] for o in objects] for i in rows]
+    present = np.array(there, np.bool_).reshape(len(rows), len(objects))
+    valid, horizon = (np.array(each[part], np.int64) for each in (trace.valid, trace.horizon))
+    return States(valid, horizon, {SORT: objects}, {SORT: present}, values)
+
+
+def compared(seed: int, count: int, depth: int) -> int:
+    draw = Drawing(seed)
+    parameters = tuple((f"x{i}", SORT) for i in range(draw.random.choice([0, 1, 1, 2])))
+    formula = draw.formula(depth, [name for name, _ in parameters])
+    trace, table = draw.trace(count)
+    ends = draw.random.random() < 0.7
+    once = draw.random.random() < 0.1
+    monitor = CheckedMonitor(
+        "m", parameters, formula, SynchronizationPolicy(), Report.VERDICTS, once, None
+    )
+    evaluator = MonitorEvaluator(monitor)
+    found = {}
+    before = -1
+    seen = 1 if draw.random.random() < 0.3 else len(OBJECTS)
+
+    def take(verdicts, last):
+        for row in range(len(verdicts)):
+            start, decided = int(verdicts.start[row]), int(verdicts.decided[row])
+            assert before < decided <= last or decided == last
+            assert verdicts.start_time[row] == trace.valid[start]
+            assert verdicts.decided_time[row] == trace.valid[decided]
+            key = tuple(OBJECTS[i] for i in verdicts.binding[row]), start
+            assert key not in found
+            found[key] = int(verdicts.value[row]), decided
+
+    for part in draw.cuts(count):
+        # New objects get places at the end; they are absent before.
+        there = [o for i in range(part.stop) for o in trace.present[i][SORT]]
+        seen = max(seen, *(OBJECTS.index(o) + 1 for o in there)) if there else seen
+        take(evaluator.push(states_of(trace, table, part, OBJECTS[:seen])), part.stop - 1)
+        before = part.stop - 1
+    if ends:
+        trace.horizon[-1] = END
+        take(evaluator.end(), count - 1)
+    progression = Progression(trace)
+    expected = {}
+    for start in range(1 if once else count):
+        for objects in itertools.product(OBJECTS, repeat=len(parameters)):
+            if not all(o in trace.present[start][SORT] for o in objects):
+                continue
+            closed = formula
+            for (name, _), iri in zip(parameters, objects, strict=True):
+                closed = bound(closed, name, iri)
+            verdict = progression.verdict(closed, start)
+            if verdict is not None:
+                expected[objects, start] = verdict
+    assert found == expected, f"seed {seed}: {formula}"
+    if ends:
+        assert len(found) == sum(
+            all(o in trace.present[start][SORT] for o in objects)
+            for start in range(1 if once else count)
+            for objects in itertools.product(OBJECTS, repeat=len(parameters))
+        )
+    return len(found)
+
+
+@pytest.mark.parametrize("block", range(12))
+def test_short_traces(block: int) -> None:
+    total = sum(compared(seed, 9, 3) for seed in range(block * 50, block * 50 + 50))
+    assert total > 200
+
+
+@pytest.mark.parametrize("block", range(4))
+def test_long_traces(block: int) -> None:
+    """Faults of what is kept show only after many states."""
+    seeds = range(10_000 + block * 6, 10_000 + block * 6 + 6)
+    assert sum(compared(seed, 60, 2) for seed in seeds) > 100
+
+
+def test_states_that_a_past_interval_without_end_keeps_are_limited() -> None:
+    draw = Drawing(1)
+    formula = Within(Temporal.ONCE, Interval(0, None), draw.atom([]))
+    monitor = CheckedMonitor(
+        "m", (), formula, SynchronizationPolicy(), Report.VERDICTS, False, None
+    )
+    evaluator = MonitorEvaluator(monitor, limit=10)
+    trace, table = draw.trace(12)
+    evaluator.push(states_of(trace, table, slice(0, 10), OBJECTS))
+    with pytest.raises(TooManyStates, match="more than 10 states"):
+        evaluator.push(states_of(trace, table, slice(10, 12), OBJECTS))
+    assert evaluator.pending == 10
