@@ -35,12 +35,11 @@ def fly(engine, speed=10.0, id="uav1", seconds=20):
         ("?o dyknow:altitude ?v", "no stream that it reads is annotated with dyknow:altitude"),
         (
             "?o a dyknow:Uavv ; dyknow:speed ?v",
-            "dyknow:Uavv is no known sort; did you mean dyknow:UAV?",
+            "dyknow:Uavv is not a known sort; did you mean dyknow:UAV?",
         ),
         (
             "?o dyknow:speeed ?v",
-            "dyknow:speeed is neither a feature nor anything else that is known; "
-            "did you mean dyknow:speed?",
+            "dyknow:speeed is neither a feature nor another known term; did you mean dyknow:speed?",
         ),
         (
             SPEED + " OPTIONAL { ?o dyknow:altitude ?a } FILTER (?a > 1)",
