@@ -22,7 +22,7 @@ from pathlib import Path
 from pyoxigraph import Quad, Store
 
 ROOT = Path(__file__).parent.parent
-sys.path.insert(0, str(ROOT / "tests" / "support"))
+sys.path[:0] = [str(ROOT / "tests" / name) for name in ("support", "definitions")]
 
 import citybench  # noqa: E402
 from citybench import SECOND, SERVICE, Schedule  # noqa: E402

@@ -78,3 +78,20 @@ def test_lock_files_hold_no_addresses():
         text = (ROOT / name).read_text()
         assert "://" not in text
         assert text.count("--hash=sha256:") >= text.count("==")
+
+
+def test_every_definition_is_listed_with_the_laws_that_use_it():
+    tests = ROOT / "tests"
+    folder = tests / "definitions"
+    rows = re.findall(r"^\| `(\w+)` \|.*\| ([^|]*) \|$", (folder / "README.md").read_text(), re.M)
+    assert sorted(name for name, _ in rows) == sorted(path.stem for path in folder.glob("*.py"))
+    imports = {
+        path.stem: set(re.findall(r"^(?:from|import) (\w+)", path.read_text(), re.M))
+        for path in [*folder.glob("*.py"), *(tests / "support").glob("*.py")]
+    }
+    for name, laws in rows:
+        for law in re.findall(r"`([^`]+)`", laws):
+            used = set(re.findall(r"^(?:from|import) (\w+)", (tests / law).read_text(), re.M))
+            while more := {m for each in used for m in imports.get(each, ())} - used:
+                used |= more
+            assert name in used, f"{law} does not use {name}"

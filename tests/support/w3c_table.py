@@ -1,5 +1,5 @@
-"""The table of docs/reference/sparql-conformance.md, measured: `python
-tests/support/w3c_table.py`."""
+"""The table of docs/reference/sparql-conformance.md, measured by
+`PYTHONPATH=tests/definitions python tests/support/w3c_table.py`."""
 
 from __future__ import annotations
 
