@@ -1,4 +1,4 @@
-"""Answers to SPARQL as tables and as bytes."""
+"""Serializes answers to SPARQL as tables and as bytes."""
 
 from __future__ import annotations
 
@@ -34,31 +34,32 @@ _GRAPHS = {
 
 
 def rows_of(results: QueryResults) -> tuple[tuple[str, ...], list[tuple[Term | None, ...]]]:
-    """Variables and rows of a SELECT; None is unbound. `QueryRefused` for another form."""
+    """Return the variables and rows of a SELECT; None is unbound. Raises `QueryRefused` for other
+    forms."""
     if not isinstance(results, QuerySolutions):
-        raise QueryRefused("a table is wanted, so the query must be a SELECT", 1, 1)
+        raise QueryRefused("a table needs a SELECT query", 1, 1)
     variables = tuple(variable.value for variable in results.variables)
     return variables, [tuple(_rdf11(term) for term in solution) for solution in results]
 
 
 def serialized(results: QueryResults, accept_format: str) -> bytes:
-    """The answer as bytes. Formats: json, xml, csv, tsv for SELECT and ASK; turtle, ntriples,
-    jsonld, rdfxml for CONSTRUCT and DESCRIBE. `QueryRefused` if the two do not go together.
-    """
-    known: Iterable[str]
+    """Return the answer as bytes. Formats: json, xml, csv, tsv for SELECT and ASK; turtle,
+    ntriples, jsonld, rdfxml for CONSTRUCT and DESCRIBE. Raises `QueryRefused` for any other
+    combination."""
+    formats: Iterable[str]
     if isinstance(results, QueryTriples):
-        known = _GRAPHS
+        formats = _GRAPHS
         if accept_format in _GRAPHS:
             return _bytes(serialize(results, format=_GRAPHS[accept_format]))
     else:
-        known = _TABLES
+        formats = _TABLES
         if accept_format in _TABLES:
             return _bytes(results.serialize(format=_TABLES[accept_format]))
     raise QueryRefused(
         f"the answer to this query cannot be given as {accept_format}",
         1,
         1,
-        f"ask for {', '.join(known)}",
+        f"request {', '.join(formats)}",
     )
 
 
@@ -68,5 +69,5 @@ def _rdf11(term: object) -> Term | None:
 
 
 def _bytes(data: bytes | None) -> bytes:
-    assert data is not None  # None only if an output file is given
+    assert data is not None  # None only with an output file
     return data

@@ -1,7 +1,7 @@
-"""A tree as SPARQL 1.1 text, for engines that read texts, and for people.
+"""Prints a tree as SPARQL 1.1 text, for Oxigraph and for people.
 
-Every operator stands in brackets of its own with spaces around it, so that no parser has to guess.
-Law: ``parse_sparql(print_query(q))`` is ``q``, but for the labels of blank nodes.
+It puts brackets and spaces around every operator, so the text does not depend on precedence. Law:
+``parse_sparql(print_query(q))`` is ``q`` up to the labels of blank nodes.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ from .ast import (
     Key,
     Logical,
     Minus,
-    Negated,
+    NegatedSet,
     Optional,
     Order,
     Path,
     Place,
-    Projected,
     Query,
-    Repeated,
+    Repetition,
+    SelectItem,
     Sequence,
     SubSelect,
     Triple,
@@ -54,7 +54,7 @@ _STEP = "  "
 
 
 def print_query(query: Query, prefixes: Mapping[str, str] | None = None) -> str:
-    """The text of a query, with a line for each part. Prefixes that are used are declared."""
+    """Return the text of a query, a line for each part. It declares the prefixes that it uses."""
     printer = _Printer(prefixes or {})
     lines = list(printer.query(query, ""))
     declared = [
@@ -145,7 +145,7 @@ class _Printer:
         )
         return f"VALUES ({head}) {{ {rows} }}"
 
-    def projected(self, one: Projected) -> str:
+    def projected(self, one: SelectItem) -> str:
         if one.expression is None:
             return str(one.variable)
         return f"({self.expression(one.expression)} AS {one.variable})"
@@ -156,7 +156,7 @@ class _Printer:
             return str(key.expression) if is_plain else self.bracketed(key.expression)
         expression = self.expression(key.expression)
         if isinstance(key.expression, Variable):
-            # Oxigraph's parser refuses `(?x AS ?key)` there.
+            # Oxigraph's parser rejects `(?x AS ?key)` as a key.
             expression = f"COALESCE({expression})"
         return f"({expression} AS {key.alias})"
 
@@ -200,9 +200,9 @@ class _Printer:
                 return "(" + " / ".join(map(self.path, parts)) + ")"
             case Alternative(parts):
                 return "(" + " | ".join(map(self.path, parts)) + ")"
-            case Repeated(inner, sign):
+            case Repetition(inner, sign):
                 return f"({self.path(inner)}{sign} )"
-            case Negated(forward, backward):
+            case NegatedSet(forward, backward):
                 found = [self.place(iri) for iri in forward]
                 found += [f"^{self.place(iri)}" for iri in backward]
                 return "!(" + " | ".join(found) + ")"

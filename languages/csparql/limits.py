@@ -1,4 +1,4 @@
-"""How large a query text may be: what is larger would keep the engine busy for seconds."""
+"""Bounds of query texts. A larger text would keep the engine busy for seconds."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from ...sparql.tokens import Limits
 from ..errors import LanguageError, Span
 
 LONGEST: Final = 64 * 1024
-"""Characters of a text."""
+"""The greatest number of characters."""
 MOST_TOKENS: Final = 4096
 MOST_PATTERNS: Final = 128
-"""Triple patterns; each step and each alternative of a property path is one."""
+"""Triple patterns; each step and each alternative of a property path counts as one."""
 MOST_OPERATORS: Final = 128
-"""Operators that stand in each other: readers of an expression recurse."""
+"""The height of an expression: later passes recurse over it."""
 MOST_PARTS: Final = 160
-"""Groups in braces, FILTER, BIND and VALUES: each stands in the plan on top of those before it."""
-_HINT: Final = "load what it lists as an ontology, or ask with several queries"
+"""Groups in braces, FILTER, BIND and VALUES: each adds a level to the plan."""
+_HINT: Final = "load its data as an ontology, or ask with several queries"
 LIMITS: Final = Limits(
     tokens=MOST_TOKENS,
     patterns=MOST_PATTERNS,
@@ -24,11 +24,11 @@ LIMITS: Final = Limits(
     parts=MOST_PARTS,
     hint=_HINT,
 )
-"""Those of continuous queries and templates."""
+"""The bounds of continuous queries and templates."""
 
 
 def check_length(source: str) -> None:
-    """Raises `LanguageError` for a text that is not even to be split into tokens."""
+    """Raise `LanguageError` for a text that is too long to be tokenized."""
     if len(source) > LONGEST:
         raise LanguageError(
             f"the text has more than {LONGEST} characters", source[:1000], Span(0, 0), _HINT

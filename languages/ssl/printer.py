@@ -1,4 +1,4 @@
-"""SSL declarations to text. Law: ``parse_ssl(format_declaration(d)) == (d,)``, up to spans."""
+"""Prints SSL declarations. Law: ``parse_ssl(format_declaration(d)) == (d,)``, up to spans."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ _NAME = re.compile("[A-Za-z][A-Za-z0-9_]*")
 
 
 def format_declaration(declaration: Declaration) -> str:
-    """The declaration as SSL text, one line: ``stream s3 contains speed(UAV) = spd [mi.h-1] …``."""
+    """Return the declaration as one line of SSL: ``stream s3 contains speed(UAV) = spd [mi.h-1]
+    …``."""
     match declaration:
         case StreamDeclaration(name, features, entities):
             text = f"stream {name} contains {', '.join(map(_feature, features))}"
@@ -39,7 +40,7 @@ def format_declaration(declaration: Declaration) -> str:
 
 
 def _named(entities: Sequence[Entity]) -> str:
-    """The for-part; `every` stands once, before the first entity that it governs."""
+    """Return the for-part; `every` stands once, before the first entity that it applies to."""
     words = []
     governed = False
     for entity in entities:
@@ -50,7 +51,7 @@ def _named(entities: Sequence[Entity]) -> str:
 
 
 def field_words(field: str) -> str:
-    """A field as SSL writes it: in quotes unless it is a name."""
+    """Return a field as SSL text: in quotes unless it is a name."""
     return field if _NAME.fullmatch(field) else f'"{field}"'
 
 

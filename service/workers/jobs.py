@@ -125,7 +125,7 @@ class Worker:
             self._store.remove(quad)
         self._store.extend(added)
         self._churn.note(removed, added)
-        self._store = self._churn.over(self._store)
+        self._store = self._churn.replace_if_due(self._store)
         return Truth(True)
 
     def _query(self, work: Query) -> Answer:

@@ -9,7 +9,6 @@ import anyio
 import anyio.to_thread
 from pyoxigraph import BlankNode, NamedNode, Triple
 
-from ...ontology.document_guard import check_document
 from ...ontology.errors import OntologyError
 from ...ontology.reading import TextFormat
 from .messages import (
@@ -54,7 +53,6 @@ class IsolatedReasoning:
 
     def read(self, text: str, format: TextFormat, base: NamedNode) -> frozenset[Triple]:
         """Raises `OntologyError`, also for a text that needs too much."""
-        check_document(text, format)
         work = Read(text, format, base.value, self._triples)
         return _renamed(self._table(work, "reading the text"))
 

@@ -1,5 +1,7 @@
-"""What was read off an object is remembered as long as that is there: a cache that counted would
-hold the algebra of templates that are gone, megabytes each."""
+"""A cache of values computed from an object, for as long as the object lives.
+
+A cache of the last n values would keep the algebra of removed templates in memory, megabytes each.
+"""
 
 from __future__ import annotations
 
@@ -13,12 +15,12 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 
-class Attached(Generic[S, P, T]):
-    """A function of an object, by its identity, and of more that can be compared; it remembers for
-    each object what it gave last.
+class ObjectCache(Generic[S, P, T]):
+    """Decorates a function of an object, by identity, and of more comparable arguments. It caches
+    the last result for each object.
 
-    Contract: nobody changes the object, and what the function gives does not hold it. Cost of what
-    is known: a look-up.
+    Contract: the object does not change, and the result does not refer to it. Cost of a cached
+    result: a look-up.
     """
 
     def __init__(self, work: Callable[Concatenate[S, P], T]) -> None:
@@ -27,7 +29,7 @@ class Attached(Generic[S, P, T]):
         update_wrapper(self, work)
 
     def __call__(self, subject: S, *more: P.args, **named: P.kwargs) -> T:
-        assert not named, "arguments are compared by their places"
+        assert not named, "pass the arguments by position"
         known = self._known.get(id(subject))
         if known is not None and known[1] == more:
             return known[2]
@@ -38,10 +40,5 @@ class Attached(Generic[S, P, T]):
         return found
 
     def __len__(self) -> int:
-        """Of how many objects something is remembered."""
+        """Return the number of objects with a cached result."""
         return len(self._known)
-
-
-def attached(work: Callable[Concatenate[S, P], T]) -> Attached[S, P, T]:
-    """``work`` as an `Attached`."""
-    return Attached(work)
