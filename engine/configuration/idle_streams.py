@@ -2,7 +2,7 @@
 streams").
 
 Nobody waits for a stream that was declared with ``idle`` and has brought nothing for so long: the
-windows of whoever reads others too go on without it. (`silent_objects` asks another thing: whether
+windows of whoever reads others too go on without it. (`silent_streams` asks another thing: whether
 an adaptive subscription has something better to read.)
 """
 

@@ -26,7 +26,7 @@ from ...matching.valuing import quality_of, weight_of
 from ...matching.want import Want
 from ...ontology.ontology import Ontology
 from ..configuration.configuration import Configuration
-from ..configuration.silent_objects import Silences
+from ..configuration.silent_streams import Silences
 from ..model.views import Since
 from ..planning.plan_execution import Plans
 from .adaptive_subscription import AdaptiveSubscription, State, names_of

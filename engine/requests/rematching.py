@@ -20,7 +20,7 @@ from ...rdf.dictionary import TermDictionary
 from ...streams.generator import StreamGenerator
 from ...streams.time import SECOND
 from ..configuration.configuration import Configuration
-from ..configuration.silent_objects import Silences
+from ..configuration.silent_streams import Silences
 from ..model.beginning import as_far_as_kept
 from ..model.errors import Conflict, DyknowError
 from ..model.status_changes import Change, ChangeKind

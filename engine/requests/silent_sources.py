@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ...matching.plan import UseStream
 from ...streams.generator import StreamGenerator
-from ..configuration.silent_objects import Silences
+from ..configuration.silent_streams import Silences
 from .adaptive_subscription import AdaptiveSubscription, transformations_of
 
 
